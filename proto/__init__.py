@@ -1,0 +1,1 @@
+"""The wire: what every program, in any language, must agree on."""

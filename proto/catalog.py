@@ -1,0 +1,99 @@
+"""The table of services: name, request, response, and the codes that each may answer."""
+
+from enum import IntEnum
+from typing import Generic, TypeVar
+
+import msgspec
+
+from proto import claims, services, telemetry
+from proto.result import (
+    ClaimCode,
+    ResultCode,
+    SetEntityStateCode,
+    SetSimulationStateCode,
+    SpawnCode,
+)
+
+Request = TypeVar("Request", bound=msgspec.Struct)
+Response = TypeVar("Response", bound=msgspec.Struct)
+
+
+class NoCodes(IntEnum):
+    """A service with no codes of its own."""
+
+
+class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
+    """One service: what to send and what comes back."""
+
+    name: str
+    request: type[Request]
+    response: type[Response]
+    codes: type[IntEnum] = NoCodes
+
+    def code_name(self, code: int) -> str:
+        """Name a result code of this service."""
+        for family in (ResultCode, self.codes):
+            if code in set(family):
+                return family(code).name
+        return "UNKNOWN_CODE"
+
+
+SPAWN_ENTITY = Service(
+    "spawn_entity", services.SpawnEntityRequest, services.SpawnEntityReport, SpawnCode
+)
+DELETE_ENTITY = Service("delete_entity", services.DeleteEntityRequest, services.DeleteEntityResponse)
+GET_ENTITIES = Service("get_entities", services.GetEntitiesRequest, services.GetEntitiesResponse)
+GET_ENTITY_STATE = Service(
+    "get_entity_state", services.GetEntityStateRequest, services.GetEntityStateResponse
+)
+SET_ENTITY_STATE = Service(
+    "set_entity_state",
+    services.SetEntityStateRequest,
+    services.SetEntityStateResponse,
+    SetEntityStateCode,
+)
+GET_SIMULATION_STATE = Service(
+    "get_simulation_state", services.GetSimulationStateRequest, services.GetSimulationStateResponse
+)
+SET_SIMULATION_STATE = Service(
+    "set_simulation_state",
+    services.SetSimulationStateRequest,
+    services.SetSimulationStateResponse,
+    SetSimulationStateCode,
+)
+STEP_SIMULATION = Service(
+    "step_simulation", services.StepSimulationRequest, services.StepSimulationResponse
+)
+RESET_SIMULATION = Service(
+    "reset_simulation", services.ResetSimulationRequest, services.ResetSimulationResponse
+)
+GET_SIMULATOR_FEATURES = Service(
+    "get_simulator_features",
+    services.GetSimulatorFeaturesRequest,
+    services.GetSimulatorFeaturesResponse,
+)
+CLAIM_ENTITY = Service(
+    "claim_entity", claims.ClaimEntityRequest, claims.ClaimEntityResponse, ClaimCode
+)
+GET_MODELS = Service("get_models", telemetry.GetModelsRequest, telemetry.GetModelsResponse)
+INFO = Service("info", telemetry.InfoRequest, telemetry.Info)
+
+SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
+    service.name: service  # type: ignore[misc]
+    for service in (
+        SPAWN_ENTITY,
+        DELETE_ENTITY,
+        GET_ENTITIES,
+        GET_ENTITY_STATE,
+        SET_ENTITY_STATE,
+        GET_SIMULATION_STATE,
+        SET_SIMULATION_STATE,
+        STEP_SIMULATION,
+        RESET_SIMULATION,
+        GET_SIMULATOR_FEATURES,
+        CLAIM_ENTITY,
+        GET_MODELS,
+        INFO,
+    )
+}
+"""Every service that a server offers, by name."""

@@ -1,0 +1,93 @@
+"""Every Zenoh key expression, built and parsed. Names are checked by `proto.names` before."""
+
+CMD_VEL = "cmd_vel"
+ODOM = "odom"
+TF = "tf"
+TF_STATIC = "tf_static"
+JOINT_STATES = "joint_states"
+ROBOT_DESCRIPTION = "robot_description"
+
+
+def service(world: str, name: str) -> str:
+    """A service's queryable."""
+    return f"sim/{world}/{name}"
+
+
+def services(world: str) -> str:
+    """All services of one world."""
+    return f"sim/{world}/*"
+
+
+def clock(world: str) -> str:
+    """Simulation time."""
+    return f"sim/{world}/clock"
+
+
+def stats(world: str) -> str:
+    """How the loop is doing, once a second."""
+    return f"sim/{world}/stats"
+
+
+def snapshot(world: str) -> str:
+    """Every entity's pose and twist."""
+    return f"sim/{world}/snapshot"
+
+
+def events(world: str) -> str:
+    """What happened."""
+    return f"sim/{world}/events"
+
+
+def drive_state(world: str, agent: str) -> str:
+    """Server to one agent."""
+    return f"sim/{world}/drive/{agent}/state"
+
+
+def drive_command(world: str, agent: str) -> str:
+    """One agent to the server."""
+    return f"sim/{world}/drive/{agent}/command"
+
+
+def drive_commands(world: str) -> str:
+    """All agents to the server."""
+    return f"sim/{world}/drive/*/command"
+
+
+def alive_server(world: str) -> str:
+    """Liveliness token of the server."""
+    return f"sim/{world}/alive/server"
+
+
+def alive_agent(world: str, agent: str) -> str:
+    """Liveliness token of one agent."""
+    return f"sim/{world}/alive/agent/{agent}"
+
+
+def alive_agents(world: str) -> str:
+    """Liveliness tokens of all agents."""
+    return f"sim/{world}/alive/agent/*"
+
+
+def robot(namespace: str, topic: str) -> str:
+    """A robot's topic."""
+    return f"{namespace}/{topic}"
+
+
+def robot_topics(namespace: str) -> str:
+    """All topics of one robot."""
+    return f"{namespace}/*"
+
+
+def agent_of(key: str) -> str:
+    """The agent that a drive or alive key belongs to; empty when it is neither."""
+    chunks = key.split("/")
+    if len(chunks) == 5 and chunks[2] == "drive":
+        return chunks[3]
+    if len(chunks) == 5 and chunks[2:4] == ["alive", "agent"]:
+        return chunks[4]
+    return ""
+
+
+def last_chunk(key: str) -> str:
+    """The service or topic that a key ends with."""
+    return key.rsplit("/", 1)[-1]

@@ -1,0 +1,161 @@
+"""What a description says once read: links, joints, shapes, drive. Frames per REP-103."""
+
+from typing import ClassVar, Literal
+
+import msgspec
+
+Vec3 = tuple[float, float, float]
+Quat = tuple[float, float, float, float]
+
+ZERO: Vec3 = (0.0, 0.0, 0.0)
+IDENTITY: Quat = (0.0, 0.0, 0.0, 1.0)
+
+ReportStatus = Literal["applied", "ignored", "unknown", "suspicious"]
+
+
+class ReportEntry(msgspec.Struct, frozen=True):
+    """What became of one tag, plug-in or argument of a description."""
+
+    status: ReportStatus
+    subject: str
+    reason: str = ""
+
+
+class Origin(msgspec.Struct, frozen=True):
+    """A fixed pose: position [m] and orientation (x, y, z, w) in the frame that the owner names."""
+
+    position: Vec3 = ZERO
+    orientation: Quat = IDENTITY
+
+
+class Shape(msgspec.Struct, frozen=True):
+    """A solid in its link's frame.
+
+    `size` is full extents [m] by kind: box (x, y, z); sphere (radius, 0, 0); cylinder and capsule
+    (radius, length, 0) along z; plane (0, 0, 0), normal z; mesh: scale.
+    """
+
+    kind: Literal["box", "sphere", "cylinder", "capsule", "plane", "mesh"]
+    size: Vec3 = ZERO
+    origin: Origin = Origin()
+    rgba: Quat | None = None
+    mesh: str = ""
+    friction: float = 1.0
+    """Coulomb coefficient (mu1) of a collision; >= 0."""
+
+
+class Inertial(msgspec.Struct, frozen=True):
+    """Mass [kg], centre of mass [m] in the link, inertia about it [kg m^2], link axes.
+
+    `inertia` is (ixx, ixy, ixz, iyy, iyz, izz).
+    """
+
+    mass_kg: float = 0.0
+    com_in_link: Vec3 = ZERO
+    inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Link(msgspec.Struct, frozen=True):
+    """A rigid part that moves by itself once fixed joints are lumped."""
+
+    name: str
+    inertial: Inertial = Inertial()
+    collisions: tuple[Shape, ...] = ()
+    visuals: tuple[Shape, ...] = ()
+
+
+JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
+
+
+class Joint(msgspec.Struct, frozen=True):
+    """How a link moves in its parent; axis in the joint's (= child's) frame."""
+
+    name: str
+    kind: JointKind
+    parent: str
+    child: str
+    origin: Origin = Origin()
+    axis: Vec3 = (1.0, 0.0, 0.0)
+    lower: float = 0.0
+    upper: float = 0.0
+    effort: float = 0.0
+    velocity: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+
+
+class Frame(msgspec.Struct, frozen=True):
+    """A link that lumping merged into `parent`; kept for tf."""
+
+    name: str
+    parent: str
+    origin: Origin = Origin()
+
+
+class WheelPair(msgspec.Struct, frozen=True):
+    """A left and a right wheel joint on one axle; separation and diameter [m], > 0."""
+
+    left_joint: str
+    right_joint: str
+    separation_m: float = 0.34
+    diameter_m: float = 0.15
+
+
+class DiffDrive(msgspec.Struct, frozen=True, tag="diff_drive", tag_field="kind"):
+    """Parameters of a differential drive, defaults as Gazebo's plug-in has them.
+
+    Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch.
+    """
+
+    pairs: tuple[WheelPair, ...] = ()
+    max_torque_nm: float = 5.0
+    max_acceleration: float = 0.0
+    """At the rim [m/s^2]; 0 = unlimited."""
+    update_rate_hz: float = 100.0
+    """0 = every step that the agent is told of."""
+    odometry_source: Literal["encoder", "world"] = "world"
+    odometry_frame: str = "odom"
+    robot_base_frame: str = "base_footprint"
+    publish_odom: bool = False
+    publish_odom_tf: bool = False
+    publish_wheel_tf: bool = False
+    covariance_x: float = 1e-5
+    covariance_y: float = 1e-5
+    covariance_yaw: float = 1e-3
+
+
+class JointStatePublisher(msgspec.Struct, frozen=True):
+    """Which joints are published, and how often. Source: gazebo_ros_joint_state_publisher."""
+
+    joints: tuple[str, ...] = ()
+    update_rate_hz: float = 100.0
+
+
+class Model(msgspec.Struct, frozen=True):
+    """What a description says, after lumping; shared by all entities spawned from it.
+
+    `links[0]` is the base; `joints[i]` moves `links[i + 1]`; parents come before children.
+    """
+
+    ros_type: ClassVar[str] = "zensim/msg/Model"
+
+    name: str
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...] = ()
+    frames: tuple[Frame, ...] = ()
+    drive: DiffDrive | None = None
+    joint_state: JointStatePublisher | None = None
+    is_static: bool = False
+    report: tuple[ReportEntry, ...] = ()
+
+    @property
+    def mass_kg(self) -> float:
+        """Total mass of all links."""
+        return sum(link.inertial.mass_kg for link in self.links)
+
+    @property
+    def driven_joints(self) -> tuple[str, ...]:
+        """Joints that a drive command addresses, left before right, pair by pair."""
+        if self.drive is None:
+            return ()
+        return tuple(j for pair in self.drive.pairs for j in (pair.left_joint, pair.right_joint))

@@ -1,0 +1,62 @@
+"""What a valid entity name, namespace, agent name, world name and frame_id is."""
+
+import re
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,255}")
+RESERVED = frozenset({"sim", "world"})
+MAX_NAMESPACE_CHUNKS = 8
+
+
+class InvalidName(ValueError):
+    """A name that cannot stand in a key expression and in ROS 2 alike."""
+
+
+def check_name(name: str, what: str = "name") -> str:
+    """Return the name if it is one.
+
+    Raises:
+        InvalidName: Not `[A-Za-z][A-Za-z0-9_]{0,63}`.
+    """
+    if NAME.fullmatch(name):
+        return name
+    raise InvalidName(
+        f"{what} {_shown(name)} is not valid; use a letter, then up to 63 letters, digits or '_'"
+    )
+
+
+def check_namespace(namespace: str) -> str:
+    """Return the namespace without a leading slash.
+
+    Raises:
+        InvalidName: A chunk is no name, there are more than 8, or the first is reserved.
+    """
+    bare = namespace.removeprefix("/")
+    chunks = bare.split("/")
+    if not all(NAME.fullmatch(chunk) for chunk in chunks) or len(chunks) > MAX_NAMESPACE_CHUNKS:
+        raise InvalidName(
+            f"namespace {_shown(namespace)} is not valid; use names joined by '/', such as 'team/r1'"
+        )
+    if chunks[0] in RESERVED:
+        raise InvalidName(
+            f"namespace {_shown(namespace)} begins with a reserved name; use any but 'sim', 'world'"
+        )
+    return bare
+
+
+def check_frame(frame_id: str) -> str:
+    """Return the frame_id if tf accepts it (no leading slash, no spaces).
+
+    Raises:
+        InvalidName: It is not one.
+    """
+    if FRAME.fullmatch(frame_id):
+        return frame_id
+    raise InvalidName(
+        f"frame_id {_shown(frame_id)} is not valid; use letters, digits, '_', '.', '-' or '/'"
+    )
+
+
+def _shown(text: str) -> str:
+    clipped = text if len(text) <= 80 else text[:77] + "..."
+    return repr(clipped)

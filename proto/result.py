@@ -1,0 +1,74 @@
+"""Result codes of simulation_interfaces, and the error that a refused caller sees."""
+
+from enum import IntEnum
+from typing import ClassVar
+
+import msgspec
+
+from proto.widths import UInt8
+
+
+class ResultCode(IntEnum):
+    """Codes that every service may answer. Source: simulation_interfaces/msg/Result."""
+
+    FEATURE_UNSUPPORTED = 0
+    OK = 1
+    NOT_FOUND = 2
+    INCORRECT_STATE = 3
+    OPERATION_FAILED = 4
+
+
+class SpawnCode(IntEnum):
+    """Why a spawn was refused. Source: simulation_interfaces/srv/SpawnEntity."""
+
+    NAME_NOT_UNIQUE = 101
+    NAME_INVALID = 102
+    UNSUPPORTED_FORMAT = 103
+    NO_RESOURCE = 104
+    NAMESPACE_INVALID = 105
+    RESOURCE_PARSE_ERROR = 106
+    MISSING_ASSETS = 107
+    UNSUPPORTED_ASSETS = 108
+    INVALID_POSE = 109
+
+
+class SetEntityStateCode(IntEnum):
+    """Why a state was refused. Source: simulation_interfaces/srv/SetEntityState."""
+
+    INVALID_POSE = 101
+
+
+class SetSimulationStateCode(IntEnum):
+    """Why a transition was refused. Source: simulation_interfaces/srv/SetSimulationState."""
+
+    ALREADY_IN_TARGET_STATE = 101
+    STATE_TRANSITION_ERROR = 102
+    INCORRECT_TRANSITION = 103
+
+
+class ClaimCode(IntEnum):
+    """Why a claim was refused. Source: zensim."""
+
+    ALREADY_CLAIMED = 101
+    AGENT_INVALID = 102
+    NOT_DRIVABLE = 103
+
+
+class Result(msgspec.Struct, frozen=True):
+    """How a request went. Source: simulation_interfaces/msg/Result."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/msg/Result"
+
+    result: UInt8 = ResultCode.OK
+    error_message: str = ""
+
+
+class ServiceError(Exception):
+    """A service refused the request; code and message are the server's own."""
+
+    def __init__(self, service: str, code: int, code_name: str, message: str) -> None:
+        super().__init__(f"{code_name} ({code}): {message}")
+        self.service = service
+        self.code = code
+        self.code_name = code_name
+        self.message = message

@@ -1,0 +1,1 @@
+"""The robot's side: one process drives entities from outside the server."""

@@ -1,0 +1,1 @@
+"""Drive controllers: pure, no network, no clock."""

@@ -1,0 +1,1 @@
+"""The sim server: one process, one world, answered over the network."""

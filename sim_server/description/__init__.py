@@ -1,0 +1,1 @@
+"""Robot and world descriptions: URDF and SDF in, Model out."""

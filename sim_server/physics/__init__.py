@@ -1,0 +1,1 @@
+"""Physics behind the Engine protocol."""

@@ -1,0 +1,1 @@
+"""The operator's side: put robots into a world, look at it, change it."""
