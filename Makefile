@@ -1,0 +1,103 @@
+# `make` lists the targets. PYTHON=/path/to/python3.11 chooses the interpreter of .venv.
+
+SHELL := /bin/sh
+MAKEFLAGS += --no-print-directory
+.DEFAULT_GOAL := help
+
+IS_SUITABLE := import sys; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))
+PYTHONS := $(PYTHON) python3.11 python3.10 python3 python \
+	$(wildcard $(HOME)/.pyenv/versions/3.11*/bin/python) \
+	$(wildcard $(HOME)/.pyenv/versions/3.10*/bin/python)
+FIND_PYTHON = for python in $(PYTHONS); do \
+		if $$python -c '$(IS_SUITABLE)' 2>/dev/null; then break; fi; python=; \
+	done; \
+	if [ -z "$$python" ]; then \
+		echo "no Python 3.10 or 3.11 found; install one, or name it: make PYTHON=/path/to/python3.11" >&2; \
+		exit 1; \
+	fi
+
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
+STAMP := .venv/.setup-done
+PINS := requirements/base.txt requirements/server.txt requirements/viewer.txt requirements/dev.txt
+
+.PHONY: help setup demo test lint fmt types imports schemas docs bench chaos fuzz pins ci clean \
+	packages
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 18
+
+setup: $(STAMP) ## make .venv with everything that the demo and the tests need
+
+$(STAMP): pyproject.toml requirements/dev.txt
+	@$(FIND_PYTHON); \
+	if ! $(BIN)/python -c '$(IS_SUITABLE)' 2>/dev/null; then \
+		version=$$($$python -c 'import sys; print("%d.%d" % sys.version_info[:2])') && \
+		{ $$python -c 'import ensurepip, venv' 2>/dev/null || \
+			sh .ci/need python$$version-venv; } && \
+		$$python -m venv --clear .venv; \
+	fi
+	$(PIP) install -q --require-hashes -r requirements/dev.txt
+	$(PIP) install -q --no-deps --no-build-isolation -e .
+	@touch $@
+
+demo: setup ## ten robots in one world, and the address of the page that shows them
+	$(BIN)/zensim up
+
+packages: # Debian packages that the tests use
+	@sh .ci/need chromium chromium chromium-browser google-chrome
+	@sh .ci/need iproute2 ip
+
+test: setup packages ## all tests
+	$(BIN)/python -m pytest
+
+lint: setup ## style of the code
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+fmt: setup ## format the code and mend what can be mended
+	$(BIN)/ruff check --fix
+	$(BIN)/ruff format
+
+types: setup ## types of the code and of the tests
+	$(BIN)/mypy
+
+imports: setup ## which module may import which
+	$(BIN)/lint-imports
+
+schemas: setup ## committed schemas against the messages
+	$(BIN)/python -m pytest -q tests/contract/test_schemas.py
+
+docs: setup ## links, commands and change log of the documents
+	$(BIN)/python -m pytest -q tests/contract/test_docs.py
+
+bench: setup ## measure and rewrite docs/benchmarks.md
+	$(BIN)/python -m tests.benchmark
+
+chaos: setup ## kill, starve and garble, as tests
+	$(BIN)/python -m pytest tests/chaos
+
+fuzz: setup ## property tests with many more examples
+	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
+
+pins: ## resolve requirements/ anew
+	@$(FIND_PYTHON); $$python -m venv build/pins
+	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
+	@set -e; for name in dev server viewer base; do \
+		case $$name in \
+			dev) choice="--all-extras" ;; \
+			base) choice="-c requirements/dev.txt" ;; \
+			*) choice="-c requirements/dev.txt --extra $$name" ;; \
+		esac; \
+		build/pins/bin/uv pip compile -q pyproject.toml $$choice --universal --python-version 3.10 \
+			--generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make pins" \
+			-o requirements/$$name.txt; \
+	done
+
+ci: ## what CI runs
+	@bash .ci/run
+
+clean: ## remove .venv and everything that was made
+	rm -rf .venv build dist *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis \
+		.import_linter_cache .coverage
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
