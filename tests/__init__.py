@@ -1,0 +1,1 @@
+"""Tests, laid out as the code is; contract, integration, chaos and benchmark go across it."""

@@ -1,0 +1,1 @@
+"""What the whole repository must keep: budgets, pins, schemas, documents, imports."""

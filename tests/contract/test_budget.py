@@ -1,0 +1,84 @@
+"""How long a file and a function may be, and what no tracked file may hold."""
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import proto
+from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
+
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 40
+MAX_FILE_BYTES = 1_000_000
+# Written apart, so that this file does not hold what it looks for.
+POSTPONED = re.compile(r"\b(?:TO" r"DO|FIX" r"ME|XX" r"X)\b")
+SKIPPED = re.compile(r"\bpytest\.(?:mark\.)?(?:sk" r"ip|xf" r"ail)")
+SECRET = re.compile(
+    r"-----BEGIN [A-Z ]*PRIVATE KEY-----"
+    r"|\bAKIA[0-9A-Z]{16}\b"
+    r"|\bgh[pousr]_[A-Za-z0-9]{36}\b"
+    r"|(?i:\b(?:password|passwd|secret|api_?key|token)\b\s*[:=]\s*[\"'][^\"'\s{}<>$]{12,}[\"'])"
+)
+
+
+def python_files() -> list[Path]:
+    return [path for path in files() if path.suffix in {".py", ".pyi"}]
+
+
+def long_functions(path: Path) -> Iterator[str]:
+    for node in ast.walk(ast.parse(text_of(path))):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            lines = (node.end_lineno or node.lineno) - node.lineno + 1
+            if lines > MAX_FUNCTION_LINES:
+                yield f"{shown(path)}:{node.lineno} {node.name}: {lines} lines"
+
+
+def lines_that_match(pattern: re.Pattern[str]) -> list[str]:
+    return [
+        f"{shown(path)}:{number} {match.group()[:20]}"
+        for path in files()
+        for number, line in enumerate(text_of(path).splitlines(), start=1)
+        if (match := pattern.search(line))
+    ]
+
+
+def test_python_file_is_at_most_400_lines() -> None:
+    lengths = {shown(path): text_of(path).count("\n") for path in python_files()}
+
+    too_long = {name: lines for name, lines in lengths.items() if lines > MAX_FILE_LINES}
+
+    assert too_long == {}
+
+
+def test_function_is_at_most_40_lines() -> None:
+    sources = [path for path in python_files() if path.relative_to(ROOT).parts[0] in PACKAGES]
+
+    too_long = [line for path in sources for line in long_functions(path)]
+
+    assert sources
+    assert too_long == []
+
+
+def test_no_file_puts_work_off() -> None:
+    assert lines_that_match(POSTPONED) == []
+
+
+def test_no_test_is_left_out() -> None:
+    assert lines_that_match(SKIPPED) == []
+
+
+def test_no_file_holds_a_secret() -> None:
+    assert lines_that_match(SECRET) == []
+
+
+def test_no_file_is_large() -> None:
+    sizes = {shown(path): path.stat().st_size for path in files()}
+
+    too_large = {name: size for name, size in sizes.items() if size > MAX_FILE_BYTES}
+
+    assert too_large == {}
+
+
+def test_package_proto_is_ours_and_not_proto_plus() -> None:
+    assert Path(str(proto.__file__)) == ROOT / "proto" / "__init__.py"

@@ -1,0 +1,76 @@
+"""Pinned requirements against what pyproject.toml asks for."""
+
+import re
+from importlib.metadata import requires
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from tests.contract.repository import ROOT
+
+PINS = ROOT / "requirements"
+EXTRAS = {
+    "base": {""},
+    "server": {"", "server"},
+    "viewer": {"", "viewer"},
+    "dev": {"", "server", "viewer", "dev"},
+}
+PYTHONS = ("3.10", "3.11")
+HASH = re.compile(r" *--hash=sha256:[0-9a-f]{64}")
+
+
+def pins_of(path: Path) -> list[Requirement]:
+    entries = path.read_text().replace("\\\n", "").splitlines()
+    return [Requirement(HASH.sub("", entry)) for entry in entries if not entry.startswith("#")]
+
+
+def applies(requirement: Requirement, python: str, extra: str = "") -> bool:
+    environment = {
+        "python_version": python,
+        "python_full_version": f"{python}.0",
+        "sys_platform": "linux",
+        "platform_system": "Linux",
+        "platform_machine": "x86_64",
+        "extra": extra,
+    }
+    return requirement.marker is None or requirement.marker.evaluate(environment)
+
+
+def versions(name: str, python: str) -> dict[str, str]:
+    pins = [pin for pin in pins_of(PINS / f"{name}.txt") if applies(pin, python)]
+    return {canonicalize_name(pin.name): str(pin.specifier).removeprefix("==") for pin in pins}
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("name", EXTRAS)
+def test_pins_hold_every_dependency_of_the_extra(name: str, python: str) -> None:
+    asked = [Requirement(line) for line in requires("zensim") or []]
+    wanted = [need for need in asked if any(applies(need, python, extra) for extra in EXTRAS[name])]
+
+    pinned = versions(name, python)
+
+    assert wanted
+    unmet = [
+        str(need)
+        for need in wanted
+        if not need.specifier.contains(pinned.get(canonicalize_name(need.name), "0"))
+    ]
+    assert unmet == []
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+@pytest.mark.parametrize("name", EXTRAS)
+def test_pins_agree_with_those_of_dev(name: str, python: str) -> None:
+    assert versions(name, python).items() <= versions("dev", python).items()
+
+
+@pytest.mark.parametrize("name", EXTRAS)
+def test_pin_is_exact_and_hashed_and_names_no_address(name: str) -> None:
+    text = (PINS / f"{name}.txt").read_text().replace("\\\n", "")
+
+    entries = [line for line in text.splitlines() if not line.startswith("#")]
+
+    assert all("==" in entry and HASH.search(entry) for entry in entries)
+    assert "://" not in text
