@@ -73,7 +73,9 @@ def check_endpoint(endpoint: str) -> str:
     match = ENDPOINT.fullmatch(endpoint)
     if match and int(match["port"]) <= 65535:
         return endpoint
-    raise ValueError(f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, such as {DEFAULT_ENDPOINT}")
+    raise ValueError(
+        f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, such as {DEFAULT_ENDPOINT}"
+    )
 
 
 def with_free_port(endpoint: str) -> str:
@@ -259,9 +261,7 @@ class Bus:
 
     def serve(self, key: str, depth: int = 4096) -> CallQueue:
         """Answer requests on a key expression."""
-        return CallQueue(
-            self._session.declare_queryable(key, RingChannel(depth), complete=True)
-        )
+        return CallQueue(self._session.declare_queryable(key, RingChannel(depth), complete=True))
 
     def token(self, key: str) -> Token:
         """Declare this process alive under a key."""
@@ -310,7 +310,9 @@ class Bus:
                 f"request is {len(payload)} bytes; the limit is {self.config.max_message_bytes}",
             )
         key = keys.service(world, service.name)
-        answer = self._ask(key, payload, encoding_of(request, Format.MSGPACK), timeout_s, request_id)
+        answer = self._ask(
+            key, payload, encoding_of(request, Format.MSGPACK), timeout_s, request_id
+        )
         response = decode(service.response, answer.payload, answer.encoding)
         _raise_unless_ok(service, getattr(response, "result", Result()))
         return response

@@ -39,7 +39,7 @@ class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
 
 
 SPAWN_ENTITY = Service(
-    "spawn_entity", services.SpawnEntityRequest, services.SpawnEntityReport, SpawnCode
+    "spawn_entity", services.SpawnEntityOrder, services.SpawnEntityReport, SpawnCode
 )
 DELETE_ENTITY = Service("delete_entity", services.DeleteEntityRequest, services.DeleteEntityResponse)
 GET_ENTITIES = Service("get_entities", services.GetEntitiesRequest, services.GetEntitiesResponse)

@@ -37,6 +37,13 @@ class SpawnEntityRequest(msgspec.Struct, frozen=True):
     initial_pose: PoseStamped = PoseStamped()
 
 
+class SpawnEntityOrder(SpawnEntityRequest, frozen=True):
+    """A spawn with wishes that simulation_interfaces has no field for."""
+
+    snap_to_ground: bool = False
+    """Move the entity along z until its lowest point touches z = 0."""
+
+
 class SpawnEntityResponse(msgspec.Struct, frozen=True):
     """The name that it got. Source: simulation_interfaces/srv/SpawnEntity."""
 

@@ -25,3 +25,61 @@ class ModelError(SimError):
         super().__init__(message)
         self.code = code
         self.slug = slug
+
+
+class EntityNotFound(SimError):
+    """No entity has this name."""
+
+    code = ResultCode.NOT_FOUND
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"entity {name[:80]!r} does not exist; 'get_entities' lists those that do")
+
+
+class NameNotUnique(SimError):
+    """Two entities would have the same name."""
+
+    code = SpawnCode.NAME_NOT_UNIQUE
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"entity '{name}' already exists; choose another name or set allow_renaming"
+        )
+
+
+class NameRefused(SimError):
+    """A name that is not one."""
+
+    code = SpawnCode.NAME_INVALID
+
+
+class NamespaceRefused(SimError):
+    """A namespace that is not one, or that another entity has."""
+
+    code = SpawnCode.NAMESPACE_INVALID
+
+
+class PoseRefused(SimError):
+    """A pose or twist that no entity can have."""
+
+    code = SpawnCode.INVALID_POSE
+
+
+class IncorrectState(SimError):
+    """Right request, wrong moment."""
+
+    code = ResultCode.INCORRECT_STATE
+
+
+class Unsupported(SimError):
+    """A feature of the vocabulary that this server does not have."""
+
+    code = ResultCode.FEATURE_UNSUPPORTED
+
+
+class Refused(SimError):
+    """Any other refusal, with the code of its service."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code

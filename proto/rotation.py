@@ -1,0 +1,69 @@
+"""Quaternion arithmetic on arrays: (..., 4), x y z w, unit length. Broadcasts over leading axes."""
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Compose rotations: `right` first, then `left`."""
+    lx, ly, lz, lw = np.moveaxis(left, -1, 0)
+    rx, ry, rz, rw = np.moveaxis(right, -1, 0)
+    return np.stack(
+        [
+            lw * rx + lx * rw + ly * rz - lz * ry,
+            lw * ry - lx * rz + ly * rw + lz * rx,
+            lw * rz + lx * ry - ly * rx + lz * rw,
+            lw * rw - lx * rx - ly * ry - lz * rz,
+        ],
+        axis=-1,
+    )
+
+
+def conjugate(turn: FloatArray) -> FloatArray:
+    """Invert rotations."""
+    return turn * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:
+    """Rotate vectors (..., 3)."""
+    axis, w = turn[..., :3], turn[..., 3:]
+    twice = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + w * twice + np.cross(axis, twice))
+
+
+def from_matrix(matrix: FloatArray) -> FloatArray:
+    """Turn one proper rotation matrix (3, 3) into a quaternion."""
+    # The eigenvector of the largest eigenvalue is exact for every angle, half turns too.
+    m = matrix
+    k = np.array(
+        [
+            [m[0, 0] - m[1, 1] - m[2, 2], 0.0, 0.0, 0.0],
+            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], 0.0, 0.0],
+            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], 0.0],
+            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], np.trace(m)],
+        ]
+    )
+    turn = np.linalg.eigh(k)[1][:, 3]
+    return np.asarray(turn if turn[3] >= 0 else -turn)
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Turn fixed-axis roll, pitch, yaw [rad] into a quaternion. Source: URDF, REP-103."""
+    halves = np.array([roll, pitch, yaw]) / 2.0
+    (sr, sp, sy), (cr, cp, cy) = np.sin(halves), np.cos(halves)
+    return np.array(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def yaw_of(turn: FloatArray) -> FloatArray:
+    """Find the heading [rad] about z."""
+    x, y, z, w = np.moveaxis(turn, -1, 0)
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))

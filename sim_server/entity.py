@@ -1,0 +1,91 @@
+"""An entity, and the roster that says where each stands in the arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.claims import OnRelease
+from proto.model import Model
+from sim_server.physics.engine import FloatArray
+
+IntArray = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Entity:
+    """Anything spawned.
+
+    Attributes:
+        initial: State row (13,) that a reset goes back to.
+        description: The text it was made from, as its agent publishes it.
+    """
+
+    name: str
+    namespace: str
+    model: Model
+    body: int
+    initial: FloatArray
+    description: str
+    born_ns: int
+    """Wall time at spawn, for time-to-ready."""
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Who drives an entity, and under which claim."""
+
+    claim: int
+    agent: str
+    on_release: OnRelease
+
+
+@dataclass(frozen=True)
+class Roster:
+    """All entities in the order of spawning, and where their joints start in the joint arrays."""
+
+    names: tuple[str, ...]
+    bodies: tuple[int, ...]
+    row: dict[str, int]
+    joint_start: IntArray
+    joint_count: IntArray
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What one agent drives, ready to be cut out of the arrays and to be commanded."""
+
+    claims: bytes
+    rows: IntArray
+    joints: IntArray
+    bodies: tuple[int, ...]
+    target_count: int
+
+
+def roster_of(entities: Sequence[Entity]) -> Roster:
+    """Line up entities."""
+    counts = np.array([len(entity.model.joints) for entity in entities], dtype=np.intp)
+    return Roster(
+        names=tuple(entity.name for entity in entities),
+        bodies=tuple(entity.body for entity in entities),
+        row={entity.name: i for i, entity in enumerate(entities)},
+        joint_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)[:-1],
+        joint_count=counts,
+    )
+
+
+def fleet_of(roster: Roster, members: Sequence[tuple[Entity, Hold]]) -> Fleet:
+    """Cut an agent's members out of the roster, in the order of claiming."""
+    rows = np.array([roster.row[entity.name] for entity, _ in members], dtype=np.intp)
+    joints = [
+        np.arange(roster.joint_start[row], roster.joint_start[row] + roster.joint_count[row])
+        for row in rows
+    ]
+    return Fleet(
+        claims=np.array([hold.claim for _, hold in members], dtype="<u4").tobytes(),
+        rows=rows,
+        joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),
+        bodies=tuple(entity.body for entity, _ in members),
+        target_count=sum(len(entity.model.driven_joints) for entity, _ in members),
+    )

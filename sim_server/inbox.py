@@ -1,0 +1,42 @@
+"""What reaches the loop: requests, drive commands, agents that come and go. Channels, polled."""
+
+from typing import Protocol
+
+from proto import keys
+from proto.bus import Bus, Call, Sample
+
+COMMAND_DEPTH = 8192
+
+
+class Inbox(Protocol):
+    """What the loop asks at every turn."""
+
+    def take_calls(self) -> list[Call]:
+        """Take the requests that have come."""
+
+    def take_commands(self) -> list[Sample]:
+        """Take the drive commands that have come."""
+
+    def take_agents(self) -> list[tuple[str, bool]]:
+        """Take who came (True) and went (False)."""
+
+
+class BusInbox:
+    """The inbox on a bus."""
+
+    def __init__(self, bus: Bus, world: str) -> None:
+        self._agents = bus.watch_tokens(keys.alive_agents(world))
+        self._commands = bus.subscribe(keys.drive_commands(world), COMMAND_DEPTH)
+        self._calls = bus.serve(keys.services(world))
+
+    def take_calls(self) -> list[Call]:
+        """See `Inbox`."""
+        return self._calls.take()
+
+    def take_commands(self) -> list[Sample]:
+        """See `Inbox`."""
+        return self._commands.take()
+
+    def take_agents(self) -> list[tuple[str, bool]]:
+        """See `Inbox`."""
+        return [(keys.agent_of(key), alive) for key, alive in self._agents.take()]

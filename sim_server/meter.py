@@ -1,0 +1,43 @@
+"""How the loop is doing: real-time factor, step times, lateness. Wall times come from outside."""
+
+from proto.header import NANOSECONDS
+
+
+class Meter:
+    """Sums over windows of about a second."""
+
+    def __init__(self, now_ns: int) -> None:
+        self.real_time_factor = 0.0
+        self.step_time_s = 0.0
+        self.step_time_max_s = 0.0
+        self.late_max_s = 0.0
+        self.slipped_ns = 0
+        self.requests = 0
+        self._since_ns = now_ns
+        self._simulated_ns = 0
+        self._steps = 0
+        self._stepping_ns = 0
+        self._longest_ns = 0
+        self._latest_ns = 0
+
+    def note_step(self, *, simulated_ns: int, took_ns: int, late_ns: int) -> None:
+        """Count one step."""
+        self._steps += 1
+        self._simulated_ns += simulated_ns
+        self._stepping_ns += took_ns
+        self._longest_ns = max(self._longest_ns, took_ns)
+        self._latest_ns = max(self._latest_ns, late_ns)
+
+    def close_window(self, now_ns: int) -> bool:
+        """Turn the sums into figures once a second has passed; say whether it has."""
+        elapsed_ns = now_ns - self._since_ns
+        if elapsed_ns < NANOSECONDS:
+            return False
+        self.real_time_factor = self._simulated_ns / elapsed_ns
+        self.step_time_s = self._stepping_ns / max(self._steps, 1) * 1e-9
+        self.step_time_max_s = self._longest_ns * 1e-9
+        self.late_max_s = self._latest_ns * 1e-9
+        self._since_ns = now_ns
+        self._simulated_ns = self._steps = self._stepping_ns = 0
+        self._longest_ns = self._latest_ns = 0
+        return True

@@ -1,0 +1,67 @@
+"""Where telemetry leaves: a topic by its word, encoded only when somebody listens."""
+
+from typing import Protocol
+
+import msgspec
+
+from proto import keys
+from proto.bus import Bus, Publisher
+from proto.claims import DriveState
+from proto.codec import Format, encode, encoding_of
+from proto.telemetry import Event, Snapshot, Stats, WorldClock
+
+
+class Outlet(Protocol):
+    """What the loop tells."""
+
+    def is_wanted(self, topic: str) -> bool:
+        """Whether anybody listens to a topic."""
+
+    def tell(self, topic: str, message: msgspec.Struct) -> None:
+        """Publish on a topic of the world."""
+
+    def tell_agent(self, agent: str, state: DriveState) -> None:
+        """Publish a drive state."""
+
+    def forget_agent(self, agent: str) -> None:
+        """Free what was kept for an agent."""
+
+
+class BusOutlet:
+    """The outlet on a bus; MessagePack."""
+
+    def __init__(self, bus: Bus, world: str) -> None:
+        topics: dict[str, tuple[str, type[msgspec.Struct]]] = {
+            "clock": (keys.clock(world), WorldClock),
+            "stats": (keys.stats(world), Stats),
+            "snapshot": (keys.snapshot(world), Snapshot),
+            "events": (keys.events(world), Event),
+        }
+        self._bus = bus
+        self._world = world
+        self._topics = {
+            topic: bus.advertise(key, encoding_of(kind, Format.MSGPACK))
+            for topic, (key, kind) in topics.items()
+        }
+        self._agents: dict[str, Publisher] = {}
+
+    def is_wanted(self, topic: str) -> bool:
+        """See `Outlet`."""
+        return self._topics[topic].is_matched
+
+    def tell(self, topic: str, message: msgspec.Struct) -> None:
+        """See `Outlet`."""
+        self._topics[topic].send(encode(message, Format.MSGPACK))
+
+    def tell_agent(self, agent: str, state: DriveState) -> None:
+        """See `Outlet`."""
+        if (publisher := self._agents.get(agent)) is None:
+            key = keys.drive_state(self._world, agent)
+            publisher = self._bus.advertise(key, encoding_of(DriveState, Format.MSGPACK))
+            self._agents[agent] = publisher
+        publisher.send(encode(state, Format.MSGPACK))
+
+    def forget_agent(self, agent: str) -> None:
+        """See `Outlet`."""
+        if (publisher := self._agents.pop(agent, None)) is not None:
+            publisher.close()

@@ -1,0 +1,86 @@
+"""The Engine protocol: physics that speaks in arrays. Knows nothing of names, time or network."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from proto.model import Model
+from proto.result import ResultCode
+from sim_server.errors import SimError
+
+FloatArray = npt.NDArray[np.float64]
+
+MIN_MASS_KG = 1e-4
+"""What a moving link weighs at least: engines take 0 for 'never moves'."""
+MIN_INERTIA = 1e-8
+"""Least principal moment [kg m^2] of a moving link."""
+
+
+class EngineRefused(SimError):
+    """The engine cannot simulate this."""
+
+    code = ResultCode.OPERATION_FAILED
+
+
+@dataclass(frozen=True)
+class EngineConfig:
+    """What a world asks of its physics."""
+
+    step_ns: int
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    has_ground: bool = True
+    ground_friction: float = 1.0
+
+
+@dataclass(frozen=True)
+class Reading:
+    """State of some bodies, in the order asked for.
+
+    Attributes:
+        base: (n, 13): root link frame in the world: position, quaternion xyzw, linear, angular.
+        joint_positions: (k,) all joints of all bodies, in the order of `Model.joints`.
+        joint_velocities: (k,) likewise.
+    """
+
+    base: FloatArray
+    joint_positions: FloatArray
+    joint_velocities: FloatArray
+
+
+class Engine(Protocol):
+    """Steps bodies through time."""
+
+    @property
+    def name(self) -> str:
+        """Which engine this is."""
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """Make a body of a model with its root link at `base` (13,), joints at zero.
+
+        Raises:
+            EngineRefused: The engine cannot simulate the model.
+        """
+
+    def remove(self, body: int) -> None:
+        """Take a body out; its number may be used again."""
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        """Read bodies back."""
+
+    def place(self, body: int, base: FloatArray) -> None:
+        """Put the root link at `base` (13,) and keep the joints."""
+
+    def rest(self, body: int, base: FloatArray) -> None:
+        """Put the root link at `base` (13,), joints at zero and still, targets at zero."""
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """Set velocity targets of driven joints, body by body; they hold until set again."""
+
+    def step(self) -> None:
+        """Advance by one step."""
+
+    def close(self) -> None:
+        """Free the engine."""

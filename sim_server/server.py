@@ -1,0 +1,113 @@
+"""The composition root: bus, engine, world and loop of one server process."""
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from proto import keys
+from proto.bus import Bus, open_bus
+from sim_server.config import ConfigError, ServerConfig, checked
+from sim_server.description.library import shipped_worlds, world_text
+from sim_server.description.sdf import WorldModel, read_world
+from sim_server.errors import ModelError
+from sim_server.handlers import Desk
+from sim_server.inbox import BusInbox
+from sim_server.loop import Loop
+from sim_server.meter import Meter
+from sim_server.outlets import BusOutlet
+from sim_server.physics.engine import EngineConfig
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.world import World
+
+LOG = logging.getLogger(__name__)
+
+
+class WallClock:
+    """The host's monotonic clock."""
+
+    def now_ns(self) -> int:
+        """See `Clock`."""
+        return time.monotonic_ns()
+
+    def sleep(self, seconds: float) -> None:
+        """See `Clock`."""
+        time.sleep(seconds)
+
+
+class AlreadyServed(Exception):
+    """Another server has this world."""
+
+
+def serve(
+    config: ServerConfig,
+    should_stop: Callable[[], bool],
+    on_ready: Callable[[Bus], None],
+) -> None:
+    """Run a server until told to stop.
+
+    Raises:
+        ConfigError: The configuration cannot work.
+        AlreadyServed: Another server has this world.
+        BusError: The network cannot be joined.
+    """
+    checked(config)
+    world_model = load_world(config.world_file)
+    with open_bus(config.bus) as bus:
+        if bus.alive(keys.alive_server(config.world)):
+            raise AlreadyServed(
+                f"world '{config.world}' already has a server at {bus.endpoint}; "
+                "stop it, or use --world with another name"
+            )
+        _run(config, world_model, bus, should_stop, on_ready)
+
+
+def load_world(name: str) -> WorldModel:
+    """Read a shipped world by name, or a world file by path.
+
+    Raises:
+        ConfigError: There is none, or it cannot be read.
+    """
+    try:
+        if name in shipped_worlds():
+            return read_world(world_text(name))
+        return read_world(Path(name).read_text(encoding="utf-8"))
+    except ModelError as error:
+        raise ConfigError(f"world '{name}': {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        shipped = ", ".join(shipped_worlds())
+        raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
+
+
+def _run(
+    config: ServerConfig,
+    world_model: WorldModel,
+    bus: Bus,
+    should_stop: Callable[[], bool],
+    on_ready: Callable[[Bus], None],
+) -> None:
+    clock = WallClock()
+    engine = PyBulletEngine(
+        EngineConfig(config.step_ns, world_model.gravity, world_model.ground_plane)
+    )
+    world = World(
+        engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
+    )
+    if config.is_paused:
+        world.pause()
+    desk = Desk(
+        world,
+        Meter(clock.now_ns()),
+        clock.now_ns,
+        world_model.name,
+        config.real_time_factor,
+        config.seed,
+    )
+    loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
+    bus.token(keys.alive_server(config.world))
+    LOG.info("serving world=%s endpoint=%s step_ns=%d", config.world, bus.endpoint, config.step_ns)
+    on_ready(bus)
+    try:
+        loop.run(should_stop)
+    finally:
+        world.close()

@@ -1,0 +1,386 @@
+"""The World: entities and simulation time, over an engine. No network, no clock, no files."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from proto.claims import Claim, DriveCommand, DriveState, OnRelease
+from proto.model import Model
+from proto.names import InvalidName, check_name, check_namespace
+from proto.result import ClaimCode
+from proto.services import ResetScope, State
+from proto.telemetry import Event, EventKind, Snapshot, StateName
+from sim_server.entity import Entity, Fleet, Hold, Roster, fleet_of, roster_of
+from sim_server.errors import (
+    EntityNotFound,
+    IncorrectState,
+    NameNotUnique,
+    NameRefused,
+    NamespaceRefused,
+    Refused,
+)
+from sim_server.physics.engine import Engine, FloatArray, Reading
+
+MAX_RENAMES = 100_000
+
+
+@dataclass(frozen=True)
+class Birth:
+    """A checked wish to spawn."""
+
+    name: str
+    namespace: str
+    model: Model
+    base: FloatArray
+    description: str = ""
+    allow_renaming: bool = False
+    born_ns: int = 0
+
+
+class World:
+    """One engine, one time, its entities, and who drives them."""
+
+    def __init__(self, engine: Engine, *, name: str, step_ns: int, control_steps: int) -> None:
+        self.name = name
+        self.step_ns = step_ns
+        self.control_steps = control_steps
+        self.state = State.PLAYING
+        self.epoch = 0
+        self.steps = 0
+        self.roster_number = 0
+        self.dropped = 0
+        self.commands = 0
+        self.ready_s: dict[str, float] = {}
+        self._engine = engine
+        self._entities: dict[str, Entity] = {}
+        self._holds: dict[str, Hold] = {}
+        self._next_claim = 1
+        self._targets: dict[str, FloatArray] = {}
+        self._emptied: set[str] = set()
+        self._events: list[Event] = []
+        self._roster: Roster | None = None
+        self._fleets: dict[str, Fleet] | None = None
+        self._reading: Reading | None = None
+
+    @property
+    def time_ns(self) -> int:
+        """Simulation time."""
+        return self.steps * self.step_ns
+
+    @property
+    def engine_name(self) -> str:
+        """Which physics this world has."""
+        return self._engine.name
+
+    @property
+    def entities(self) -> tuple[Entity, ...]:
+        """All entities in the order of spawning."""
+        return tuple(self._entities.values())
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Agents that hold claims."""
+        return tuple(dict.fromkeys(hold.agent for hold in self._holds.values()))
+
+    @property
+    def claimed(self) -> int:
+        """How many entities are driven."""
+        return len(self._holds)
+
+    @property
+    def is_control_step(self) -> bool:
+        """Whether agents are told at this step."""
+        return self.steps % self.control_steps == 0
+
+    def entity(self, name: str) -> Entity:
+        """Find an entity.
+
+        Raises:
+            EntityNotFound: There is none of this name.
+        """
+        if (found := self._entities.get(name)) is None:
+            raise EntityNotFound(name)
+        return found
+
+    def agent_of(self, name: str) -> str:
+        """Who drives an entity; empty when nobody does."""
+        hold = self._holds.get(name)
+        return hold.agent if hold else ""
+
+    def spawn(self, birth: Birth) -> Entity:
+        """Put an entity into the world.
+
+        Raises:
+            NameNotUnique: The name is taken and may not be changed.
+            NameRefused: The name is not valid.
+            NamespaceRefused: The namespace is not valid, or another entity has it.
+            EngineRefused: The engine cannot simulate the model.
+        """
+        name = self._free_name(birth.name, allow_renaming=birth.allow_renaming)
+        namespace = self._free_namespace(birth.namespace or name)
+        body = self._engine.add(birth.model, birth.base)
+        entity = Entity(
+            name, namespace, birth.model, body, birth.base.copy(), birth.description, birth.born_ns
+        )
+        self._entities[name] = entity
+        self._changed()
+        self._tell("spawned", entity=name)
+        return entity
+
+    def delete(self, name: str) -> None:
+        """Take an entity out; its claim ends.
+
+        Raises:
+            EntityNotFound: There is none of this name.
+        """
+        entity = self.entity(name)
+        self._drop_hold(name)
+        self._engine.remove(entity.body)
+        del self._entities[name]
+        self.ready_s.pop(name, None)
+        self._changed()
+        self._tell("deleted", entity=name)
+
+    def state_of(self, name: str) -> FloatArray:
+        """Read one entity's state row (13,)."""
+        return np.asarray(self.reading().base[self.roster().row[self.entity(name).name]])
+
+    def place(self, name: str, base: FloatArray) -> None:
+        """Put an entity's root link at a state row (13,).
+
+        Raises:
+            EntityNotFound: There is none of this name.
+        """
+        self._engine.place(self.entity(name).body, base)
+        self._reading = None
+
+    def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
+        """Make an agent the only driver of some entities, all or none.
+
+        Raises:
+            EntityNotFound: One does not exist.
+            Refused: Another agent drives one.
+        """
+        wanted = [self.entity(name) for name in dict.fromkeys(names)]
+        for entity in wanted:
+            if (holder := self.agent_of(entity.name)) not in ("", agent):
+                raise Refused(
+                    ClaimCode.ALREADY_CLAIMED,
+                    f"entity '{entity.name}' is driven by agent '{holder}'; stop that agent first",
+                )
+        return tuple(self._grant(agent, entity, on_release) for entity in wanted)
+
+    def release(self, agent: str) -> None:
+        """End all claims of an agent, as each of them said it should end."""
+        for name, hold in list(self._holds.items()):
+            if hold.agent != agent:
+                continue
+            entity = self._entities[name]
+            self._drop_hold(name)
+            self._tell("released", entity=name, agent=agent)
+            if hold.on_release == "stop":
+                self._engine.command([entity.body], np.zeros(len(entity.model.driven_joints)))
+            elif hold.on_release == "delete":
+                self.delete(name)
+
+    def command(self, agent: str, command: DriveCommand) -> None:
+        """Take an agent's targets for the next step; stale or malformed ones are counted."""
+        fleet = self.fleets().get(agent)
+        is_current = fleet is not None and command.epoch == self.epoch
+        if fleet is None or not is_current or command.claims != fleet.claims:
+            self.dropped += 1
+            return
+        if len(command.targets) != 8 * fleet.target_count:
+            self.dropped += 1
+            return
+        targets = np.frombuffer(command.targets, dtype="<f8")
+        if not np.isfinite(targets).all():
+            self.dropped += 1
+            return
+        self._targets[agent] = targets
+        self.commands += 1
+
+    def note_ready(self, agent: str, now_ns: int) -> None:
+        """Remember how long each entity of an agent took from spawn to its first command."""
+        for name, hold in self._holds.items():
+            if hold.agent == agent and name not in self.ready_s:
+                self.ready_s[name] = (now_ns - self._entities[name].born_ns) * 1e-9
+
+    def step(self) -> None:
+        """Advance by one step: commands, then physics."""
+        for agent, targets in self._targets.items():
+            if (fleet := self.fleets().get(agent)) is not None:
+                self._engine.command(fleet.bodies, targets)
+        self._targets.clear()
+        self._engine.step()
+        self.steps += 1
+        self._reading = None
+
+    def play(self) -> None:
+        """Let time run."""
+        self.state = State.PLAYING
+        self._tell("played")
+
+    def pause(self) -> None:
+        """Let time stand."""
+        self.state = State.PAUSED
+        self._tell("paused")
+
+    def require_paused(self) -> None:
+        """Refuse unless paused.
+
+        Raises:
+            IncorrectState: The simulation plays.
+        """
+        if self.state != State.PAUSED:
+            raise IncorrectState("the simulation is playing; pause it before stepping")
+
+    def reset(self, scope: int) -> None:
+        """Go back to the start: time, states, spawned entities, by the bits of `ResetScope`."""
+        bits = scope or ResetScope.ALL
+        if bits & ResetScope.SPAWNED:
+            for name in list(self._entities):
+                self.delete(name)
+        if bits & ResetScope.STATE:
+            for entity in self._entities.values():
+                self._engine.rest(entity.body, entity.initial)
+        if bits & ResetScope.TIME:
+            self.steps = 0
+        self.epoch += 1
+        self._targets.clear()
+        self._reading = None
+        self._tell("reset", message=f"scope={scope}")
+
+    def roster(self) -> Roster:
+        """Where each entity stands in the arrays."""
+        if self._roster is None:
+            self._roster = roster_of(self.entities)
+        return self._roster
+
+    def reading(self) -> Reading:
+        """Read every entity back, once a step at most."""
+        if self._reading is None:
+            self._reading = self._engine.read(self.roster().bodies)
+        return self._reading
+
+    def fleets(self) -> dict[str, Fleet]:
+        """What each agent drives."""
+        if self._fleets is None:
+            members: dict[str, list[tuple[Entity, Hold]]] = {}
+            for name, hold in self._holds.items():
+                members.setdefault(hold.agent, []).append((self._entities[name], hold))
+            roster = self.roster()
+            self._fleets = {agent: fleet_of(roster, held) for agent, held in members.items()}
+        return self._fleets
+
+    def drive_states(self) -> Iterator[tuple[str, DriveState]]:
+        """Tell each agent where its entities are; an agent that lost its last is told once."""
+        reading = self.reading()
+        for agent, fleet in self.fleets().items():
+            yield (
+                agent,
+                DriveState(
+                    self.epoch,
+                    self.steps,
+                    self.time_ns,
+                    fleet.claims,
+                    reading.base[fleet.rows].tobytes(),
+                    reading.joint_positions[fleet.joints].tobytes(),
+                    reading.joint_velocities[fleet.joints].tobytes(),
+                ),
+            )
+        for agent in sorted(self._emptied):
+            yield agent, DriveState(self.epoch, self.steps, self.time_ns, b"", b"", b"", b"")
+        self._emptied.clear()
+
+    def snapshot(self, real_time_factor: float) -> Snapshot:
+        """Tell everybody where every entity is."""
+        reading = self.reading()
+        return Snapshot(
+            self.epoch,
+            self.steps,
+            self.time_ns,
+            self.roster_number,
+            self.roster().names,
+            reading.base.tobytes(),
+            reading.joint_positions.tobytes(),
+            real_time_factor,
+            self.state_name,
+        )
+
+    @property
+    def state_name(self) -> StateName:
+        """The state in a word."""
+        names: dict[State, StateName] = {State.PLAYING: "playing", State.PAUSED: "paused"}
+        return names.get(self.state, "stopped")
+
+    def take_events(self) -> list[Event]:
+        """Take what has happened since the last time."""
+        events, self._events = self._events, []
+        return events
+
+    def warn(self, entity: str, message: str) -> None:
+        """Tell everybody of something odd that was accepted."""
+        self._tell("warning", entity=entity, message=message)
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._engine.close()
+
+    def _free_name(self, name: str, *, allow_renaming: bool) -> str:
+        try:
+            check_name(name)
+        except InvalidName as error:
+            raise NameRefused(str(error)) from error
+        if name not in self._entities:
+            return name
+        if not allow_renaming:
+            raise NameNotUnique(name)
+        numbered = (f"{name[:56]}_{i}" for i in range(1, MAX_RENAMES))
+        return next(candidate for candidate in numbered if candidate not in self._entities)
+
+    def _free_namespace(self, namespace: str) -> str:
+        try:
+            bare = check_namespace(namespace)
+        except InvalidName as error:
+            raise NamespaceRefused(str(error)) from error
+        for entity in self._entities.values():
+            if entity.namespace == bare:
+                raise NamespaceRefused(
+                    f"namespace '{bare}' belongs to entity '{entity.name}'; choose another"
+                )
+        return bare
+
+    def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:
+        hold = Hold(self._next_claim, agent, on_release)
+        self._next_claim += 1
+        self._holds[entity.name] = hold
+        self._fleets = None
+        self._targets.pop(agent, None)
+        self._tell("claimed", entity=entity.name, agent=agent)
+        return Claim(
+            hold.claim,
+            entity.name,
+            entity.namespace,
+            entity.model,
+            entity.description,
+            tuple(entity.initial.tolist()),
+        )
+
+    def _drop_hold(self, name: str) -> None:
+        if (hold := self._holds.pop(name, None)) is None:
+            return
+        self._fleets = None
+        self._targets.pop(hold.agent, None)
+        if all(other.agent != hold.agent for other in self._holds.values()):
+            self._emptied.add(hold.agent)
+
+    def _changed(self) -> None:
+        self.roster_number += 1
+        self._roster = self._fleets = self._reading = None
+
+    def _tell(
+        self, kind: EventKind, *, entity: str = "", agent: str = "", message: str = ""
+    ) -> None:
+        self._events.append(Event(kind, entity, agent, self.steps, self.epoch, message))

@@ -1,0 +1,55 @@
+"""What every command of the operator shares: the connection, the exit, the output."""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from proto.exits import FAILURES, Exit, line_of, status_of
+from spawner.client import SimClient
+
+Connect = Annotated[
+    str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")
+]
+WorldName = Annotated[
+    str, typer.Option("--world-name", help="World on the network.", envvar="ZENSIM_WORLD")
+]
+Timeout = Annotated[float, typer.Option("--timeout", help="Seconds to wait for an answer.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+
+progress_console = Console(stderr=True)
+"""People's side: progress and notes go to standard error."""
+data_console = Console(soft_wrap=True)
+"""Programs' side: data goes to standard output."""
+
+
+@contextmanager
+def client_for(
+    command: str, connect: str, world: str, timeout_s: float = 10.0
+) -> Iterator[SimClient]:
+    """Open a client; a failure inside ends the command with one line and a status."""
+    with one_line_failures(command):
+        endpoint = connect or DEFAULT_ENDPOINT
+        config = BusConfig(connect=(endpoint,), open_timeout_s=min(timeout_s, 5.0))
+        with open_bus(config) as bus:
+            yield SimClient(bus, world, timeout_s)
+
+
+@contextmanager
+def one_line_failures(command: str) -> Iterator[None]:
+    """Turn a failure into one line on standard error and an exit status."""
+    try:
+        yield
+    except BrokenPipeError:
+        # The reader has gone, as `| head` does: nothing is wrong, and nothing may be flushed.
+        sys.stdout = None  # type: ignore[assignment]
+        raise typer.Exit(Exit.OK) from None
+    except FAILURES as error:
+        typer.echo(f"zensim {command}: {line_of(error)}", err=True)
+        raise typer.Exit(status_of(error)) from error
+    except KeyboardInterrupt:
+        raise typer.Exit(Exit.INTERRUPTED) from None

@@ -1,0 +1,60 @@
+"""Where a fleet's robots stand, and what they are called."""
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+import msgspec
+
+Layout = Literal["row", "grid", "circle"]
+LAYOUTS: tuple[Layout, ...] = ("row", "grid", "circle")
+
+
+class Place(msgspec.Struct, frozen=True):
+    """One robot of a fleet: name, position [m], heading [rad]."""
+
+    name: str
+    x: float
+    y: float
+    yaw: float = 0.0
+
+
+def fleet_places(prefix: str, count: int, layout: Layout, spacing_m: float) -> list[Place]:
+    """List `count` robots named `prefix0`, `prefix1`, …
+
+    Args:
+        prefix: Beginning of each name.
+        count: > 0.
+        layout: row along x; grid, rows of about sqrt(count); circle, facing outward.
+        spacing_m: Between neighbours; > 0.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+    if count < 1 or not spacing_m > 0 or not math.isfinite(spacing_m):
+        raise ValueError(
+            f"count {count} with spacing {spacing_m:g} is no fleet; use at least 1 robot "
+            "and more than 0 m"
+        )
+    spots = {"row": _row, "grid": _grid, "circle": _circle}[layout](count, spacing_m)
+    return [Place(f"{prefix}{i}", *spot) for i, spot in enumerate(spots)]
+
+
+def _row(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
+    for i in range(count):
+        yield i * spacing_m, 0.0, 0.0
+
+
+def _grid(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
+    columns = math.ceil(math.sqrt(count))
+    for i in range(count):
+        row, column = divmod(i, columns)
+        yield column * spacing_m, row * spacing_m, 0.0
+
+
+def _circle(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
+    # The chord between neighbours is the spacing; one robot stands in the middle.
+    radius_m = 0.0 if count == 1 else spacing_m / (2.0 * math.sin(math.pi / count))
+    for i in range(count):
+        angle = 2.0 * math.pi * i / count
+        yield radius_m * math.cos(angle), radius_m * math.sin(angle), angle
