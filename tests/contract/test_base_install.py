@@ -1,0 +1,58 @@
+"""What must work without the extras, on a machine that has no physics engine and no page."""
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.contract.repository import ROOT
+
+WITHOUT_EXTRAS = """
+import sys, pkgutil, importlib
+for name in ("pybullet", "yourdfpy", "lxml", "viser"):
+    sys.modules[name] = None
+"""
+IMPORT_ALL = """
+package = importlib.import_module(sys.argv[1])
+for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+    if not module.name.startswith("spawner.viewer") and not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+"""
+CALL_ZENSIM = """
+from deploy.cli import main
+sys.argv = ["zensim", *sys.argv[1:]]
+main()
+"""
+
+
+def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT_EXTRAS + code, *arguments],
+        cwd=ROOT,
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=30,
+    )
+
+
+@pytest.mark.parametrize("package", ["proto", "robot_agent", "spawner", "deploy"])
+def test_package_imports_when_no_extra_is_installed(package: str) -> None:
+    done = run(IMPORT_ALL, package)
+
+    assert done.stderr == ""
+    assert done.returncode == 0
+
+
+def test_help_is_shown_when_no_extra_is_installed() -> None:
+    done = run(CALL_ZENSIM, "--help")
+
+    assert done.stderr == ""
+    assert "serve" in done.stdout
+
+
+def test_serve_names_the_extra_when_it_is_not_installed() -> None:
+    done = run(CALL_ZENSIM, "serve", "--listen", "tcp/127.0.0.1:0")
+
+    assert "pip install 'zensim[server]'" in done.stderr
+    assert done.returncode != 0

@@ -1,0 +1,95 @@
+"""Documents against the repository: links, commands, change log."""
+
+import os
+import re
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from tests.contract.repository import ROOT, files, shown, text_of
+
+LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)")
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+COMMAND = re.compile(r"(?:^|`|\s)(?:\.venv/bin/)?zensim ([a-z][a-z-]*)([^`\n|&;#]*)")
+OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
+CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+MAX_ADR_LINES = 45
+
+
+def documents() -> list[Path]:
+    return [path for path in files() if path.suffix == ".md"]
+
+
+def broken_links(path: Path) -> list[str]:
+    targets = LINK.findall(FENCE.sub("", text_of(path)))
+    return [target for target in targets if not (path.parent / target).exists()]
+
+
+def commands_shown() -> dict[str, set[str]]:
+    """Collect the verbs of `zensim` that documents show, each with the options shown."""
+    shown_options: dict[str, set[str]] = {}
+    for path in documents():
+        for verb, rest in COMMAND.findall("\n".join(code_of(text_of(path)))):
+            shown_options.setdefault(verb, set()).update(OPTION.findall(rest))
+    return shown_options
+
+
+def code_of(text: str) -> list[str]:
+    return FENCE.findall(text) + re.findall(r"`[^`\n]+`", FENCE.sub("", text))
+
+
+def help_of(verb: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [Path(sys.executable).with_name("zensim"), verb, "--help"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=30,
+        env={**os.environ, "COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"},
+    )
+
+
+@pytest.mark.parametrize("path", documents(), ids=shown)
+def test_document_links_to_what_exists(path: Path) -> None:
+    assert broken_links(path) == []
+
+
+@pytest.mark.parametrize(("verb", "options"), sorted(commands_shown().items()))
+def test_command_that_documents_show_exists(verb: str, options: set[str]) -> None:
+    answer = help_of(verb)
+
+    assert answer.returncode == 0, answer.stderr
+    known = set(OPTION.findall(answer.stdout.replace(",", " , ")))
+    assert options <= known
+
+
+def test_readme_begins_with_the_two_commands() -> None:
+    head = text_of(ROOT / "README.md").splitlines()[:8]
+
+    assert [line for line in head if line.startswith("make ")] == ["make demo", "make test"]
+
+
+def test_change_log_keeps_its_form() -> None:
+    text = text_of(ROOT / "CHANGELOG.md")
+
+    headings = re.findall(r"^## (.+)$", text, re.MULTILINE)
+    kinds = re.findall(r"^### (.+)$", text, re.MULTILINE)
+    assert headings[0] == "[Unreleased]"
+    assert headings[1].startswith(f"[{version('zensim')}]")
+    assert all(re.fullmatch(r"\[\d+\.\d+\.\d+\] - \d{4}-\d\d-\d\d", h) for h in headings[1:])
+    assert set(kinds) <= CHANGES
+    assert re.search(r"^- \S", text, re.MULTILINE)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "adr").glob("*.md")), ids=shown)
+def test_decision_is_a_page_of_context_decision_consequences(path: Path) -> None:
+    text = text_of(path)
+
+    parts = re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE)
+    assert re.fullmatch(r"\d{4}-[a-z0-9-]+\.md", path.name)
+    assert text.startswith(f"# {int(path.name[:4])}. ")
+    assert parts == ["Context", "Decision", "Consequences"]
+    assert text.count("\n") <= MAX_ADR_LINES
