@@ -38,6 +38,7 @@ $(STAMP): pyproject.toml requirements/dev.txt
 		$$python -m venv --clear .venv; \
 	fi
 	$(PIP) install -q --require-hashes -r requirements/dev.txt
+	@rm -rf zensim.egg-info # what an older build left would be read instead of the new metadata
 	$(PIP) install -q --no-deps --no-build-isolation -e .
 	@touch $@
 

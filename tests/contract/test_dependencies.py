@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from collections.abc import Mapping
 from importlib.metadata import packages_distributions, requires
 from pathlib import Path
 
@@ -40,8 +41,7 @@ def extras_of(path: Path) -> set[str]:
     return next((ours for part, ours in EXTRA_OF.items() if name.startswith(f"{part}/")), {""})
 
 
-def undeclared(path: Path) -> set[str]:
-    brought_by = packages_distributions()
+def undeclared(path: Path, brought_by: Mapping[str, list[str]]) -> set[str]:
     allowed = declared(extras_of(path))
     return {
         name
@@ -56,8 +56,10 @@ def test_module_imports_only_what_its_extra_declares() -> None:
         for path in files()
         if path.suffix == ".py" and path.relative_to(ROOT).parts[0] in {*PACKAGES, "tests"}
     ]
+    brought_by = packages_distributions()
 
-    offenders = {shown(path): names for path in sources if (names := undeclared(path))}
+    found = {shown(path): undeclared(path, brought_by) for path in sources}
+    offenders = {name: names for name, names in found.items() if names}
 
     assert sources
     assert offenders == {}
