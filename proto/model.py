@@ -92,6 +92,15 @@ class Frame(msgspec.Struct, frozen=True):
     origin: Origin = Origin()
 
 
+class RosBlock(msgspec.Struct, frozen=True):
+    """What the <ros> block of a plug-in asks for."""
+
+    namespace: str = ""
+    """Without a leading slash."""
+    remappings: tuple[str, ...] = ()
+    """As written: `from:=to`."""
+
+
 class WheelPair(msgspec.Struct, frozen=True):
     """A left and a right wheel joint on one axle; separation and diameter [m], > 0."""
 
@@ -122,6 +131,7 @@ class DiffDrive(msgspec.Struct, frozen=True, tag="diff_drive", tag_field="kind")
     covariance_x: float = 1e-5
     covariance_y: float = 1e-5
     covariance_yaw: float = 1e-3
+    ros: RosBlock = RosBlock()
 
 
 class JointStatePublisher(msgspec.Struct, frozen=True):
@@ -129,6 +139,7 @@ class JointStatePublisher(msgspec.Struct, frozen=True):
 
     joints: tuple[str, ...] = ()
     update_rate_hz: float = 100.0
+    ros: RosBlock = RosBlock()
 
 
 class Model(msgspec.Struct, frozen=True):

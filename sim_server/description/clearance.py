@@ -1,0 +1,40 @@
+"""How far a robot reaches below its root link."""
+
+import math
+
+import numpy as np
+
+from proto.model import Model, Origin, Shape
+from sim_server.description.transforms import compose, link_poses, matrix_of
+
+
+def ground_clearance(model: Model) -> float:
+    """Find the height [m] of the lowest point of all collisions in the root link, joints at zero.
+
+    Negative when it is below the root, so that the robot stands on the ground when its root is
+    spawned at minus this height. Meshes and planes are left out; 0 when nothing else is there.
+    """
+    poses = link_poses(model.links[0].name, model.joints)
+    return min(
+        (
+            _lowest(shape, compose(poses[link.name], shape.origin))
+            for link in model.links
+            for shape in link.collisions
+            if shape.kind not in ("mesh", "plane")
+        ),
+        default=0.0,
+    )
+
+
+def _lowest(shape: Shape, pose: Origin) -> float:
+    down: list[float] = np.abs(matrix_of(pose)[2]).tolist()
+    if shape.kind == "box":
+        reach = sum(part * size / 2.0 for part, size in zip(down, shape.size, strict=True))
+    elif shape.kind == "sphere":
+        reach = shape.size[0]
+    elif shape.kind == "capsule":
+        reach = shape.size[0] + down[2] * shape.size[1] / 2.0
+    else:
+        radius, length, _ = shape.size
+        reach = radius * math.hypot(down[0], down[1]) + down[2] * length / 2.0
+    return pose.position[2] - reach

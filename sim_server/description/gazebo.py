@@ -1,0 +1,178 @@
+"""The <gazebo> blocks of a URDF: surface, colour, joints to keep, and the plug-ins to be read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from sim_server.description.colours import gazebo_colour
+from sim_server.description.decimals import read_number
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from lxml.etree import _Element as Element
+
+    from proto.model import Link, Quat
+    from sim_server.description.parts import Parts
+    from sim_server.description.report import Report
+
+_NO_EFFECT = "known to Gazebo; no effect here"
+KEEP = ("preserveFixedJoint", "disableFixedJointLumping")
+LINK_TAGS = ("mu1", "material", "sensor")
+LINK_UNUSED = dict.fromkeys(
+    (
+        "dampingFactor", "fdir1", "gravity", "kd", "kp", "laserRetro", "maxContacts", "maxVel",
+        "max_contacts", "minDepth", "min_depth", "mu2", "selfCollide", "self_collide",
+        "turnGravityOff",
+    ),
+    _NO_EFFECT,
+)  # fmt: skip
+JOINT_UNUSED = dict.fromkeys(
+    (
+        "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "implicitSpringDamper",
+        "initial_joint_position", "provideFeedback", "springReference", "springStiffness",
+        "stopCfm", "stopErp",
+    ),
+    _NO_EFFECT,
+)  # fmt: skip
+MODEL_TAGS = ("plugin", "static")
+MODEL_UNUSED = {
+    "self_collide": _NO_EFFECT,
+    "allow_auto_disable": _NO_EFFECT,
+    "enable_wind": _NO_EFFECT,
+    "pose": "the pose is that of the spawn request",
+}
+TRUE = ("true", "1")
+
+
+@dataclass
+class GazeboBlocks:
+    """What the <gazebo> blocks say, gathered block by block.
+
+    Attributes:
+        frictions: Coulomb coefficient by link.
+        colours: By link; they win over the colours of URDF materials, as in Gazebo.
+        kept_joints: Fixed joints that are not to be lumped.
+        plugins: Of the model.
+        is_static: The robot is nailed down.
+    """
+
+    frictions: dict[str, float] = field(default_factory=dict)
+    colours: dict[str, Quat] = field(default_factory=dict)
+    kept_joints: set[str] = field(default_factory=set)
+    plugins: list[Element] = field(default_factory=list)
+    is_static: bool = False
+
+
+def read_gazebo(robot: Element, parts: Parts, report: Report) -> GazeboBlocks:
+    """Read all <gazebo> blocks; where two say the same, the last counts.
+
+    Raises:
+        ModelError: A friction is no number, or negative.
+    """
+    blocks = GazeboBlocks()
+    links = {link.name for link in parts.links}
+    joints = {joint.name for joint in parts.joints}
+    for block in robot.findall("gazebo"):
+        reference = block.get("reference")
+        for child in block:
+            if reference is None:
+                _read_model_tag(child, blocks, report)
+            elif reference in links:
+                _read_link_tag(reference, child, blocks, report)
+            elif reference in joints:
+                _read_joint_tag(reference, child, blocks, report)
+        if reference is not None and reference not in links | joints:
+            report.suspicious(
+                f"gazebo {reference[:80]!r}", "no link or joint of this name; block not read"
+            )
+    return blocks
+
+
+def with_surfaces(links: Iterable[Link], blocks: GazeboBlocks) -> tuple[Link, ...]:
+    """Give links, before they are lumped, the friction and colour of their blocks."""
+    return tuple(_with_surface(link, blocks) for link in links)
+
+
+def _with_surface(link: Link, blocks: GazeboBlocks) -> Link:
+    replace = msgspec.structs.replace
+    if link.name in blocks.frictions:
+        friction = blocks.frictions[link.name]
+        rubbed = tuple(replace(shape, friction=friction) for shape in link.collisions)
+        link = replace(link, collisions=rubbed)
+    if link.name in blocks.colours:
+        colour = blocks.colours[link.name]
+        link = replace(link, visuals=tuple(replace(shape, rgba=colour) for shape in link.visuals))
+    return link
+
+
+def _read_model_tag(child: Element, blocks: GazeboBlocks, report: Report) -> None:
+    if child.tag == "plugin":
+        blocks.plugins.append(child)
+    elif child.tag == "static":
+        blocks.is_static = _text(child).lower() in TRUE
+        report.applied("gazebo: <static>")
+    elif child.tag in MODEL_UNUSED:
+        report.ignored(f"gazebo: <{child.tag}>", MODEL_UNUSED[child.tag])
+    else:
+        report.unread_tag("gazebo", child.tag, (*MODEL_TAGS, *MODEL_UNUSED))
+
+
+def _read_link_tag(link: str, child: Element, blocks: GazeboBlocks, report: Report) -> None:
+    subject = f"gazebo {link!r}"
+    if child.tag == "mu1":
+        blocks.frictions[link] = _friction(child, subject)
+        report.applied(f"{subject}: <mu1>")
+    elif child.tag == "material":
+        _read_material(link, child, blocks, report)
+    elif child.tag == "sensor":
+        kind, name = child.get("type") or "", child.get("name") or ""
+        report.ignored(f"{subject}: sensor {name[:80]!r}", f"type {kind[:40]!r} is not simulated")
+    elif child.tag == "plugin":
+        report.suspicious(
+            f"{subject}: <plugin>", "not read in a block with a reference; remove the reference"
+        )
+    elif child.tag in LINK_UNUSED:
+        report.ignored(f"{subject}: <{child.tag}>", LINK_UNUSED[child.tag])
+    else:
+        report.unread_tag(subject, child.tag, (*LINK_TAGS, *LINK_UNUSED))
+
+
+def _read_material(link: str, child: Element, blocks: GazeboBlocks, report: Report) -> None:
+    subject, name = f"gazebo {link!r}: <material>", _text(child)
+    colour = gazebo_colour(name)
+    if colour is None:
+        report.unknown(subject, f"no colour is called {name[:80]!r}")
+    else:
+        blocks.colours[link] = colour
+        report.applied(subject, name)
+
+
+def _read_joint_tag(joint: str, child: Element, blocks: GazeboBlocks, report: Report) -> None:
+    subject = f"gazebo {joint!r}"
+    if child.tag in KEEP:
+        if _text(child).lower() in TRUE:
+            blocks.kept_joints.add(joint)
+        report.applied(f"{subject}: <{child.tag}>")
+    elif child.tag in JOINT_UNUSED:
+        report.ignored(f"{subject}: <{child.tag}>", JOINT_UNUSED[child.tag])
+    else:
+        report.unread_tag(subject, child.tag, (*KEEP, *JOINT_UNUSED))
+
+
+def _friction(child: Element, subject: str) -> float:
+    friction = read_number(_text(child), where=f"{subject}, mu1", slug="gazebo.mu1")
+    if friction < 0.0:
+        raise ModelError(
+            f"{subject}, mu1: {friction:g} is negative; write a coefficient >= 0",
+            slug="gazebo.mu1",
+        )
+    return friction
+
+
+def _text(child: Element) -> str:
+    return (child.text or child.get("value") or "").strip()

@@ -1,0 +1,124 @@
+"""The tags of one plug-in: read by name, older spellings too, and what nobody read."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from proto.model import RosBlock
+from sim_server.description.decimals import read_number
+from sim_server.description.ros_block import read_ros_block
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lxml.etree import _Element as Element
+
+    from sim_server.description.report import Report
+
+FLAGS = {"true": True, "1": True, "false": False, "0": False}
+
+
+class PluginTags:
+    """Tags by name; each reading method marks its tag as read.
+
+    Args:
+        plugin: The element.
+        slug: First half of the slugs raised, such as `drive`.
+        aliases: Older spellings, and the tag that each stands for.
+        report: Where oddities go.
+    """
+
+    def __init__(
+        self, plugin: Element, *, slug: str, aliases: Mapping[str, str], report: Report
+    ) -> None:
+        self.subject = f"plugin {(plugin.get('name') or '')[:80]!r}"
+        self.filename = plugin.get("filename") or ""
+        self.report = report
+        self._slug = slug
+        self._ros = plugin.find("ros")
+        self._texts: dict[str, list[str]] = {}
+        self._renamed: set[str] = set()
+        self._read = {"ros"}
+        for child in plugin:
+            tag = aliases.get(child.tag, child.tag)
+            if tag != child.tag:
+                self._renamed.add(tag)
+                report.suspicious(
+                    f"{self.subject}: <{child.tag}>", f"spelling of ROS 1; read as <{tag}>"
+                )
+            self._texts.setdefault(tag, []).append((child.text or "").strip())
+
+    def is_given(self, tag: str) -> bool:
+        """Whether the tag is there, under any spelling."""
+        return tag in self._texts
+
+    def is_renamed(self, tag: str) -> bool:
+        """Whether the tag is there under an older spelling."""
+        return tag in self._renamed
+
+    def texts(self, tag: str) -> list[str]:
+        """Read a tag that may be repeated."""
+        self._read.add(tag)
+        return self._texts.get(tag, [])
+
+    def text(self, tag: str, default: str) -> str:
+        """Read a tag; the first counts, an empty one is as none."""
+        written = self.texts(tag)
+        if len(written) > 1:
+            self.report.suspicious(
+                f"{self.subject}: <{tag}>", f"given {len(written)} times; the first counts"
+            )
+        return (written[0] if written else "") or default
+
+    def number(self, tag: str, default: float) -> float:
+        """Read a number.
+
+        Raises:
+            ModelError: It is none, or negative.
+        """
+        number = self._number(tag, self.text(tag, repr(default)))
+        if number < 0.0:
+            raise self._refusal(tag, f"{number:g} is negative; write a number >= 0")
+        return number
+
+    def positive_numbers(self, tag: str) -> list[float]:
+        """Read a repeated number.
+
+        Raises:
+            ModelError: One is not positive.
+        """
+        numbers = [self._number(tag, text) for text in self.texts(tag)]
+        for number in numbers:
+            if number <= 0.0:
+                raise self._refusal(tag, f"{number:g} is not positive; write a length in metres")
+        return numbers
+
+    def flag(self, tag: str, *, default: bool) -> bool:
+        """Read true, false, 1 or 0."""
+        text = self.text(tag, "")
+        if text and text.lower() not in FLAGS:
+            self.report.suspicious(
+                f"{self.subject}: <{tag}>", f"{text[:40]!r} is neither true nor false"
+            )
+        return FLAGS.get(text.lower(), default)
+
+    def ros(self) -> RosBlock:
+        """Read the <ros> block."""
+        if self._ros is None:
+            return RosBlock()
+        return read_ros_block(self._ros, subject=self.subject, report=self.report)
+
+    def report_unread(self, unused: Mapping[str, str]) -> None:
+        """Note every tag that was not read; `unused` gives the reason for those that are known."""
+        for tag in self._texts:
+            if tag in unused:
+                self.report.ignored(f"{self.subject}: <{tag}>", unused[tag])
+            elif tag not in self._read:
+                self.report.unread_tag(self.subject, tag, sorted(self._read))
+
+    def _number(self, tag: str, text: str) -> float:
+        return read_number(text, where=f"{self.subject}, {tag}", slug=f"{self._slug}.{tag}")
+
+    def _refusal(self, tag: str, fault: str) -> ModelError:
+        return ModelError(f"{self.subject}, {tag}: {fault}", slug=f"{self._slug}.{tag}")

@@ -1,0 +1,104 @@
+"""Model-level plug-ins of Gazebo: which are read, which are known, which are not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from proto.model import DiffDrive, JointStatePublisher
+from sim_server.description import diff_drive, joint_state
+from sim_server.description.drive_geometry import check_drive
+from sim_server.description.plugin_tags import PluginTags
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from lxml.etree import _Element as Element
+
+    from sim_server.description.lumping import Lumped
+    from sim_server.description.report import Report
+
+_ROS_CONTROL = "ros_control is not used here; wheels are driven by the diff_drive plug-in"
+_NOT_SIMULATED = "not simulated"
+NOT_USED = {
+    "gazebo_ros_control": _ROS_CONTROL,
+    "gazebo_ros2_control": _ROS_CONTROL,
+    "gz_ros2_control": _ROS_CONTROL,
+    "ign_ros2_control": _ROS_CONTROL,
+    "gazebo_ros_p3d": "true poses are on the snapshot",
+    "gazebo_ros_planar_move": _NOT_SIMULATED,
+    "gazebo_ros_ackermann_drive": _NOT_SIMULATED,
+    "gazebo_ros_tricycle_drive": _NOT_SIMULATED,
+    "gazebo_ros_ft_sensor": _NOT_SIMULATED,
+    "gazebo_ros_joint_pose_trajectory": _NOT_SIMULATED,
+    "gz-sim-diff-drive-system": "of Gazebo Sim; write libgazebo_ros_diff_drive.so",
+    "gz-sim-joint-state-publisher-system": "of Gazebo Sim; write libgazebo_ros_joint_state_...",
+}
+"""Plug-ins that are known, by part of their file name, and why they have no effect."""
+
+
+class Plugins(msgspec.Struct, frozen=True):
+    """What the plug-ins of a robot come to."""
+
+    drive: DiffDrive | None = None
+    joint_state: JointStatePublisher | None = None
+
+
+def read_plugins(plugins: Iterable[Element], lumped: Lumped, report: Report) -> Plugins:
+    """Read the plug-ins of a robot; the first of a kind counts.
+
+    Raises:
+        ModelError: A number in one is none, or cannot be.
+    """
+    found = Plugins()
+    for plugin in plugins:
+        filename = plugin.get("filename") or ""
+        if _is_one_of(filename, diff_drive.FILENAMES):
+            found = _with_drive(found, plugin, lumped, report)
+        elif _is_one_of(filename, joint_state.FILENAMES):
+            found = _with_joint_state(found, plugin, lumped, report)
+        else:
+            _note(plugin, filename, report)
+    return found
+
+
+def _with_drive(found: Plugins, plugin: Element, lumped: Lumped, report: Report) -> Plugins:
+    tags = PluginTags(plugin, slug="drive", aliases=diff_drive.ALIASES, report=report)
+    drive = diff_drive.read_diff_drive(tags, {joint.name: joint for joint in lumped.joints})
+    if drive is None:
+        return found
+    if found.drive is not None:
+        report.suspicious(tags.subject, "a second drive; the first counts")
+        return found
+    pair = drive.pairs[0]
+    report.applied(
+        tags.subject, f"drive: separation {pair.separation_m:g} m, diameter {pair.diameter_m:g} m"
+    )
+    check_drive(drive, lumped, subject=tags.subject, report=report)
+    return msgspec.structs.replace(found, drive=drive)
+
+
+def _with_joint_state(found: Plugins, plugin: Element, lumped: Lumped, report: Report) -> Plugins:
+    tags = PluginTags(plugin, slug="joint_state", aliases=joint_state.ALIASES, report=report)
+    publisher = joint_state.read_joint_state(tags, {joint.name: joint for joint in lumped.joints})
+    if publisher is None:
+        return found
+    if found.joint_state is not None:
+        report.suspicious(tags.subject, "a second joint state publisher; the first counts")
+        return found
+    report.applied(tags.subject, f"joint states of {', '.join(publisher.joints)}")
+    return msgspec.structs.replace(found, joint_state=publisher)
+
+
+def _note(plugin: Element, filename: str, report: Report) -> None:
+    subject = f"plugin {(plugin.get('name') or '')[:80]!r}"
+    for known, reason in NOT_USED.items():
+        if known in filename:
+            report.ignored(subject, reason)
+            return
+    report.unknown(subject, f"no plug-in {filename[:80]!r} here")
+
+
+def _is_one_of(filename: str, names: Iterable[str]) -> bool:
+    return any(name in filename for name in names)

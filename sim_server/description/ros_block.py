@@ -1,0 +1,60 @@
+"""The <ros> block of a plug-in: namespace and remappings."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from proto.model import RosBlock
+from proto.names import InvalidName, check_namespace
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element as Element
+
+    from sim_server.description.report import Report
+
+UNUSED = {
+    "argument": "there is no ROS node to pass it to",
+    "parameter": "there is no ROS node to pass it to",
+    "qos": "quality of service is the network's own",
+}
+KNOWN = ("namespace", "remapping", *UNUSED)
+
+
+def read_ros_block(ros: Element, *, subject: str, report: Report) -> RosBlock:
+    """Read a <ros> block; what cannot be used is noted and left out."""
+    namespaces: list[str] = []
+    remappings: list[str] = []
+    for child in ros:
+        text = (child.text or "").strip()
+        if child.tag == "namespace":
+            namespaces.append(text)
+        elif child.tag == "remapping" and _is_remapping(text):
+            remappings.append(text)
+        elif child.tag == "remapping":
+            report.suspicious(f"{subject}: <remapping>", f"{text[:80]!r} is not 'from:=to'")
+        elif child.tag in UNUSED:
+            report.ignored(f"{subject}: <{child.tag}>", UNUSED[child.tag])
+        else:
+            report.unread_tag(f"{subject}: <ros>", child.tag, KNOWN)
+    namespace = _namespace(namespaces, subject=subject, report=report)
+    return RosBlock(namespace=namespace, remappings=tuple(remappings))
+
+
+def _is_remapping(text: str) -> bool:
+    old, separator, new = text.partition(":=")
+    return bool(old.strip() and separator and new.strip())
+
+
+def _namespace(written: list[str], *, subject: str, report: Report) -> str:
+    if len(written) > 1:
+        report.suspicious(
+            f"{subject}: <namespace>", f"given {len(written)} times; the first counts"
+        )
+    text = written[0].strip("/") if written else ""
+    if not text:
+        return ""
+    try:
+        return check_namespace(text)
+    except InvalidName as error:
+        report.suspicious(f"{subject}: <namespace>", f"{error}; not used")
+        return ""

@@ -1,0 +1,124 @@
+"""Untrusted XML to elements: no DTD, no entities, no network, nothing huge, nothing deep."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+from lxml import etree
+
+from proto.result import SpawnCode
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element as Element
+
+MAX_BYTES = 8 * 1024 * 1024
+MAX_TAGS = 100_000
+"""Of `<` in the text: bounds the memory of the tree, which is some 50 times that of the text."""
+MAX_DEPTH = 64
+_SPACES = re.compile(rb"[ \t\r\n]+")
+
+
+def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
+    """Parse a document whose root is `root_tag`; comments and instructions are left out.
+
+    Args:
+        text: The document; a declared encoding is not obeyed, since this is text already.
+        root_tag: Such as `robot`.
+        slug: First half of the slugs raised, such as `urdf`.
+
+    Raises:
+        ModelError: Not well-formed, another root, too large, too deep, or a DOCTYPE.
+    """
+    data = _bounded(text, slug)
+    if _has_doctype(data):
+        raise ModelError(
+            "the description has a DOCTYPE; remove it, since entities are not expanded here",
+            slug=f"{slug}.doctype",
+        )
+    root = _parsed(data, slug)
+    if root.tag != root_tag:
+        raise ModelError(
+            f"the description begins with <{root.tag[:80]}>; a <{root_tag}> is expected",
+            code=SpawnCode.UNSUPPORTED_FORMAT,
+            slug=f"{slug}.root",
+        )
+    _check_depth(root, slug)
+    return root
+
+
+def _bounded(text: str, slug: str) -> bytes:
+    try:
+        data = text.lstrip("\ufeff \t\r\n").encode()
+    except UnicodeEncodeError as error:
+        raise ModelError(
+            f"the description is not text: lone surrogate at character {error.start}",
+            slug=f"{slug}.xml",
+        ) from error
+    if not data:
+        raise ModelError(
+            f"the description is empty; send the text of a {slug.upper()} file",
+            code=SpawnCode.NO_RESOURCE,
+            slug=f"{slug}.empty",
+        )
+    if len(data) > MAX_BYTES or data.count(b"<") > MAX_TAGS:
+        raise ModelError(
+            f"the description has {len(data)} bytes and {data.count(b'<')} tags; "
+            f"at most {MAX_BYTES} bytes and {MAX_TAGS} tags are read",
+            slug=f"{slug}.size",
+        )
+    return data
+
+
+def _has_doctype(data: bytes) -> bool:
+    # XML allows one before the root only, after comments and instructions.
+    at = 0
+    while not data.startswith(b"<!DOCTYPE", at):
+        closing = _closing(data, at)
+        end = data.find(closing, at) if closing else -1
+        if end < 0:
+            return False
+        at = _past_spaces(data, end + len(closing))
+    return True
+
+
+def _closing(data: bytes, at: int) -> bytes:
+    if data.startswith(b"<!--", at):
+        return b"-->"
+    return b"?>" if data.startswith(b"<?", at) else b""
+
+
+def _past_spaces(data: bytes, at: int) -> int:
+    found = _SPACES.match(data, at)
+    return found.end() if found else at
+
+
+def _parsed(data: bytes, slug: str) -> Element:
+    parser = etree.XMLParser(
+        encoding="utf-8",
+        huge_tree=False,
+        load_dtd=False,
+        no_network=True,
+        remove_comments=True,
+        remove_pis=True,
+        resolve_entities=False,
+    )
+    try:
+        return etree.fromstring(data, parser)
+    except etree.XMLSyntaxError as error:
+        raise ModelError(
+            f"the description is not well-formed XML: {str(error)[:200]}", slug=f"{slug}.xml"
+        ) from error
+
+
+def _check_depth(root: Element, slug: str) -> None:
+    level = [root]
+    for _ in range(MAX_DEPTH):
+        level = [child for element in level for child in element]
+        if not level:
+            return
+    raise ModelError(
+        f"tags are nested more than {MAX_DEPTH} deep, at line {level[0].sourceline}",
+        slug=f"{slug}.depth",
+    )
