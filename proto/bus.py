@@ -9,7 +9,6 @@ import re
 import socket
 import uuid
 from collections.abc import Iterator
-from types import TracebackType
 from typing import Final, Literal
 
 import msgspec
@@ -24,6 +23,7 @@ from proto.result import Result, ResultCode, ServiceError
 DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 ENDPOINT = re.compile(r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?P<port>\d{1,5})\S*")
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
+MAX_PORT: Final = 65535
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample: for one publisher on one key."""
 
@@ -71,10 +71,10 @@ def check_endpoint(endpoint: str) -> str:
         ValueError: Not `protocol/host:port`.
     """
     match = ENDPOINT.fullmatch(endpoint)
-    if match and int(match["port"]) <= 65535:
+    if match and int(match["port"]) <= MAX_PORT:
         return endpoint
     raise ValueError(
-        f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, such as {DEFAULT_ENDPOINT}"
+        f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, as {DEFAULT_ENDPOINT}"
     )
 
 
@@ -100,7 +100,8 @@ class Publisher:
     @property
     def is_matched(self) -> bool:
         """Whether anybody listens."""
-        return self._publisher.matching_status.matching
+        # The stub says bool; it is a MatchingStatus.
+        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
 
     def send(self, payload: bytes) -> None:
         """Put one message."""
@@ -220,12 +221,7 @@ class Bus:
         """Return the bus itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         """Close the session."""
         self.close()
 
@@ -370,7 +366,7 @@ def _zenoh_config(config: BusConfig) -> zenoh.Config:
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/rx/max_message_size": config.max_message_bytes,
     }
-    made = zenoh.Config()
+    made: zenoh.Config = zenoh.Config()
     for path, value in entries.items():
         made.insert_json5(path, json.dumps(value))
     return made
@@ -383,7 +379,8 @@ def _open_error(config: BusConfig, text: str) -> BusError:
             "port, or --connect to it"
         )
     if "listener" in text:
-        return BusError(f"cannot listen at {', '.join(config.listen)}: {text.split(' at /')[0]}")
+        reason = text.partition(" at /")[0]
+        return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
     return Unreachable(f"nobody listens at {where}; start one with 'zensim serve' or use --connect")
 

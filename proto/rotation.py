@@ -23,7 +23,7 @@ def multiply(left: FloatArray, right: FloatArray) -> FloatArray:
 
 def conjugate(turn: FloatArray) -> FloatArray:
     """Invert rotations."""
-    return turn * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.asarray(turn * np.array([-1.0, -1.0, -1.0, 1.0]))
 
 
 def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:

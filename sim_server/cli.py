@@ -4,18 +4,23 @@ import json
 import logging
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
-from proto.bus import Bus, BusError
-from sim_server.config import ConfigError, ServerConfig, server_bus
+from proto.bus import Bus
+from proto.exits import one_line_failures
+from proto.model import Model
+from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.errors import SimError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-FAILED, USAGE, NOT_FOUND, UNREACHABLE = 1, 2, 3, 4
+
+class MissingExtra(Exception):
+    """The server's packages are not installed."""
 
 
 class _Stop:
@@ -54,7 +59,7 @@ def serve(
         stream=sys.stderr,
     )
     if listen and connect:
-        _fail("serve", "--listen and --connect exclude each other; give one", USAGE)
+        raise typer.BadParameter("--listen and --connect exclude each other; give one")
     stop = _Stop()
     config = ServerConfig(
         bus=server_bus(listen, connect),
@@ -69,12 +74,6 @@ def serve(
 
 
 def _serve(config: ServerConfig, stop: _Stop) -> None:
-    try:
-        from sim_server.server import AlreadyServed
-        from sim_server.server import serve as run_server
-    except ModuleNotFoundError as error:
-        _fail("serve", f"{error.name} is not installed; use pip install 'zensim[server]'", FAILED)
-
     def announce(bus: Bus) -> None:
         typer.echo(
             f"zensim serve: world '{config.world}' at {bus.endpoint} "
@@ -82,12 +81,18 @@ def _serve(config: ServerConfig, stop: _Stop) -> None:
             err=True,
         )
 
+    with one_line_failures("serve", ConfigError, AlreadyServed, MissingExtra):
+        _import_server()(config, lambda: stop.is_set, announce)
+
+
+def _import_server() -> Callable[..., None]:
     try:
-        run_server(config, lambda: stop.is_set, announce)
-    except (ConfigError, ValueError) as error:
-        _fail("serve", str(error), USAGE)
-    except (AlreadyServed, BusError) as error:
-        _fail("serve", str(error), UNREACHABLE if "nobody listens" in str(error) else FAILED)
+        from sim_server.server import serve as run_server
+    except ModuleNotFoundError as error:
+        raise MissingExtra(
+            f"{error.name} is not installed; use pip install 'zensim[server]'"
+        ) from error
+    return run_server
 
 
 @app.command()
@@ -100,17 +105,20 @@ def model(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show what a description says, without any server."""
-    from sim_server.description.show import model_json, model_tree
+    with one_line_failures("model", SimError, MissingExtra):
+        from sim_server.description.show import model_json, model_tree
 
-    try:
         found = _read_model(file, package_path or [])
-    except SimError as error:
-        _fail("model", str(error), FAILED)
-    except OSError as error:
-        _fail("model", f"{file}: {error.strerror}", NOT_FOUND)
-    typer.echo(json.dumps(model_json(found)) if as_json else model_tree(found))
+        typer.echo(json.dumps(model_json(found)) if as_json else model_tree(found))
 
 
-def _fail(command: str, message: str, status: int) -> NoReturn:
-    typer.echo(f"zensim {command}: {message}", err=True)
-    raise typer.Exit(status)
+def _read_model(file: str, package_paths: list[Path]) -> Model:
+    from sim_server.description.assets import meshes_in
+    from sim_server.description.library import model_text, shipped_models
+    from sim_server.description.urdf import read_urdf
+
+    if file in shipped_models():
+        return read_urdf(model_text(file))
+    path = Path(file)
+    text = path.read_text(encoding="utf-8")
+    return read_urdf(text, has_mesh=meshes_in([path.resolve().parent, *package_paths]))

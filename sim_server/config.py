@@ -12,8 +12,12 @@ MAX_STEP_HZ = 10_000.0
 MAX_REAL_TIME_FACTOR = 1000.0
 
 
-class ConfigError(Exception):
-    """A start that cannot work; exit status 2."""
+class ConfigError(ValueError):
+    """A start that cannot work."""
+
+
+class AlreadyServed(Exception):
+    """Another server has this world."""
 
 
 class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,6 +9,8 @@ from sim_server.physics.engine import FloatArray
 
 MAX_POSITION_M = 1e5
 MAX_SPEED = 1e4
+SHORTEST, LONGEST = 1e-6, 1e6
+"""Lengths of a quaternion that still tell a direction."""
 WORLD_FRAMES = frozenset({"", "world", "map", "/map", "/world"})
 
 
@@ -38,7 +40,7 @@ def pose_row(pose: Pose) -> FloatArray:
     if is_zero(q):
         row[6] = 1.0
     length = float(np.linalg.norm(row[3:]))
-    if not 1e-6 < length < 1e6:
+    if not SHORTEST < length < LONGEST:
         raise PoseRefused(f"quaternion of length {length:g} has no direction; use length 1")
     row[3:] /= length
     return row

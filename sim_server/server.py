@@ -7,9 +7,10 @@ from pathlib import Path
 
 from proto import keys
 from proto.bus import Bus, open_bus
-from sim_server.config import ConfigError, ServerConfig, checked
+from sim_server.config import AlreadyServed, ConfigError, ServerConfig, checked
 from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import WorldModel, read_world
+from sim_server.description.sdf import read_world
+from sim_server.description.world_model import WorldModel
 from sim_server.errors import ModelError
 from sim_server.handlers import Desk
 from sim_server.inbox import BusInbox
@@ -33,10 +34,6 @@ class WallClock:
     def sleep(self, seconds: float) -> None:
         """See `Clock`."""
         time.sleep(seconds)
-
-
-class AlreadyServed(Exception):
-    """Another server has this world."""
 
 
 def serve(

@@ -6,8 +6,6 @@ from collections.abc import Callable
 from proto import catalog
 from proto.bus import Bus, NoServer
 from proto.catalog import Request, Response, Service
-from proto.geometry import Pose, PoseStamped
-from proto.header import Header
 from proto.services import (
     DeleteEntityRequest,
     EntityState,
@@ -17,7 +15,6 @@ from proto.services import (
     GetSimulatorFeaturesRequest,
     ResetScope,
     ResetSimulationRequest,
-    Resource,
     SetEntityStateRequest,
     SetSimulationStateRequest,
     SimulationState,
@@ -121,24 +118,3 @@ class SimClient:
     def features(self) -> SimulatorFeatures:
         """Ask what the server can do."""
         return self._call(catalog.GET_SIMULATOR_FEATURES, GetSimulatorFeaturesRequest()).features
-
-
-def spawn_order(
-    *,
-    name: str,
-    namespace: str,
-    resource: Resource,
-    pose: Pose,
-    frame_id: str = "",
-    allow_renaming: bool = False,
-    snap_to_ground: bool = False,
-) -> SpawnEntityOrder:
-    """Write a spawn request."""
-    return SpawnEntityOrder(
-        name,
-        allow_renaming,
-        resource,
-        namespace,
-        PoseStamped(Header(frame_id=frame_id), pose),
-        snap_to_ground,
-    )

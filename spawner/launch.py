@@ -7,11 +7,11 @@ from pathlib import Path
 
 import msgspec
 
-from proto.geometry import Point, Pose, Quaternion
+from proto.geometry import Point, Pose, PoseStamped, Quaternion
 from proto.names import NAME
 from proto.result import ServiceError
-from proto.services import Resource, SpawnEntityReport
-from spawner.client import SimClient, spawn_order
+from proto.services import Resource, SpawnEntityOrder, SpawnEntityReport
+from spawner.client import SimClient
 from spawner.namespacing import namespaced
 from spawner.placement import Place
 
@@ -47,24 +47,20 @@ def resource_for(model: str, description: str, namespace: str) -> Resource:
     """
     if not description:
         return Resource(uri=model)
-    return Resource(resource_string=namespaced(description, namespace) if namespace else description)
+    return Resource(
+        resource_string=namespaced(description, namespace) if namespace else description
+    )
 
 
 def pose_at(
-    *,
-    x: float,
-    y: float,
-    z: float,
-    roll: float = 0.0,
-    pitch: float = 0.0,
-    yaw: float = 0.0,
+    place: tuple[float, float, float], turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Pose:
-    """Make a pose from metres and fixed-axis roll, pitch, yaw [rad]."""
+    """Make a pose from x, y, z [m] and fixed-axis roll, pitch, yaw [rad]."""
     (sr, sp, sy), (cr, cp, cy) = (
-        [turn(angle / 2.0) for angle in (roll, pitch, yaw)] for turn in (math.sin, math.cos)
+        [wave(angle / 2.0) for angle in turn] for wave in (math.sin, math.cos)
     )
     return Pose(
-        Point(x, y, z),
+        Point(*place),
         Quaternion(
             sr * cp * cy - cr * sp * sy,
             cr * sp * cy + sr * cp * sy,
@@ -96,11 +92,11 @@ def spawn_fleet(
 
 
 def _spawn_one(client: SimClient, model: str, description: str, place: Place) -> Outcome:
-    order = spawn_order(
-        name=place.name,
-        namespace=place.name,
-        resource=resource_for(model, description, place.name),
-        pose=pose_at(x=place.x, y=place.y, z=0.0, yaw=place.yaw),
+    order = SpawnEntityOrder(
+        place.name,
+        entity_resource=resource_for(model, description, place.name),
+        entity_namespace=place.name,
+        initial_pose=PoseStamped(pose=pose_at((place.x, place.y, 0.0), (0.0, 0.0, place.yaw))),
         snap_to_ground=True,
     )
     try:

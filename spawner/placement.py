@@ -6,6 +6,8 @@ from typing import Literal
 
 import msgspec
 
+from proto.names import check_name
+
 Layout = Literal["row", "grid", "circle"]
 LAYOUTS: tuple[Layout, ...] = ("row", "grid", "circle")
 
@@ -20,7 +22,7 @@ class Place(msgspec.Struct, frozen=True):
 
 
 def fleet_places(prefix: str, count: int, layout: Layout, spacing_m: float) -> list[Place]:
-    """List `count` robots named `prefix0`, `prefix1`, …
+    """List `count` robots named `prefix0`, `prefix1` and so on.
 
     Args:
         prefix: Beginning of each name.
@@ -58,3 +60,12 @@ def _circle(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]
     for i in range(count):
         angle = 2.0 * math.pi * i / count
         yield radius_m * math.cos(angle), radius_m * math.sin(angle), angle
+
+
+def name_stem(model: str) -> str:
+    """Find what robots of a model are called: its name, or its file's without the ending.
+
+    Raises:
+        InvalidName: That is no name.
+    """
+    return check_name(model.rsplit("/", 1)[-1].split(".", 1)[0], "prefix")

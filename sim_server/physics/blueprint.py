@@ -1,4 +1,4 @@
-"""A Model as an engine builds it: one part per link, and one more per surface with its own friction.
+"""A Model as an engine builds it: a part per link, and one per surface with a friction of its own.
 
 Engines keep one friction per part, but lumping may put a frictionless caster and a rubber foot on
 one link: each further friction becomes a massless part fixed to the link.

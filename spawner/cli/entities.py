@@ -8,8 +8,9 @@ import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from proto.exits import Exit
-from proto.names import check_name
+from proto.exits import Exit, one_line_failures
+from proto.geometry import PoseStamped
+from proto.header import Header
 from proto.result import ResultCode
 from proto.services import EntityState, SpawnEntityOrder, SpawnEntityReport
 from proto.telemetry import EntityModel
@@ -20,12 +21,11 @@ from spawner.cli.session import (
     WorldName,
     client_for,
     data_console,
-    one_line_failures,
     progress_console,
 )
-from spawner.client import SimClient, spawn_order
+from spawner.client import SimClient
 from spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
-from spawner.placement import LAYOUTS, fleet_places
+from spawner.placement import LAYOUTS, fleet_places, name_stem
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -33,7 +33,7 @@ TRUE_WORDS, FALSE_WORDS = {"true", "1", "yes", "on"}, {"false", "0", "no", "off"
 
 
 @app.command()
-def spawn(  # noqa: PLR0913  one option each, as the tutorial's spawner has them
+def spawn(
     model: Annotated[str, typer.Argument(help="Shipped model, or path of a URDF file.")] = "",
     *,
     robot_urdf: Annotated[
@@ -55,9 +55,7 @@ def spawn(  # noqa: PLR0913  one option each, as the tutorial's spawner has them
     roll: Annotated[float, typer.Option("-R", help="Radians.")] = 0.0,
     pitch: Annotated[float, typer.Option("-P", help="Radians.")] = 0.0,
     yaw: Annotated[float, typer.Option("-Y", help="Radians.")] = 0.0,
-    reference_frame: Annotated[
-        str, typer.Option(help="Entity that the pose is relative to.")
-    ] = "",
+    reference_frame: Annotated[str, typer.Option(help="Entity that the pose is relative to.")] = "",
     allow_renaming: Annotated[
         bool, typer.Option("--allow-renaming", help="Number the name if it is taken.")
     ] = False,
@@ -106,13 +104,13 @@ def _order(
     x, y, z = place
     roll, pitch, yaw = turn
     is_on_ground = math.isnan(z)
-    return spawn_order(
-        name=name,
-        namespace=namespace,
-        resource=resource_for(model, read_description(model), namespace or name),
-        pose=pose_at(x=x, y=y, z=0.0 if is_on_ground else z, roll=roll, pitch=pitch, yaw=yaw),
-        frame_id=frame_id,
+    pose = pose_at((x, y, 0.0 if is_on_ground else z), (roll, pitch, yaw))
+    return SpawnEntityOrder(
+        name,
         allow_renaming=not name,
+        entity_resource=resource_for(model, read_description(model), namespace or name),
+        entity_namespace=namespace,
+        initial_pose=PoseStamped(Header(frame_id=frame_id), pose),
         snap_to_ground=is_on_ground,
     )
 
@@ -145,7 +143,7 @@ def fleet(
     with one_line_failures("fleet"):
         if (shape := next((known for known in LAYOUTS if known == layout), None)) is None:
             raise ValueError(f"--layout {layout!r} is unknown; use {', '.join(LAYOUTS)}")
-        places = fleet_places(prefix or _stem(model), count, shape, spacing)
+        places = fleet_places(prefix or name_stem(model), count, shape, spacing)
     with client_for("fleet", connect, world_name, timeout) as client:
         client.wait_for_server(wait)
         with fleet_progress() as progress:
@@ -165,11 +163,6 @@ def fleet_progress() -> Progress:
         disable=not progress_console.is_terminal,
         transient=True,
     )
-
-
-def _stem(model: str) -> str:
-    stem = model.rsplit("/", 1)[-1].split(".", 1)[0]
-    return check_name(stem, "prefix")
 
 
 def _print_outcomes(outcomes: list[Outcome], *, as_json: bool) -> None:

@@ -1,6 +1,5 @@
 """What every command of the operator shares: the connection, the exit, the output."""
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Annotated
@@ -9,7 +8,7 @@ import typer
 from rich.console import Console
 
 from proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
-from proto.exits import FAILURES, Exit, line_of, status_of
+from proto.exits import one_line_failures
 from spawner.client import SimClient
 
 Connect = Annotated[
@@ -37,19 +36,3 @@ def client_for(
         config = BusConfig(connect=(endpoint,), open_timeout_s=min(timeout_s, 5.0))
         with open_bus(config) as bus:
             yield SimClient(bus, world, timeout_s)
-
-
-@contextmanager
-def one_line_failures(command: str) -> Iterator[None]:
-    """Turn a failure into one line on standard error and an exit status."""
-    try:
-        yield
-    except BrokenPipeError:
-        # The reader has gone, as `| head` does: nothing is wrong, and nothing may be flushed.
-        sys.stdout = None  # type: ignore[assignment]
-        raise typer.Exit(Exit.OK) from None
-    except FAILURES as error:
-        typer.echo(f"zensim {command}: {line_of(error)}", err=True)
-        raise typer.Exit(status_of(error)) from error
-    except KeyboardInterrupt:
-        raise typer.Exit(Exit.INTERRUPTED) from None

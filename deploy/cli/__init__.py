@@ -1,0 +1,84 @@
+"""`zensim`: one command over all programs; each is imported only when it is called.
+
+An agent's host has neither pybullet nor viser: nothing here may import them.
+"""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version as installed_version
+from typing import Annotated
+
+import typer
+from typer.models import CommandInfo
+
+from deploy.parent import die_with_parent
+
+VERBS: dict[str, tuple[str, str]] = {
+    "up": (
+        "deploy.cli.up",
+        "Run a world, its robots, their agents and the page, all on this machine.",
+    ),
+    "serve": ("sim_server.cli", "Run a world and serve it on the network."),
+    "spawn": ("spawner.cli.entities", "Put one robot into the world."),
+    "fleet": ("spawner.cli.entities", "Put many robots into the world."),
+    "agent": ("robot_agent.cli", "Drive robots: cmd_vel in, odom and tf out."),
+    "drive": ("spawner.cli.topics", "Send a robot velocity commands."),
+    "echo": ("spawner.cli.topics", "Print what is published on a key."),
+    "hz": ("spawner.cli.topics", "Measure how often something is published on a key."),
+    "list": ("spawner.cli.entities", "List the entities of the world."),
+    "inspect": ("spawner.cli.entities", "Show one entity."),
+    "delete": ("spawner.cli.entities", "Take entities out of the world."),
+    "view": ("spawner.cli.view", "Show the world on a 3D page."),
+    "model": ("sim_server.cli", "Show what a description says, without any server."),
+}
+"""Verb to the module of its typer app, and the line that help shows without importing it."""
+
+
+def build(called: str) -> typer.Typer:
+    """Make the command line with one verb loaded; of the others only the help line is there."""
+    app = typer.Typer(
+        add_completion=False,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        help="Many robots in one simulated world, over Zenoh, without ROS or Gazebo.",
+    )
+    app.callback(invoke_without_command=True)(_options)
+    for verb, (module, line) in VERBS.items():
+        if verb == called:
+            app.registered_commands.append(_load(module, verb))
+        else:
+            app.command(verb, help=line)(_not_loaded)
+    return app
+
+
+def _load(module: str, verb: str) -> CommandInfo:
+    commands: list[CommandInfo] = importlib.import_module(module).app.registered_commands
+    for command in commands:
+        name = command.name or (command.callback.__name__ if command.callback else "")
+        if name == verb:
+            return command
+    raise LookupError(f"{module} has no command '{verb}'")
+
+
+def _not_loaded() -> None:
+    """Stand in for a verb that was not called."""
+
+
+def _options(
+    *, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
+    if version:
+        typer.echo(f"zensim {installed_version('zensim')}")
+        raise typer.Exit
+
+
+def _called(arguments: Sequence[str]) -> str:
+    return next((word for word in arguments if not word.startswith("-")), "")
+
+
+def main() -> None:
+    """Run the command line."""
+    die_with_parent(os.environ)
+    build(_called(sys.argv[1:]))(prog_name="zensim")

@@ -1,0 +1,162 @@
+"""`zensim up`: everything on this machine, from one command."""
+
+import os
+import signal
+import sys
+import time
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from deploy.demo import Demo, DemoConfig, DemoFailed, Steps, run, start, summary
+from deploy.local import Program, ProgramDied, Supervisor
+from proto.bus import DEFAULT_ENDPOINT, with_free_port
+from proto.exits import one_line_failures
+from proto.names import check_name
+from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+console = Console(stderr=True)
+
+
+class _Stop:
+    """Set by the first SIGINT or SIGTERM; while coming up it also ends the wait."""
+
+    def __init__(self) -> None:
+        self.is_set = False
+        self.is_up = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._set)
+
+    def _set(self, _number: int, _frame: object) -> None:
+        was_set, self.is_set = self.is_set, True
+        if not self.is_up and not was_set:
+            raise KeyboardInterrupt
+
+
+@app.command()
+def up(
+    *,
+    robots: Annotated[int, typer.Option(min=0, help="How many.")] = 10,
+    model: Annotated[str, typer.Option(help="Shipped model, or path of a URDF.")] = "box_bot",
+    layout: Annotated[str, typer.Option(help="row, grid or circle.")] = "row",
+    spacing: Annotated[float, typer.Option(help="Metres between neighbours.")] = 1.0,
+    world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty",
+    world_name: Annotated[
+        str, typer.Option(help="What the world is called on the network.", envvar="ZENSIM_WORLD")
+    ] = "default",
+    listen: Annotated[str, typer.Option(help="Endpoint to serve at.")] = DEFAULT_ENDPOINT,
+    rtf: Annotated[float, typer.Option(help="Real-time factor to hold; 0 = flat out.")] = 1.0,
+    viewer: Annotated[bool, typer.Option(help="Serve the 3D page.")] = True,
+    viewer_port: Annotated[int, typer.Option(help="Port of the page.")] = 8080,
+    open_page: Annotated[
+        bool | None, typer.Option("--open/--no-open", help="Open the page in a browser.")
+    ] = None,
+    duration: Annotated[float, typer.Option(help="Seconds once ready; 0 = until Ctrl-C.")] = 0.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON lines.")] = False,
+) -> None:
+    """Run a world, its robots, their agents and the page, all on this machine."""
+    began_s, stop = time.monotonic(), _Stop()
+    with one_line_failures("up", DemoFailed, ProgramDied):
+        config = DemoConfig(
+            places=_places(model, robots, layout, spacing),
+            model=model,
+            world=world,
+            world_name=check_name(world_name, "world name"),
+            endpoint=with_free_port(listen),
+            real_time_factor=rtf,
+            has_viewer=viewer,
+            viewer_port=viewer_port,
+        )
+        supervisor = Supervisor(_note_restart)
+        try:
+            with _progress(len(config.places)) as steps:
+                demo = start(config, supervisor, steps, began_s)
+            stop.is_up = True
+            with demo.bus:
+                _announce(demo, as_json=as_json)
+                _maybe_open(demo.viewer_url, open_page)
+                run(demo, duration, lambda: stop.is_set)
+                _close(demo, as_json=as_json)
+        finally:
+            supervisor.close()
+
+
+def _places(model: str, count: int, layout: str, spacing: float) -> tuple[Place, ...]:
+    if (shape := next((known for known in LAYOUTS if known == layout), None)) is None:
+        raise ValueError(f"--layout {layout!r} is unknown; use {', '.join(LAYOUTS)}")
+    return tuple(fleet_places(name_stem(model), count, shape, spacing)) if count else ()
+
+
+@contextmanager
+def _progress(count: int) -> Iterator[Steps]:
+    """Show robots as they come up; silent when standard error is no terminal."""
+    columns = (TextColumn("{task.description:<9}"), BarColumn(), MofNCompleteColumn())
+    with Progress(
+        *columns,
+        TimeElapsedColumn(),
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+    ) as progress:
+        spawned = progress.add_task("spawned", total=count)
+        driving = progress.add_task("driving", total=count)
+        yield Steps(lambda: progress.advance(spawned), lambda: progress.advance(driving))
+
+
+def _announce(demo: Demo, *, as_json: bool) -> None:
+    config = demo.config
+    if as_json:
+        _print_json(
+            {
+                "ready_s": round(demo.ready_s, 3),
+                "robots": len(config.places),
+                "endpoint": config.endpoint,
+                "viewer": demo.viewer_url or None,
+            }
+        )
+        return
+    first = config.places[0].name if config.places else "NAME"
+    elsewhere = "" if config.endpoint == DEFAULT_ENDPOINT else f" --connect {config.endpoint}"
+    lines = {
+        "page": demo.viewer_url or "none (--no-viewer)",
+        "endpoint": config.endpoint,
+        "drive": f"zensim drive {first} 0.2 0.5{elsewhere}",
+        "subscribe": f"zensim echo {first}/odom{elsewhere}",
+    }
+    typer.echo(f"{len(config.places)} robots ready in {demo.ready_s:.1f} s")
+    for word, line in lines.items():
+        typer.echo(f"  {word:<10} {line}")
+    typer.echo("Ctrl-C ends everything.")
+
+
+def _maybe_open(url: str, open_page: bool | None) -> None:
+    """Open the page when asked, or when a person at a desktop is likely to want it."""
+    has_desktop = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    is_wanted = open_page if open_page is not None else has_desktop and sys.stdout.isatty()
+    if url and is_wanted:
+        webbrowser.open(url)
+
+
+def _close(demo: Demo, *, as_json: bool) -> None:
+    figures = summary(demo)
+    if as_json:
+        _print_json(figures)
+    else:
+        typer.echo(f"real-time factor {figures['real_time_factor']:.3f}", err=True)
+
+
+def _print_json(figures: object) -> None:
+    typer.echo(msgspec.json.encode(figures).decode())
+    sys.stdout.flush()
+
+
+def _note_restart(program: Program, status: int) -> None:
+    typer.echo(f"zensim up: {program.name} ended with status {status}; starting it again", err=True)

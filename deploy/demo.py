@@ -1,0 +1,184 @@
+"""`zensim up` without its command line: server, fleet, agents and page, and when they are ready."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import msgspec
+
+from deploy.local import Program, Supervisor
+from proto import keys
+from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from proto.result import ResultCode
+from proto.telemetry import Info
+from spawner.client import SimClient
+from spawner.launch import spawn_fleet
+from spawner.placement import Place
+
+START_TIMEOUT_S = 30.0
+ODOM_DEPTH = 65536
+POLL_S = 0.01
+
+
+class DemoFailed(Exception):
+    """What was asked for did not come up."""
+
+
+class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """What `zensim up` runs."""
+
+    places: tuple[Place, ...]
+    model: str
+    world: str
+    world_name: str
+    endpoint: str
+    real_time_factor: float
+    has_viewer: bool
+    viewer_port: int
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Called as things come up."""
+
+    on_spawned: Callable[[], None]
+    on_odom: Callable[[], None]
+
+
+@dataclass
+class Demo:
+    """A running demo."""
+
+    config: DemoConfig
+    supervisor: Supervisor
+    bus: Bus
+    client: SimClient
+    ready_s: float = 0.0
+    viewer_url: str = ""
+    restarts: int = 0
+    since: Info = field(default_factory=Info)
+    since_s: float = 0.0
+
+
+def start(config: DemoConfig, supervisor: Supervisor, steps: Steps, began_s: float) -> Demo:
+    """Bring everything up and return when every robot has published odom and the page is served.
+
+    Raises:
+        DemoFailed: Something did not come up.
+        ProgramDied: A process ended.
+    """
+    _start_programs(config, supervisor)
+    bus = _join(config, supervisor)
+    try:
+        demo = Demo(config, supervisor, bus, SimClient(bus, config.world_name))
+        _bring_up(demo, steps, began_s)
+    except BaseException:
+        bus.close()
+        raise
+    return demo
+
+
+def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:
+    supervisor.start(
+        "server",
+        (
+            *("serve", "--listen", config.endpoint, "--world", config.world),
+            *("--world-name", config.world_name, "--rtf", str(config.real_time_factor)),
+        ),
+    )
+    joined = ("--connect", config.endpoint, "--world-name", config.world_name)
+    for place in config.places:
+        arguments = ("agent", place.name, *joined, "--wait", str(START_TIMEOUT_S))
+        supervisor.start(f"agent of {place.name}", arguments, is_restarted=True)
+
+
+def _join(config: DemoConfig, supervisor: Supervisor) -> Bus:
+    deadline = time.monotonic() + START_TIMEOUT_S
+    bus_config = BusConfig(connect=(config.endpoint,), open_timeout_s=0.2)
+    while True:
+        supervisor.watch()
+        try:
+            return open_bus(bus_config)
+        except BusError as error:
+            if time.monotonic() > deadline:
+                raise DemoFailed(f"the server is not up after {START_TIMEOUT_S:g} s") from error
+
+
+def _bring_up(demo: Demo, steps: Steps, began_s: float) -> None:
+    config = demo.config
+    odom = demo.bus.subscribe(f"*/{keys.ODOM}", ODOM_DEPTH)
+    demo.client.wait_for_server(START_TIMEOUT_S, demo.supervisor.watch)
+    outcomes = spawn_fleet(demo.client, config.model, config.places, lambda _: steps.on_spawned())
+    if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
+        raise DemoFailed(f"{refused[0].name}: {refused[0].message}")
+    viewer = _start_viewer(demo) if config.has_viewer else None
+    missing = {keys.robot(place.name, keys.ODOM) for place in config.places}
+    deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * len(missing)
+    while missing:
+        seen = {sample.key for sample in odom.take()} & missing
+        missing -= seen
+        for _ in seen:
+            steps.on_odom()
+        _pause(demo, deadline, f"{len(missing)} robots publish no odom")
+    odom.close()
+    demo.ready_s = time.monotonic() - began_s
+    if viewer is not None:
+        demo.viewer_url = _viewer_url(viewer)
+    demo.since, demo.since_s = demo.client.info(), time.monotonic()
+
+
+def _pause(demo: Demo, deadline: float, complaint: str) -> None:
+    demo.supervisor.watch()
+    if time.monotonic() > deadline:
+        raise DemoFailed(f"{complaint} after {START_TIMEOUT_S:g} s")
+    time.sleep(POLL_S)
+
+
+def _start_viewer(demo: Demo) -> Program:
+    config = demo.config
+    return demo.supervisor.start(
+        "viewer",
+        (
+            *("view", "--connect", config.endpoint, "--world-name", config.world_name),
+            *("--port", str(config.viewer_port), "--no-open"),
+        ),
+    )
+
+
+def _viewer_url(viewer: Program) -> str:
+    if viewer.process is None or viewer.process.stdout is None:
+        raise DemoFailed("the page is not served")
+    # It prints one line when it serves, and closes its output when it cannot.
+    line = viewer.process.stdout.readline()
+    if not line:
+        raise DemoFailed("the page is not served; see the line above, or use --no-viewer")
+    return line.split()[-1]
+
+
+def run(demo: Demo, duration_s: float, should_stop: Callable[[], bool]) -> None:
+    """Look after the processes until told to stop or the duration [s] is over; 0 = for ever.
+
+    Raises:
+        ProgramDied: One that may not end has ended.
+    """
+    end = time.monotonic() + duration_s if duration_s > 0 else float("inf")
+    while not should_stop() and time.monotonic() < end:
+        demo.supervisor.watch()
+        time.sleep(POLL_S * 5)
+
+
+def summary(demo: Demo) -> dict[str, float | int]:
+    """Say how it went since it was ready."""
+    try:
+        last = demo.client.info()
+    except (NoServer, TimeoutError):
+        last = demo.since
+    wall_s = max(time.monotonic() - demo.since_s, 1e-9)
+    return {
+        "real_time_factor": (last.sim_time_s - demo.since.sim_time_s) / wall_s,
+        "sim_time_s": last.sim_time_s,
+        "wall_time_s": wall_s,
+        "robots": last.entities,
+        "agents": last.agents,
+        "restarts": sum(program.restarts for program in demo.supervisor.programs),
+    }

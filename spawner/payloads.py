@@ -1,0 +1,99 @@
+"""Any payload on the network as plain values that a person or a program can read."""
+
+import math
+from collections.abc import Iterator
+
+import msgspec
+import numpy as np
+
+from proto import claims, geometry, telemetry, topics
+from proto.bus import Sample
+from proto.codec import Format, MalformedPayload, decode, format_of, schema_of
+from proto.keys import last_chunk
+
+TOPIC_TYPES: dict[str, type[msgspec.Struct]] = {
+    kind.ros_type: kind
+    for kind in (
+        topics.Odometry,
+        topics.TFMessage,
+        topics.JointState,
+        topics.String,
+        topics.Clock,
+        geometry.Twist,
+        geometry.TwistStamped,
+        geometry.PoseStamped,
+    )
+}
+TELEMETRY_TYPES: dict[str, type[msgspec.Struct]] = {
+    "clock": telemetry.WorldClock,
+    "stats": telemetry.Stats,
+    "snapshot": telemetry.Snapshot,
+    "events": telemetry.Event,
+    "state": claims.DriveState,
+    "command": claims.DriveCommand,
+}
+ARRAYS = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
+CLAIMS = "<u4"
+
+
+def as_plain(sample: Sample) -> object:
+    """Read a payload into dicts, lists and numbers; what cannot be read is said in words."""
+    try:
+        return _plain(sample)
+    except (MalformedPayload, msgspec.MsgspecError) as error:
+        return f"{len(sample.payload)} bytes that cannot be read: {error}"
+
+
+def _plain(sample: Sample) -> object:
+    kind = TOPIC_TYPES.get(schema_of(sample.encoding))
+    if sample.key.startswith("sim/"):
+        kind = TELEMETRY_TYPES.get(last_chunk(sample.key))
+    if kind is not None:
+        message = decode(kind, sample.payload, sample.encoding)
+        return {name: _value(name, getattr(message, name)) for name in message.__struct_fields__}
+    if format_of(sample.payload, sample.encoding) is Format.JSON:
+        return msgspec.json.decode(sample.payload)
+    if format_of(sample.payload, sample.encoding) is Format.MSGPACK:
+        return msgspec.msgpack.decode(sample.payload)
+    raise MalformedPayload(f"CDR of unknown type; the Encoding is {sample.encoding[:80]!r}")
+
+
+def _value(name: str, value: object) -> object:
+    if isinstance(value, bytes):
+        kind = CLAIMS if name == "claims" else ARRAYS.get(name, "u1")
+        return np.frombuffer(value, dtype=kind).tolist()
+    return msgspec.to_builtins(value)
+
+
+def as_lines(plain: object, indent: str = "") -> Iterator[str]:
+    """Lay plain values out as YAML, as `ros2 topic echo` does."""
+    if isinstance(plain, dict):
+        for key, value in plain.items():
+            yield from _entry(f"{indent}{key}:", value, indent + "  ")
+    elif isinstance(plain, (list, tuple)):
+        for value in plain:
+            yield from _entry(f"{indent}-", value, indent + "  ")
+    else:
+        yield indent + _scalar(plain)
+
+
+def _entry(head: str, value: object, indent: str) -> Iterator[str]:
+    if isinstance(value, (dict, list, tuple)) and not value:
+        yield f"{head} {'{}' if isinstance(value, dict) else '[]'}"
+    elif isinstance(value, (list, tuple)) and all(isinstance(v, (int, float)) for v in value):
+        yield f"{head} [{', '.join(_scalar(v) for v in value)}]"
+    elif isinstance(value, (dict, list, tuple)):
+        yield head
+        yield from as_lines(value, indent)
+    else:
+        yield f"{head} {_scalar(value)}"
+
+
+def _scalar(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.9g}" if math.isfinite(value) else f".{value}".replace("inf", "Inf")
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, bool) or value is None:
+        return str(value).lower().replace("none", "null")
+    return str(value)
