@@ -50,7 +50,13 @@ packages: # Debian packages that the tests use
 	@sh .ci/need iproute2 ip
 
 test: setup packages ## all tests
-	$(BIN)/python -m pytest
+	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest; \
+	elif ! command -v sudo >/dev/null; then \
+		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
+		exit 1; \
+	else $(BIN)/python -m pytest -m "not root" && \
+		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root; \
+	fi
 
 lint: setup ## style of the code
 	$(BIN)/ruff check
@@ -79,7 +85,7 @@ chaos: setup ## kill, starve and garble, as tests
 	$(BIN)/python -m pytest tests/chaos
 
 fuzz: setup ## property tests with many more examples
-	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
+	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
 
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
