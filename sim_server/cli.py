@@ -16,6 +16,8 @@ from proto.model import Model
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.errors import SimError
 
+SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml")
+
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
@@ -89,6 +91,8 @@ def _import_server() -> Callable[..., None]:
     try:
         from sim_server.server import serve as run_server
     except ModuleNotFoundError as error:
+        if error.name not in SERVER_EXTRA:
+            raise
         raise MissingExtra(
             f"{error.name} is not installed; use pip install 'zensim[server]'"
         ) from error

@@ -21,7 +21,7 @@ from sim_server.errors import SimError
 from sim_server.handlers import Desk, handle, refusal
 from sim_server.inbox import Inbox
 from sim_server.outlets import Outlet
-from sim_server.telemetry import Telemetry
+from sim_server.telemetry import TOPICS, Telemetry
 
 LOG = logging.getLogger(__name__)
 
@@ -160,6 +160,9 @@ class Loop:
         self._world.note_ready(agent, self._clock.now_ns())
 
     def _answer(self, call: Call) -> None:
+        if call.name in TOPICS:
+            self._reply(call, self._telemetry.message(call.name))
+            return
         try:
             request = decode(_request_type(call.name), call.payload, call.encoding)
             response = handle(self._desk, request)

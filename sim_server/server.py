@@ -9,8 +9,7 @@ from proto import keys
 from proto.bus import Bus, open_bus
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, checked
 from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import read_world
-from sim_server.description.world_model import WorldModel
+from sim_server.description.sdf import WorldModel, read_world
 from sim_server.errors import ModelError
 from sim_server.handlers import Desk
 from sim_server.inbox import BusInbox

@@ -13,7 +13,8 @@ from sim_server.world import World
 CLOCK_HZ = 100
 SNAPSHOT_HZ = 30
 PAUSED_HZ = 2
-STATS_HZ = 1
+TOPICS = ("clock", "snapshot", "stats")
+"""Topics that also answer a get with their value of now."""
 
 
 class Timer:

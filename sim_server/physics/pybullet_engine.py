@@ -16,9 +16,9 @@ from sim_server.physics.engine import (
     FloatArray,
     Reading,
 )
-from sim_server.physics.silence import silenced_stdout
+from sim_server.physics.silence import silenced
 
-with silenced_stdout():
+with silenced():
     import pybullet
 
 SOLVER_ITERATIONS = 20

@@ -1,4 +1,4 @@
-"""Keep a C library's chatter off standard output, which carries data."""
+"""Keep a C library's chatter off the terminal."""
 
 import ctypes
 import os
@@ -6,20 +6,25 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+STREAMS = (1, 2)
+
 
 @contextmanager
-def silenced_stdout() -> Iterator[None]:
-    """Send what C code prints inside to nowhere."""
+def silenced() -> Iterator[None]:
+    """Send what C code prints inside, on either stream, to nowhere."""
     libc = ctypes.CDLL(None)
     sys.stdout.flush()
+    sys.stderr.flush()
     libc.fflush(None)
-    kept = os.dup(1)
+    kept = [os.dup(stream) for stream in STREAMS]
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    for stream in STREAMS:
+        os.dup2(nowhere, stream)
     try:
         yield
     finally:
         libc.fflush(None)
-        os.dup2(kept, 1)
-        os.close(kept)
+        for stream, copy in zip(STREAMS, kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
         os.close(nowhere)

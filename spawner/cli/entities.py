@@ -11,6 +11,7 @@ from rich.table import Table
 from proto.exits import Exit, one_line_failures
 from proto.geometry import PoseStamped
 from proto.header import Header
+from proto.names import check_name
 from proto.result import ResultCode
 from proto.services import EntityState, SpawnEntityOrder, SpawnEntityReport
 from proto.telemetry import EntityModel
@@ -77,7 +78,7 @@ def spawn(
         )
         if allow_renaming:
             order = msgspec.structs.replace(order, allow_renaming=True)
-    with client_for("spawn", connect, world_name, timeout) as client:
+    with client_for("spawn", connect, world_name, timeout, wait_s=wait) as client:
         client.wait_for_server(wait)
         _print_report(client.spawn(order), as_json=as_json)
 
@@ -101,6 +102,8 @@ def _order(
 ) -> SpawnEntityOrder:
     if not model:
         raise ValueError("no model was given; use 'zensim spawn box_bot' or a path of a URDF file")
+    if name:
+        check_name(name)
     x, y, z = place
     roll, pitch, yaw = turn
     is_on_ground = math.isnan(z)
@@ -144,7 +147,7 @@ def fleet(
         if (shape := next((known for known in LAYOUTS if known == layout), None)) is None:
             raise ValueError(f"--layout {layout!r} is unknown; use {', '.join(LAYOUTS)}")
         places = fleet_places(prefix or name_stem(model), count, shape, spacing)
-    with client_for("fleet", connect, world_name, timeout) as client:
+    with client_for("fleet", connect, world_name, timeout, wait_s=wait) as client:
         client.wait_for_server(wait)
         with fleet_progress() as progress:
             task = progress.add_task("spawning", total=len(places))

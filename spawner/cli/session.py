@@ -28,11 +28,19 @@ data_console = Console(soft_wrap=True)
 
 @contextmanager
 def client_for(
-    command: str, connect: str, world: str, timeout_s: float = 10.0
+    command: str, connect: str, world: str, timeout_s: float = 10.0, *, wait_s: float = 2.0
 ) -> Iterator[SimClient]:
-    """Open a client; a failure inside ends the command with one line and a status."""
+    """Open a client; a failure inside ends the command with one line and a status.
+
+    Args:
+        command: The verb, as the line names it.
+        connect: Endpoint; the default one when empty.
+        world: Name on the network.
+        timeout_s: How long a call may take.
+        wait_s: How long to wait for somebody to listen at the endpoint.
+    """
     with one_line_failures(command):
         endpoint = connect or DEFAULT_ENDPOINT
-        config = BusConfig(connect=(endpoint,), open_timeout_s=min(timeout_s, 5.0))
+        config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, 0.1))
         with open_bus(config) as bus:
             yield SimClient(bus, world, timeout_s)
