@@ -157,9 +157,10 @@ def _leaf(bare: inspect.Type, extra: dict[str, object], path: str, slot: int) ->
         return Octets(path)
     if not isinstance(bare, inspect.VarTupleType):
         return Fixed(path, slot, _code(bare, extra, path))
+    item, item_extra = _unwrapped(bare.item_type)
     if isinstance(length := extra.get("length"), int):
-        return Fixed(path, slot, _code(bare.item_type, extra, path), length)
-    return _sequence(*_unwrapped(bare.item_type), path)
+        return Fixed(path, slot, _code(item, extra | item_extra, path), length)
+    return _sequence(item, item_extra, path)
 
 
 def _sequence(item: inspect.Type, extra: dict[str, object], path: str) -> Leaf:

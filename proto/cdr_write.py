@@ -172,7 +172,7 @@ def _numbers_of(leaf: Fixed | Numbers, message: msgspec.Struct) -> Sequence[obje
 
 def _fits(number: object, code: str) -> bool:
     try:
-        struct.pack(code, number)
+        struct.pack("<" + code, number)
     except (struct.error, OverflowError):
         return False
     return True

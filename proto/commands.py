@@ -36,7 +36,7 @@ def decode_twist(payload: bytes, encoding: str = "") -> Twist:
     numbers = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
     if all(map(isfinite, numbers)):
         return twist
-    raise MalformedPayload(f"not a velocity command: {numbers} holds a number that is not finite")
+    raise MalformedPayload(f"not a velocity command: a number is not finite in {numbers}")
 
 
 def _from_cdr(payload: bytes, encoding: str) -> Twist:

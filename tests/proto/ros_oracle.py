@@ -1,0 +1,109 @@
+"""An independent CDR implementation that knows every ROS type of proto, and some of our own."""
+
+from typing import Any
+
+import msgspec
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+HUMBLE = get_typestore(Stores.ROS2_HUMBLE)
+EMPTY = "uint8 structure_needs_at_least_one_member"
+SIMULATION_INTERFACES = {
+    "Result": "uint8 result; string error_message",
+    "Resource": "string uri; string resource_string",
+    "EntityCategory": "uint8 category",
+    "TagsFilter": "string[] tags; uint8 filter_mode",
+    "Bounds": "uint8 type; geometry_msgs/Vector3[] points",
+    "EntityFilters": "string filter; EntityCategory[] categories; TagsFilter tags; Bounds bounds",
+    "EntityState": "std_msgs/Header header; geometry_msgs/Pose pose; geometry_msgs/Twist twist;"
+    " geometry_msgs/Accel acceleration",
+    "SimulationState": "uint8 state",
+    "SimulatorFeatures": "uint16[] features; string[] spawn_formats; string custom_info",
+    "SpawnEntity_Request": "string name; bool allow_renaming; Resource entity_resource;"
+    " string entity_namespace; geometry_msgs/PoseStamped initial_pose",
+    "SpawnEntity_Response": "Result result; string entity_name",
+    "DeleteEntity_Request": "string entity",
+    "DeleteEntity_Response": "Result result",
+    "GetEntities_Request": "EntityFilters filters",
+    "GetEntities_Response": "Result result; string[] entities",
+    "GetEntityState_Request": "string entity",
+    "GetEntityState_Response": "Result result; EntityState state",
+    "SetEntityState_Request": "string entity; EntityState state; bool set_pose; bool set_twist;"
+    " bool set_acceleration",
+    "SetEntityState_Response": "Result result",
+    "GetSimulationState_Request": EMPTY,
+    "GetSimulationState_Response": "SimulationState state; Result result",
+    "SetSimulationState_Request": "SimulationState state",
+    "SetSimulationState_Response": "Result result",
+    "StepSimulation_Request": "uint64 steps",
+    "StepSimulation_Response": "Result result",
+    "ResetSimulation_Request": "uint8 scope",
+    "ResetSimulation_Response": "Result result",
+    "GetSimulatorFeatures_Request": EMPTY,
+    "GetSimulatorFeatures_Response": "SimulatorFeatures features",
+}
+ZENSIM = {
+    "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
+    " uint8[] joint_positions; uint8[] joint_velocities",
+    "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets",
+    "Info_Request": EMPTY,
+    "GetModels_Request": "string[] entities",
+}
+"""Messages of ours that CDR can express."""
+
+
+def define(name: str, fields: str) -> None:
+    """Make a type known; fields as in an interface file, parted by semicolons."""
+    HUMBLE.register(get_types_from_msg(fields.replace(";", "\n"), name))
+
+
+for _name, _fields in SIMULATION_INTERFACES.items():
+    define(f"simulation_interfaces/msg/{_name}", _fields)
+for _name, _fields in ZENSIM.items():
+    define(f"zensim/msg/{_name}", _fields)
+
+
+def knows(ros_type: str) -> bool:
+    return _message_name(ros_type) in HUMBLE.types
+
+
+def ros_bytes(message: msgspec.Struct, ros_type: str, *, little_endian: bool = True) -> bytes:
+    """Write a message as ROS does."""
+    name = _message_name(ros_type)
+    written = HUMBLE.serialize_cdr(_ros(message, name), name, little_endian=little_endian)
+    return bytes(written)
+
+
+def rewritten_by_ros(payload: bytes, ros_type: str) -> bytes:
+    """Read bytes as ROS does and write what was read."""
+    name = _message_name(ros_type)
+    return bytes(HUMBLE.serialize_cdr(HUMBLE.deserialize_cdr(payload, name), name))
+
+
+def _message_name(ros_type: str) -> str:
+    return ros_type.replace("/srv/", "/msg/")
+
+
+def _ros(message: msgspec.Struct, name: str) -> object:
+    fields: dict[str, Any] = {
+        field: _ros_value(getattr(message, field, 0), description)
+        for field, description in HUMBLE.get_msgdef(name).fields
+    }
+    return HUMBLE.types[name](**fields)
+
+
+def _ros_value(value: object, description: object) -> object:
+    match description:
+        case (Nodetype.NAME, str(name)):
+            assert isinstance(value, msgspec.Struct)
+            return _ros(value, name)
+        case (Nodetype.ARRAY | Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)):
+            if kind == "string":
+                return value
+            return np.array(list(value), dtype=kind)  # type: ignore[call-overload]
+        case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(name)), _)):
+            assert isinstance(value, tuple)
+            return [_ros(item, name) for item in value]
+        case _:
+            return value

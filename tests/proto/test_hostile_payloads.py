@@ -1,0 +1,134 @@
+"""Bytes from anybody: they are read or refused in one line, and never cost more than they weigh."""
+
+import tracemalloc
+from typing import TypeAlias
+
+import msgspec
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, offers
+from proto.example import example_of
+from proto.schema import spoken_types
+from proto.services import GetEntitiesResponse
+from proto.telemetry import GetModelsResponse, Snapshot, Stats
+from proto.topics import TFMessage
+
+Sample: TypeAlias = tuple[type[msgspec.Struct], Format, bytes]
+
+KINDS = st.sampled_from(spoken_types())
+SAMPLES = st.sampled_from(
+    [
+        (kind, format_, encode(example_of(kind), format_))
+        for kind in spoken_types()
+        for format_ in Format
+        if offers(kind, format_)
+    ]
+)
+ENCODINGS = ["", *(format_.value for format_ in Format)]
+FIRST = [b"", b"\x00\x01\x00\x00", b"\x00\x00\x00\x00", b"\x82", b"\xdf\xff\xff\xff\xff", b'{"']
+MANY = settings(max_examples=settings().max_examples * 5)
+LONGEST_REFUSAL = 400
+MIB = 1 << 20
+DEEP = 100_000
+
+
+def refusal_of(kind: type[msgspec.Struct], payload: bytes, encoding: str = "") -> str:
+    """Say how a payload was refused; empty when it was read."""
+    try:
+        message = decode(kind, payload, encoding)
+    except MalformedPayload as refusal:
+        return str(refusal)
+    assert isinstance(message, kind)
+    return ""
+
+
+def is_one_short_line(text: str) -> bool:
+    return "\n" not in text and len(text) < LONGEST_REFUSAL
+
+
+@given(
+    kind=KINDS,
+    first=st.sampled_from(FIRST),
+    rest=st.binary(max_size=200),
+    encoding=st.sampled_from(ENCODINGS),
+)
+@MANY
+def test_decode_reads_or_refuses_random_bytes(
+    kind: type[msgspec.Struct], first: bytes, rest: bytes, encoding: str
+) -> None:
+    refusal = refusal_of(kind, first + rest, encoding)
+
+    assert is_one_short_line(refusal)
+
+
+@given(sample=SAMPLES, data=st.data())
+@MANY
+def test_decode_reads_or_refuses_mutations_of_a_message(
+    sample: Sample, data: st.DataObject
+) -> None:
+    kind, _, payload = sample
+    start = data.draw(st.integers(0, len(payload)))
+    end = data.draw(st.integers(start, min(len(payload), start + 8)))
+    mutated = payload[:start] + data.draw(st.binary(max_size=8)) + payload[end:]
+
+    refusal = refusal_of(kind, mutated, data.draw(st.sampled_from(ENCODINGS)))
+
+    assert is_one_short_line(refusal)
+
+
+@given(sample=SAMPLES, data=st.data())
+@MANY
+def test_decode_refuses_a_message_that_ends_early(sample: Sample, data: st.DataObject) -> None:
+    kind, format_, payload = sample
+    assume(len(payload) > 1)
+    shorter = payload[: data.draw(st.integers(1, len(payload) - 1))]
+
+    refusal = refusal_of(kind, shorter, encoding_of(kind, format_))
+
+    assert refusal
+    assert is_one_short_line(refusal)
+
+
+@pytest.mark.parametrize(
+    ("kind", "payload"),
+    [
+        (GetEntitiesResponse, b"\x81\xa8entities\xdd\xff\xff\xff\xff"),
+        (GetEntitiesResponse, b"\x81\xa8entities\xdd\x0f\xff\xff\xff" + b"\xa0" * 100),
+        (GetEntitiesResponse, b"\x81\xa8entities\x91\xdb\xff\xff\xff\xff"),
+        (GetEntitiesResponse, b"\x81\xa7unknown\xdf\xff\xff\xff\xff"),
+        (GetEntitiesResponse, b"\xdf\xff\xff\xff\xff"),
+        (TFMessage, b"\x81\xaatransforms\xdd\xff\xff\xff\xff" + b"\x80" * 100),
+        (Snapshot, b"\x81\xa4base\xc6\xff\xff\xff\xff"),
+        (Stats, b"\x81\xa7ready_s\xdf\xff\xff\xff\xff"),
+    ],
+)
+def test_decode_believes_no_length_of_message_pack(
+    kind: type[msgspec.Struct], payload: bytes
+) -> None:
+    tracemalloc.start()
+
+    refusal = refusal_of(kind, payload)
+
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert "truncated" in refusal
+    assert peak < MIB
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b'{"unknown":' + b"[" * DEEP,
+        b'{"unknown":' * DEEP,
+        b"\x81\xa7unknown" + b"\x91" * DEEP,
+        b"\x81\xa7unknown" * DEEP,
+        b'{"models":' + b"[" * DEEP,
+    ],
+)
+def test_decode_refuses_endless_nesting(payload: bytes) -> None:
+    refusal = refusal_of(GetModelsResponse, payload)
+
+    assert refusal
+    assert is_one_short_line(refusal)
