@@ -52,8 +52,8 @@ class PyBulletEngine:
         self._models: dict[int, Model] = {}
         self._joints: dict[int, list[int]] = {}
         self._driven: dict[int, tuple[list[int], list[float]]] = {}
-        self._com_in_root = np.zeros((64, 3))
-        self._root_from_com = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
+        self._com_in_root: FloatArray = np.zeros((64, 3))
+        self._root_from_com: FloatArray = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=config.step_ns * 1e-9,
             numSubSteps=1,
