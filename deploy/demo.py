@@ -88,7 +88,7 @@ def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:
     )
     joined = ("--connect", config.endpoint, "--world-name", config.world_name)
     for place in config.places:
-        arguments = ("agent", place.name, *joined, "--wait", str(START_TIMEOUT_S))
+        arguments = ("agent", place.name, *joined, "--quiet", "--wait", str(START_TIMEOUT_S))
         supervisor.start(f"agent of {place.name}", arguments, is_restarted=True)
 
 

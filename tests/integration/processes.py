@@ -1,0 +1,189 @@
+"""Real zensim processes on ephemeral ports, each ended by its id on every path."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+import psutil
+
+from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus, with_free_port
+from spawner.client import SimClient
+
+T = TypeVar("T")
+POLL_S = 0.005
+START_S = 30.0
+
+
+def eventually(ask: Callable[[], T | None], within_s: float, what: str = "it") -> T:
+    """Ask until the answer is neither None nor False; fail when it never is."""
+    deadline = time.monotonic() + within_s
+    while True:
+        answer = ask()
+        if answer is not None and answer is not False:
+            return answer
+        assert time.monotonic() < deadline, f"{what} did not happen within {within_s:g} s"
+        time.sleep(POLL_S)
+
+
+def free_endpoint() -> str:
+    """Find an endpoint on loopback that nobody has."""
+    return with_free_port("tcp/127.0.0.1:0")
+
+
+def command_line(arguments: Sequence[str], prefix: Sequence[str] = ()) -> list[str]:
+    """Say how `zensim ARGUMENTS` is run."""
+    return [*prefix, sys.executable, "-m", "deploy", *arguments]
+
+
+def zensim(
+    *arguments: str, timeout_s: float = 30.0, prefix: Sequence[str] = ()
+) -> "subprocess.CompletedProcess[str]":
+    """Run a command to its end."""
+    return subprocess.run(
+        command_line(arguments, prefix),
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+@contextmanager
+def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess.Popen[str]"]:
+    """Run a command in the background; it and what it started are gone afterwards."""
+    process = subprocess.Popen(
+        command_line(arguments, prefix),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        end(process)
+
+
+def end(process: "subprocess.Popen[str]") -> None:
+    """End a process and all that it started."""
+    family = [process.pid, *children(process.pid)]
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(3.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+    process.wait()
+    for pid in family[1:]:
+        if psutil.pid_exists(pid):
+            kill(pid, signal.SIGKILL)
+    for pipe in (process.stdout, process.stderr):
+        if pipe is not None:
+            pipe.close()
+
+
+def children(pid: int) -> list[int]:
+    """List what a process has started, all generations."""
+    try:
+        return [child.pid for child in psutil.Process(pid).children(recursive=True)]
+    except psutil.NoSuchProcess:
+        return []
+
+
+def kill(pid: int, number: signal.Signals) -> None:
+    """Send a signal; a process that has gone is fine."""
+    try:
+        os.kill(pid, number)
+    except ProcessLookupError:
+        return
+
+
+def read_json_line(process: "subprocess.Popen[str]") -> dict[str, object]:
+    """Read the next line of a process's output as JSON."""
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    assert line, f"no line came: {process.stderr.read() if process.stderr else ''}"
+    found = json.loads(line)
+    assert isinstance(found, dict)
+    return found
+
+
+@dataclass(frozen=True)
+class Server:
+    """A running server and a client of it."""
+
+    process: "subprocess.Popen[str]"
+    endpoint: str
+    bus: Bus
+    client: SimClient
+
+    def zensim(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
+        """Run a command against this server."""
+        return zensim(*arguments, "--connect", self.endpoint)
+
+    def steps(self) -> int:
+        """Ask how many steps it has made."""
+        return self.client.info().steps
+
+
+@contextmanager
+def serving(*arguments: str, prefix: Sequence[str] = ()) -> Iterator[Server]:
+    """Run a server until the test is over."""
+    endpoint = free_endpoint()
+    with (
+        running("serve", "--listen", endpoint, *arguments, prefix=prefix) as process,
+        joined(endpoint, process) as bus,
+    ):
+        client = SimClient(bus)
+        client.wait_for_server(START_S)
+        yield Server(process, endpoint, bus, client)
+
+
+@contextmanager
+def joined(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Iterator[Bus]:
+    """Join an endpoint as soon as somebody listens there."""
+
+    def attempt() -> Bus | None:
+        if process is not None:
+            assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        try:
+            return open_bus(BusConfig(connect=(endpoint,), open_timeout_s=0.5))
+        except BusError:
+            return None
+
+    with eventually(attempt, START_S, f"joining {endpoint}") as bus:
+        yield bus
+
+
+@contextmanager
+def driven(server: Server, *names: str) -> Iterator[dict[str, "subprocess.Popen[str]"]]:
+    """Run an agent for each of these entities, and return when all are claimed."""
+    with ExitStack() as stack:
+        agents = {
+            name: stack.enter_context(running("agent", name, "--connect", server.endpoint))
+            for name in names
+        }
+        wait_for_agents(server, names)
+        yield agents
+
+
+def wait_for_agents(server: Server, names: Sequence[str]) -> None:
+    """Wait until each of these entities is driven."""
+    eventually(lambda: all(agent_of(server, name) for name in names), START_S, "claiming")
+
+
+def agent_of(server: Server, name: str) -> str:
+    """Ask who drives an entity."""
+    try:
+        return server.client.entity_model(name).agent
+    except NoServer:
+        return ""

@@ -1,0 +1,128 @@
+"""Driving robots over the network, and reading where they went."""
+
+import math
+from dataclasses import dataclass
+
+from proto import keys
+from proto.bus import Bus, Publisher, Subscription
+from proto.codec import Format, decode, encode, encoding_of
+from proto.geometry import Twist, Vector3
+from proto.header import ns_from_time
+from proto.topics import Odometry
+from tests.integration.processes import eventually
+
+SEND_EVERY_S = 0.1
+"""Simulation time between two commands; the agent stops a robot after 0.5 s without."""
+STOP_S = 1.0
+"""Simulation time in which a robot comes to rest."""
+
+
+@dataclass
+class Robot:
+    """One robot's topics."""
+
+    namespace: str
+    odom: Subscription
+    cmd_vel: Publisher
+    last: Odometry | None = None
+    turned_rad: float = 0.0
+    """Turn summed up over all odometry that was read."""
+    _heading: float | None = None
+
+    def read(self) -> list[Odometry]:
+        """Take the odometry that has come."""
+        samples = self.odom.take()
+        found = [decode(Odometry, sample.payload, sample.encoding) for sample in samples]
+        for odom in found:
+            before = yaw(odom) if self._heading is None else self._heading
+            self._heading = yaw(odom)
+            self.turned_rad += _turn(before, self._heading)
+            self.last = odom
+        return found
+
+    def command(self, linear: float, angular: float = 0.0) -> None:
+        """Send one velocity command."""
+        twist = Twist(Vector3(x=linear), Vector3(z=angular))
+        self.cmd_vel.send(encode(twist, Format.CDR))
+
+    def now(self) -> Odometry:
+        """Wait for the next odometry."""
+        self.last = None
+
+        def fresh() -> Odometry | None:
+            self.read()
+            return self.last
+
+        return eventually(fresh, 20.0, f"odom of {self.namespace}")
+
+
+def robot(bus: Bus, namespace: str) -> Robot:
+    """Subscribe to a robot and get ready to drive it."""
+    found = Robot(
+        namespace,
+        bus.subscribe(keys.robot(namespace, keys.ODOM), 100_000),
+        bus.advertise(keys.robot(namespace, keys.CMD_VEL), encoding_of(Twist, Format.CDR)),
+    )
+    eventually(lambda: found.cmd_vel.is_matched, 20.0, f"a listener on {namespace}/cmd_vel")
+    return found
+
+
+def stamp_s(odom: Odometry) -> float:
+    """Simulation time of an odometry."""
+    return ns_from_time(odom.header.stamp) * 1e-9
+
+
+def place(odom: Odometry) -> tuple[float, float]:
+    """Position x, y [m]."""
+    point = odom.pose.pose.position
+    return point.x, point.y
+
+
+def yaw(odom: Odometry) -> float:
+    """Heading [rad]."""
+    q = odom.pose.pose.orientation
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a robot did while it was driven: displacement in its own start frame, turn summed up."""
+
+    forward_m: float
+    sideways_m: float
+    turned_rad: float
+
+
+def drive_for(robots: list[Robot], linear: float, angular: float, sim_s: float) -> list[Course]:
+    """Drive robots all at once for some simulation time, then let them stop."""
+    starts = [found.now() for found in robots]
+    turns = [found.turned_rad for found in robots]
+    begin_s = now_s = stamp_s(starts[0])
+    sent_s = -math.inf
+    while now_s < begin_s + sim_s + STOP_S:
+        if now_s >= sent_s + SEND_EVERY_S:
+            sent_s = now_s
+            is_over = now_s >= begin_s + sim_s
+            for found in robots:
+                found.command(0.0 if is_over else linear, 0.0 if is_over else angular)
+        for found in robots:
+            found.read()
+        now_s = stamp_s(robots[0].now())
+    return [
+        _course(start, found.now(), found.turned_rad - turn)
+        for start, found, turn in zip(starts, robots, turns, strict=True)
+    ]
+
+
+def _turn(before: float, after: float) -> float:
+    return (after - before + math.pi) % (2.0 * math.pi) - math.pi
+
+
+def _course(start: Odometry, finish: Odometry, turned: float) -> Course:
+    (x0, y0), (x1, y1), heading = place(start), place(finish), yaw(start)
+    dx, dy = x1 - x0, y1 - y0
+    return Course(
+        dx * math.cos(heading) + dy * math.sin(heading),
+        dy * math.cos(heading) - dx * math.sin(heading),
+        turned,
+    )

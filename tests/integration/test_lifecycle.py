@@ -1,0 +1,159 @@
+"""Agents that die, spawners that die, servers that are stopped."""
+
+import signal
+import subprocess
+
+import psutil
+
+from tests.integration.processes import (
+    Server,
+    agent_of,
+    command_line,
+    driven,
+    eventually,
+    kill,
+    running,
+    serving,
+    wait_for_agents,
+    zensim,
+)
+from tests.integration.robots import robot
+
+MOVING_M_S = 0.05
+STOP_STEPS = 120
+"""0.5 s at 240 Hz."""
+
+
+def speed(server: Server, name: str) -> float:
+    twist = server.client.entity_state(name).twist
+    return abs(twist.linear.x) + abs(twist.linear.y)
+
+
+def test_robot_stops_and_is_taken_over_when_its_agent_is_killed() -> None:
+    with serving() as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        with driven(server, "r1") as agents:
+            driver = robot(server.bus, "r1")
+
+            def is_moving() -> bool:
+                driver.command(0.3)
+                return speed(server, "r1") > MOVING_M_S
+
+            eventually(is_moving, 10.0, "moving")
+            agents["r1"].kill()
+            killed_at = server.steps()
+            eventually(lambda: speed(server, "r1") < 0.01, 5.0, "stopping")
+            assert server.steps() - killed_at <= STOP_STEPS
+
+        with driven(server, "r1"):
+            driver = robot(server.bus, "r1")
+            eventually(is_moving, 10.0, "moving again")
+
+
+def test_server_goes_on_when_a_spawner_is_killed_mid_call() -> None:
+    with serving() as server:
+        for delay_s in (0.15, 0.2, 0.25, 0.3, 0.35, 0.4):
+            spawn = subprocess.Popen(
+                command_line(["spawn", "box_bot", "-n", "r", "--connect", server.endpoint]),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            try:
+                spawn.wait(delay_s)
+            except subprocess.TimeoutExpired:
+                spawn.kill()
+            spawn.wait()
+
+        before = server.steps()
+        eventually(lambda: server.steps() > before + 24, 5.0, "stepping")
+        assert len(server.client.entities()) <= 1
+        assert server.zensim("spawn", "box_bot", "-n", "after").returncode == 0
+
+
+def test_agent_claims_again_when_its_entity_comes_back() -> None:
+    with serving() as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        with driven(server, "r1"):
+            server.client.delete("r1")
+            server.zensim("spawn", "box_bot", "--name", "r1")
+
+            wait_for_agents(server, ["r1"])
+
+
+def test_second_agent_is_refused_when_a_robot_is_driven() -> None:
+    with serving() as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        with driven(server, "r1"):
+            first = agent_of(server, "r1")
+
+            second = server.zensim("agent", "r1", "--wait", "1")
+
+            assert second.returncode == 1
+            assert (
+                second.stderr.strip()
+                .splitlines()[-1]
+                .startswith("zensim agent: ALREADY_CLAIMED (101):")
+            )
+            assert agent_of(server, "r1") == first
+
+
+def test_server_ends_cleanly_when_interrupted() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with serving() as server:
+            server.process.send_signal(number)
+
+            assert server.process.wait(3.0) == 0
+
+
+def test_up_brings_ten_robots_and_leaves_nothing_when_interrupted() -> None:
+    with running("up", "--json", "--no-viewer", "--listen", "tcp/127.0.0.1:0") as up:
+        assert up.stdout is not None
+        ready = up.stdout.readline()
+        family = psutil.Process(up.pid).children(recursive=True)
+        up.send_signal(signal.SIGINT)
+
+        assert up.wait(3.0) == 0
+        assert '"robots":10' in ready
+        assert len(family) == 11
+        assert not [process for process in family if process.is_running()]
+        assert '"real_time_factor"' in up.stdout.readline()
+
+
+def test_up_takes_everything_down_when_it_is_killed() -> None:
+    with running(
+        "up", "--json", "--no-viewer", "--robots", "2", "--listen", "tcp/127.0.0.1:0"
+    ) as up:
+        assert up.stdout is not None
+        up.stdout.readline()
+        family = psutil.Process(up.pid).children(recursive=True)
+        kill(up.pid, signal.SIGKILL)
+
+        eventually(lambda: not any(process.is_running() for process in family), 5.0, "ending")
+
+
+def test_up_starts_an_agent_again_when_it_died() -> None:
+    with running(
+        "up", "--json", "--no-viewer", "--robots", "1", "--listen", "tcp/127.0.0.1:0"
+    ) as up:
+        assert up.stdout is not None
+        up.stdout.readline()
+        agent = next(
+            process for process in psutil.Process(up.pid).children() if "agent" in process.cmdline()
+        )
+        agent.kill()
+
+        assert up.stderr is not None
+        said = eventually(up.stderr.readline, 10.0, "a note")
+        while "starting it again" not in said:
+            said = up.stderr.readline()
+        eventually(lambda: len(psutil.Process(up.pid).children()) == 2, 10.0, "coming back")
+
+
+def test_up_ends_by_itself_when_its_duration_is_over() -> None:
+    done = zensim(
+        *("up", "--json", "--no-viewer", "--robots", "1", "--duration", "0.5"),
+        *("--listen", "tcp/127.0.0.1:0"),
+    )
+
+    assert done.returncode == 0
+    assert len(done.stdout.splitlines()) == 2
