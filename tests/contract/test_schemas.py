@@ -1,0 +1,55 @@
+"""The committed description of the wire is what the code says, and stays small."""
+
+import importlib
+import json
+import pkgutil
+
+import msgspec
+
+import proto
+from proto import schema
+
+MAX_BYTES = 200 * 1024
+WITHOUT_MESSAGES = {"proto.bus", "proto.catalog", "proto.commands", "proto.cdr_layout"}
+"""Modules whose structs do not travel by themselves."""
+
+
+def modules_with_structs() -> set[str]:
+    names = [f"proto.{module.name}" for module in pkgutil.iter_modules(proto.__path__)]
+    return {
+        name
+        for name in names
+        for member in vars(importlib.import_module(name)).values()
+        if isinstance(member, type) and issubclass(member, msgspec.Struct)
+        if member.__module__ == name
+    }
+
+
+def test_committed_schemas_are_what_the_code_says() -> None:
+    assert schema.drifted() == [], "run 'python -m proto.schema' and commit what it wrote"
+
+
+def test_schemas_are_the_same_on_every_run() -> None:
+    assert schema.artefacts() == schema.artefacts()
+
+
+def test_schemas_are_small() -> None:
+    sizes = {path.name: path.stat().st_size for path in schema.SCHEMAS.iterdir()}
+
+    assert sum(sizes.values()) < MAX_BYTES
+
+
+def test_schemas_cover_every_module_that_defines_messages() -> None:
+    described = {module.__name__ for module in schema.MESSAGE_MODULES}
+
+    assert modules_with_structs() - WITHOUT_MESSAGES == described
+
+
+def test_schemas_refer_to_nothing_that_they_do_not_define() -> None:
+    text = (schema.SCHEMAS / "messages.json").read_text(encoding="utf-8")
+    defined = json.loads(text)["$defs"].keys()
+
+    referred = {line.split("/")[-1].rstrip('",') for line in text.splitlines() if '"$ref"' in line}
+
+    assert referred
+    assert referred <= defined

@@ -1,0 +1,62 @@
+"""Key expressions, built and parsed."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto import keys
+from proto.names import NAME
+
+NAMES = st.from_regex(NAME, fullmatch=True)
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        (keys.service("default", "spawn_entity"), "sim/default/spawn_entity"),
+        (keys.services("default"), "sim/default/*"),
+        (keys.clock("default"), "sim/default/clock"),
+        (keys.stats("default"), "sim/default/stats"),
+        (keys.snapshot("default"), "sim/default/snapshot"),
+        (keys.events("default"), "sim/default/events"),
+        (keys.drive_state("default", "a1"), "sim/default/drive/a1/state"),
+        (keys.drive_command("default", "a1"), "sim/default/drive/a1/command"),
+        (keys.drive_commands("default"), "sim/default/drive/*/command"),
+        (keys.alive_server("default"), "sim/default/alive/server"),
+        (keys.alive_agent("default", "a1"), "sim/default/alive/agent/a1"),
+        (keys.alive_agents("default"), "sim/default/alive/agent/*"),
+        (keys.robot("team/r1", keys.CMD_VEL), "team/r1/cmd_vel"),
+        (keys.robot_topics("team/r1"), "team/r1/*"),
+    ],
+)
+def test_key_is_as_the_design_says(key: str, expected: str) -> None:
+    assert key == expected
+
+
+@given(world=NAMES, agent=NAMES)
+def test_agent_is_read_from_the_keys_that_hold_one(world: str, agent: str) -> None:
+    assert keys.agent_of(keys.drive_state(world, agent)) == agent
+    assert keys.agent_of(keys.drive_command(world, agent)) == agent
+    assert keys.agent_of(keys.alive_agent(world, agent)) == agent
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "",
+        keys.clock("default"),
+        keys.alive_server("default"),
+        "sim/default/alive/viewer/a1",
+        "sim/default/other/a1/state",
+        "sim/default/drive/a1/state/more",
+    ],
+)
+def test_agent_of_another_key_is_empty(key: str) -> None:
+    assert keys.agent_of(key) == ""
+
+
+@pytest.mark.parametrize(
+    ("key", "chunk"), [("sim/default/clock", "clock"), ("r1/odom", "odom"), ("odom", "odom")]
+)
+def test_last_chunk_is_what_a_key_ends_with(key: str, chunk: str) -> None:
+    assert keys.last_chunk(key) == chunk
