@@ -100,10 +100,11 @@ def _run(
         config.seed,
     )
     loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
-    bus.token(keys.alive_server(config.world))
+    token = bus.token(keys.alive_server(config.world))
     LOG.info("serving world=%s endpoint=%s step_ns=%d", config.world, bus.endpoint, config.step_ns)
     on_ready(bus)
     try:
         loop.run(should_stop)
     finally:
+        token.close()
         world.close()
