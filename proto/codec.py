@@ -117,8 +117,9 @@ def schema_of(encoding: str) -> str:
 
 def encoding_of(message: msgspec.Struct | type[msgspec.Struct], format: Format) -> str:
     """Tell the Zenoh Encoding of a message or type; that of CDR names the ROS type."""
-    message_type = message if isinstance(message, type) else type(message)
-    return f"{format.value};{_name(message_type)}" if format is Format.CDR else format.value
+    if format is not Format.CDR:
+        return str(format.value)
+    return _cdr_encoding(message if isinstance(message, type) else type(message))
 
 
 def offers(message_type: type[msgspec.Struct], format: Format) -> bool:
@@ -136,9 +137,10 @@ def _all_defaults(message_type: type[Message]) -> Message:
 def _from_cdr(message_type: type[Message], payload: bytes, encoding: str) -> Message:
     if not cdr.is_expressible(message_type):
         raise MalformedPayload("CDR is not offered for it; use MessagePack or JSON")
-    schema = schema_of(encoding)
-    if schema and schema != _name(message_type):
-        raise MalformedPayload(f"the Encoding names {schema}")
+    if encoding != _cdr_encoding(message_type):
+        schema = schema_of(encoding)
+        if schema not in ("", _name(message_type)):
+            raise MalformedPayload(f"the Encoding names {schema}; name this type or none")
     return cdr.decode(message_type, payload)
 
 
@@ -149,6 +151,11 @@ def _from_json(message_type: type[Message], payload: bytes) -> Message:
     except OverflowError as error:
         raise MalformedPayload("an integer is beyond 64 bits") from error
     return cast("Message", message)
+
+
+@cache
+def _cdr_encoding(message_type: type[msgspec.Struct]) -> str:
+    return f"{Format.CDR.value};{_name(message_type)}"
 
 
 @cache

@@ -65,27 +65,27 @@ for _name, _fields in ZENSIM.items():
 
 
 def knows(ros_type: str) -> bool:
-    return _message_name(ros_type) in HUMBLE.types
+    return message_name(ros_type) in HUMBLE.types
 
 
 def ros_bytes(message: msgspec.Struct, ros_type: str, *, little_endian: bool = True) -> bytes:
     """Write a message as ROS does."""
-    name = _message_name(ros_type)
-    written = HUMBLE.serialize_cdr(_ros(message, name), name, little_endian=little_endian)
+    name = message_name(ros_type)
+    written = HUMBLE.serialize_cdr(as_ros(message, name), name, little_endian=little_endian)
     return bytes(written)
 
 
 def rewritten_by_ros(payload: bytes, ros_type: str) -> bytes:
     """Read bytes as ROS does and write what was read."""
-    name = _message_name(ros_type)
+    name = message_name(ros_type)
     return bytes(HUMBLE.serialize_cdr(HUMBLE.deserialize_cdr(payload, name), name))
 
 
-def _message_name(ros_type: str) -> str:
+def message_name(ros_type: str) -> str:
     return ros_type.replace("/srv/", "/msg/")
 
 
-def _ros(message: msgspec.Struct, name: str) -> object:
+def as_ros(message: msgspec.Struct, name: str) -> object:
     fields: dict[str, Any] = {
         field: _ros_value(getattr(message, field, 0), description)
         for field, description in HUMBLE.get_msgdef(name).fields
@@ -97,13 +97,13 @@ def _ros_value(value: object, description: object) -> object:
     match description:
         case (Nodetype.NAME, str(name)):
             assert isinstance(value, msgspec.Struct)
-            return _ros(value, name)
+            return as_ros(value, name)
         case (Nodetype.ARRAY | Nodetype.SEQUENCE, ((Nodetype.BASE, (str(kind), _)), _)):
             if kind == "string":
                 return value
             return np.array(list(value), dtype=kind)  # type: ignore[call-overload]
         case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(name)), _)):
             assert isinstance(value, tuple)
-            return [_ros(item, name) for item in value]
+            return [as_ros(item, name) for item in value]
         case _:
             return value

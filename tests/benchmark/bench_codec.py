@@ -1,0 +1,129 @@
+"""How long encoding and decoding take, next to rosbags in the same run.
+
+`python -m tests.benchmark.bench_codec` prints a table in Markdown.
+"""
+
+import struct
+import sys
+from collections.abc import Callable, Iterator
+
+import msgspec
+
+from proto.claims import STATE_COLUMNS, DriveState
+from proto.codec import Format, decode, encode, encoding_of
+from proto.geometry import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+)
+from proto.header import Header, Time
+from proto.topics import JointState, Odometry, TFMessage
+from tests.benchmark.timing import Timing, measure
+from tests.proto.ros_oracle import HUMBLE, as_ros, message_name
+
+REPEATS = 501
+INNER = 20
+ROBOTS = 100
+JOINTS = 4
+HEADER = Header(Time(12, 345_678_901), "box_bot0/odom")
+CHILD = "box_bot0/base_footprint"
+COVARIANCE = tuple(1e-3 * place for place in range(36))
+POSE = Pose(Point(1.25, -0.5, 0.1), Quaternion(z=0.6, w=0.8))
+TWIST = Twist(Vector3(0.5), Vector3(z=-0.25))
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One line of the table."""
+
+    message: str
+    format: str
+    size_bytes: int
+    encode: Timing
+    decode: Timing
+
+
+def samples() -> dict[str, msgspec.Struct]:
+    """List what is measured, filled as in use."""
+    transform = Transform(Vector3(1.25, -0.5, 0.1), POSE.orientation)
+    return {
+        "Odometry": Odometry(
+            HEADER, CHILD, PoseWithCovariance(POSE, COVARIANCE), TwistWithCovariance(TWIST)
+        ),
+        "TFMessage (1)": TFMessage((TransformStamped(HEADER, CHILD, transform),)),
+        "Twist": TWIST,
+        "JointState (2)": JointState(HEADER, ("left_wheel", "right_wheel"), (0.1, 0.2), (3.0, 4.0)),
+        f"DriveState ({ROBOTS} robots)": DriveState(
+            epoch=1,
+            step=1000,
+            time_ns=4_000_000_000,
+            claims=struct.pack(f"<{ROBOTS}I", *range(ROBOTS)),
+            base=_numbers(ROBOTS * STATE_COLUMNS),
+            joint_positions=_numbers(ROBOTS * JOINTS),
+            joint_velocities=_numbers(ROBOTS * JOINTS),
+        ),
+    }
+
+
+def rows() -> Iterator[Row]:
+    """Measure each sample in each format, and by rosbags."""
+    for name, message in samples().items():
+        for format_ in Format:
+            yield _ours(name, message, format_)
+        yield _rosbags(name, message)
+
+
+def table() -> str:
+    """Write all measurements as Markdown."""
+    lines = [
+        f"Median of {REPEATS} runs of {INNER} calls, with the 10th to the 90th percentile.",
+        "",
+        "| message | format | bytes | encode [us] | decode [us] |",
+        "|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {row.message} | {row.format} | {row.size_bytes} | {row.encode} | {row.decode} |"
+        for row in rows()
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _ours(name: str, message: msgspec.Struct, format_: Format) -> Row:
+    payload, encoding = encode(message, format_), encoding_of(message, format_)
+    return Row(
+        name,
+        format_.name,
+        len(payload),
+        _measured(lambda: encode(message, format_)),
+        _measured(lambda: decode(type(message), payload, encoding)),
+    )
+
+
+def _rosbags(name: str, message: msgspec.Struct) -> Row:
+    payload = encode(message, Format.CDR)
+    ros_name = message_name(encoding_of(message, Format.CDR).partition(";")[2])
+    built = as_ros(message, ros_name)
+    return Row(
+        name,
+        "CDR by rosbags",
+        len(payload),
+        _measured(lambda: HUMBLE.serialize_cdr(built, ros_name)),
+        _measured(lambda: HUMBLE.deserialize_cdr(payload, ros_name)),
+    )
+
+
+def _measured(call: Callable[[], object]) -> Timing:
+    return measure(call, REPEATS, INNER)
+
+
+def _numbers(count: int) -> bytes:
+    return struct.pack(f"<{count}d", *(0.001 * place for place in range(count)))
+
+
+if __name__ == "__main__":
+    sys.stdout.write(table())
