@@ -8,11 +8,12 @@ import pytest
 from proto import cdr
 from proto.cdr_layout import Fixed, Layout, Text, images, ros_class, runs
 from proto.claims import Claim, ClaimEntityRequest
-from proto.geometry import Pose, Twist
+from proto.geometry import Point, Pose, Quaternion, Twist, TwistWithCovariance
 from proto.header import Header
 from proto.model import Model
 from proto.services import SpawnEntityReport, SpawnEntityResponse
 from proto.telemetry import Stats
+from tests.proto.widest import Nothing, Widest
 
 
 class Widthless(msgspec.Struct, frozen=True):
@@ -63,6 +64,35 @@ def test_layout_says_when_a_type_has_no_ros_name() -> None:
 def test_layout_counts_the_least_bytes_of_a_message() -> None:
     assert Layout(Twist).least_bytes == 48
     assert Layout(Header).least_bytes == 12
+
+
+def test_layout_gives_each_form_of_field_its_places() -> None:
+    layout = Layout(Widest)
+
+    fixed = {leaf.path: leaf.slots for leaf in layout.leaves if isinstance(leaf, Fixed)}
+
+    assert fixed["flag"] == range(1, 2)
+    assert fixed["shorts"] == range(2, 4)
+    assert fixed["flags"] == range(7, 10)
+    assert [leaf.path for leaf in layout.leaves if not isinstance(leaf, Fixed)] == [
+        "text",
+        "blob",
+        "many_flags",
+        "many_shorts",
+        "many_wide",
+        "many_ratios",
+        "many_texts",
+        "many_points",
+        "many_nothings",
+    ]
+
+
+def test_layout_builds_a_message_from_its_values() -> None:
+    assert Layout(Pose).build([1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8]) == Pose(
+        Point(1.0, 2.0, 3.0), Quaternion(z=0.6, w=0.8)
+    )
+    assert Layout(TwistWithCovariance).build([0.0] * 42) == TwistWithCovariance()
+    assert Layout(Nothing).build([]) == Nothing()
 
 
 def test_ros_class_is_the_nearest_that_names_the_interface() -> None:

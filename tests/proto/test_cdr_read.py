@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from proto import cdr
 from proto.cdr_read import MalformedPayload
 from proto.example import example_of
-from proto.geometry import Twist
 from proto.services import GetEntitiesRequest, GetEntitiesResponse, SpawnEntityRequest
 from proto.topics import JointState, String
 from tests.proto.widest import Widest
@@ -37,30 +36,6 @@ def test_decode_reads_or_refuses_when_a_byte_is_changed(place: int, byte: int) -
 
     with suppress(MalformedPayload):
         assert isinstance(cdr.decode(Widest, payload), Widest)
-
-
-@pytest.mark.parametrize(
-    "header", ["", "00 01 00", "00 02 00 00", "00 07 00 00", "01 00 00 00", "7b 7d 00 00"]
-)
-def test_decode_refuses_another_header(header: str) -> None:
-    payload = bytes.fromhex(header) + bytes(48)
-
-    with pytest.raises(MalformedPayload, match="use '00 01 00 00'"):
-        cdr.decode(Twist, payload if len(header) > 10 else payload[: len(header) // 3])
-
-
-@pytest.mark.parametrize("padding", range(4))
-def test_decode_tolerates_up_to_three_bytes_after_the_last_field(padding: int) -> None:
-    payload = cdr.encode(Twist()) + bytes(padding)
-
-    assert cdr.decode(Twist, payload) == Twist()
-
-
-def test_decode_refuses_four_bytes_after_the_last_field() -> None:
-    payload = cdr.encode(Twist()) + bytes(4)
-
-    with pytest.raises(MalformedPayload, match=r"last field ends at byte 52, .* has 56 bytes"):
-        cdr.decode(Twist, payload)
 
 
 def test_decode_tolerates_an_empty_string_without_its_nul() -> None:
