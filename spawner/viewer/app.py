@@ -1,0 +1,133 @@
+"""The viewer's loop: snapshots in, page out; while nobody looks, nothing is asked for."""
+
+import time
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+from proto.bus import BusError
+from proto.catalog import (
+    RESET_SIMULATION,
+    SET_SIMULATION_STATE,
+    STEP_SIMULATION,
+    Request,
+    Response,
+    Service,
+)
+from proto.codec import MalformedPayload
+from proto.result import ServiceError, SetSimulationStateCode
+from proto.services import (
+    ResetScope,
+    ResetSimulationRequest,
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+    StepSimulationRequest,
+)
+from spawner.viewer.buttons import Button
+from spawner.viewer.feed import CALL_TIMEOUT_S, Clock, Feed, Network
+from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
+
+IDLE_S: Final = 0.1
+"""How long a page waits for its first visitor before it looks whether to end."""
+POLL_S: Final = 1.0 / 60.0
+
+
+class Show(Protocol):
+    """What the loop needs of a page."""
+
+    @property
+    def is_watched(self) -> bool:
+        """Whether anybody has the page open."""
+
+    @property
+    def followed(self) -> frozenset[str]:
+        """The entities that somebody follows."""
+
+    def attend(self, timeout_s: float) -> list[Button]:
+        """Wait so long for visitors to do something; return the buttons that they pressed."""
+
+    def show(
+        self, fleet: Fleet, frame: Frame, status: Status, commands: Mapping[str, LastCommand]
+    ) -> None:
+        """Draw one snapshot."""
+
+    def glide(self) -> None:
+        """Bring every camera nearer to the robot that it follows."""
+
+    def lose(self) -> None:
+        """Show that no server answers."""
+
+    def warn(self, text: str) -> None:
+        """Tell every visitor once."""
+
+
+class Viewer:
+    """Keeps a page up to date; call `tick` over and over."""
+
+    def __init__(
+        self, network: Network, page: Show, world: str, *, clock: Clock = time.monotonic
+    ) -> None:
+        self._network, self._page, self._world, self._clock = network, page, world, clock
+        self._feed: Feed | None = None
+        self._warned = ""
+        self._state = ""
+
+    def tick(self) -> None:
+        """Heed visitors and, when there are any, show what is new."""
+        is_watched = self._page.is_watched
+        for button in self._page.attend(POLL_S if is_watched else IDLE_S):
+            self._press(button)
+        if self._page.is_watched:
+            self._update(self._feed or self._listen())
+        else:
+            self.close()
+
+    def close(self) -> None:
+        """Ask the network for nothing any more."""
+        if self._feed is not None:
+            self._feed.close()
+            self._feed = None
+
+    def _listen(self) -> Feed:
+        self._feed = Feed(self._network, self._world, self._clock)
+        return self._feed
+
+    def _update(self, feed: Feed) -> None:
+        view = feed.newest()
+        if view is not None:
+            self._state = view.status.state
+            commands = feed.commands(self._page.followed)
+            self._page.show(view.fleet, view.frame, view.status, commands)
+        elif feed.is_silent:
+            self._page.lose()
+        self._page.glide()
+        if feed.trouble != self._warned:
+            self._warned = feed.trouble
+            self._page.warn(feed.trouble or "the models of the robots are here again")
+
+    def _press(self, button: Button) -> None:
+        if button == "Play":
+            self._set_state(State.PLAYING)
+        elif button == "Pause":
+            self._set_state(State.PAUSED)
+        elif button == "Step":
+            if self._state == "playing":
+                self._set_state(State.PAUSED)
+            self._call(STEP_SIMULATION, StepSimulationRequest(steps=1))
+        else:
+            scope = ResetScope.TIME | ResetScope.STATE
+            self._call(RESET_SIMULATION, ResetSimulationRequest(scope=scope))
+
+    def _set_state(self, state: State) -> None:
+        self._call(
+            SET_SIMULATION_STATE, SetSimulationStateRequest(state=SimulationState(state=state))
+        )
+
+    def _call(self, service: Service[Request, Response], request: Request) -> None:
+        try:
+            self._network.call(service, request, world=self._world, timeout_s=CALL_TIMEOUT_S)
+        except ServiceError as error:
+            if error.code != SetSimulationStateCode.ALREADY_IN_TARGET_STATE:
+                self._page.warn(str(error))
+        except (BusError, TimeoutError, MalformedPayload) as error:
+            self._page.warn(str(error))

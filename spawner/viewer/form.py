@@ -1,0 +1,49 @@
+"""What a model looks like: its visuals and hinges without any name, so that like robots are one."""
+
+import msgspec
+
+from proto.model import Link, Model, Shape
+from spawner.viewer.kinematics import Hinge
+
+
+class NotATree(Exception):
+    """A model's joints do not put every link under one that comes before it."""
+
+
+class Form(msgspec.Struct, frozen=True):
+    """Equal for all robots that look and move alike, whatever their links are called."""
+
+    links: tuple[tuple[Shape, ...], ...]
+    """What is drawn of every link, the base first."""
+    hinges: tuple[Hinge, ...]
+    """`hinges[i]` moves `links[i + 1]`."""
+
+
+def form_of(model: Model) -> Form:
+    """Strip a model of everything that cannot be seen.
+
+    Raises:
+        NotATree: A joint names a parent that does not come before its child.
+    """
+    index = {link.name: number for number, link in enumerate(model.links)}
+    children = tuple(joint.child for joint in model.joints)
+    if not model.links or children != tuple(link.name for link in model.links[1:]):
+        raise NotATree(f"model '{model.name}' is no tree: its joints do not move its links in turn")
+    hinges = []
+    for number, joint in enumerate(model.joints):
+        parent = index.get(joint.parent, len(index))
+        if parent > number:
+            raise NotATree(f"joint '{joint.name}' of '{model.name}' has no parent before it")
+        hinges.append(Hinge(joint.kind, parent, joint.origin, joint.axis))
+    return Form(tuple(_drawn(link) for link in model.links), tuple(hinges))
+
+
+def _drawn(link: Link) -> tuple[Shape, ...]:
+    """Visuals that have triangles of their own; collisions stand in for those from files."""
+    shapes = _with_triangles(link.visuals)
+    return shapes if shapes or not link.visuals else _with_triangles(link.collisions)
+
+
+def _with_triangles(shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
+    """The page draws the ground itself, and has no files."""
+    return tuple(shape for shape in shapes if shape.kind not in {"plane", "mesh"})

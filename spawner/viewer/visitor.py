@@ -1,0 +1,87 @@
+"""One open page: its camera, and the robot that it follows. Other pages have their own."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+import viser
+
+from proto.telemetry import EntityModel
+from spawner.viewer.kinematics import Array
+from spawner.viewer.panel import robot_html
+from spawner.viewer.scene import LastCommand, framing
+from spawner.viewer.stage import QUIET
+
+GLIDE: Final = 0.2
+"""Share of the way that the camera goes towards the followed robot at each call."""
+FOLLOW_DISTANCE_M: Final = 1.6
+"""A camera that is farther away comes this close."""
+
+
+class Visitor:
+    """A page that somebody has open."""
+
+    def __init__(self, client: viser.ClientHandle, release: Callable[[], None]) -> None:
+        self._client = client
+        self._release = release
+        self._folder: viser.GuiFolderHandle | None = None
+        self._text: viser.GuiHtmlHandle | None = None
+        self._label: viser.LabelHandle | None = None
+        self._focus = np.zeros(3)
+        self.follows = ""
+        self.has_view = False
+        """Whether the camera has been pointed at the fleet."""
+
+    def look_at_all(self, points: Array) -> None:
+        """Point the camera so that everybody is in view."""
+        camera = self._client.camera
+        position, look_at = framing(points, aspect=camera.aspect, fov_rad=camera.fov)
+        with self._client.atomic():
+            camera.position = position
+            camera.look_at = look_at
+        self.has_view = True
+
+    def follow(self, member: EntityModel | None) -> None:
+        """Follow this robot, or nobody."""
+        if self._folder is not None:
+            self._folder.remove()
+        if self._label is not None:
+            self._label.remove()
+        self._folder = self._text = self._label = None
+        self.follows = member.entity if member else ""
+        if member:
+            self._begin(member.entity)
+
+    def move(self, position: Array, *, label_at: Array, has_label: bool) -> None:
+        """Bring camera and label nearer to the followed robot; call it often."""
+        camera = self._client.camera
+        offset = np.array(camera.position) - np.array(camera.look_at)
+        distance = float(np.linalg.norm(offset))
+        nearer = max(0.0, distance - FOLLOW_DISTANCE_M) * GLIDE
+        self._focus = self._focus + (position - self._focus) * GLIDE
+        with self._client.atomic():
+            camera.position = self._focus + offset * (1.0 - nearer / max(distance, 1e-6))
+            camera.look_at = self._focus
+            if self._label is not None:
+                self._label.position = label_at
+                self._label.visible = has_label
+
+    def tell(self, member: EntityModel, state: Array, command: LastCommand | None) -> None:
+        """Write about the followed robot."""
+        if self._text is not None:
+            self._text.content = robot_html(member, state, command)
+
+    def warn(self, text: str) -> None:
+        """Say once that something did not work."""
+        self._client.add_notification("zensim", text, color="orange", auto_close_seconds=6.0)
+
+    def _begin(self, name: str) -> None:
+        self._focus = np.array(self._client.camera.look_at)
+        self._label = self._client.scene.add_label(
+            "/followed", name, anchor="bottom-center", font_screen_scale=1.3
+        )
+        self._folder = self._client.gui.add_folder(name)
+        with self._folder:
+            self._text = self._client.gui.add_html("")
+            button = self._client.gui.add_button("Stop following", color=QUIET)
+        button.on_click(lambda _: self._release())
