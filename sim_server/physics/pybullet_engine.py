@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import IDENTITY, ZERO, Model, Quat, Shape, Vec3
+from proto.model import IDENTITY, ZERO, Model, Origin, Quat, Shape, Vec3
 from proto.rotation import conjugate, multiply, rotate
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
 from sim_server.physics.engine import (
@@ -24,6 +24,9 @@ with silenced():
 SOLVER_ITERATIONS = 20
 """10 costs 0.8 of this and doubles the sideways drift of a box_bot (1 mm in 2 m); 50 costs 1.4."""
 
+MAX_PARTS = 128
+"""Bullet reads the states of a body's first 127 joints back and no more."""
+
 KINDS = {
     "revolute": pybullet.JOINT_REVOLUTE,
     "continuous": pybullet.JOINT_REVOLUTE,
@@ -32,13 +35,13 @@ KINDS = {
 }
 
 
-class _Shapes:
-    """Collision shapes in the engine, shared by the bodies of equal models."""
-
-    def __init__(self, blueprint: Blueprint, per_link: list[int]) -> None:
-        self.blueprint = blueprint
-        self.per_link = per_link
-        self.users = 0
+GEOMETRIES = {
+    "box": pybullet.GEOM_BOX,
+    "sphere": pybullet.GEOM_SPHERE,
+    "cylinder": pybullet.GEOM_CYLINDER,
+    "capsule": pybullet.GEOM_CAPSULE,
+}
+Solids = tuple[tuple[str, Vec3, Origin], ...]
 
 
 class PyBulletEngine:
@@ -48,8 +51,8 @@ class PyBulletEngine:
 
     def __init__(self, config: EngineConfig) -> None:
         self._client = pybullet.connect(pybullet.DIRECT)
-        self._shapes: dict[Model, _Shapes] = {}
-        self._models: dict[int, Model] = {}
+        # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
+        self._shapes: dict[Solids, int] = {}
         self._joints: dict[int, list[int]] = {}
         self._driven: dict[int, tuple[list[int], list[float]]] = {}
         self._com_in_root: FloatArray = np.zeros((64, 3))
@@ -71,29 +74,26 @@ class PyBulletEngine:
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
-        shapes = self._shapes_of(model)
-        body = self._create(shapes, base)
-        shapes.users += 1
-        self._models[body] = model
+        blueprint = blueprint_of(model)
+        _check(blueprint)
+        try:
+            body = self._create(blueprint, base)
+        except pybullet.error as error:
+            raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
         self._joints[body] = list(range(len(model.joints)))
         index = {joint.name: i for i, joint in enumerate(model.joints)}
         torque = model.drive.max_torque_nm if model.drive else 0.0
         driven = [index[name] for name in model.driven_joints]
         self._driven[body] = (driven, [torque] * len(driven))
-        self._remember_root(body, shapes.blueprint)
-        self._set_dynamics(body, shapes.blueprint)
+        self._remember_root(body, blueprint)
+        self._set_dynamics(body, blueprint)
         self.rest(body, base)
         return body
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`."""
         pybullet.removeBody(body, physicsClientId=self._client)
-        model = self._models.pop(body)
         del self._joints[body], self._driven[body]
-        shapes = self._shapes[model]
-        shapes.users -= 1
-        if shapes.users == 0:
-            self._drop_shapes(model)
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
@@ -166,30 +166,14 @@ class PyBulletEngine:
         # Bullet multiplies the frictions of a pair: 1 leaves the robot's own, as Gazebo's min does.
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
 
-    def _shapes_of(self, model: Model) -> _Shapes:
-        if (known := self._shapes.get(model)) is not None:
-            return known
-        blueprint = blueprint_of(model)
-        per_link: list[int] = []
-        try:
-            per_link.extend(self._collision(part.shapes) for part in blueprint.parts)
-        except pybullet.error as error:
-            raise EngineRefused(
-                f"model '{model.name}': Bullet refused a collision shape"
-            ) from error
-        self._shapes[model] = _Shapes(blueprint, per_link)
-        return self._shapes[model]
-
-    def _drop_shapes(self, model: Model) -> None:
-        for shape in self._shapes.pop(model).per_link:
-            if shape >= 0:
-                pybullet.removeCollisionShape(shape, physicsClientId=self._client)
-
     def _collision(self, shapes: tuple[Shape, ...]) -> int:
         if not shapes:
             return -1
-        return pybullet.createCollisionShapeArray(
-            shapeTypes=[_geometry(s) for s in shapes],
+        solids = tuple((shape.kind, shape.size, shape.origin) for shape in shapes)
+        if (known := self._shapes.get(solids)) is not None:
+            return known
+        self._shapes[solids] = pybullet.createCollisionShapeArray(
+            shapeTypes=[GEOMETRIES[s.kind] for s in shapes],
             halfExtents=[[extent / 2 for extent in s.size] for s in shapes],
             radii=[s.size[0] for s in shapes],
             lengths=[s.size[1] for s in shapes],
@@ -197,20 +181,21 @@ class PyBulletEngine:
             collisionFrameOrientations=[s.origin.orientation for s in shapes],
             physicsClientId=self._client,
         )
+        return self._shapes[solids]
 
-    def _create(self, shapes: _Shapes, base: FloatArray) -> int:
-        root, *rest = shapes.blueprint.parts
-        is_static = shapes.blueprint.is_static
+    def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
+        root, *rest = blueprint.parts
+        shapes = [self._collision(part.shapes) for part in blueprint.parts]
         return pybullet.createMultiBody(
-            0.0 if is_static else max(root.mass_kg, MIN_MASS_KG),
-            shapes.per_link[0],
+            0.0 if blueprint.is_static else max(root.mass_kg, MIN_MASS_KG),
+            shapes[0],
             self._visual,
             base[:3].tolist(),
             base[3:7].tolist(),
             baseInertialFramePosition=root.com,
             baseInertialFrameOrientation=root.principal,
             linkMasses=[_link_mass(part) for part in rest],
-            linkCollisionShapeIndices=shapes.per_link[1:],
+            linkCollisionShapeIndices=shapes[1:],
             # Without a visual shape Bullet tessellates every collision shape: five times the cost.
             linkVisualShapeIndices=[self._visual] * len(rest),
             linkPositions=[_position(part) for part in rest],
@@ -218,7 +203,7 @@ class PyBulletEngine:
             linkInertialFramePositions=[part.com for part in rest],
             linkInertialFrameOrientations=[part.principal for part in rest],
             linkParentIndices=[part.parent for part in rest],
-            linkJointTypes=[_joint_type(part) for part in rest],
+            linkJointTypes=[KINDS[_joint_kind(part)] for part in rest],
             linkJointAxis=[part.joint.axis if part.joint else (0.0, 0.0, 1.0) for part in rest],
             physicsClientId=self._client,
         )
@@ -288,28 +273,29 @@ class PyBulletEngine:
         )
 
 
-def _geometry(shape: Shape) -> int:
-    kinds = {
-        "box": pybullet.GEOM_BOX,
-        "sphere": pybullet.GEOM_SPHERE,
-        "cylinder": pybullet.GEOM_CYLINDER,
-        "capsule": pybullet.GEOM_CAPSULE,
-    }
-    if shape.kind not in kinds:
+def _check(blueprint: Blueprint) -> None:
+    """Refuse what Bullet cannot simulate, before anything of it is made."""
+    if (count := len(blueprint.parts)) > MAX_PARTS:
         raise EngineRefused(
-            f"collision shape '{shape.kind}' is not supported by pybullet here; "
-            f"use {', '.join(kinds)}"
+            f"model '{blueprint.name}' has {count} parts: links, and further frictions on one; "
+            f"use at most {MAX_PARTS}"
         )
-    return kinds[shape.kind]
+    for part in blueprint.parts:
+        _check_kind(blueprint, "joint", _joint_kind(part), KINDS)
+        for shape in part.shapes:
+            _check_kind(blueprint, "collision shape", shape.kind, GEOMETRIES)
 
 
-def _joint_type(part: Part) -> int:
-    kind = part.joint.kind if part.joint else "fixed"
-    if kind not in KINDS:
+def _check_kind(blueprint: Blueprint, what: str, kind: str, known: dict[str, int]) -> None:
+    if kind not in known:
         raise EngineRefused(
-            f"joint kind '{kind}' is not supported by pybullet here; use {', '.join(KINDS)}"
+            f"model '{blueprint.name}': {what} '{kind}' is not supported by pybullet here; "
+            f"use {', '.join(known)}"
         )
-    return KINDS[kind]
+
+
+def _joint_kind(part: Part) -> str:
+    return part.joint.kind if part.joint else "fixed"
 
 
 def _link_mass(part: Part) -> float:

@@ -1,0 +1,326 @@
+"""What every engine owes the world, held against each of them."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto.model import JointKind, Model
+from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray
+from tests.engines import ENGINES, STEP_NS, MakeEngine, advance, running
+from tests.models import (
+    a_box,
+    a_cart,
+    a_lopsided_box,
+    a_state,
+    an_arm,
+    angle_between,
+    on_ground,
+)
+
+FLOATING = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
+every_engine = pytest.mark.parametrize("make", ENGINES, ids=lambda make: make.name)
+metres = st.floats(-100.0, 100.0)
+angles = st.floats(-3.0, 3.0)
+speeds = st.floats(-20.0, 20.0)
+states = st.builds(
+    a_state,
+    st.tuples(metres, metres, metres),
+    turn=st.tuples(angles, angles, angles),
+    linear=st.tuples(speeds, speeds, speeds),
+    angular=st.tuples(speeds, speeds, speeds),
+)
+
+
+@pytest.fixture(params=ENGINES, ids=lambda make: make.name)
+def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+    with running(request.param) as made:
+        yield made
+
+
+def state_of(engine: Engine, body: int) -> FloatArray:
+    return np.asarray(engine.read([body]).base[0])
+
+
+def assert_same_state(found: FloatArray, expected: FloatArray) -> None:
+    assert found[:3] == pytest.approx(expected[:3], abs=1e-9)
+    assert angle_between(found[3:7], expected[3:7]) < 1e-7
+    assert found[7:] == pytest.approx(expected[7:], abs=1e-9)
+
+
+def test_engine_body_keeps_pose_when_not_commanded(engine: Engine) -> None:
+    start = a_state((1.0, -2.0, 0.1), turn=(0.0, 0.0, 0.7))
+    body = engine.add(a_box(), start)
+
+    advance(engine, 240)
+
+    assert state_of(engine, body)[:3] == pytest.approx(start[:3], abs=1e-3)
+    assert angle_between(state_of(engine, body)[3:7], start[3:7]) < 1e-3
+
+
+def test_engine_robot_keeps_pose_when_not_commanded(engine: Engine) -> None:
+    start = on_ground(1.0, -2.0, 0.7)
+    body = engine.add(a_cart(), start)
+
+    advance(engine, 480)
+
+    assert state_of(engine, body)[:3] == pytest.approx(start[:3], abs=1e-3)
+    assert angle_between(state_of(engine, body)[3:7], start[3:7]) < 2e-3
+
+
+def test_engine_static_body_stays_in_the_air(engine: Engine) -> None:
+    start = a_state((0.0, 0.0, 3.0), turn=(0.1, 0.2, 0.3))
+    body = engine.add(a_box(is_static=True), start)
+
+    advance(engine, 50)
+
+    assert_same_state(state_of(engine, body), start)
+
+
+@every_engine
+@given(state=states)
+def test_engine_reports_the_root_link_where_it_was_added(
+    make: MakeEngine, state: FloatArray
+) -> None:
+    with running(make, FLOATING) as engine:
+        body = engine.add(a_lopsided_box(), state)
+
+        assert_same_state(state_of(engine, body), state)
+
+
+@every_engine
+@given(states=st.lists(states, min_size=1, max_size=4))
+def test_engine_reports_the_root_link_where_it_was_placed(
+    make: MakeEngine, states: list[FloatArray]
+) -> None:
+    with running(make, FLOATING) as engine:
+        body = engine.add(a_lopsided_box(), a_state())
+
+        for state in states:
+            engine.place(body, state)
+
+            assert_same_state(state_of(engine, body), state)
+
+
+def test_engine_does_not_change_the_row_that_it_was_given(engine: Engine) -> None:
+    given_row, kept = a_state((0.0, 0.0, 5.0)), a_state((0.0, 0.0, 5.0))
+    body = engine.add(a_lopsided_box(), given_row)
+
+    engine.place(body, given_row)
+    engine.rest(body, given_row)
+    advance(engine, 5)
+
+    assert np.array_equal(given_row, kept)
+
+
+def test_engine_reading_does_not_change_when_time_goes_on(engine: Engine) -> None:
+    body = engine.add(a_box(), a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0)))
+    reading = engine.read([body])
+    kept = reading.base.copy()
+
+    advance(engine, 10)
+
+    assert np.array_equal(reading.base, kept)
+
+
+def test_engine_moves_a_body_by_its_velocity(engine: Engine) -> None:
+    body = engine.add(a_box(), a_state((0.0, 0.0, 50.0), linear=(3.0, -2.0, 0.0)))
+
+    advance(engine, 240)
+
+    assert state_of(engine, body)[:2] == pytest.approx([3.0, -2.0], abs=1e-4)
+
+
+def test_engine_keeps_joints_when_it_places_a_robot(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([4.0, 4.0]))
+    advance(engine, 120)
+    before = engine.read([body])
+
+    engine.place(body, on_ground(5.0))
+
+    after = engine.read([body])
+    assert after.joint_positions == pytest.approx(before.joint_positions, abs=1e-12)
+    assert abs(after.joint_positions).min() > 0.5
+
+
+def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([6.0, 2.0]))
+    advance(engine, 120)
+
+    engine.rest(body, on_ground(5.0, 1.0, 0.3))
+
+    reading = engine.read([body])
+    assert_same_state(reading.base[0], on_ground(5.0, 1.0, 0.3))
+    assert not reading.joint_positions.any()
+    assert not reading.joint_velocities.any()
+    advance(engine, 120)
+    assert state_of(engine, body)[:3] == pytest.approx(on_ground(5.0, 1.0)[:3], abs=2e-3)
+
+
+def test_engine_reads_joints_in_the_order_of_the_model(engine: Engine) -> None:
+    model = a_cart()
+    body = engine.add(model, on_ground())
+    left, right = 2.0, 6.0
+
+    engine.command([body], np.array([left, right]))
+    advance(engine, 240)
+
+    by_name = dict(
+        zip(
+            [joint.name for joint in model.joints],
+            engine.read([body]).joint_velocities,
+            strict=True,
+        )
+    )
+    assert by_name == pytest.approx({"right_joint": right, "left_joint": left}, rel=0.05)
+
+
+def test_engine_reads_bodies_in_the_order_asked_for(engine: Engine) -> None:
+    first = engine.add(a_box(), a_state((1.0, 0.0, 0.1)))
+    cart = engine.add(a_cart(), on_ground(2.0))
+    last = engine.add(a_box(), a_state((3.0, 0.0, 0.1)))
+
+    reading = engine.read([last, cart, first])
+
+    assert reading.base[:, 0] == pytest.approx([3.0, 2.0, 1.0], abs=1e-9)
+    assert reading.joint_positions.shape == reading.joint_velocities.shape == (2,)
+
+
+def test_engine_reads_empty_arrays_when_no_body_is_asked_for(engine: Engine) -> None:
+    reading = engine.read([])
+
+    assert reading.base.shape == (0, 13)
+    assert reading.joint_positions.shape == reading.joint_velocities.shape == (0,)
+
+
+def test_engine_gives_each_body_its_own_targets(engine: Engine) -> None:
+    slow = engine.add(a_cart(), on_ground(0.0, 0.0))
+    box = engine.add(a_box(), a_state((0.0, 5.0, 0.1)))
+    fast = engine.add(a_cart(), on_ground(0.0, 10.0))
+
+    engine.command([fast, box, slow], np.array([8.0, 8.0, 2.0, 2.0]))
+    advance(engine, 240)
+
+    x = engine.read([slow, box, fast]).base[:, 0]
+    assert x == pytest.approx([2.0 * 0.05, 0.0, 8.0 * 0.05], abs=0.02)
+
+
+def test_engine_holds_targets_until_they_are_set_again(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([4.0, 4.0]))
+    advance(engine, 480)
+    rolling = state_of(engine, body)
+
+    engine.command([body], np.zeros(2))
+    advance(engine, 480)
+
+    assert rolling[7] == pytest.approx(4.0 * 0.05, rel=0.02)
+    assert state_of(engine, body)[7] == pytest.approx(0.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("left", "right"), [(4.0, 4.0), (-3.0, 3.0), (2.0, 4.0)])
+def test_engine_robot_goes_where_its_wheels_roll(engine: Engine, left: float, right: float) -> None:
+    body = engine.add(a_cart(), on_ground())
+
+    engine.command([body], np.array([left, right]))
+    advance(engine, 480)
+
+    row = state_of(engine, body)
+    assert np.hypot(row[7], row[8]) == pytest.approx(abs(left + right) / 2.0 * 0.05, abs=0.005)
+    assert row[12] == pytest.approx((right - left) * 0.05 / 0.3, abs=0.02)
+
+
+def test_engine_leaves_other_bodies_as_they_are_when_one_is_removed(engine: Engine) -> None:
+    bodies = [engine.add(a_cart(), on_ground(float(x))) for x in range(3)]
+    engine.command(bodies, np.full(6, 2.0))
+    advance(engine, 60)
+    kept = [bodies[0], bodies[2]]
+    before = engine.read(kept)
+
+    engine.remove(bodies[1])
+
+    after = engine.read(kept)
+    assert after.base.tobytes() == before.base.tobytes()
+    assert after.joint_positions.tobytes() == before.joint_positions.tobytes()
+    assert after.joint_velocities.tobytes() == before.joint_velocities.tobytes()
+
+
+def test_engine_rolls_a_robot_on_when_its_twin_was_removed(engine: Engine) -> None:
+    twin, body = (engine.add(a_cart(), on_ground(0.0, y)) for y in (0.0, 5.0))
+    engine.remove(twin)
+
+    engine.command([body], np.array([4.0, 4.0]))
+    advance(engine, 240)
+
+    assert state_of(engine, body)[0] == pytest.approx(4.0 * 0.05, abs=0.01)
+    assert state_of(engine, body)[2] == pytest.approx(0.05, abs=1e-3)
+
+
+def test_engine_adds_a_body_after_the_last_one_was_removed(engine: Engine) -> None:
+    engine.remove(engine.add(a_cart(), on_ground()))
+
+    body = engine.add(a_lopsided_box(), a_state((1.0, 2.0, 3.0)))
+
+    assert_same_state(state_of(engine, body), a_state((1.0, 2.0, 3.0)))
+
+
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_engine_refuses_a_joint_that_one_number_cannot_tell(
+    engine: Engine, kind: JointKind
+) -> None:
+    body = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+
+    with pytest.raises(EngineRefused, match=f"{kind}.*use"):
+        engine.add(an_arm(kind), a_state())
+
+    assert_same_state(state_of(engine, body), a_state((0.0, 0.0, 0.1)))
+
+
+def a_drive_about(make: MakeEngine, *, with_a_visitor: bool = False) -> bytes:
+    """Drive two carts and a box for 500 steps; a visitor comes and goes far away."""
+    with running(make) as engine:
+        bodies = [
+            engine.add(a_cart(), on_ground(0.0)),
+            engine.add(a_cart(), on_ground(1.0)),
+            engine.add(a_box(), a_state((0.5, 0.02, 0.1))),
+        ]
+        engine.command(bodies[:2], np.array([4.0, 4.5, -4.0, -4.0]))
+        advance(engine, 100)
+        visitor = engine.add(a_cart(), on_ground(500.0)) if with_a_visitor else None
+        advance(engine, 200)
+        if visitor is not None:
+            engine.remove(visitor)
+        advance(engine, 200)
+        reading = engine.read(bodies)
+    return b"".join(
+        numbers.tobytes()
+        for numbers in (reading.base, reading.joint_positions, reading.joint_velocities)
+    )
+
+
+@every_engine
+def test_engine_gives_the_same_bits_when_everything_is_done_again(make: MakeEngine) -> None:
+    first, second = a_drive_about(make), a_drive_about(make)
+
+    assert first == second
+
+
+@every_engine
+def test_engine_gives_the_same_bits_when_a_visitor_came_and_went_far_away(
+    make: MakeEngine,
+) -> None:
+    alone, visited = a_drive_about(make), a_drive_about(make, with_a_visitor=True)
+
+    assert alone == visited
+
+
+@pytest.mark.parametrize("model", [a_box(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)
+def test_engine_gives_each_body_a_number_of_its_own(engine: Engine, model: Model) -> None:
+    bodies = [engine.add(model, a_state((float(x), 0.0, 1.0))) for x in range(5)]
+
+    assert len(set(bodies)) == 5
+    assert engine.read(bodies).base[:, 0] == pytest.approx(range(5), abs=1e-9)

@@ -1,0 +1,138 @@
+"""Engines for tests: one that obeys perfectly, and all that the contract holds for."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from proto.model import Model
+from proto.rotation import multiply, yaw_of
+from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
+from sim_server.physics.pybullet_engine import PyBulletEngine
+
+STEP_NS = 4_166_667
+MakeEngine = Callable[[EngineConfig], Engine]
+
+
+@dataclass
+class _Body:
+    model: Model
+    base: FloatArray
+    positions: FloatArray
+    velocities: FloatArray
+
+
+class ObedientEngine:
+    """Kinematics alone: wheels turn as told, bodies go as wheels say; nothing falls or collides."""
+
+    name = "obedient"
+
+    def __init__(self, config: EngineConfig) -> None:
+        self._dt_s = config.step_ns * 1e-9
+        self._bodies: dict[int, _Body] = {}
+        self.is_closed = False
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        return tuple(self._bodies)
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        for joint in model.joints:
+            if joint.kind in ("floating", "planar"):
+                raise EngineRefused(f"joint kind '{joint.kind}' is not supported; use continuous")
+        number = next(i for i in range(len(self._bodies) + 1) if i not in self._bodies)
+        zeros = np.zeros(len(model.joints))
+        self._bodies[number] = _Body(model, base.copy(), zeros, zeros.copy())
+        return number
+
+    def remove(self, body: int) -> None:
+        del self._bodies[body]
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        found = [self._bodies[body] for body in bodies]
+        none = np.zeros(0)
+        return Reading(
+            np.array([body.base for body in found]).reshape(len(found), 13),
+            np.concatenate([none, *(body.positions for body in found)]),
+            np.concatenate([none, *(body.velocities for body in found)]),
+        )
+
+    def place(self, body: int, base: FloatArray) -> None:
+        self._bodies[body].base = base.copy()
+
+    def rest(self, body: int, base: FloatArray) -> None:
+        self.place(body, base)
+        self._bodies[body].positions[:] = 0.0
+        self._bodies[body].velocities[:] = 0.0
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        at = 0
+        for number in bodies:
+            body = self._bodies[number]
+            names = [joint.name for joint in body.model.joints]
+            for name in body.model.driven_joints:
+                body.velocities[names.index(name)] = targets[at]
+                at += 1
+
+    def step(self) -> None:
+        for body in self._bodies.values():
+            if not body.model.is_static:
+                self._advance(body)
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def _advance(self, body: _Body) -> None:
+        if body.model.drive is not None:
+            body.base[7:13] = _twist_of_wheels(body)
+        body.positions += body.velocities * self._dt_s
+        body.base[:3] += body.base[7:10] * self._dt_s
+        if body.base[10:13].any():
+            body.base[3:7] = multiply(_turned_by(body.base[10:13] * self._dt_s), body.base[3:7])
+
+
+def _twist_of_wheels(body: _Body) -> FloatArray:
+    assert body.model.drive is not None
+    pair = body.model.drive.pairs[0]
+    names = [joint.name for joint in body.model.joints]
+    left, right = (
+        body.velocities[names.index(name)] * pair.diameter_m / 2.0
+        for name in (pair.left_joint, pair.right_joint)
+    )
+    forward = (left + right) / 2.0
+    heading = float(yaw_of(body.base[3:7]))
+    return np.array(
+        [
+            forward * math.cos(heading),
+            forward * math.sin(heading),
+            0.0,
+            0.0,
+            0.0,
+            (right - left) / pair.separation_m,
+        ]
+    )
+
+
+def _turned_by(angles: FloatArray) -> FloatArray:
+    angle = float(np.linalg.norm(angles))
+    return np.append(angles / angle * math.sin(angle / 2.0), math.cos(angle / 2.0))
+
+
+ENGINES: tuple[MakeEngine, ...] = (PyBulletEngine, ObedientEngine)
+
+
+@contextmanager
+def running(make: MakeEngine, config: EngineConfig | None = None) -> Iterator[Engine]:
+    """Make an engine that is closed afterwards; 240 Hz, gravity and ground unless told."""
+    engine = make(config or EngineConfig(STEP_NS))
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def advance(engine: Engine, steps: int) -> None:
+    for _ in range(steps):
+        engine.step()

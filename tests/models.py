@@ -1,0 +1,117 @@
+"""Small models for tests, built without any description."""
+
+import math
+
+import numpy as np
+
+from proto.model import DiffDrive, Inertial, Joint, JointKind, Link, Model, Origin, Shape, WheelPair
+from proto.rotation import from_rpy
+from sim_server.description.library import model_text
+from sim_server.description.urdf import read_urdf
+from sim_server.physics.engine import FloatArray
+
+WHEEL_RADIUS_M = 0.05
+TRACK_M = 0.3
+
+
+def a_state(
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    turn: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    linear: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    angular: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> FloatArray:
+    """Make a state row (13,) from a position, roll pitch yaw, and velocities."""
+    return np.concatenate([place, from_rpy(*turn), linear, angular])
+
+
+def a_body(mass_kg: float = 1.0, moment: float = 0.01) -> Inertial:
+    return Inertial(mass_kg, inertia=(moment, 0.0, 0.0, moment, 0.0, moment))
+
+
+def a_box(
+    name: str = "box", side_m: float = 0.2, *, friction: float = 1.0, is_static: bool = False
+) -> Model:
+    """A cube about its root, at rest on the ground when spawned at half its side."""
+    cube = Shape("box", (side_m, side_m, side_m), friction=friction)
+    return Model(name, (Link("base", a_body(), (cube,)),), is_static=is_static)
+
+
+def a_lopsided_box(name: str = "lopsided") -> Model:
+    """A box whose centre of mass and principal axes are not those of its root link."""
+    inertial = Inertial(2.0, (0.3, -0.2, 0.1), (0.05, 0.01, -0.008, 0.07, 0.006, 0.09))
+    return Model(name, (Link("base", inertial, (Shape("box", (0.2, 0.2, 0.2)),)),))
+
+
+def an_arm(kind: JointKind, *, damping: float = 0.0, friction: float = 0.0) -> Model:
+    """A fixed post with one link that hangs from it and is not driven; limits -0.5 to 0.5."""
+    joint = Joint(
+        "swing",
+        kind,
+        "post",
+        "arm",
+        Origin((0.0, 0.0, 1.0)),
+        axis=(0.0, 1.0, 0.0) if kind != "prismatic" else (0.0, 0.0, 1.0),
+        lower=-0.5,
+        upper=0.5,
+        damping=damping,
+        friction=friction,
+    )
+    hanging = Inertial(1.0, (0.2, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
+    return Model("arm", (Link("post", a_body()), Link("arm", hanging)), (joint,), is_static=True)
+
+
+def a_cart(name: str = "cart") -> Model:
+    """A two-wheeler whose joints come right before left, against the order of its drive."""
+    wheel = Link("", a_body(0.2, 2.5e-4), (Shape("sphere", (WHEEL_RADIUS_M, 0.0, 0.0)),))
+    caster = Shape(
+        "sphere",
+        (0.02, 0.0, 0.0),
+        Origin((0.1, 0.0, 0.02 - WHEEL_RADIUS_M + 0.0005)),
+        friction=0.0,
+    )
+    back = Shape(
+        "sphere",
+        (0.02, 0.0, 0.0),
+        Origin((-0.1, 0.0, 0.02 - WHEEL_RADIUS_M + 0.0005)),
+        friction=0.0,
+    )
+    deck = Shape("box", (0.25, 0.2, 0.04), Origin((0.0, 0.0, 0.02)))
+    return Model(
+        name,
+        (
+            Link("base", a_body(2.0, 0.02), (deck, caster, back)),
+            Link("right", wheel.inertial, wheel.collisions),
+            Link("left", wheel.inertial, wheel.collisions),
+        ),
+        (_axle("right", -TRACK_M / 2.0), _axle("left", TRACK_M / 2.0)),
+        drive=DiffDrive(
+            (WheelPair("left_joint", "right_joint", TRACK_M, 2.0 * WHEEL_RADIUS_M),),
+            max_torque_nm=2.0,
+        ),
+    )
+
+
+def _axle(side: str, y: float) -> Joint:
+    return Joint(
+        f"{side}_joint", "continuous", "base", side, Origin((0.0, y, 0.0)), axis=(0.0, 1.0, 0.0)
+    )
+
+
+def on_ground(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
+    """Where a cart stands on its wheels."""
+    return a_state((x, y, WHEEL_RADIUS_M), turn=(0.0, 0.0, yaw))
+
+
+def a_box_bot() -> Model:
+    return read_urdf(model_text("box_bot"))
+
+
+def box_bot_at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
+    """Where a box_bot stands on its wheels."""
+    return a_state((x, y, 0.06), turn=(0.0, 0.0, yaw))
+
+
+def angle_between(left: FloatArray, right: FloatArray) -> float:
+    """Find the angle [rad] between two orientations, whatever their signs."""
+    return 2.0 * math.acos(min(1.0, abs(float(np.dot(left, right)))))

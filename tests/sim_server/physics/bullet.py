@@ -1,0 +1,53 @@
+"""What Bullet itself says of an engine's bodies."""
+
+from dataclasses import dataclass
+
+import pybullet
+
+from sim_server.physics.pybullet_engine import PyBulletEngine
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """One part of a body, as Bullet has it."""
+
+    mass_kg: float
+    friction: float
+    inertia: tuple[float, float, float]
+    com: tuple[float, float, float]
+    principal: tuple[float, float, float, float]
+    restitution: float
+    rolling_friction: float
+    spinning_friction: float
+
+
+def client_of(engine: PyBulletEngine) -> int:
+    return engine._client  # noqa: SLF001  Bullet is asked past the engine
+
+
+def dynamics_of(engine: PyBulletEngine, body: int) -> list[Dynamics]:
+    """List the parts of a body, root first."""
+    client = client_of(engine)
+    count = pybullet.getNumJoints(body, physicsClientId=client)
+    return [
+        Dynamics(*pybullet.getDynamicsInfo(body, link, physicsClientId=client)[:8])
+        for link in range(-1, count)
+    ]
+
+
+def next_shape(engine: PyBulletEngine) -> int:
+    """Tell which number Bullet gives to the next collision shape; it grows when shapes leak."""
+    client = client_of(engine)
+    shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=1.0, physicsClientId=client)
+    pybullet.removeCollisionShape(shape, physicsClientId=client)
+    return shape
+
+
+def bodies_in(engine: PyBulletEngine) -> int:
+    return pybullet.getNumBodies(physicsClientId=client_of(engine))
+
+
+def touching(engine: PyBulletEngine, first: int, second: int) -> int:
+    """Count the points where two bodies touch."""
+    points = pybullet.getContactPoints(first, second, physicsClientId=client_of(engine))
+    return len(points)
