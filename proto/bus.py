@@ -7,6 +7,7 @@ Python callback runs on a network thread and no open session can hang the interp
 import json
 import re
 import socket
+import time
 import uuid
 from collections.abc import Iterator
 from typing import Final, Literal
@@ -24,6 +25,8 @@ DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
 ENDPOINT = re.compile(r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?P<port>\d{1,5})\S*")
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 MAX_PORT: Final = 65535
+RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
+"""A router that someone joins or leaves just then may end a query empty: ask again, same id."""
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample: for one publisher on one key."""
 
@@ -303,12 +306,11 @@ class Bus:
                 service.name,
                 ResultCode.OPERATION_FAILED,
                 "OPERATION_FAILED",
-                f"request is {len(payload)} bytes; the limit is {self.config.max_message_bytes}",
+                f"request has {len(payload)} bytes; send at most {self.config.max_message_bytes}",
             )
         key = keys.service(world, service.name)
-        answer = self._ask(
-            key, payload, encoding_of(request, Format.MSGPACK), timeout_s, request_id
-        )
+        encoding = encoding_of(request, Format.MSGPACK)
+        answer = self._ask(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
         response = decode(service.response, answer.payload, answer.encoding)
         _raise_unless_ok(service, getattr(response, "result", Result()))
         return response
@@ -316,21 +318,19 @@ class Bus:
     def _ask(
         self, key: str, payload: bytes, encoding: str, timeout_s: float, request_id: str
     ) -> Sample:
-        replies = self._session.get(
-            key,
-            RingChannel(16),
-            payload=payload,
-            encoding=encoding,
-            attachment=request_id or uuid.uuid4().hex,
-            timeout=timeout_s,
-        )
-        has_timed_out = False
-        for reply in replies:
-            if reply.ok:
-                return _sample(reply.ok)
-            has_timed_out = True
-        if has_timed_out:
-            raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
+        for pause_s in RETRY_AFTER_S:
+            for reply in self._session.get(
+                key,
+                RingChannel(16),
+                payload=payload,
+                encoding=encoding,
+                attachment=request_id,
+                timeout=timeout_s,
+            ):
+                if reply.ok:
+                    return _sample(reply.ok)
+                raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
+            time.sleep(pause_s)
         raise NoServer(f"nothing answers {key} at {self.endpoint}; start one with 'zensim serve'")
 
 

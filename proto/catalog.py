@@ -29,6 +29,8 @@ class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
     request: type[Request]
     response: type[Response]
     codes: type[IntEnum] = NoCodes
+    is_mutating: bool = False
+    """Whether the same request twice would do something twice."""
 
     def code_name(self, code: int) -> str:
         """Name a result code of this service."""
@@ -39,9 +41,15 @@ class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
 
 
 SPAWN_ENTITY = Service(
-    "spawn_entity", services.SpawnEntityOrder, services.SpawnEntityReport, SpawnCode
+    "spawn_entity",
+    services.SpawnEntityOrder,
+    services.SpawnEntityReport,
+    SpawnCode,
+    is_mutating=True,
 )
-DELETE_ENTITY = Service("delete_entity", services.DeleteEntityRequest, services.DeleteEntityResponse)
+DELETE_ENTITY = Service(
+    "delete_entity", services.DeleteEntityRequest, services.DeleteEntityResponse, is_mutating=True
+)
 GET_ENTITIES = Service("get_entities", services.GetEntitiesRequest, services.GetEntitiesResponse)
 GET_ENTITY_STATE = Service(
     "get_entity_state", services.GetEntityStateRequest, services.GetEntityStateResponse
@@ -51,6 +59,7 @@ SET_ENTITY_STATE = Service(
     services.SetEntityStateRequest,
     services.SetEntityStateResponse,
     SetEntityStateCode,
+    is_mutating=True,
 )
 GET_SIMULATION_STATE = Service(
     "get_simulation_state", services.GetSimulationStateRequest, services.GetSimulationStateResponse
@@ -60,12 +69,19 @@ SET_SIMULATION_STATE = Service(
     services.SetSimulationStateRequest,
     services.SetSimulationStateResponse,
     SetSimulationStateCode,
+    is_mutating=True,
 )
 STEP_SIMULATION = Service(
-    "step_simulation", services.StepSimulationRequest, services.StepSimulationResponse
+    "step_simulation",
+    services.StepSimulationRequest,
+    services.StepSimulationResponse,
+    is_mutating=True,
 )
 RESET_SIMULATION = Service(
-    "reset_simulation", services.ResetSimulationRequest, services.ResetSimulationResponse
+    "reset_simulation",
+    services.ResetSimulationRequest,
+    services.ResetSimulationResponse,
+    is_mutating=True,
 )
 GET_SIMULATOR_FEATURES = Service(
     "get_simulator_features",
@@ -73,7 +89,11 @@ GET_SIMULATOR_FEATURES = Service(
     services.GetSimulatorFeaturesResponse,
 )
 CLAIM_ENTITY = Service(
-    "claim_entity", claims.ClaimEntityRequest, claims.ClaimEntityResponse, ClaimCode
+    "claim_entity",
+    claims.ClaimEntityRequest,
+    claims.ClaimEntityResponse,
+    ClaimCode,
+    is_mutating=True,
 )
 GET_MODELS = Service("get_models", telemetry.GetModelsRequest, telemetry.GetModelsResponse)
 INFO = Service("info", telemetry.InfoRequest, telemetry.Info)

@@ -80,11 +80,9 @@ def robot_topics(namespace: str) -> str:
 
 def agent_of(key: str) -> str:
     """The agent that a drive or alive key belongs to; empty when it is neither."""
-    chunks = key.split("/")
-    if len(chunks) == 5 and chunks[2] == "drive":
-        return chunks[3]
-    if len(chunks) == 5 and chunks[2:4] == ["alive", "agent"]:
-        return chunks[4]
+    match key.split("/"):
+        case ["sim", _, "drive", agent, _] | ["sim", _, "alive", "agent", agent]:
+            return agent
     return ""
 
 

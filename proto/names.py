@@ -6,6 +6,8 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,255}")
 RESERVED = frozenset({"sim", "world"})
 MAX_NAMESPACE_CHUNKS = 8
+SHOWN = 80
+"""Characters of a bad name that an error repeats."""
 
 
 class InvalidName(ValueError):
@@ -35,7 +37,7 @@ def check_namespace(namespace: str) -> str:
     chunks = bare.split("/")
     if not all(NAME.fullmatch(chunk) for chunk in chunks) or len(chunks) > MAX_NAMESPACE_CHUNKS:
         raise InvalidName(
-            f"namespace {_shown(namespace)} is not valid; use names joined by '/', such as 'team/r1'"
+            f"namespace {_shown(namespace)} is not valid; use names joined by '/', as 'team/r1'"
         )
     if chunks[0] in RESERVED:
         raise InvalidName(
@@ -58,5 +60,4 @@ def check_frame(frame_id: str) -> str:
 
 
 def _shown(text: str) -> str:
-    clipped = text if len(text) <= 80 else text[:77] + "..."
-    return repr(clipped)
+    return repr(text if len(text) <= SHOWN else text[:SHOWN] + "...")

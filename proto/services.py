@@ -17,7 +17,7 @@ from proto.widths import UInt8, UInt16, UInt64
 
 
 class Resource(msgspec.Struct, frozen=True):
-    """A description: by shipped name (uri) or as text. Source: simulation_interfaces/msg/Resource."""
+    """A description by shipped name or as text. Source: simulation_interfaces/msg/Resource."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Resource"
 
@@ -308,7 +308,7 @@ class Feature(IntEnum):
 
 
 class SimulatorFeatures(msgspec.Struct, frozen=True):
-    """Features, spawn formats and free text. Source: simulation_interfaces/msg/SimulatorFeatures."""
+    """Features and spawn formats. Source: simulation_interfaces/msg/SimulatorFeatures."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/SimulatorFeatures"
 

@@ -14,9 +14,11 @@ from proto.bus import Call
 from proto.catalog import SERVICES
 from proto.claims import DriveCommand
 from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, format_of
+from proto.keys import agent_of
 from proto.keys import service as service_key
 from proto.result import ResultCode
 from proto.services import State, StepSimulationRequest
+from sim_server.answers import Answer, Answers
 from sim_server.errors import SimError
 from sim_server.handlers import Desk, handle, refusal
 from sim_server.inbox import Inbox
@@ -53,6 +55,7 @@ class Loop:
         self._clock = clock
         self._telemetry = Telemetry(desk.world, desk.meter)
         self._deadline_ns = clock.now_ns()
+        self._answers = Answers()
         self._stepping: list[tuple[int, Call, msgspec.Struct]] = []
 
     def run(self, should_stop: Callable[[], bool]) -> None:
@@ -83,7 +86,7 @@ class Loop:
         for agent, is_alive in self._inbox.take_agents():
             self._note_agent(agent, is_alive=is_alive)
         for sample in self._inbox.take_commands():
-            self._command(sample.key.split("/")[3], sample.payload, sample.encoding)
+            self._command(agent_of(sample.key), sample.payload, sample.encoding)
         for call in calls:
             self._meter.requests += 1
             self._answer(call)
@@ -162,7 +165,20 @@ class Loop:
     def _answer(self, call: Call) -> None:
         if call.name in TOPICS:
             self._reply(call, self._telemetry.message(call.name))
-            return
+        elif (answer := self._answers.known(call)) is not None:
+            self._send(call, answer)
+        elif not self._joins_waiting(call):
+            self._carry_out(call)
+
+    def _joins_waiting(self, call: Call) -> bool:
+        """Let a retry take the place of a request whose steps are still being made."""
+        for i, (last_step, waiting, response) in enumerate(self._stepping):
+            if call.request_id and waiting.request_id == call.request_id:
+                self._stepping[i] = (last_step, call, response)
+                return True
+        return False
+
+    def _carry_out(self, call: Call) -> None:
         try:
             request = decode(_request_type(call.name), call.payload, call.encoding)
             response = handle(self._desk, request)
@@ -187,8 +203,12 @@ class Loop:
             # A response that CDR cannot express, such as a claim with its model.
             wanted = Format.MSGPACK
             payload = encode(response, wanted)
-        key = service_key(self._world.name, call.name)
-        call.reply(payload, encoding_of(response, wanted), key)
+        answer = Answer(payload, encoding_of(response, wanted))
+        self._answers.keep(call, answer)
+        self._send(call, answer)
+
+    def _send(self, call: Call, answer: Answer) -> None:
+        call.reply(answer.payload, answer.encoding, service_key(self._world.name, call.name))
 
 
 def _request_type(name: str) -> type[msgspec.Struct]:

@@ -1,0 +1,75 @@
+"""Programs with none of our code, and other hosts."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.integration.processes import driven, eventually, running, serving, zensim
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "plain_zenoh.py"
+
+
+def test_plain_zenoh_program_drives_and_reads_robots() -> None:
+    with serving() as server:
+        server.zensim("fleet", "box_bot", "--count", "4", "--spacing", "2")
+        with driven(server, "box_bot2", "box_bot3"):
+            done = subprocess.run(
+                [sys.executable, str(EXAMPLE), server.endpoint, "box_bot3"],
+                capture_output=True,
+                text=True,
+                timeout=30,
+                check=True,
+            )
+
+    places = dict(line.split(": x=") for line in done.stdout.splitlines() if ": x=" in line)
+    assert set(places) == {"box_bot2/odom", "box_bot3/odom"}
+    assert float(places["box_bot2/odom"].split()[0]) == pytest.approx(4.0, abs=0.01)
+    assert float(places["box_bot3/odom"].split()[0]) > 6.3
+
+
+def _ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True)
+
+
+@contextmanager
+def two_hosts() -> Iterator[tuple[list[str], list[str], str]]:
+    """Make two hosts joined by a cable: how to run on each, and the address of the first."""
+    tag = f"zs{os.getpid()}"
+    here, there = f"{tag}a", f"{tag}b"
+    with ExitStack() as stack:
+        for name in (here, there):
+            _ip("netns", "add", name)
+            stack.callback(_ip, "netns", "del", name)
+        _ip("link", "add", here, "netns", here, "type", "veth", "peer", there, "netns", there)
+        for name, address in ((here, "10.87.0.1/24"), (there, "10.87.0.2/24")):
+            _ip("-n", name, "addr", "add", address, "dev", name)
+            _ip("-n", name, "link", "set", name, "up")
+            _ip("-n", name, "link", "set", "lo", "up")
+        prefixes = [["ip", "netns", "exec", name] for name in (here, there)]
+        yield prefixes[0], prefixes[1], "10.87.0.1"
+
+
+@pytest.mark.root
+def test_robot_is_driven_from_another_host() -> None:
+    with two_hosts() as (here, there, address):
+        endpoint = f"tcp/{address}:7447"
+        joined = ("--connect", endpoint)
+        with running("serve", "--listen", endpoint, prefix=here):
+            spawned = zensim("spawn", "box_bot", "-n", "r1", *joined, prefix=there)
+            assert spawned.returncode == 0, spawned.stderr
+            with (
+                running("agent", "r1", *joined, prefix=there),
+                running("drive", "r1", "0.3", "0", *joined, prefix=there),
+            ):
+
+                def has_moved() -> bool:
+                    listed = zensim("list", "--json", *joined, prefix=there)
+                    return bool(json.loads(listed.stdout)[0]["x"] > 0.2)
+
+                eventually(has_moved, 30.0, "moving")
