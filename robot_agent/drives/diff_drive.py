@@ -1,0 +1,89 @@
+"""Differential drive: commanded twist to wheel speeds, as Gazebo's plug-in does it.
+
+Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch.
+"""
+
+from collections.abc import Sequence
+
+from proto.geometry import Twist
+from proto.model import DiffDrive
+
+REACHED_M_S = 0.01
+"""A wheel whose rim is this close to its speed has reached it."""
+MAX_LEAD_M_S = 0.1
+"""How far beyond its speed a wheel that lags may be told to go.
+
+Gazebo has no such bound: there, a robot that pushed at a wall bolts once it is free.
+"""
+MAX_RIM_SPEED_M_S = 1e6
+"""Far beyond any wheel; keeps every target finite, whatever twist comes."""
+
+
+class DifferentialDrive:
+    """Turns twists into wheel speeds, with the acceleration limit that a robot has."""
+
+    def __init__(self, parameters: DiffDrive) -> None:
+        self._pairs = parameters.pairs
+        self._radii = tuple(pair.diameter_m / 2.0 for pair in self._pairs for _ in range(2))
+        self._max_acceleration = parameters.max_acceleration
+        self._instructed = [0.0] * len(self._radii)
+
+    def reset(self) -> None:
+        """Forget what the wheels were told."""
+        self._instructed = [0.0] * len(self._radii)
+
+    def update(
+        self, twist: Twist, *, wheel_velocities: Sequence[float], elapsed_s: float
+    ) -> tuple[float, ...]:
+        """Find the wheel speeds [rad/s], left before right, pair by pair.
+
+        Args:
+            twist: Of the base; only linear.x and angular.z are reachable, the rest is ignored.
+            wheel_velocities: As measured [rad/s], in the same order.
+            elapsed_s: Simulation time since the last update.
+        """
+        desired = self._desired_rims(twist)
+        if self._max_acceleration == 0.0:
+            return _joint_speeds(desired, self._radii)
+        targets: list[float] = []
+        for left in range(0, len(desired), 2):
+            wheels = slice(left, left + 2)
+            rims = self._limited(left, desired[wheels], wheel_velocities[wheels], elapsed_s)
+            targets += _joint_speeds(rims, self._radii[wheels])
+        return tuple(targets)
+
+    def _desired_rims(self, twist: Twist) -> list[float]:
+        speed, turn = twist.linear.x, twist.angular.z
+        return [
+            min(max(rim, -MAX_RIM_SPEED_M_S), MAX_RIM_SPEED_M_S)
+            for pair in self._pairs
+            for rim in (
+                speed - turn * pair.separation_m / 2.0,
+                speed + turn * pair.separation_m / 2.0,
+            )
+        ]
+
+    def _limited(
+        self, left: int, desired: Sequence[float], velocities: Sequence[float], elapsed_s: float
+    ) -> Sequence[float]:
+        measured = [v * r for v, r in zip(velocities, self._radii[left : left + 2], strict=True)]
+        errors = [want - have for want, have in zip(desired, measured, strict=True)]
+        if all(abs(error) < REACHED_M_S for error in errors):
+            # What was instructed before stays remembered, as in Gazebo.
+            return desired
+        reach = self._max_acceleration * elapsed_s
+        for side, (want, error) in enumerate(zip(desired, errors, strict=True)):
+            now = self._instructed[left + side]
+            self._instructed[left + side] = _stepped(now, want, min(max(error, -reach), reach))
+        return self._instructed[left : left + 2]
+
+
+def _stepped(instructed: float, desired: float, step: float) -> float:
+    """Add a step, but go no further than the lead beyond what is desired, or beyond standing."""
+    if step >= 0.0:
+        return min(instructed + step, max(instructed, max(desired, 0.0) + MAX_LEAD_M_S))
+    return max(instructed + step, min(instructed, min(desired, 0.0) - MAX_LEAD_M_S))
+
+
+def _joint_speeds(rims: Sequence[float], radii: Sequence[float]) -> tuple[float, ...]:
+    return tuple(rim / radius for rim, radius in zip(rims, radii, strict=True))

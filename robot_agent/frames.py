@@ -1,0 +1,159 @@
+"""Transforms of one robot: which frames hang from which, and where they are now.
+
+A frame has one parent in tf. The odometry frame is the parent of the robot's base, so that what is
+fixed to the base hangs from it, even where the description has it the other way round.
+"""
+
+from collections.abc import Sequence
+
+import msgspec
+
+from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
+from proto.header import Header, Time
+from proto.model import Joint, Model, Origin
+from robot_agent.odometry import Motion
+from robot_agent.transforms import add, compose, inverse, multiply, rotate, turn, unit
+
+MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
+"""Kinds of joints with one position; the others stand as if fixed."""
+
+
+class Edge(msgspec.Struct, frozen=True):
+    """Pose of `child` in `parent`."""
+
+    parent: str
+    child: str
+    origin: Origin
+
+    def stamped(self, stamp: Time) -> TransformStamped:
+        """Write it down."""
+        return _stamped(self.parent, self.child, self.origin, stamp)
+
+
+class Base(msgspec.Struct, frozen=True):
+    """The frame that odometry speaks of, and where it is fixed on the root link."""
+
+    name: str
+    in_root: Origin
+
+
+def base_of(model: Model) -> Base:
+    """Find the frame that odometry speaks of.
+
+    It is the drive's robot_base_frame; a name that the description lacks means the root link, as in
+    Gazebo. A link that moves on the root link cannot be it: then it is the root link itself.
+    """
+    root = model.links[0].name
+    if model.drive is None:
+        return Base(root, Origin())
+    name = model.drive.robot_base_frame
+    path = _path_to_root(name, _fixed_edges(model), root)
+    if path is None:
+        return Base(root if name in _names(model) else name, Origin())
+    in_root = Origin()
+    for edge in path:
+        in_root = compose(edge.origin, in_root)
+    return Base(name, in_root)
+
+
+def fixed_edges(model: Model, base: Base) -> tuple[Edge, ...]:
+    """List what never moves, hanging from the base; parents come before children.
+
+    A base that the description lacks is joined to the root link, so that there is one tree.
+    """
+    root = model.links[0].name
+    edges = _fixed_edges(model)
+    path = _path_to_root(base.name, edges, root)
+    if path is None:
+        has_parent = model.drive is not None and model.drive.publish_odom_tf
+        joint = (Edge(base.name, root, Origin()),) if has_parent else ()
+        return joint + tuple(edges.values())
+    turned = tuple(Edge(e.child, e.parent, inverse(e.origin)) for e in path)
+    return turned + tuple(edge for edge in edges.values() if edge not in path)
+
+
+class MovingJoint:
+    """One joint's transform at any position [rad or m]."""
+
+    def __init__(self, joint: Joint, index: int) -> None:
+        self.index = index
+        self._joint = joint
+        self._axis = unit(joint.axis)
+
+    def stamped(self, position: float, stamp: Time) -> TransformStamped:
+        """Write down where the joint has its child."""
+        joint = self._joint
+        return _stamped(joint.parent, joint.child, self._origin(position), stamp)
+
+    def _origin(self, position: float) -> Origin:
+        origin = self._joint.origin
+        if self._joint.kind != "prismatic":
+            turned = multiply(origin.orientation, turn(self._axis, position))
+            return Origin(origin.position, turned)
+        x, y, z = self._axis
+        shift = rotate(origin.orientation, (x * position, y * position, z * position))
+        return Origin(add(origin.position, shift), origin.orientation)
+
+
+def published_joints(model: Model) -> tuple[int, ...]:
+    """List the joints whose states are told: those of the model's publisher, else all that move."""
+    names = model.joint_state.joints if model.joint_state else None
+    return tuple(
+        index
+        for index, joint in enumerate(model.joints)
+        if joint.kind in MOVABLE and (names is None or joint.name in names)
+    )
+
+
+def moving_joints(model: Model) -> tuple[MovingJoint, ...]:
+    """List the joints that tf tells of: all that move, but wheels only when anything asks for them.
+
+    That is when the drive has publish_wheel_tf, or their states are published, from which
+    robot_state_publisher would make their transforms.
+    """
+    told = {model.joints[index].name for index in published_joints(model)}
+    has_wheels = model.drive is not None and model.drive.publish_wheel_tf
+    silent = set() if has_wheels else set(model.driven_joints) - told
+    return tuple(
+        MovingJoint(joint, index)
+        for index, joint in enumerate(model.joints)
+        if joint.kind in MOVABLE and joint.name not in silent
+    )
+
+
+def odometry_edge(frame_id: str, child_frame_id: str, motion: Motion) -> Edge:
+    """Make the transform that odometry gives."""
+    return Edge(frame_id, child_frame_id, Origin(motion.position, motion.orientation))
+
+
+def moving_transforms(
+    joints: Sequence[MovingJoint], positions: Sequence[float], stamp: Time
+) -> tuple[TransformStamped, ...]:
+    """Write down where joints have their children; positions are of all joints of the model."""
+    return tuple(joint.stamped(positions[joint.index], stamp) for joint in joints)
+
+
+def _fixed_edges(model: Model) -> dict[str, Edge]:
+    edges = [Edge(frame.parent, frame.name, frame.origin) for frame in model.frames]
+    edges += [Edge(j.parent, j.child, j.origin) for j in model.joints if j.kind not in MOVABLE]
+    return {edge.child: edge for edge in edges}
+
+
+def _path_to_root(name: str, edges: dict[str, Edge], root: str) -> tuple[Edge, ...] | None:
+    path: list[Edge] = []
+    while name != root:
+        edge = edges.get(name)
+        if edge is None or edge in path:
+            return None
+        path.append(edge)
+        name = edge.parent
+    return tuple(path)
+
+
+def _names(model: Model) -> set[str]:
+    return {link.name for link in model.links} | {frame.name for frame in model.frames}
+
+
+def _stamped(parent: str, child: str, origin: Origin, stamp: Time) -> TransformStamped:
+    transform = Transform(Vector3(*origin.position), Quaternion(*origin.orientation))
+    return TransformStamped(Header(stamp, parent), child, transform)
