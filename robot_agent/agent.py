@@ -1,0 +1,168 @@
+"""The agent: holds entities of one world and drives them, for as long as it is left to."""
+
+import logging
+import time
+from collections.abc import Callable
+from typing import NoReturn
+
+import msgspec
+
+from proto import keys
+from proto.claims import Claim, DriveCommand, DriveState, OnRelease
+from proto.codec import Format, MalformedPayload, decode, encode, encoding_of
+from proto.header import NANOSECONDS
+from robot_agent.claimer import Claimer, Wish
+from robot_agent.fleet import Fleet
+from robot_agent.network import Network
+from robot_agent.reading import Timeline
+from robot_agent.robot import Robot
+from robot_agent.upkeep import Upkeep
+
+LOG = logging.getLogger("zensim.agent")
+IDLE_S = 0.001
+
+
+class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """What to drive, and how."""
+
+    world: str = "default"
+    agent: str
+    """Unique in the world."""
+    entities: tuple[str, ...]
+    wait_s: float = 30.0
+    """How long to wait for the entities at the start; once it had them, it waits for ever."""
+    cmd_vel_timeout_s: float = 0.5
+    """Simulation time after which a robot that hears nothing stands still; 0 = never."""
+    on_release: OnRelease = "stop"
+    """What becomes of an entity when the agent is gone."""
+
+
+class Agent:
+    """One process's part in the world; it moves only when polled."""
+
+    def __init__(self, network: Network, config: AgentConfig) -> None:
+        world, agent = config.world, config.agent
+        self.malformed = 0
+        """Drive states that were not understood."""
+        self._network = network
+        self._config = config
+        # A claim is bound to the token, which has to be up before.
+        self._token = network.token(keys.alive_agent(world, agent))
+        self._servers = network.watch_tokens(keys.alive_server(world))
+        self._states = network.subscribe(keys.drive_state(world, agent))
+        self._commands = network.advertise(
+            keys.drive_command(world, agent), encoding_of(DriveCommand, Format.MSGPACK)
+        )
+        self._claimer = Claimer(network, _wish(config))
+        self._fleet = Fleet()
+        self._timeline = Timeline()
+        self._upkeep = Upkeep(self._fleet)
+
+    def poll(self, now_s: float) -> bool:
+        """Do what there is to do; tell whether there was a drive state.
+
+        Args:
+            now_s: Wall time, from any beginning.
+
+        Raises:
+            ServiceError: See `Claimer.poll`, as for the others.
+            NoServer: See there.
+            TimeoutError: See there.
+            MalformedPayload: See there.
+        """
+        self._watch_server()
+        claims = self._claimer.poll(now_s)
+        if claims:
+            self._take_over(claims)
+        is_busy = self._drive()
+        self._upkeep.poll(now_s)
+        return is_busy
+
+    def _watch_server(self) -> None:
+        for _, is_alive in self._servers.take():
+            if is_alive:
+                self._claimer.hurry()
+                continue
+            self._timeline.forget()
+            self._lose(self._fleet.lose_all_but(b""), "the server is gone")
+
+    def _take_over(self, claims: tuple[Claim, ...]) -> None:
+        # What waits there was sent before the claim, and does not speak of it.
+        self._states.take()
+        timeout_ns = round(self._config.cmd_vel_timeout_s * NANOSECONDS)
+        for claim in claims:
+            robot = Robot(self._network, claim, timeout_ns)
+            robot.announce()
+            self._fleet.hold(claim.claim, robot)
+            LOG.info(
+                "claimed agent=%s entity=%s namespace=%s claim=%d",
+                self._config.agent,
+                claim.entity,
+                claim.namespace,
+                claim.claim,
+            )
+
+    def _drive(self) -> bool:
+        sample = self._states.newest()
+        if sample is None:
+            return False
+        try:
+            self._follow(decode(DriveState, sample.payload, sample.encoding))
+        except MalformedPayload as error:
+            self.malformed += 1
+            if self.malformed == 1:
+                LOG.warning("drive_state agent=%s reason=%r", self._config.agent, str(error))
+        return True
+
+    def _follow(self, state: DriveState) -> None:
+        if not self._fleet.holds(state.claims):
+            return
+        order = self._timeline.place(state.epoch, state.step)
+        if order == "stale":
+            return
+        if order == "reset":
+            self._fleet.reset()
+        self._lose(self._fleet.lose_all_but(state.claims), "the entity is gone")
+        if not state.claims:
+            return
+        command = self._fleet.advance(state)
+        self._commands.send(encode(command, Format.MSGPACK))
+        self._fleet.tell()
+
+    def _lose(self, entities: tuple[str, ...], reason: str) -> None:
+        if not entities:
+            return
+        self._claimer.want(entities)
+        for entity in entities:
+            LOG.info("lost agent=%s entity=%s reason=%r", self._config.agent, entity, reason)
+
+
+def run_agent(
+    network: Network,
+    config: AgentConfig,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> NoReturn:
+    """Hold and drive entities until something raises: an interrupt, or that they cannot be had.
+
+    Raises:
+        ServiceError: See `Claimer.poll`, as for the others.
+        NoServer: See there.
+        TimeoutError: See there.
+        MalformedPayload: See there.
+    """
+    agent = Agent(network, config)
+    while True:
+        if not agent.poll(clock()):
+            sleep(IDLE_S)
+
+
+def _wish(config: AgentConfig) -> Wish:
+    return Wish(
+        world=config.world,
+        agent=config.agent,
+        entities=config.entities,
+        on_release=config.on_release,
+        wait_s=config.wait_s,
+    )

@@ -1,0 +1,119 @@
+"""`zensim agent`."""
+
+import logging
+import signal
+import sys
+import time
+import uuid
+from itertools import cycle
+from types import FrameType
+from typing import Annotated, NoReturn, get_args
+
+import msgspec
+import typer
+
+from proto.bus import DEFAULT_ENDPOINT, Bus, BusConfig, Unreachable, open_bus
+from proto.claims import OnRelease
+from proto.exits import one_line_failures
+from proto.names import check_name
+from robot_agent.agent import AgentConfig, run_agent
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
+"""Short, so that a server is found as soon as it is up; now and then long, for a far one."""
+CHARACTERS_OF_ENTITY = 48
+"""Of its name, in a made-up name of an agent."""
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def agent(
+    entities: Annotated[list[str], typer.Argument(help="Entities to drive.")],
+    *,
+    connect: Annotated[
+        str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")
+    ] = "",
+    world_name: Annotated[
+        str,
+        typer.Option(
+            "--world-name", "--world", help="World on the network.", envvar="ZENSIM_WORLD"
+        ),
+    ] = "default",
+    name: Annotated[str, typer.Option(help="Of this agent; made up unless given.")] = "",
+    wait: Annotated[
+        float, typer.Option(min=0.0, help="Seconds to wait for server and entities at the start.")
+    ] = 30.0,
+    cmd_vel_timeout: Annotated[
+        float,
+        typer.Option(min=0.0, help="Simulated seconds that a command holds; 0 = for ever."),
+    ] = 0.5,
+    on_release: Annotated[
+        str, typer.Option(help="What becomes of the entities at the end: stop, keep or delete.")
+    ] = "stop",
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False,
+) -> None:
+    """Drive robots: cmd_vel in, odom and tf out."""
+    logging.basicConfig(
+        level=logging.WARNING if quiet else logging.INFO,
+        format="%(levelname)s %(name)s %(message)s",
+        stream=sys.stderr,
+    )
+    with one_line_failures("agent"):
+        names = tuple(dict.fromkeys(check_name(entity, "entity") for entity in entities))
+        config = AgentConfig(
+            world=check_name(world_name, "world"),
+            agent=check_name(name or _made_up_name(names[0]), "agent"),
+            entities=names,
+            wait_s=wait,
+            cmd_vel_timeout_s=cmd_vel_timeout,
+            on_release=_checked(on_release),
+        )
+        _run(connect or DEFAULT_ENDPOINT, config)
+
+
+def _run(endpoint: str, config: AgentConfig) -> None:
+    """Join the network and stay until stopped, which is how an agent ends well."""
+    # Opening does not return to Python; until there is a token to withdraw, a signal just ends it.
+    _on_stop(signal.SIG_DFL)
+    deadline_s = time.monotonic() + config.wait_s
+    with _join(endpoint, deadline_s) as bus:
+        left_s = max(0.0, deadline_s - time.monotonic())
+        try:
+            _on_stop(_interrupt)
+            run_agent(bus, msgspec.structs.replace(config, wait_s=left_s))
+        except KeyboardInterrupt:
+            _on_stop(signal.SIG_IGN)
+
+
+def _join(endpoint: str, deadline_s: float) -> Bus:
+    timeouts = cycle(OPEN_TIMEOUTS_S)
+    while True:
+        config = BusConfig(connect=(endpoint,), open_timeout_s=next(timeouts))
+        try:
+            return open_bus(config)
+        except Unreachable:
+            if time.monotonic() >= deadline_s:
+                raise
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _on_stop(handler: "signal._HANDLER") -> None:
+    for number in STOP_SIGNALS:
+        signal.signal(number, handler)
+
+
+def _made_up_name(entity: str) -> str:
+    return f"agent_{entity[:CHARACTERS_OF_ENTITY]}_{uuid.uuid4().hex[:4]}"
+
+
+def _checked(on_release: str) -> OnRelease:
+    for known in get_args(OnRelease):
+        if known == on_release:
+            return known  # type: ignore[no-any-return]
+    raise ValueError(
+        f"--on-release {on_release!r} is unknown; use {', '.join(get_args(OnRelease))}"
+    )

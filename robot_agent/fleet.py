@@ -1,0 +1,82 @@
+"""The robots that an agent holds, in the order in which the server speaks of them."""
+
+import struct
+
+from proto.claims import DriveCommand, DriveState
+from proto.codec import MalformedPayload
+from robot_agent.reading import Layout
+from robot_agent.robot import Robot
+
+
+class Fleet:
+    """Robots by claim; each drive state says which of them are left."""
+
+    def __init__(self) -> None:
+        self._robots: dict[int, Robot] = {}
+        self._claims: bytes | None = None
+        self._ordered: tuple[Robot, ...] = ()
+        self._layout = Layout(())
+
+    @property
+    def robots(self) -> tuple[Robot, ...]:
+        """All robots that are held."""
+        return tuple(self._robots.values())
+
+    def hold(self, claim: int, robot: Robot) -> None:
+        """Add a robot under its claim."""
+        self._robots[claim] = robot
+        self._claims = None
+
+    def lose_all_but(self, claims: bytes) -> tuple[str, ...]:
+        """Let go the robots that are not among these claims, and name them."""
+        if claims == self._claims and len(self._ordered) == len(self._robots):
+            return ()
+        kept = set(_ids(claims))
+        lost = {claim: robot for claim, robot in self._robots.items() if claim not in kept}
+        for claim, robot in lost.items():
+            robot.close()
+            del self._robots[claim]
+        if lost:
+            self._claims = None
+        return tuple(robot.entity for robot in lost.values())
+
+    def holds(self, claims: bytes) -> bool:
+        """Whether all these claims are held; a state of a claim given up is not for this fleet.
+
+        Raises:
+            MalformedPayload: They are not whole numbers of 4 bytes.
+        """
+        return claims == self._claims or all(claim in self._robots for claim in _ids(claims))
+
+    def reset(self) -> None:
+        """Start all robots again."""
+        for robot in self._robots.values():
+            robot.reset()
+
+    def advance(self, state: DriveState) -> DriveCommand:
+        """Drive every robot of a state by one control period.
+
+        Raises:
+            MalformedPayload: The state does not fit the robots.
+        """
+        if state.claims != self._claims:
+            self._ordered = tuple(self._robots[claim] for claim in _ids(state.claims))
+            self._layout = Layout([robot.joint_count for robot in self._ordered])
+            self._claims = state.claims
+        readings = self._layout.readings(state)
+        targets: list[float] = []
+        for robot, reading in zip(self._ordered, readings, strict=True):
+            targets += robot.advance(reading)
+        packed = struct.pack(f"<{len(targets)}d", *targets)
+        return DriveCommand(state.epoch, state.step, state.claims, packed)
+
+    def tell(self) -> None:
+        """Publish what the last state made due."""
+        for robot in self._ordered:
+            robot.tell()
+
+
+def _ids(claims: bytes) -> tuple[int, ...]:
+    if len(claims) % 4:
+        raise MalformedPayload(f"{len(claims)} bytes of claims; each has 4")
+    return struct.unpack(f"<{len(claims) // 4}I", claims)

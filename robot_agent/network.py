@@ -1,0 +1,101 @@
+"""What an agent asks of the network; `proto.bus.Bus` offers it."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from proto.bus import Sample
+from proto.catalog import Request, Response, Service
+
+
+class Publisher(Protocol):
+    """One key to put on."""
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens."""
+
+    def send(self, payload: bytes) -> None:
+        """Put one message."""
+
+    def close(self) -> None:
+        """Withdraw the publisher."""
+
+
+class Subscription(Protocol):
+    """Messages on a key expression."""
+
+    def take(self) -> list[Sample]:
+        """Take all that have come, oldest first."""
+
+    def newest(self) -> Sample | None:
+        """Take all and keep the last."""
+
+    def close(self) -> None:
+        """Stop listening."""
+
+
+class Call(Protocol):
+    """A request that waits for its answer."""
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        """Answer."""
+
+    def drop(self) -> None:
+        """Let the caller go without an answer."""
+
+
+class CallQueue(Protocol):
+    """Requests on a key expression."""
+
+    def take(self) -> Sequence[Call]:
+        """Take all that have come, oldest first."""
+
+    def close(self) -> None:
+        """Stop serving."""
+
+
+class Token(Protocol):
+    """Says that this process is alive."""
+
+    def close(self) -> None:
+        """Withdraw the token."""
+
+
+class TokenWatch(Protocol):
+    """Comings and goings of tokens."""
+
+    def take(self) -> list[tuple[str, bool]]:
+        """Take all changes: key, and whether it is alive."""
+
+    def close(self) -> None:
+        """Stop watching."""
+
+
+class Network(Protocol):
+    """One session."""
+
+    def advertise(self, key: str, encoding: str) -> Publisher:
+        """Declare a publisher whose payloads have this encoding."""
+
+    def subscribe(self, key: str, depth: int = 1) -> Subscription:
+        """Listen to a key expression, keeping the newest `depth` messages."""
+
+    def serve(self, key: str, depth: int = 4096) -> CallQueue:
+        """Answer requests on a key expression."""
+
+    def token(self, key: str) -> Token:
+        """Declare this process alive under a key."""
+
+    def watch_tokens(self, key: str, depth: int = 16384) -> TokenWatch:
+        """Watch tokens, those that are up already first."""
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+        request_id: str = "",
+    ) -> Response:
+        """Call a service and return its response."""

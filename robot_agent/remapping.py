@@ -1,0 +1,32 @@
+"""Where a topic is, once the description's remappings have had their say."""
+
+from proto import keys
+from proto.model import RosBlock
+from proto.names import InvalidName, check_namespace
+
+ABSOLUTE = frozenset({keys.TF})
+"""Gazebo's plug-ins put these outside any namespace, so that rules name them with a slash."""
+
+
+def topic_key(namespace: str, topic: str, ros: RosBlock) -> str:
+    """Find a topic's key; the first rule that fits counts.
+
+    A rule that leads to no valid key is passed over. The namespace is that of the entity: a spawn
+    overrides what plug-ins say, as Gazebo's does.
+
+    Source: ROS 2 design, remapping of names.
+    """
+    wanted = f"/{topic}" if topic in ABSOLUTE else f"/{namespace}/{topic}"
+    for rule in ros.remappings:
+        old, _, new = (part.strip() for part in rule.partition(":="))
+        if _resolved(old, namespace) != wanted:
+            continue
+        try:
+            return check_namespace(_resolved(new, namespace))
+        except InvalidName:
+            continue
+    return keys.robot(namespace, topic)
+
+
+def _resolved(name: str, namespace: str) -> str:
+    return name if name.startswith(("/", "~")) else f"/{namespace}/{name}"

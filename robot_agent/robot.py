@@ -1,0 +1,71 @@
+"""One claimed robot: what it hears, how it is driven, what it tells."""
+
+from proto import keys
+from proto.claims import Claim
+from robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
+from robot_agent.driven_base import DrivenBase, drive_of
+from robot_agent.network import Network
+from robot_agent.outlet import Outlet
+from robot_agent.reading import Reading
+from robot_agent.remapping import topic_key
+from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
+
+
+class Robot:
+    """Turns readings into wheel speeds, then into telemetry; without a drive, only the latter."""
+
+    def __init__(self, network: Network, claim: Claim, cmd_vel_timeout_ns: int) -> None:
+        self.entity = claim.entity
+        self.joint_count = len(claim.model.joints)
+        self.commanded: CommandedTwist | None = None
+        """None without a drive: there is nothing to command."""
+        self._base = DrivenBase(claim.model, is_encoder_speed_unsigned=False)
+        self._motion = MotionTelemetry(network, claim)
+        self._joints = JointTelemetry(network, claim)
+        self._constant = constant_outlets(network, claim)
+        self._reading: Reading | None = None
+        self._is_motion_new = False
+        if claim.model.drive is not None:
+            key = topic_key(claim.namespace, keys.CMD_VEL, drive_of(claim.model).ros)
+            self.commanded = CommandedTwist(network.subscribe(key, DEPTH), cmd_vel_timeout_ns)
+
+    def reset(self) -> None:
+        """Start again at a reset of the world: stand, forget, let time go back."""
+        for part in (self._base, self._motion, self._joints, self.commanded):
+            if part is not None:
+                part.reset()
+
+    def advance(self, reading: Reading) -> tuple[float, ...]:
+        """Take a reading and find the wheel speeds [rad/s], as `Model.driven_joints` has them."""
+        twist = self.commanded.at(reading.time_ns) if self.commanded else STILL
+        self._reading = reading
+        self._is_motion_new = self._base.update(reading, twist)
+        return self._base.targets
+
+    def tell(self) -> None:
+        """Publish what the last reading made due."""
+        if self._reading is None:
+            return
+        if self._is_motion_new:
+            self._motion.tell(self._reading, self._base.motion)
+        self._joints.tell(self._reading)
+
+    def announce(self) -> None:
+        """Publish what never changes to those who have begun to listen."""
+        for outlet in self._constant:
+            outlet.announce()
+
+    def answer(self) -> None:
+        """Tell last values to those who have asked."""
+        for outlet in self._outlets():
+            outlet.answer()
+
+    def close(self) -> None:
+        """Withdraw everything."""
+        for outlet in self._outlets():
+            outlet.close()
+        if self.commanded is not None:
+            self.commanded.close()
+
+    def _outlets(self) -> list[Outlet]:
+        return [*self._motion.outlets, *self._joints.outlets, *self._constant]

@@ -1,0 +1,258 @@
+"""A network and a clock in memory, for tests: they do what the real ones do, at once."""
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from proto import keys
+from proto.bus import LATEST, NoServer, Sample
+from proto.catalog import Request, Response, Service
+from proto.codec import Format, decode, encode, encoding_of
+from proto.result import Result, ResultCode, ServiceError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+PATIENCE = 100
+
+
+class ManualClock:
+    """Time that passes when told to."""
+
+    def __init__(self, now_s: float = 0.0) -> None:
+        self.now_s = now_s
+
+    def __call__(self) -> float:
+        return self.now_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.now_s += duration_s
+
+
+class MemoryBus:
+    """All sessions of one network in one: has the methods of `proto.bus.Bus`.
+
+    Nobody runs by himself: while a caller waits for an answer, the functions in `pumps` are run.
+    """
+
+    def __init__(self) -> None:
+        self.pumps: list[Callable[[], object]] = []
+        self.is_closed = False
+        self._subscriptions: list[MemorySubscription] = []
+        self._queues: list[MemoryCallQueue] = []
+        self._tokens: list[MemoryToken] = []
+        self._watches: list[MemoryTokenWatch] = []
+
+    def close(self) -> None:
+        self.is_closed = True
+        for token in list(self._tokens):
+            token.close()
+
+    def advertise(self, key: str, encoding: str) -> "MemoryPublisher":
+        return MemoryPublisher(self, key, encoding)
+
+    def subscribe(self, key: str, depth: int = LATEST) -> "MemorySubscription":
+        subscription = MemorySubscription(self._subscriptions, key, depth)
+        self._subscriptions.append(subscription)
+        return subscription
+
+    def serve(self, key: str, depth: int = 4096) -> "MemoryCallQueue":
+        queue = MemoryCallQueue(self._queues, key, depth)
+        self._queues.append(queue)
+        return queue
+
+    def token(self, key: str) -> "MemoryToken":
+        token = MemoryToken(self._tokens, self._watches, key)
+        self._tokens.append(token)
+        token.tell(is_alive=True)
+        return token
+
+    def watch_tokens(self, key: str, depth: int = 16384) -> "MemoryTokenWatch":
+        watch = MemoryTokenWatch(self._watches, key, depth)
+        watch.changes.extend((token, True) for token in self.alive(key))
+        self._watches.append(watch)
+        return watch
+
+    def alive(self, key: str, timeout_s: float = 1.0) -> list[str]:
+        del timeout_s
+        return [token.key for token in self._tokens if intersect(key, token.key)]
+
+    def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
+        del timeout_s
+        return [answer for call in self._ask(key, payload, "") for answer in call.answers]
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+        request_id: str = "",
+    ) -> Response:
+        key = keys.service(world, service.name)
+        encoding = encoding_of(request, Format.MSGPACK)
+        calls = self._ask(key, encode(request, Format.MSGPACK), encoding, request_id.encode())
+        if not calls:
+            raise NoServer(f"nothing answers {key}")
+        answers = [answer for call in calls for answer in call.answers]
+        if not answers:
+            raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
+        response = decode(service.response, answers[0].payload, answers[0].encoding)
+        result: Result = getattr(response, "result", Result())
+        if result.result != ResultCode.OK:
+            name = service.code_name(result.result)
+            raise ServiceError(service.name, result.result, name, result.error_message)
+        return response
+
+    def is_heard(self, key: str) -> bool:
+        """Whether anybody listens to a key."""
+        return any(intersect(key, subscription.key) for subscription in self._subscriptions)
+
+    def is_served(self, key: str) -> bool:
+        """Whether anybody answers on a key."""
+        return any(intersect(key, queue.key) for queue in self._queues)
+
+    def put(self, key: str, payload: bytes, encoding: str = "") -> None:
+        """Send raw bytes to whoever listens."""
+        for subscription in self._subscriptions:
+            if intersect(key, subscription.key):
+                subscription.samples.append(Sample(key, payload, encoding))
+
+    def put_message(self, key: str, message: msgspec.Struct, format_: Format = Format.CDR) -> None:
+        """Send a message to whoever listens."""
+        self.put(key, encode(message, format_), encoding_of(message, format_))
+
+    def _ask(
+        self, key: str, payload: bytes, encoding: str, request_id: bytes = b""
+    ) -> "list[MemoryCall]":
+        queues = [queue for queue in self._queues if intersect(key, queue.key)]
+        calls = [MemoryCall(key, payload, encoding, request_id) for _ in queues]
+        for queue, call in zip(queues, calls, strict=True):
+            queue.calls.append(call)
+        for _ in range(PATIENCE):
+            if all(call.is_over for call in calls):
+                break
+            for pump in self.pumps:
+                pump()
+        return calls
+
+
+class MemoryPublisher:
+    def __init__(self, bus: MemoryBus, key: str, encoding: str) -> None:
+        self._bus = bus
+        self.key = key
+        self.encoding = encoding
+
+    @property
+    def is_matched(self) -> bool:
+        return self._bus.is_heard(self.key)
+
+    def send(self, payload: bytes) -> None:
+        self._bus.put(self.key, payload, self.encoding)
+
+    def close(self) -> None:
+        pass
+
+
+class MemorySubscription:
+    def __init__(self, owner: "list[MemorySubscription]", key: str, depth: int) -> None:
+        self._owner = owner
+        self.key = key
+        self.samples: deque[Sample] = deque(maxlen=depth)
+
+    def take(self) -> list[Sample]:
+        taken = list(self.samples)
+        self.samples.clear()
+        return taken
+
+    def newest(self) -> Sample | None:
+        taken = self.take()
+        return taken[-1] if taken else None
+
+    def close(self) -> None:
+        self._owner.remove(self)
+
+
+class MemoryCall:
+    def __init__(self, key: str, payload: bytes, encoding: str, request_id: bytes) -> None:
+        self.key = key
+        self.payload = payload
+        self.encoding = encoding
+        self.request_id = request_id
+        self.answers: list[Sample] = []
+        self.is_over = False
+
+    @property
+    def name(self) -> str:
+        return keys.last_chunk(self.key)
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        self.answers.append(Sample(key or self.key, payload, encoding))
+        self.is_over = True
+
+    def drop(self) -> None:
+        self.is_over = True
+
+
+class MemoryCallQueue:
+    def __init__(self, owner: "list[MemoryCallQueue]", key: str, depth: int) -> None:
+        self._owner = owner
+        self.key = key
+        self.calls: deque[MemoryCall] = deque(maxlen=depth)
+
+    def take(self) -> list[MemoryCall]:
+        taken = list(self.calls)
+        self.calls.clear()
+        return taken
+
+    def close(self) -> None:
+        self._owner.remove(self)
+
+
+class MemoryToken:
+    def __init__(
+        self, owner: "list[MemoryToken]", watches: "list[MemoryTokenWatch]", key: str
+    ) -> None:
+        self._owner = owner
+        self._watches = watches
+        self.key = key
+
+    def tell(self, *, is_alive: bool) -> None:
+        for watch in self._watches:
+            if intersect(watch.key, self.key):
+                watch.changes.append((self.key, is_alive))
+
+    def close(self) -> None:
+        self._owner.remove(self)
+        self.tell(is_alive=False)
+
+
+class MemoryTokenWatch:
+    def __init__(self, owner: "list[MemoryTokenWatch]", key: str, depth: int) -> None:
+        self._owner = owner
+        self.key = key
+        self.changes: deque[tuple[str, bool]] = deque(maxlen=depth)
+
+    def take(self) -> list[tuple[str, bool]]:
+        taken = list(self.changes)
+        self.changes.clear()
+        return taken
+
+    def close(self) -> None:
+        self._owner.remove(self)
+
+
+def intersect(one: str, other: str) -> bool:
+    """Whether some key fits both expressions; `*` is one chunk, `**` any number of them."""
+    return _chunks_intersect(one.split("/"), other.split("/"))
+
+
+def _chunks_intersect(one: list[str], other: list[str]) -> bool:
+    if not one or not other:
+        return all(chunk == "**" for chunk in (*one, *other))
+    if "**" in (one[0], other[0]):
+        return _chunks_intersect(one[1:], other) or _chunks_intersect(one, other[1:])
+    is_same = one[0] == other[0] or "*" in (one[0], other[0])
+    return is_same and _chunks_intersect(one[1:], other[1:])

@@ -1,0 +1,101 @@
+"""A base under its drive."""
+
+import msgspec
+import pytest
+
+from proto.geometry import Twist, Vector3
+from robot_agent.driven_base import DrivenBase
+from robot_agent.odometry import Motion
+from robot_agent.reading import Reading
+from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, two_wheeler
+
+MS = 1_000_000
+FORWARD = Twist(Vector3(0.5))
+ENCODER = msgspec.structs.replace(DRIVE, odometry_source="encoder")
+LIMITED = msgspec.structs.replace(DRIVE, max_acceleration=1.0)
+
+
+def reading(
+    time_ms: int,
+    positions: tuple[float, ...] = (0.0, 0.0),
+    velocities: tuple[float, ...] = (0.0, 0.0),
+) -> Reading:
+    return Reading(time_ms * MS, AT_REST, positions, velocities)
+
+
+def test_base_finds_wheel_speeds_and_true_motion() -> None:
+    base = DrivenBase(two_wheeler(), is_encoder_speed_unsigned=False)
+
+    assert base.update(reading(0), FORWARD)
+
+    assert base.targets == pytest.approx((5.0, 5.0))
+    assert base.motion.position == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_base_stands_before_its_first_reading() -> None:
+    base = DrivenBase(two_wheeler(), is_encoder_speed_unsigned=False)
+
+    assert base.targets == (0.0, 0.0)
+
+
+def test_base_keeps_targets_and_motion_until_the_drive_is_due() -> None:
+    slow = msgspec.structs.replace(DRIVE, update_rate_hz=10.0)
+    base = DrivenBase(two_wheeler(slow), is_encoder_speed_unsigned=False)
+    base.update(reading(0), FORWARD)
+
+    assert not base.update(reading(50), Twist())
+    assert base.targets == pytest.approx((5.0, 5.0))
+    assert base.update(reading(100), Twist())
+    assert base.targets == (0.0, 0.0)
+
+
+def test_base_gives_the_drive_the_time_between_its_updates() -> None:
+    base = DrivenBase(two_wheeler(LIMITED), is_encoder_speed_unsigned=False)
+    base.update(reading(0), FORWARD)
+
+    base.update(reading(20), FORWARD)
+
+    assert base.targets == pytest.approx((0.2, 0.2))
+
+
+def test_base_finds_its_wheels_among_other_joints() -> None:
+    turned = DrivenBase(two_wheeler(LIMITED, joints=WHEELS[::-1]), is_encoder_speed_unsigned=False)
+
+    turned.update(reading(0, velocities=(0.0, 5.0)), FORWARD)
+    turned.update(reading(20, velocities=(0.0, 5.0)), FORWARD)
+
+    assert turned.targets == pytest.approx((0.0, 0.2))
+
+
+def test_base_counts_wheel_turns_of_readings_between_updates_too() -> None:
+    slow = msgspec.structs.replace(ENCODER, update_rate_hz=10.0)
+    base = DrivenBase(two_wheeler(slow), is_encoder_speed_unsigned=False)
+    base.update(reading(0), FORWARD)
+    base.update(reading(50, positions=(1.0, 1.0)), FORWARD)
+
+    base.update(reading(100, positions=(3.0, 3.0)), FORWARD)
+
+    assert base.motion.position == pytest.approx((0.3, 0.0, 0.0))
+    assert base.motion.linear_x == pytest.approx(4.0)
+
+
+def test_base_starts_again_when_it_is_reset() -> None:
+    base = DrivenBase(two_wheeler(ENCODER), is_encoder_speed_unsigned=False)
+    base.update(reading(1000), FORWARD)
+    base.update(reading(1010, positions=(1.0, 1.0)), FORWARD)
+
+    base.reset()
+
+    assert base.targets == (0.0, 0.0)
+    assert base.motion == Motion()
+    assert base.update(reading(0), Twist())
+    assert base.motion == Motion()
+
+
+def test_base_without_a_drive_is_only_watched() -> None:
+    base = DrivenBase(two_wheeler(None), is_encoder_speed_unsigned=False)
+
+    assert base.update(reading(0), FORWARD)
+    assert base.targets == ()
+    base.reset()
+    assert base.motion == Motion()

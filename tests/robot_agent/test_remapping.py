@@ -1,0 +1,34 @@
+"""Where remappings lead."""
+
+import pytest
+
+from proto.model import RosBlock
+from robot_agent.remapping import topic_key
+
+
+@pytest.mark.parametrize(
+    ("topic", "rules", "expected"),
+    [
+        ("cmd_vel", (), "team/r1/cmd_vel"),
+        ("tf", (), "team/r1/tf"),
+        ("cmd_vel", ("cmd_vel:=cmd_vel_nav",), "team/r1/cmd_vel_nav"),
+        ("cmd_vel", (" cmd_vel := /joy ",), "joy"),
+        ("cmd_vel", ("/team/r1/cmd_vel:=go",), "team/r1/go"),
+        ("cmd_vel", ("odom:=o", "cmd_vel:=a", "cmd_vel:=b"), "team/r1/a"),
+        ("cmd_vel", ("/cmd_vel:=other",), "team/r1/cmd_vel"),
+        ("tf", ("/tf:=/r9/tf",), "r9/tf"),
+        ("tf", ("/tf:=tf",), "team/r1/tf"),
+        ("tf", ("/tf:=/tf",), "tf"),
+        ("tf", ("tf:=elsewhere",), "team/r1/tf"),
+        ("odom", ("~/odom:=elsewhere",), "team/r1/odom"),
+    ],
+)
+def test_topic_is_where_its_first_fitting_rule_leads(
+    topic: str, rules: tuple[str, ...], expected: str
+) -> None:
+    assert topic_key("team/r1", topic, RosBlock("ignored", rules)) == expected
+
+
+@pytest.mark.parametrize("target", ["/sim/default/clock", "a*", "**", "~/odom", "/", "a//b", "$x"])
+def test_topic_stays_where_it_is_when_a_rule_leads_to_no_key(target: str) -> None:
+    assert topic_key("r1", "odom", RosBlock("", (f"odom:={target}",))) == "r1/odom"
