@@ -41,26 +41,44 @@ class _Stop:
             raise KeyboardInterrupt
 
 
+Robots = Annotated[int, typer.Option("--robots", min=0, help="How many.")]
+Model = Annotated[str, typer.Option("--model", help="Shipped model, or path of a URDF.")]
+LayoutName = Annotated[str, typer.Option("--layout", help="row, grid or circle.")]
+Spacing = Annotated[float, typer.Option("--spacing", help="Metres between neighbours.")]
+WorldFile = Annotated[str, typer.Option("--world", help="Shipped world, or path of an SDF file.")]
+WorldName = Annotated[
+    str,
+    typer.Option("--world-name", help="What it is called on the network.", envvar="ZENSIM_WORLD"),
+]
+Listen = Annotated[str, typer.Option("--listen", help="Endpoint to serve at.")]
+Factor = Annotated[float, typer.Option("--rtf", help="Real-time factor to hold; 0 = flat out.")]
+HasViewer = Annotated[bool, typer.Option("--viewer/--no-viewer", help="Serve the 3D page.")]
+ViewerPort = Annotated[int, typer.Option("--viewer-port", help="Port of the page.")]
+OpenPage = Annotated[
+    bool | None, typer.Option("--open/--no-open", help="Open the page in a browser.")
+]
+Duration = Annotated[
+    float, typer.Option("--duration", help="Seconds once ready; 0 = until Ctrl-C.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
+
+
 @app.command()
 def up(
     *,
-    robots: Annotated[int, typer.Option(min=0, help="How many.")] = 10,
-    model: Annotated[str, typer.Option(help="Shipped model, or path of a URDF.")] = "box_bot",
-    layout: Annotated[str, typer.Option(help="row, grid or circle.")] = "row",
-    spacing: Annotated[float, typer.Option(help="Metres between neighbours.")] = 1.0,
-    world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty",
-    world_name: Annotated[
-        str, typer.Option(help="What the world is called on the network.", envvar="ZENSIM_WORLD")
-    ] = "default",
-    listen: Annotated[str, typer.Option(help="Endpoint to serve at.")] = DEFAULT_ENDPOINT,
-    rtf: Annotated[float, typer.Option(help="Real-time factor to hold; 0 = flat out.")] = 1.0,
-    viewer: Annotated[bool, typer.Option(help="Serve the 3D page.")] = True,
-    viewer_port: Annotated[int, typer.Option(help="Port of the page.")] = 8080,
-    open_page: Annotated[
-        bool | None, typer.Option("--open/--no-open", help="Open the page in a browser.")
-    ] = None,
-    duration: Annotated[float, typer.Option(help="Seconds once ready; 0 = until Ctrl-C.")] = 0.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON lines.")] = False,
+    robots: Robots = 10,
+    model: Model = "box_bot",
+    layout: LayoutName = "row",
+    spacing: Spacing = 1.0,
+    world: WorldFile = "empty",
+    world_name: WorldName = "default",
+    listen: Listen = DEFAULT_ENDPOINT,
+    rtf: Factor = 1.0,
+    viewer: HasViewer = True,
+    viewer_port: ViewerPort = 8080,
+    open_page: OpenPage = None,
+    duration: Duration = 0.0,
+    as_json: AsJson = False,
 ) -> None:
     """Run a world, its robots, their agents and the page, all on this machine."""
     began_s, stop = time.monotonic(), _Stop()
