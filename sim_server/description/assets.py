@@ -39,7 +39,8 @@ def _places(root: Path, uri: str) -> list[str]:
 
 
 def _is_file_below(root: Path, part: str) -> bool:
-    if "\0" in part:
+    try:
+        place = (root / part).resolve()
+        return place.is_relative_to(root) and place.is_file()
+    except (OSError, ValueError):  # a name too long, or one that no file can have
         return False
-    place = (root / part).resolve()
-    return place.is_relative_to(root) and place.is_file()

@@ -49,10 +49,6 @@ class PluginTags:
                 )
             self._texts.setdefault(tag, []).append((child.text or "").strip())
 
-    def is_given(self, tag: str) -> bool:
-        """Whether the tag is there, under any spelling."""
-        return tag in self._texts
-
     def is_renamed(self, tag: str) -> bool:
         """Whether the tag is there under an older spelling."""
         return tag in self._renamed

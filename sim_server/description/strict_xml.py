@@ -14,9 +14,11 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
 MAX_BYTES = 8 * 1024 * 1024
-MAX_TAGS = 100_000
-"""Of `<` in the text: bounds the memory of the tree, which is some 50 times that of the text."""
+MAX_TAGS = 40_000
+"""Of `<` in the text: bounds memory, and the time for which reading holds up the simulation."""
 MAX_DEPTH = 64
+MAX_ATTRIBUTES = 64
+"""Of one element: to list n of them takes lxml n * n steps."""
 _SPACES = re.compile(rb"[ \t\r\n]+")
 
 
@@ -44,7 +46,7 @@ def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug=f"{slug}.root",
         )
-    _check_depth(root, slug)
+    _check_shape(root, slug)
     return root
 
 
@@ -112,9 +114,10 @@ def _parsed(data: bytes, slug: str) -> Element:
         ) from error
 
 
-def _check_depth(root: Element, slug: str) -> None:
+def _check_shape(root: Element, slug: str) -> None:
     level = [root]
     for _ in range(MAX_DEPTH):
+        _check_attributes(level, slug)
         level = [child for element in level for child in element]
         if not level:
             return
@@ -122,3 +125,13 @@ def _check_depth(root: Element, slug: str) -> None:
         f"tags are nested more than {MAX_DEPTH} deep, at line {level[0].sourceline}",
         slug=f"{slug}.depth",
     )
+
+
+def _check_attributes(elements: list[Element], slug: str) -> None:
+    for element in elements:
+        if len(element.attrib) > MAX_ATTRIBUTES:
+            raise ModelError(
+                f"<{element.tag[:80]}> at line {element.sourceline} has {len(element.attrib)} "
+                f"attributes; at most {MAX_ATTRIBUTES} are read",
+                slug=f"{slug}.size",
+            )

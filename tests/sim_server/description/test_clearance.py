@@ -1,0 +1,53 @@
+"""How far a robot reaches below its root is found from its collisions."""
+
+import math
+
+import pytest
+
+from proto.model import Joint, Link, Model, Origin, Shape
+from sim_server.description.clearance import ground_clearance
+
+HALF = math.sqrt(0.5)
+ON_ITS_SIDE = (HALF, 0.0, 0.0, HALF)
+
+
+def a_model(*shapes: Shape) -> Model:
+    return Model("m", (Link("base", collisions=shapes),))
+
+
+@pytest.mark.parametrize(
+    ("shape", "lowest"),
+    [
+        (Shape("sphere", (0.5, 0.0, 0.0), Origin((0.0, 0.0, 2.0))), 1.5),
+        (Shape("box", (1.0, 2.0, 4.0)), -2.0),
+        (Shape("box", (1.0, 2.0, 4.0), Origin(orientation=ON_ITS_SIDE)), -1.0),
+        (Shape("cylinder", (0.5, 4.0, 0.0)), -2.0),
+        (Shape("cylinder", (0.5, 4.0, 0.0), Origin(orientation=ON_ITS_SIDE)), -0.5),
+        (Shape("capsule", (0.5, 4.0, 0.0)), -2.5),
+        (Shape("capsule", (0.5, 4.0, 0.0), Origin(orientation=ON_ITS_SIDE)), -0.5),
+    ],
+)
+def test_clearance_is_the_lowest_point_of_a_shape(shape: Shape, lowest: float) -> None:
+    assert ground_clearance(a_model(shape)) == pytest.approx(lowest)
+
+
+def test_clearance_is_that_of_an_edge_when_a_box_is_tilted() -> None:
+    eighth = (math.sin(math.pi / 8), 0.0, 0.0, math.cos(math.pi / 8))
+    tilted = Shape("box", (2.0, 2.0, 2.0), Origin(orientation=eighth))
+
+    assert ground_clearance(a_model(tilted)) == pytest.approx(-math.sqrt(2.0))
+
+
+def test_clearance_counts_links_where_their_joints_put_them() -> None:
+    ball = Shape("sphere", (0.1, 0.0, 0.0), Origin((0.0, 0.0, -1.0)))
+    hung = Joint("j", "continuous", "base", "leg", Origin((0.0, 0.0, -2.0)))
+
+    model = Model("m", (Link("base"), Link("leg", collisions=(ball,))), (hung,))
+
+    assert ground_clearance(model) == pytest.approx(-3.1)
+
+
+def test_clearance_is_zero_when_nothing_can_be_measured() -> None:
+    mesh = Shape("mesh", (1.0, 1.0, 1.0), Origin((0.0, 0.0, -9.0)), mesh="m.stl")
+
+    assert ground_clearance(a_model(mesh, Shape("plane"))) == 0.0

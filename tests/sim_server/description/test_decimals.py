@@ -1,0 +1,44 @@
+"""Numbers are decimal and finite, or refused."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from sim_server.description.decimals import read_number, read_numbers
+from sim_server.errors import ModelError
+
+
+def read(text: str, *counts: int) -> tuple[float, ...]:
+    return read_numbers(text, counts=counts, where="mass", slug="urdf.number")
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_number_is_read_back_when_python_wrote_it(number: float) -> None:
+    assert read_number(f" {number!r}\n", where="mass", slug="s") == number
+
+
+@pytest.mark.parametrize("text", ["1", "-1.", "+.5", "1e3", "1.5E-3", "007"])
+def test_number_is_read_when_it_is_decimal(text: str) -> None:
+    assert read(text, 1) == (float(text),)
+
+
+@pytest.mark.parametrize(
+    "text", ["nan", "inf", "-Infinity", "1_000", "0x10", "1,5", "${x}", "٣", "1e", ".", "1e999"]
+)
+def test_number_is_refused_when_it_is_not_decimal_and_finite(text: str) -> None:
+    with pytest.raises(ModelError, match="mass: ") as caught:
+        read(text, 1)
+
+    assert caught.value.slug == "urdf.number"
+
+
+def test_numbers_are_refused_when_their_count_is_wrong() -> None:
+    with pytest.raises(ModelError, match="'1 2' has 2 numbers; write 1 or 3"):
+        read("1 2", 1, 3)
+
+
+def test_number_is_refused_in_one_short_line_when_it_is_long() -> None:
+    with pytest.raises(ModelError) as caught:
+        read("1" * 100_000, 1)
+
+    assert len(caught.value.message) < 200

@@ -1,0 +1,46 @@
+"""Robots and worlds that come with the server can be read, and nothing else can."""
+
+from collections.abc import Callable
+
+import pytest
+
+from proto.result import ResultCode
+from sim_server.description.library import (
+    model_text,
+    shipped_models,
+    shipped_worlds,
+    world_text,
+)
+from sim_server.description.sdf import read_world
+from sim_server.description.urdf import read_urdf
+from sim_server.errors import ModelError
+
+
+def test_library_names_the_tutorials_robot_and_world() -> None:
+    assert "box_bot" in shipped_models()
+    assert "empty" in shipped_worlds()
+
+
+@pytest.mark.parametrize("name", shipped_models())
+def test_shipped_robot_reads_without_a_doubt(name: str) -> None:
+    report = read_urdf(model_text(name)).report
+
+    assert [entry for entry in report if entry.status != "applied"] == []
+
+
+@pytest.mark.parametrize("name", shipped_worlds())
+def test_shipped_world_reads_without_a_doubt(name: str) -> None:
+    report = read_world(world_text(name)).report
+
+    assert [entry for entry in report if entry.status != "applied"] == []
+
+
+@pytest.mark.parametrize("name", ["", "nobody", "../models/box_bot", "box_bot.urdf", "/etc/passwd"])
+@pytest.mark.parametrize(("read", "shipped"), [(model_text, "box_bot"), (world_text, "empty")])
+def test_library_names_what_it_has_when_asked_for_something_else(
+    read: Callable[[str], str], shipped: str, name: str
+) -> None:
+    with pytest.raises(ModelError, match=shipped) as caught:
+        read(name)
+
+    assert caught.value.code == ResultCode.NOT_FOUND

@@ -1,0 +1,63 @@
+"""The report tells what became of each tag, and stays small."""
+
+from proto.model import ReportEntry
+from sim_server.description.report import MAX_ENTRIES, Report
+
+
+def test_report_lists_entries_in_order_when_noted() -> None:
+    report = Report()
+
+    report.applied("a")
+    report.ignored("b", "no")
+    report.unknown("c", "what")
+    report.suspicious("d", "odd")
+
+    assert [(e.status, e.subject, e.reason) for e in report.entries()] == [
+        ("applied", "a", ""),
+        ("ignored", "b", "no"),
+        ("unknown", "c", "what"),
+        ("suspicious", "d", "odd"),
+    ]
+
+
+def test_report_suggests_a_tag_when_one_looks_misspelt() -> None:
+    report = Report()
+
+    report.unread_tag("plugin", "wheel_seperation", ["wheel_separation", "wheel_diameter"])
+
+    assert report.entries() == (
+        ReportEntry(
+            "suspicious",
+            "plugin: <wheel_seperation>",
+            "not read; did you mean <wheel_separation>?",
+        ),
+    )
+
+
+def test_report_calls_a_tag_unknown_when_nothing_is_like_it() -> None:
+    report = Report()
+
+    report.unread_tag("plugin", "banana", ["wheel_separation"])
+
+    assert report.entries() == (ReportEntry("unknown", "plugin: <banana>", "not read"),)
+
+
+def test_report_says_a_thing_once_when_it_is_noted_twice() -> None:
+    report = Report()
+
+    report.ignored("a", "no")
+    report.ignored("a", "no")
+
+    assert len(report.entries()) == 1
+
+
+def test_report_counts_the_rest_when_it_is_full() -> None:
+    report = Report()
+
+    for index in range(MAX_ENTRIES):
+        report.unknown(f"tag {index}", "")
+    report.suspicious("one more", "")
+    report.unread_tag("plugin", "banana", ["bananas"])
+
+    assert len(report.entries()) == MAX_ENTRIES + 1
+    assert report.entries()[-1].reason == "2 further entries are left out"

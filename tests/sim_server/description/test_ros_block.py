@@ -1,0 +1,68 @@
+"""The <ros> block gives a namespace and remappings; the rest is noted."""
+
+from lxml import etree
+
+from proto.model import ReportEntry, RosBlock
+from sim_server.description.report import Report
+from sim_server.description.ros_block import read_ros_block
+from sim_server.description.strict_xml import parse_xml
+from tests.sim_server.description.robots import reasons
+
+
+def read(inside: str) -> tuple[RosBlock, tuple[ReportEntry, ...]]:
+    ros = parse_xml(f"<ros>{inside}</ros>", root_tag="ros", slug="urdf")
+    assert etree.tostring(ros)
+    report = Report()
+    block = read_ros_block(ros, subject="plugin 'p'", report=report)
+    return block, report.entries()
+
+
+def test_ros_block_is_empty_when_nothing_is_in_it() -> None:
+    assert read("") == (RosBlock(), ())
+
+
+def test_ros_block_gives_namespace_and_remappings_when_written() -> None:
+    inside = (
+        "<namespace>/team/r1</namespace>"
+        "<remapping>/tf:=/r1/tf</remapping><remapping> cmd_vel:=drive </remapping>"
+    )
+
+    assert read(inside) == (RosBlock("team/r1", ("/tf:=/r1/tf", "cmd_vel:=drive")), ())
+
+
+def test_ros_block_has_no_namespace_when_it_is_the_root() -> None:
+    assert read("<namespace>/</namespace>")[0] == RosBlock()
+
+
+def test_first_namespace_counts_when_there_are_two() -> None:
+    block, entries = read("<namespace>/a</namespace><namespace>/b</namespace>")
+
+    assert block.namespace == "a"
+    assert reasons(entries, "suspicious") == [
+        "plugin 'p': <namespace>: given 2 times; the first counts"
+    ]
+
+
+def test_namespace_is_left_out_and_noted_when_it_is_none() -> None:
+    block, entries = read("<namespace>/1 robot</namespace>")
+
+    assert block.namespace == ""
+    assert len(reasons(entries, "suspicious")) == 1
+
+
+def test_ros_block_notes_what_it_cannot_use() -> None:
+    block, entries = read(
+        "<remapping>tf</remapping><remapping>:=a</remapping><argument>x</argument>"
+        "<parameter/><qos/><name_space/><zebra/>"
+    )
+
+    assert block == RosBlock()
+    assert [entry.status for entry in entries] == [
+        "suspicious",
+        "suspicious",
+        "ignored",
+        "ignored",
+        "ignored",
+        "suspicious",
+        "unknown",
+    ]

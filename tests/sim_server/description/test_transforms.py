@@ -1,0 +1,50 @@
+"""Poses are put one after another."""
+
+import math
+
+import numpy as np
+import pytest
+
+from proto.model import Joint, Origin
+from sim_server.description.transforms import compose, link_poses, matrix_of, placed, turned
+
+HALF = math.sqrt(0.5)
+QUARTER_LEFT = Origin((1.0, 0.0, 0.0), (0.0, 0.0, HALF, HALF))
+
+
+def test_pose_is_turned_and_moved_when_composed() -> None:
+    pose = compose(QUARTER_LEFT, QUARTER_LEFT)
+
+    assert pose.position == pytest.approx((1.0, 1.0, 0.0))
+    assert pose.orientation == pytest.approx((0.0, 0.0, 1.0, 0.0), abs=1e-12)
+
+
+def test_pose_is_exactly_itself_when_the_outer_one_is_the_frame() -> None:
+    assert compose(Origin(), QUARTER_LEFT) is QUARTER_LEFT
+
+
+def test_pose_keeps_its_turn_exactly_when_the_outer_one_only_moves() -> None:
+    pose = compose(Origin((0.0, 0.0, 2.0)), QUARTER_LEFT)
+
+    assert pose == Origin((1.0, 0.0, 2.0), QUARTER_LEFT.orientation)
+
+
+def test_point_and_direction_are_turned_when_the_frame_is() -> None:
+    assert placed(QUARTER_LEFT, (1.0, 0.0, 0.0)) == pytest.approx((1.0, 1.0, 0.0))
+    assert turned(QUARTER_LEFT, (1.0, 0.0, 0.0)) == pytest.approx((0.0, 1.0, 0.0))
+
+
+def test_matrix_turns_as_the_pose_does() -> None:
+    assert matrix_of(QUARTER_LEFT) == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+
+
+def test_links_are_placed_along_their_joints() -> None:
+    joints = (
+        Joint("j", "continuous", "a", "b", QUARTER_LEFT),
+        Joint("k", "continuous", "b", "c", QUARTER_LEFT),
+    )
+
+    poses = link_poses("a", joints)
+
+    assert poses["a"] == Origin()
+    assert poses["c"].position == pytest.approx((1.0, 1.0, 0.0))

@@ -1,0 +1,159 @@
+"""A whole URDF becomes a model, or a ModelError, and nothing else happens."""
+
+import logging
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from proto.model import Frame, Model, Origin, WheelPair
+from sim_server.description.clearance import ground_clearance
+from sim_server.description.library import model_text
+from sim_server.description.urdf import read_urdf
+from sim_server.errors import ModelError
+from tests.sim_server.description.robots import link_names
+
+BOX_BOT = model_text("box_bot")
+HOSTILE = ("", "nan", "inf", "-1", "0", "1e308", "base_link", "left_wheel_joint", "a" * 300, "${x}")
+
+
+@pytest.fixture(scope="module")
+def box_bot() -> Model:
+    return read_urdf(BOX_BOT)
+
+
+def test_box_bot_is_a_base_and_two_wheels_once_lumped(box_bot: Model) -> None:
+    assert link_names(box_bot) == ["base_link", "left_wheel", "right_wheel"]
+    assert [joint.kind for joint in box_bot.joints] == ["continuous", "continuous"]
+    assert box_bot.mass_kg == pytest.approx(1.4, abs=1e-6)
+
+
+def test_box_bot_has_the_inertia_of_its_file(box_bot: Model) -> None:
+    base, left, _ = (link.inertial for link in box_bot.links)
+
+    assert (base.mass_kg, base.com_in_link) == (1.0, (0.0, 0.0, -0.025))
+    assert base.inertia == (1.667e-3, 0.0, 0.0, 1.667e-3, 0.0, 1.667e-3)
+    assert left.inertia == (6.292e-5, 0.0, 0.0, 1.225e-4, 0.0, 6.292e-5)
+
+
+def test_box_bot_slides_on_its_casters_and_rolls_on_its_wheels(box_bot: Model) -> None:
+    base, left, right = (link.collisions for link in box_bot.links)
+
+    assert [shape.friction for shape in base] == [1.0, 0.0, 0.0]
+    assert [(shape.kind, shape.friction) for shape in (*left, *right)] == [("sphere", 1.0)] * 2
+
+
+def test_box_bot_stands_on_its_wheels_when_spawned_at_6_cm(box_bot: Model) -> None:
+    base = box_bot.links[0]
+    casters = [s.origin.position[2] - s.size[0] for s in base.collisions if s.kind == "sphere"]
+
+    assert ground_clearance(box_bot) == pytest.approx(-0.06)
+    assert casters == pytest.approx([-0.0595, -0.0595])
+
+
+def test_box_bot_drives_with_left_on_the_left(box_bot: Model) -> None:
+    places = {joint.name: joint.origin.position for joint in box_bot.joints}
+    drive = box_bot.drive
+
+    assert drive is not None
+    assert drive.pairs == (WheelPair("left_wheel_joint", "right_wheel_joint", 0.11, 0.07),)
+    assert places["left_wheel_joint"] == (0.0, 0.055, -0.025)
+    assert (drive.max_torque_nm, drive.max_acceleration) == (0.3, 5.0)
+    assert (drive.odometry_frame, drive.robot_base_frame) == ("odom", "base_footprint")
+    assert drive.publish_odom
+    assert drive.publish_odom_tf
+    assert drive.publish_wheel_tf
+
+
+def test_box_bot_keeps_merged_links_as_frames(box_bot: Model) -> None:
+    assert Frame("base_footprint", "base_link", Origin((0.0, 0.0, -0.06))) in box_bot.frames
+    assert [frame.name for frame in box_bot.frames] == [
+        "base_footprint",
+        "chassis",
+        "rgb_cam_link",
+        "rgb_cam_frame",
+        "front_caster",
+        "back_caster",
+    ]
+
+
+def test_box_bot_is_coloured_all_over(box_bot: Model) -> None:
+    colours = [shape.rgba for link in box_bot.links for shape in link.visuals]
+
+    assert None not in colours
+    assert len(set(colours)) >= 5
+
+
+def test_reading_says_nothing_outside_the_report(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.DEBUG):
+        read_urdf(BOX_BOT)
+
+    assert capfd.readouterr() == ("", "")
+    assert caplog.records == []
+
+
+def test_reading_the_same_text_twice_gives_equal_models() -> None:
+    assert read_urdf(BOX_BOT) == read_urdf(BOX_BOT)
+
+
+def test_xacro_is_refused_with_what_to_do_when_not_expanded() -> None:
+    text = (
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:macro name="m"/><link name="a"/></robot>'
+    )
+
+    with pytest.raises(ModelError, match="run xacro on it first") as caught:
+        read_urdf(text)
+
+    assert caught.value.slug == "urdf.xacro"
+
+
+def test_expanded_xacro_is_read_when_only_its_namespace_is_left() -> None:
+    text = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/></robot>'
+
+    assert link_names(read_urdf(text)) == ["a"]
+
+
+def read_or_refusal(text: str) -> Model | ModelError:
+    try:
+        return read_urdf(text)
+    except ModelError as refusal:
+        return refusal
+
+
+def assert_model_or_refusal(text: str) -> None:
+    model = read_or_refusal(text)
+    if isinstance(model, ModelError):
+        assert model.message
+        assert "\n" not in model.message
+        return
+    numbers = [n for link in model.links for n in (*link.inertial.inertia, link.inertial.mass_kg)]
+    assert all(map(math.isfinite, numbers))
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_no_cut_of_a_file_does_anything_but_read_or_refuse(data: st.DataObject) -> None:
+    tags = [i for i, character in enumerate(BOX_BOT) if character == "<"]
+    start, end = sorted(data.draw(st.tuples(st.sampled_from(tags), st.sampled_from(tags))))
+
+    assert_model_or_refusal(BOX_BOT[:start] + BOX_BOT[end:])
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_no_hostile_value_does_anything_but_read_or_refuse(data: st.DataObject) -> None:
+    quoted = BOX_BOT.split('"')
+    place = data.draw(st.integers(0, len(quoted) // 2 - 1)) * 2 + 1
+    quoted[place] = data.draw(st.sampled_from(HOSTILE) | st.text(max_size=5))
+
+    assert_model_or_refusal('"'.join(quoted))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.text(alphabet='<>/="& robotlinkjointgazebo!-?[]', max_size=200))
+def test_no_text_does_anything_but_read_or_refuse(text: str) -> None:
+    assert_model_or_refusal(text)

@@ -1,0 +1,115 @@
+"""A robot's drive gets its namespace, once, however often it is asked for."""
+
+import xml.etree.ElementTree as ET
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto.names import InvalidName
+from spawner.namespacing import DescriptionError, namespaced
+
+NAMES = st.from_regex(r"/?[a-z][a-z0-9_]{0,5}(/[a-z]{1,3})?", fullmatch=True).filter(
+    lambda name: name.strip("/").split("/")[0] not in ("sim", "world")
+)
+
+
+def a_drive(ros: str = "<ros/>", filename: str = "libgazebo_ros_diff_drive.so") -> str:
+    return f'<gazebo><plugin name="d" filename="{filename}">{ros}<x/></plugin></gazebo>'
+
+
+def a_robot(*parts: str) -> str:
+    return f'<robot name="r"><link name="a"/>{"".join(parts)}</robot>'
+
+
+def ros_of(text: str) -> list[tuple[str, str]]:
+    return [
+        (child.tag, child.text or "") for ros in ET.fromstring(text).iter("ros") for child in ros
+    ]
+
+
+TEN = [("namespace", "/r10"), ("remapping", "/tf:=/r10/tf")]
+
+
+@pytest.mark.parametrize(
+    "ros",
+    [
+        "<ros/>",
+        "",
+        "<ros><!-- only a comment --></ros>",
+        "<ros><namespace>/old</namespace><namespace>/older</namespace></ros>",
+        "<ros><remapping>/tf:=/old/tf</remapping><remapping> tf := x</remapping></ros>",
+    ],
+)
+@pytest.mark.parametrize("namespace", ["r10", "/r10"])
+def test_drive_has_one_namespace_and_one_tf(ros: str, namespace: str) -> None:
+    assert ros_of(namespaced(a_robot(a_drive(ros)), namespace)) == TEN
+
+
+def test_other_entries_of_the_ros_block_stay() -> None:
+    ros = "<ros><remapping>cmd_vel:=drive</remapping><argument>a</argument></ros>"
+
+    assert ros_of(namespaced(a_robot(a_drive(ros)), "r10")) == [
+        ("remapping", "cmd_vel:=drive"),
+        ("argument", "a"),
+        *TEN,
+    ]
+
+
+@pytest.mark.parametrize(
+    "plugin",
+    [
+        a_drive(filename="libgazebo_ros_skid_steer_drive.so"),
+        '<gazebo><plugin name="differential_drive_controller" filename="libmine.so"/></gazebo>',
+    ],
+)
+def test_drive_is_found_by_its_file_or_its_name(plugin: str) -> None:
+    assert ros_of(namespaced(a_robot(plugin), "r10")) == TEN
+
+
+def test_every_drive_is_namespaced_when_there_are_two() -> None:
+    assert ros_of(namespaced(a_robot(a_drive(), a_drive("")), "r10")) == TEN * 2
+
+
+def test_text_is_returned_as_it_is_when_there_is_no_drive() -> None:
+    text = a_robot('<gazebo><plugin name="imu" filename="libimu.so"><ros/></plugin></gazebo>')
+
+    assert namespaced(text, "r10") is text
+
+
+@given(NAMES, NAMES)
+def test_second_namespace_replaces_the_first(first: str, second: str) -> None:
+    text = a_robot(a_drive())
+
+    assert namespaced(namespaced(text, first), second) == namespaced(text, second)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed"),
+        ("<robot>", "not well-formed"),
+        ("<robot>&nbsp;</robot>", "not well-formed"),
+        ("<robot>\ud800</robot>", "not well-formed"),
+        ("<sdf/>", "begins with <sdf>; a URDF begins with <robot>"),
+        ("<!DOCTYPE robot><robot/>", "DOCTYPE"),
+        ('<!DOCTYPE r [<!ENTITY a "aa">]><robot>&a;</robot>', "DOCTYPE"),
+        (f"<robot>{'<a>' * 70}{'</a>' * 70}</robot>", "more than 64 deep"),
+    ],
+)
+def test_text_is_refused_in_one_line_when_it_is_no_robot(text: str, message: str) -> None:
+    with pytest.raises(DescriptionError, match=message) as caught:
+        namespaced(text, "r10")
+
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("namespace", ["", "/", "1r", "a b", "sim/r", "<ros>"])
+def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
+    with pytest.raises(InvalidName):
+        namespaced(a_robot(a_drive()), namespace)
+
+
+@pytest.mark.parametrize("head", ['<?xml version="1.0" encoding="utf-8"?>', "\ufeff", "\n"])
+def test_text_is_read_when_it_has_a_harmless_head(head: str) -> None:
+    assert ros_of(namespaced(head + a_robot(a_drive()), "r10")) == TEN
