@@ -159,8 +159,8 @@ class Loop:
             self._world.dropped += 1
             LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
             return
-        self._world.command(agent, command)
-        self._world.note_ready(agent, self._clock.now_ns())
+        if self._world.command(agent, command):
+            self._world.note_ready(agent, self._clock.now_ns())
 
     def _answer(self, call: Call) -> None:
         if call.name in TOPICS:

@@ -183,23 +183,21 @@ class World:
                 self._engine.command([entity.body], np.zeros(len(entity.model.driven_joints)))
             elif hold.on_release == "delete":
                 self.delete(name)
+        # It has gone: nobody is left to be told.
+        self._emptied.discard(agent)
 
-    def command(self, agent: str, command: DriveCommand) -> None:
-        """Take an agent's targets for the next step; stale or malformed ones are counted."""
-        fleet = self.fleets().get(agent)
-        is_current = fleet is not None and command.epoch == self.epoch
-        if fleet is None or not is_current or command.claims != fleet.claims:
+    def command(self, agent: str, command: DriveCommand) -> bool:
+        """Take an agent's targets for the next step; one that does not fit is dropped and counted.
+
+        Returns:
+            Whether it was taken.
+        """
+        if (targets := self._targets_of(agent, command)) is None:
             self.dropped += 1
-            return
-        if len(command.targets) != 8 * fleet.target_count:
-            self.dropped += 1
-            return
-        targets = np.frombuffer(command.targets, dtype="<f8")
-        if not np.isfinite(targets).all():
-            self.dropped += 1
-            return
+            return False
         self._targets[agent] = targets
         self.commands += 1
+        return True
 
     def note_ready(self, agent: str, now_ns: int) -> None:
         """Remember how long each entity of an agent took from spawn to its first command."""
@@ -328,6 +326,15 @@ class World:
         """Free the engine."""
         self._engine.close()
 
+    def _targets_of(self, agent: str, command: DriveCommand) -> FloatArray | None:
+        fleet = self.fleets().get(agent)
+        if fleet is None or (command.epoch, command.claims) != (self.epoch, fleet.claims):
+            return None
+        if len(command.targets) != 8 * fleet.target_count:
+            return None
+        targets = np.frombuffer(command.targets, dtype="<f8")
+        return targets if np.isfinite(targets).all() else None
+
     def _free_name(self, name: str, *, allow_renaming: bool) -> str:
         try:
             check_name(name)
@@ -358,6 +365,7 @@ class World:
         self._holds[entity.name] = hold
         self._fleets = None
         self._targets.pop(agent, None)
+        self._emptied.discard(agent)
         self._tell("claimed", entity=entity.name, agent=agent)
         return Claim(
             hold.claim,

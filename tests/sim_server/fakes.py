@@ -1,0 +1,204 @@
+"""A world, an inbox, an outlet and a wall clock for tests of the server; no network, no sleep."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+
+from proto.bus import Call, Sample
+from proto.claims import DriveCommand, DriveState
+from proto.codec import Format, decode, encode, encoding_of
+from proto.keys import drive_command
+from proto.model import Model
+from proto.telemetry import Event
+from sim_server.handlers import Desk
+from sim_server.loop import Loop
+from sim_server.meter import Meter
+from sim_server.physics.engine import EngineConfig, FloatArray
+from sim_server.world import Birth, World
+from tests.engines import STEP_NS, ObedientEngine
+from tests.fakes import MemoryCall
+from tests.models import a_cart, on_ground
+
+CONTROL_STEPS = 3
+
+
+class WallTime:
+    """A clock that goes on when told to, and by what is slept."""
+
+    def __init__(self, now_ns: int = 5_000_000_000) -> None:
+        self.ns = now_ns
+        self.slept_s: list[float] = []
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def sleep(self, seconds: float) -> None:
+        self.slept_s.append(seconds)
+        self.ns += round(seconds * 1e9)
+
+
+class TimedEngine(ObedientEngine):
+    """Obeys perfectly, and takes a while for it."""
+
+    def __init__(self, wall: WallTime, cost_ns: int = 0) -> None:
+        super().__init__(EngineConfig(STEP_NS))
+        self.cost_ns = cost_ns
+        self.began_ns: list[int] = []
+        self._wall = wall
+
+    def step(self) -> None:
+        self.began_ns.append(self._wall.ns)
+        self._wall.ns += self.cost_ns
+        super().step()
+
+
+@dataclass
+class ScriptedInbox:
+    """Gives out what was put in, once."""
+
+    calls: list[MemoryCall] = field(default_factory=list)
+    commands: list[Sample] = field(default_factory=list)
+    agents: list[tuple[str, bool]] = field(default_factory=list)
+
+    def take_calls(self) -> list[Call]:
+        taken, self.calls = self.calls, []
+        return taken  # type: ignore[return-value]
+
+    def take_commands(self) -> list[Sample]:
+        taken, self.commands = self.commands, []
+        return taken
+
+    def take_agents(self) -> list[tuple[str, bool]]:
+        taken, self.agents = self.agents, []
+        return taken
+
+
+@dataclass
+class RecordingOutlet:
+    """Keeps what it was told."""
+
+    told: list[tuple[str, msgspec.Struct]] = field(default_factory=list)
+    drive_states: list[tuple[str, DriveState]] = field(default_factory=list)
+    forgotten: list[str] = field(default_factory=list)
+    unwanted: set[str] = field(default_factory=set)
+
+    def is_wanted(self, topic: str) -> bool:
+        return topic not in self.unwanted
+
+    def tell(self, topic: str, message: msgspec.Struct) -> None:
+        self.told.append((topic, message))
+
+    def tell_agent(self, agent: str, state: DriveState) -> None:
+        self.drive_states.append((agent, state))
+
+    def forget_agent(self, agent: str) -> None:
+        self.forgotten.append(agent)
+
+    def on(self, topic: str) -> list[msgspec.Struct]:
+        return [message for told_topic, message in self.told if told_topic == topic]
+
+
+@dataclass
+class Stage:
+    """A loop with all that it talks to."""
+
+    wall: WallTime
+    engine: TimedEngine
+    world: World
+    desk: Desk
+    inbox: ScriptedInbox
+    outlet: RecordingOutlet
+    loop: Loop
+
+    def ask(
+        self, service: str, request: msgspec.Struct, format_: Format = Format.MSGPACK
+    ) -> MemoryCall:
+        """Put a request into the inbox."""
+        return self.send(service, encode(request, format_), encoding_of(request, format_))
+
+    def send(self, service: str, payload: bytes, encoding: str = "") -> MemoryCall:
+        """Put any bytes into the inbox as a request."""
+        call = MemoryCall(f"sim/default/{service}", payload, encoding, b"")
+        self.inbox.calls.append(call)
+        return call
+
+    def drive(self, agent: str, *targets: float) -> None:
+        """Put an up-to-date drive command into the inbox."""
+        command = msgspec.structs.replace(a_command(self.world, agent, *targets))
+        self.inbox.commands.append(
+            Sample(drive_command("default", agent), encode(command, Format.MSGPACK), "")
+        )
+
+    def turn_for(self, seconds: float) -> None:
+        """Turn the loop until so much wall time is over."""
+        end_ns = self.wall.ns + round(seconds * 1e9)
+        while self.wall.ns < end_ns:
+            before_ns = self.wall.ns
+            self.loop.turn()
+            if self.wall.ns == before_ns:
+                self.wall.ns += 1000
+
+    def events(self) -> list[tuple[str, str]]:
+        """Name the events that were told: kind and entity."""
+        told = [event for event in self.outlet.on("events") if isinstance(event, Event)]
+        return [(event.kind, event.entity) for event in told]
+
+
+def a_stage(*names: str, factor: float = 1.0, cost_ns: int = 0) -> Stage:
+    """Make a loop over a world of carts."""
+    wall = WallTime()
+    engine = TimedEngine(wall, cost_ns)
+    world = a_world(*names, engine=engine)
+    desk = a_desk(world, wall, factor=factor)
+    inbox, outlet = ScriptedInbox(), RecordingOutlet()
+    return Stage(wall, engine, world, desk, inbox, outlet, Loop(desk, inbox, outlet, wall))
+
+
+def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> Desk:
+    clock = wall or WallTime()
+    return Desk(world, Meter(clock.now_ns()), clock.now_ns, "empty", factor, 7)
+
+
+def a_world(*names: str, engine: ObedientEngine | None = None) -> World:
+    """Make a world of carts, 1 m apart, whose events have been taken."""
+    world = World(
+        engine or ObedientEngine(EngineConfig(STEP_NS)),
+        name="default",
+        step_ns=STEP_NS,
+        control_steps=CONTROL_STEPS,
+    )
+    for i, name in enumerate(names):
+        world.spawn(a_birth(name, base=on_ground(float(i))))
+    world.take_events()
+    return world
+
+
+def a_birth(
+    name: str,
+    namespace: str = "",
+    *,
+    model: Model | None = None,
+    base: FloatArray | None = None,
+    allow_renaming: bool = False,
+) -> Birth:
+    place = on_ground() if base is None else base
+    return Birth(name, namespace, model or a_cart(), place, "<robot/>", allow_renaming)
+
+
+def a_command(world: World, agent: str, *targets: float) -> DriveCommand:
+    """Make a command that answers what the agent was last told."""
+    fleet = world.fleets().get(agent)
+    claims = fleet.claims if fleet else b""
+    return DriveCommand(world.epoch, world.steps, claims, floats(targets))
+
+
+def floats(numbers: Sequence[float]) -> bytes:
+    return np.array(numbers, dtype="<f8").tobytes()
+
+
+def answer_of(call: MemoryCall, kind: type[msgspec.Struct]) -> msgspec.Struct:
+    """Read the only answer of a call."""
+    (answer,) = call.answers
+    return decode(kind, answer.payload, answer.encoding)
