@@ -1,5 +1,7 @@
 """Poses and twists between messages and state rows, checked: (13,) in the world frame."""
 
+import math
+
 import numpy as np
 
 from proto.geometry import Point, Pose, Quaternion, Twist, Vector3
@@ -39,7 +41,7 @@ def pose_row(pose: Pose) -> FloatArray:
         )
     if is_zero(q):
         row[6] = 1.0
-    length = float(np.linalg.norm(row[3:]))
+    length = math.hypot(*row[3:])
     if not SHORTEST < length < LONGEST:
         raise PoseRefused(f"quaternion of length {length:g} has no direction; use length 1")
     row[3:] /= length

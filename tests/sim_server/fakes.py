@@ -202,3 +202,16 @@ def answer_of(call: MemoryCall, kind: type[msgspec.Struct]) -> msgspec.Struct:
     """Read the only answer of a call."""
     (answer,) = call.answers
     return decode(kind, answer.payload, answer.encoding)
+
+
+def names_in(world: World) -> list[str]:
+    return [entity.name for entity in world.entities]
+
+
+def kinds_of_events(world: World) -> list[str]:
+    return [event.kind for event in world.take_events()]
+
+
+def wheel_speeds(world: World) -> list[float]:
+    speeds: list[float] = world.reading().joint_velocities.tolist()
+    return speeds

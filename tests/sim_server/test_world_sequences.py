@@ -1,0 +1,211 @@
+"""World: what holds whatever is asked of it, in any order."""
+
+import msgspec
+import numpy as np
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from proto.claims import DriveCommand, OnRelease
+from proto.services import ResetScope
+from sim_server.errors import SimError
+from sim_server.physics.engine import EngineConfig
+from tests.engines import STEP_NS, ObedientEngine
+from tests.models import a_box, a_cart, on_ground
+from tests.sim_server.fakes import a_birth, a_command, a_world, names_in
+
+NAMES = st.sampled_from(["r0", "r1", "r2", "r0_1", "sim", "no name"])
+NAMESPACES = st.sampled_from(["", "r0", "r1", "/team/r2", "world"])
+AGENTS = st.sampled_from(["a", "b"])
+ON_RELEASE: st.SearchStrategy[OnRelease] = st.sampled_from(["stop", "keep", "delete"])
+SCOPES = st.sampled_from([ResetScope.TIME, ResetScope.STATE, ResetScope.SPAWNED, ResetScope.ALL, 3])
+MODELS = st.sampled_from([a_cart(), a_box()])
+
+
+class AnySequence(RuleBasedStateMachine):
+    """Requests, commands and steps in any order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.engine = ObedientEngine(EngineConfig(STEP_NS))
+        self.world = a_world(engine=self.engine)
+        self.claims: list[int] = []
+        self.old_commands: list[tuple[str, DriveCommand]] = []
+        self.rosters = {self.world.roster_number: self.world.roster().names}
+
+    @rule(name=NAMES, namespace=NAMESPACES, model=MODELS, is_renamed=st.booleans())
+    def spawn(self, name: str, namespace: str, model: object, *, is_renamed: bool) -> None:
+        before = names_in(self.world)
+        birth = a_birth(name, namespace, model=model, allow_renaming=is_renamed)  # type: ignore[arg-type]
+        try:
+            entity = self.world.spawn(birth)
+        except SimError:
+            assert names_in(self.world) == before
+        else:
+            assert names_in(self.world) == [*before, entity.name]
+
+    @rule(name=NAMES)
+    def delete(self, name: str) -> None:
+        before = names_in(self.world)
+        try:
+            self.world.delete(name)
+        except SimError:
+            assert name not in before
+        else:
+            assert names_in(self.world) == [one for one in before if one != name]
+
+    @rule(agent=AGENTS, names=st.lists(NAMES, max_size=3), on_release=ON_RELEASE)
+    def claim(self, agent: str, names: list[str], on_release: OnRelease) -> None:
+        before = self.holders()
+        try:
+            granted = self.world.claim(agent, tuple(names), on_release)
+        except SimError:
+            assert self.holders() == before
+        else:
+            self.claims += [claim.claim for claim in granted]
+            assert all(self.world.agent_of(name) == agent for name in names)
+
+    @rule(agent=AGENTS)
+    def release(self, agent: str) -> None:
+        self.world.release(agent)
+
+        assert agent not in self.world.agents
+
+    @rule(agent=AGENTS, speed=st.floats(-5.0, 5.0))
+    def command(self, agent: str, speed: float) -> None:
+        fleet = self.world.fleets().get(agent)
+        count = fleet.target_count if fleet else 0
+        command = a_command(self.world, agent, *[speed] * count)
+        taken, dropped = self.world.commands, self.world.dropped
+
+        is_taken = self.world.command(agent, command)
+
+        assert is_taken == (fleet is not None)
+        self.assert_counted(taken, dropped, is_taken=is_taken)
+        if is_taken:
+            self.old_commands.append((agent, command))
+
+    @rule(data=st.data(), change=st.sampled_from(["none", "epoch", "claims", "targets", "agent"]))
+    def command_again(self, data: st.DataObject, change: str) -> None:
+        if not self.old_commands:
+            return
+        agent, command = data.draw(st.sampled_from(self.old_commands))
+        spoiled: dict[str, dict[str, object]] = {
+            "epoch": {"epoch": command.epoch + 1},
+            "claims": {"claims": command.claims + b"\0\0\0\0"},
+            "targets": {"targets": command.targets + b"\0"},
+        }
+        if change == "agent":
+            agent = "b" if agent == "a" else "a"
+        command = msgspec.structs.replace(command, **spoiled.get(change, {}))
+        taken, dropped = self.world.commands, self.world.dropped
+
+        is_taken = self.world.command(agent, command)
+
+        assert is_taken == (change == "none" and self.is_current(agent, command))
+        self.assert_counted(taken, dropped, is_taken=is_taken)
+
+    @rule(scope=SCOPES)
+    def reset(self, scope: int) -> None:
+        epoch = self.world.epoch
+
+        self.world.reset(scope)
+
+        assert self.world.epoch == epoch + 1
+
+    @rule(name=NAMES, x=st.floats(-10.0, 10.0))
+    def place(self, name: str, x: float) -> None:
+        try:
+            self.world.place(name, on_ground(x))
+        except SimError:
+            assert name not in names_in(self.world)
+        else:
+            assert self.world.state_of(name)[0] == x
+
+    @rule(steps=st.integers(1, 4))
+    def step(self, steps: int) -> None:
+        before = self.world.steps
+        for _ in range(steps):
+            self.world.step()
+
+        assert self.world.steps == before + steps
+
+    @rule()
+    def tell_agents(self) -> None:
+        told = list(self.world.drive_states())
+
+        agents = [agent for agent, _ in told]
+        assert len(set(agents)) == len(agents)
+        assert set(self.world.agents) <= set(agents)
+
+    @invariant()
+    def entities_are_the_bodies_of_the_engine(self) -> None:
+        bodies = [entity.body for entity in self.world.entities]
+
+        assert len(set(bodies)) == len(bodies)
+        assert set(bodies) == set(self.engine.bodies)
+
+    @invariant()
+    def names_and_namespaces_are_unique(self) -> None:
+        names = names_in(self.world)
+        namespaces = [entity.namespace for entity in self.world.entities]
+
+        assert len(set(names)) == len(names)
+        assert len(set(namespaces)) == len(namespaces)
+
+    @invariant()
+    def rows_of_the_roster_fit_the_arrays(self) -> None:
+        roster, reading = self.world.roster(), self.world.reading()
+
+        assert list(roster.names) == names_in(self.world)
+        assert [roster.row[name] for name in roster.names] == list(range(len(roster.names)))
+        assert reading.base.shape == (len(roster.names), 13)
+        assert reading.joint_positions.shape == (int(roster.joint_count.sum()),)
+
+    @invariant()
+    def one_number_of_the_roster_means_one_list_of_names(self) -> None:
+        names = self.rosters.setdefault(self.world.roster_number, self.world.roster().names)
+
+        assert names == self.world.roster().names
+
+    @invariant()
+    def holds_are_of_entities_that_exist(self) -> None:
+        driven = [entity.name for entity in self.world.entities if self.holder(entity.name)]
+
+        assert len(driven) == self.world.claimed
+        assert len(set(self.claims)) == len(self.claims)
+
+    @invariant()
+    def fleets_are_cut_from_the_roster(self) -> None:
+        fleets = self.world.fleets()
+        rows = [row for fleet in fleets.values() for row in fleet.rows.tolist()]
+
+        assert set(fleets) == set(self.world.agents)
+        assert len(set(rows)) == len(rows) == self.world.claimed
+        for fleet in fleets.values():
+            assert len(fleet.claims) == 4 * len(fleet.rows)
+
+    @invariant()
+    def everything_is_finite(self) -> None:
+        assert np.isfinite(self.world.reading().base).all()
+
+    def holder(self, name: str) -> str:
+        return self.world.agent_of(name)
+
+    def holders(self) -> dict[str, str]:
+        return {name: self.holder(name) for name in names_in(self.world)}
+
+    def is_current(self, agent: str, command: DriveCommand) -> bool:
+        fleet = self.world.fleets().get(agent)
+        return (
+            fleet is not None
+            and fleet.claims == command.claims
+            and command.epoch == self.world.epoch
+        )
+
+    def assert_counted(self, taken: int, dropped: int, *, is_taken: bool) -> None:
+        found = (self.world.commands - taken, self.world.dropped - dropped)
+
+        assert found == ((1, 0) if is_taken else (0, 1))
+
+
+TestAnySequence = AnySequence.TestCase
