@@ -10,7 +10,7 @@ import numpy as np
 from proto import claims, services, telemetry
 from proto.catalog import SERVICES
 from proto.header import Header, time_from_ns
-from proto.model import ReportEntry
+from proto.model import Model, ReportEntry
 from proto.names import InvalidName, check_name
 from proto.result import ClaimCode, Result, ResultCode, SetEntityStateCode, SetSimulationStateCode
 from proto.services import Feature, State
@@ -19,7 +19,16 @@ from sim_server.description.resources import read_resource
 from sim_server.errors import IncorrectState, PoseRefused, Refused, Unsupported
 from sim_server.meter import Meter
 from sim_server.physics.engine import FloatArray
-from sim_server.poses import WORLD_FRAMES, compose, is_zero, pose_of, pose_row, twist_of, twist_row
+from sim_server.poses import (
+    WORLD_FRAMES,
+    compose,
+    is_zero,
+    pose_of,
+    pose_row,
+    turned,
+    twist_of,
+    twist_row,
+)
 from sim_server.world import Birth, World
 
 FEATURES = (
@@ -76,7 +85,7 @@ def refusal(name: str, code: int, message: str) -> msgspec.Struct:
 
 def _spawn(desk: Desk, request: services.SpawnEntityOrder) -> services.SpawnEntityReport:
     model, text = read_resource(request.entity_resource)
-    pose, notes = _birth_pose(desk.world, request, ground_clearance(model))
+    pose, notes = _birth_pose(desk.world, request, model)
     entity = desk.world.spawn(
         Birth(
             name=request.name or model.name,
@@ -96,7 +105,7 @@ def _spawn(desk: Desk, request: services.SpawnEntityOrder) -> services.SpawnEnti
 
 
 def _birth_pose(
-    world: World, request: services.SpawnEntityOrder, clearance: float
+    world: World, request: services.SpawnEntityOrder, model: Model
 ) -> tuple[FloatArray, list[ReportEntry]]:
     wish = request.initial_pose
     notes = []
@@ -105,16 +114,19 @@ def _birth_pose(
             ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
         )
     pose = in_world(world, wish.header.frame_id, pose_row(wish.pose))
+    qx, qy, qz, qw = pose[3:7].tolist()
+    # Not -clearance, which is -0 for a model without collisions.
+    standing = 0.0 - ground_clearance(model, (qx, qy, qz, qw))
     if request.snap_to_ground:
-        pose[2] = -clearance
-    depth = -(float(pose[2]) + clearance)
+        pose[2] = standing
+    depth = standing - float(pose[2])
     if depth > UNDERGROUND_M:
         notes.append(
             ReportEntry(
                 "suspicious",
                 "initial_pose",
                 f"lowest point is {depth * 100:.1f} cm below ground; "
-                f"z = {-clearance:.3f} puts it on the ground",
+                f"z = {standing:.3f} puts it on the ground",
             )
         )
     return pose, notes
@@ -129,6 +141,13 @@ def in_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
     if frame_id in WORLD_FRAMES:
         return pose
     return compose(world.state_of(frame_id)[:7], pose)
+
+
+def _twist_in_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:
+    """Turn a twist (6,) with the axes of a frame; how the frame moves itself is left out."""
+    if frame_id in WORLD_FRAMES:
+        return twist
+    return turned(world.state_of(frame_id)[:7], twist)
 
 
 def _delete(desk: Desk, request: services.DeleteEntityRequest) -> services.DeleteEntityResponse:
@@ -165,7 +184,8 @@ def _set_state(
             pose = pose_row(request.state.pose)
             row[:7] = in_world(desk.world, request.state.header.frame_id, pose)
         if request.set_twist or is_version_1:
-            row[7:13] = twist_row(request.state.twist)
+            twist = twist_row(request.state.twist)
+            row[7:13] = _twist_in_world(desk.world, request.state.header.frame_id, twist)
     except PoseRefused as error:
         raise Refused(SetEntityStateCode.INVALID_POSE, str(error)) from error
     desk.world.place(request.entity, row)

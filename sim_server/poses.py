@@ -69,6 +69,11 @@ def compose(frame: FloatArray, pose: FloatArray) -> FloatArray:
     return np.concatenate([place, multiply(frame[3:7], pose[3:7])])
 
 
+def turned(frame: FloatArray, twist: FloatArray) -> FloatArray:
+    """Express a twist (6,) with the axes of `frame` (7,) with those of the world."""
+    return rotate(frame[3:7], twist.reshape(2, 3)).ravel()
+
+
 def pose_of(row: FloatArray) -> Pose:
     """Read the pose of a state row."""
     x, y, z, qx, qy, qz, qw = row[:7].tolist()

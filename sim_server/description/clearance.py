@@ -4,20 +4,25 @@ import math
 
 import numpy as np
 
-from proto.model import Model, Origin, Shape
+from proto.model import IDENTITY, Model, Origin, Quat, Shape
 from sim_server.description.transforms import compose, link_poses, matrix_of
 
 
-def ground_clearance(model: Model) -> float:
-    """Find the height [m] of the lowest point of all collisions in the root link, joints at zero.
+def ground_clearance(model: Model, turn: Quat = IDENTITY) -> float:
+    """Find the height [m] of the lowest point of all collisions over the root link, joints at zero.
 
     Negative when it is below the root, so that the robot stands on the ground when its root is
     spawned at minus this height. Meshes and planes are left out; 0 when nothing else is there.
+
+    Args:
+        model: The robot.
+        turn: Orientation of the root link in the world.
     """
+    root = Origin(orientation=turn)
     poses = link_poses(model.links[0].name, model.joints)
     return min(
         (
-            _lowest(shape, compose(poses[link.name], shape.origin))
+            _lowest(shape, compose(root, compose(poses[link.name], shape.origin)))
             for link in model.links
             for shape in link.collisions
             if shape.kind not in ("mesh", "plane")

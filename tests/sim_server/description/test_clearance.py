@@ -51,3 +51,15 @@ def test_clearance_is_zero_when_nothing_can_be_measured() -> None:
     mesh = Shape("mesh", (1.0, 1.0, 1.0), Origin((0.0, 0.0, -9.0)), mesh="m.stl")
 
     assert ground_clearance(a_model(mesh, Shape("plane"))) == 0.0
+
+
+def test_clearance_is_that_of_the_robot_as_it_is_turned() -> None:
+    arm = Joint("j", "continuous", "base", "arm", Origin((0.0, 3.0, 0.0)))
+    base = Link("base", collisions=(Shape("box", (1.0, 2.0, 4.0)),))
+    ball = Link("arm", collisions=(Shape("sphere", (0.5, 0.0, 0.0)),))
+
+    model = Model("m", (base, ball), (arm,))
+
+    assert ground_clearance(model) == pytest.approx(-2.0)
+    assert ground_clearance(model, ON_ITS_SIDE) == pytest.approx(-1.0)
+    assert ground_clearance(model, (-HALF, 0.0, 0.0, HALF)) == pytest.approx(-3.5)

@@ -1,0 +1,39 @@
+"""Orders to spawn box_bots, and what came of them."""
+
+import math
+
+from proto import services
+from proto.geometry import Point, Pose, PoseStamped, Quaternion
+from proto.header import Header
+from proto.services import Resource
+from sim_server.handlers import Desk, handle
+
+BOX_BOT = Resource(uri="box_bot")
+LYING = Quaternion(math.sin(math.pi / 4.0), 0.0, 0.0, math.cos(math.pi / 4.0))
+
+
+def an_order(
+    name: str = "r",
+    *,
+    place: tuple[float, float, float] = (0.0, 0.0, 0.06),
+    orientation: Quaternion | None = None,
+    frame_id: str = "",
+    is_snapped: bool = False,
+) -> services.SpawnEntityOrder:
+    pose = Pose(Point(*place), orientation or Quaternion())
+    return services.SpawnEntityOrder(
+        name,
+        entity_resource=BOX_BOT,
+        initial_pose=PoseStamped(Header(frame_id=frame_id), pose),
+        snap_to_ground=is_snapped,
+    )
+
+
+def spawned(desk: Desk, order: services.SpawnEntityOrder) -> services.SpawnEntityReport:
+    report = handle(desk, order)
+    assert isinstance(report, services.SpawnEntityReport)
+    return report
+
+
+def suspicions(report: services.SpawnEntityReport) -> list[str]:
+    return [entry.reason for entry in report.report if entry.status == "suspicious"]

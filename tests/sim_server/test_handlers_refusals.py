@@ -1,0 +1,272 @@
+"""Handlers: every refusal has its code, and says what was given, what is wrong, what would work."""
+
+import math
+
+import msgspec
+import pytest
+
+from proto import claims, services, telemetry
+from proto.geometry import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
+from proto.header import Header
+from proto.result import (
+    ClaimCode,
+    ResultCode,
+    SetEntityStateCode,
+    SetSimulationStateCode,
+    SpawnCode,
+)
+from proto.services import EntityState, Resource, State
+from sim_server.errors import SimError
+from sim_server.handlers import MAX_STEPS, Desk, handle
+from tests.sim_server.fakes import a_desk, a_world, names_in
+from tests.sim_server.orders import BOX_BOT, an_order
+
+FLOATING = (
+    '<robot name="f"><link name="a"/><link name="b"><inertial><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+    '<joint name="j" type="floating"><parent link="a"/><child link="b"/></joint></robot>'
+)
+NAN, INF = math.nan, math.inf
+HERE, STILL = Pose(), Twist()
+
+
+def a_spawn(**changes: object) -> services.SpawnEntityOrder:
+    return msgspec.structs.replace(an_order("r9"), **changes)
+
+
+def a_spawn_of(text: str) -> services.SpawnEntityOrder:
+    return a_spawn(entity_resource=Resource(resource_string=text))
+
+
+def a_spawn_at(pose: Pose, frame_id: str = "") -> services.SpawnEntityOrder:
+    return a_spawn(initial_pose=PoseStamped(Header(frame_id=frame_id), pose))
+
+
+def a_placing(pose: Pose = HERE, twist: Twist = STILL) -> services.SetEntityStateRequest:
+    return services.SetEntityStateRequest("r0", EntityState(pose=pose, twist=twist))
+
+
+def in_state(state: int) -> services.SetSimulationStateRequest:
+    return services.SetSimulationStateRequest(services.SimulationState(state))
+
+
+REFUSED = {
+    "spawn nothing": (
+        a_spawn(entity_resource=Resource()),
+        SpawnCode.NO_RESOURCE,
+        "entity_resource is empty; give a uri",
+    ),
+    "spawn an unknown model": (
+        a_spawn(entity_resource=Resource("tank")),
+        ResultCode.NOT_FOUND,
+        "no model 'tank'.*there is box_bot",
+    ),
+    "spawn a file": (
+        a_spawn(entity_resource=Resource("file:///etc/passwd")),
+        ResultCode.NOT_FOUND,
+        "'file:///etc/passwd' is not a shipped model; send the text",
+    ),
+    "spawn no XML": (a_spawn_of("<robot"), SpawnCode.RESOURCE_PARSE_ERROR, "."),
+    "spawn a model that the engine cannot simulate": (
+        a_spawn_of(FLOATING),
+        ResultCode.OPERATION_FAILED,
+        "'floating' is not supported.*use",
+    ),
+    "spawn a taken name": (
+        a_spawn(name="r0"),
+        SpawnCode.NAME_NOT_UNIQUE,
+        "'r0' already exists; choose another name or set allow_renaming",
+    ),
+    "spawn a bad name": (
+        a_spawn(name="9 lives"),
+        SpawnCode.NAME_INVALID,
+        "'9 lives' is not valid; use a letter",
+    ),
+    "spawn in a bad namespace": (
+        a_spawn(entity_namespace="sim/r"),
+        SpawnCode.NAMESPACE_INVALID,
+        "'sim/r' begins with a reserved name; use any but",
+    ),
+    "spawn in a taken namespace": (
+        a_spawn(entity_namespace="/r1"),
+        SpawnCode.NAMESPACE_INVALID,
+        "'r1' belongs to entity 'r1'; choose another",
+    ),
+    "spawn at a position that is no number": (
+        a_spawn_at(Pose(Point(y=NAN))),
+        SpawnCode.INVALID_POSE,
+        "not finite; use finite metres",
+    ),
+    "spawn in an infinite direction": (
+        a_spawn_at(Pose(orientation=Quaternion(x=INF))),
+        SpawnCode.INVALID_POSE,
+        "not finite; use finite metres",
+    ),
+    "spawn too far away": (
+        a_spawn_at(Pose(Point(z=1e6))),
+        SpawnCode.INVALID_POSE,
+        r"\(0, 0, 1e\+06\) is out of range; use at most 100000 m",
+    ),
+    "spawn in no direction": (
+        a_spawn_at(Pose(orientation=Quaternion(w=1e-9))),
+        SpawnCode.INVALID_POSE,
+        "length 1e-09 has no direction; use length 1",
+    ),
+    "spawn beside nobody": (
+        a_spawn_at(Pose(), "r7"),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist; 'get_entities' lists",
+    ),
+    "delete nobody": (
+        services.DeleteEntityRequest("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist; 'get_entities' lists",
+    ),
+    "filter": (
+        services.GetEntitiesRequest(services.EntityFilters("r.*")),
+        ResultCode.FEATURE_UNSUPPORTED,
+        "filters are not supported; leave them empty",
+    ),
+    "ask for the state of nobody": (
+        services.GetEntityStateRequest("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist",
+    ),
+    "place nobody": (
+        services.SetEntityStateRequest("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist",
+    ),
+    "place nowhere": (
+        a_placing(Pose(Point(x=NAN))),
+        SetEntityStateCode.INVALID_POSE,
+        "not finite; use finite metres",
+    ),
+    "place too fast": (
+        a_placing(twist=Twist(Vector3(1e5))),
+        SetEntityStateCode.INVALID_POSE,
+        "above 10000; use m/s and rad/s",
+    ),
+    "place beside nobody": (
+        services.SetEntityStateRequest("r0", EntityState(Header(frame_id="r7"))),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist",
+    ),
+    "accelerate": (
+        services.SetEntityStateRequest("r0", set_acceleration=True),
+        ResultCode.FEATURE_UNSUPPORTED,
+        "acceleration cannot be set; set the pose or the twist",
+    ),
+    "play twice": (
+        in_state(State.PLAYING),
+        SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
+        "is playing already",
+    ),
+    "stop": (
+        in_state(State.STOPPED),
+        ResultCode.FEATURE_UNSUPPORTED,
+        r"state 0 cannot be set; use 1 \(playing\) or 2 \(paused\)",
+    ),
+    "step while playing": (
+        services.StepSimulationRequest(1),
+        ResultCode.INCORRECT_STATE,
+        "is playing; pause it before stepping",
+    ),
+    "reset unknown bits": (
+        services.ResetSimulationRequest(8),
+        ResultCode.FEATURE_UNSUPPORTED,
+        "scope 8 has unknown bits; use 0, 255 or a sum of 1, 2, 4",
+    ),
+    "claim under a bad name": (
+        claims.ClaimEntityRequest("a b", ("r0",)),
+        ClaimCode.AGENT_INVALID,
+        "agent 'a b' is not valid; use a letter",
+    ),
+    "claim without being alive": (
+        claims.ClaimEntityRequest("ghost", ("r0",)),
+        ResultCode.INCORRECT_STATE,
+        "'ghost' has no liveliness token; declare it before",
+    ),
+    "claim nothing": (
+        claims.ClaimEntityRequest("a"),
+        ClaimCode.NOT_DRIVABLE,
+        "no entity was named; name at least one",
+    ),
+    "claim nobody": (
+        claims.ClaimEntityRequest("a", ("r0", "r7")),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist",
+    ),
+    "claim what another drives": (
+        claims.ClaimEntityRequest("a", ("r1",)),
+        ClaimCode.ALREADY_CLAIMED,
+        "'r1' is driven by agent 'b'; stop that agent first",
+    ),
+    "ask for the model of nobody": (
+        telemetry.GetModelsRequest(("r7",)),
+        ResultCode.NOT_FOUND,
+        "'r7' does not exist",
+    ),
+}
+
+
+@pytest.fixture
+def desk() -> Desk:
+    """Two entities, of which agent b drives the second."""
+    made = a_desk(a_world("r0", "r1"))
+    made.alive_agents |= {"a", "b"}
+    made.world.claim("b", ("r1",), "stop")
+    return made
+
+
+@pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
+def test_request_is_refused_with_code_and_reason(
+    desk: Desk, request_: msgspec.Struct, code: int, message: str
+) -> None:
+    before = desk.world.reading().base.tobytes()
+
+    with pytest.raises(SimError, match=message) as refused:
+        handle(desk, request_)
+
+    assert refused.value.code == code
+    assert "\n" not in str(refused.value)
+    assert names_in(desk.world) == ["r0", "r1"]
+    assert desk.world.reading().base.tobytes() == before
+    assert desk.world.agent_of("r0") == ""
+
+
+@pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
+def test_steps_are_refused_when_they_are_none_or_too_many(desk: Desk, steps: int) -> None:
+    desk.world.pause()
+
+    with pytest.raises(SimError, match=f"steps={steps} is out of range; use 1 to") as refused:
+        handle(desk, services.StepSimulationRequest(steps))
+
+    assert refused.value.code == ResultCode.OPERATION_FAILED
+
+
+def test_world_is_paused_once(desk: Desk) -> None:
+    desk.world.pause()
+
+    with pytest.raises(SimError, match="is paused already") as refused:
+        handle(desk, in_state(State.PAUSED))
+
+    assert refused.value.code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
+
+
+def test_spawn_is_refused_when_the_model_has_no_name_that_could_be_one(desk: Desk) -> None:
+    nameless = a_spawn(
+        name="", entity_resource=Resource("", '<robot name="my robot"><link name="a"/></robot>')
+    )
+
+    with pytest.raises(SimError, match="'my robot' is not valid; use a letter") as refused:
+        handle(desk, nameless)
+
+    assert refused.value.code == SpawnCode.NAME_INVALID
+
+
+def test_spawn_refuses_a_long_name_in_a_short_line(desk: Desk) -> None:
+    with pytest.raises(SimError) as refused:
+        handle(desk, a_spawn(name="x" * 100_000, entity_resource=BOX_BOT))
+
+    assert len(str(refused.value)) < 300
