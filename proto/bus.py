@@ -14,7 +14,7 @@ from typing import Final, Literal
 
 import msgspec
 import zenoh
-from zenoh.handlers import Handler, RingChannel
+from zenoh.handlers import FifoChannel, Handler, RingChannel
 
 from proto import keys
 from proto.catalog import Request, Response, Service
@@ -27,6 +27,8 @@ MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 MAX_PORT: Final = 65535
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """A router that someone joins or leaves just then may end a query empty: ask again, same id."""
+MAX_ANSWERS: Final = 16384
+"""To one question, kept in a queue: a ring loses what is left in it when the last has come."""
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample: for one publisher on one key."""
 
@@ -273,13 +275,13 @@ class Bus:
 
     def alive(self, key: str, timeout_s: float = 1.0) -> list[str]:
         """List the tokens that are up now."""
-        replies = self._session.liveliness().get(key, RingChannel(16384), timeout=timeout_s)
+        replies = self._session.liveliness().get(key, FifoChannel(MAX_ANSWERS), timeout=timeout_s)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         """Ask a key expression for its values and collect the answers."""
         replies = self._session.get(
-            key, RingChannel(16384), payload=payload or None, timeout=timeout_s
+            key, FifoChannel(MAX_ANSWERS), payload=payload or None, timeout=timeout_s
         )
         return [_sample(reply.ok) for reply in replies if reply.ok]
 
@@ -321,7 +323,7 @@ class Bus:
         for pause_s in RETRY_AFTER_S:
             for reply in self._session.get(
                 key,
-                RingChannel(16),
+                FifoChannel(16),
                 payload=payload,
                 encoding=encoding,
                 attachment=request_id,
