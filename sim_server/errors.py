@@ -16,13 +16,14 @@ class SimError(Exception):
 class ModelError(SimError):
     """A robot or world description cannot be used.
 
-    `slug` names the fault for programs, such as `urdf.cycle`; the message is for people.
+    `slug` names the fault for programs, such as `urdf.cycle`, and begins the message, whose rest
+    is for people. `docs/refusals.md` lists all slugs.
     """
 
     def __init__(
         self, message: str, *, code: int = SpawnCode.RESOURCE_PARSE_ERROR, slug: str
     ) -> None:
-        super().__init__(message)
+        super().__init__(f"{slug}: {message}")
         self.code = code
         self.slug = slug
 

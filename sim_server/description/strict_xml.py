@@ -20,15 +20,16 @@ MAX_DEPTH = 64
 MAX_ATTRIBUTES = 64
 """Of one element: to list n of them takes lxml n * n steps."""
 _SPACES = re.compile(rb"[ \t\r\n]+")
+_DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
 
 
 def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
     """Parse a document whose root is `root_tag`; comments and instructions are left out.
 
     Args:
-        text: The document; a declared encoding is not obeyed, since this is text already.
-        root_tag: Such as `robot`.
-        slug: First half of the slugs raised, such as `urdf`.
+        text: The document; its XML declaration is not obeyed, since this is text already.
+        root_tag: Such as `robot`; a default namespace on it is dropped from all tags.
+        slug: What the document should be, such as `urdf`.
 
     Raises:
         ModelError: Not well-formed, another root, too large, too deep, or a DOCTYPE.
@@ -37,16 +38,17 @@ def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
     if _has_doctype(data):
         raise ModelError(
             "the description has a DOCTYPE; remove it, since entities are not expanded here",
-            slug=f"{slug}.doctype",
+            slug="xml.doctype",
         )
-    root = _parsed(data, slug)
+    root = _parsed(data)
+    _drop_default_namespace(root, root_tag)
     if root.tag != root_tag:
         raise ModelError(
             f"the description begins with <{root.tag[:80]}>; a <{root_tag}> is expected",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug=f"{slug}.root",
         )
-    _check_shape(root, slug)
+    _check_shape(root)
     return root
 
 
@@ -56,20 +58,33 @@ def _bounded(text: str, slug: str) -> bytes:
     except UnicodeEncodeError as error:
         raise ModelError(
             f"the description is not text: lone surrogate at character {error.start}",
-            slug=f"{slug}.xml",
+            slug="xml.encoding",
         ) from error
     if not data:
         raise ModelError(
             f"the description is empty; send the text of a {slug.upper()} file",
             code=SpawnCode.NO_RESOURCE,
-            slug=f"{slug}.empty",
+            slug="xml.empty",
         )
     if len(data) > MAX_BYTES or data.count(b"<") > MAX_TAGS:
         raise ModelError(
             f"the description has {len(data)} bytes and {data.count(b'<')} tags; "
             f"at most {MAX_BYTES} bytes and {MAX_TAGS} tags are read",
-            slug=f"{slug}.size",
+            slug="xml.size",
         )
+    return data
+
+
+def _without_declaration(data: bytes) -> bytes:
+    # Readers of URDF pass over it, be it after comments or of version 0.0.
+    at = 0
+    while closing := _closing(data, at):
+        if found := _DECLARATION.match(data, at):
+            return data[:at] + data[found.end() :]
+        end = data.find(closing, at)
+        if end < 0:
+            break
+        at = _past_spaces(data, end + len(closing))
     return data
 
 
@@ -96,7 +111,7 @@ def _past_spaces(data: bytes, at: int) -> int:
     return found.end() if found else at
 
 
-def _parsed(data: bytes, slug: str) -> Element:
+def _parsed(data: bytes) -> Element:
     parser = etree.XMLParser(
         encoding="utf-8",
         huge_tree=False,
@@ -107,31 +122,40 @@ def _parsed(data: bytes, slug: str) -> Element:
         resolve_entities=False,
     )
     try:
-        return etree.fromstring(data, parser)
+        return etree.fromstring(_without_declaration(data), parser)
     except etree.XMLSyntaxError as error:
         raise ModelError(
-            f"the description is not well-formed XML: {str(error)[:200]}", slug=f"{slug}.xml"
+            f"the description is not well-formed XML: {str(error)[:200]}", slug="xml.syntax"
         ) from error
 
 
-def _check_shape(root: Element, slug: str) -> None:
+def _drop_default_namespace(root: Element, root_tag: str) -> None:
+    namespace, _, name = root.tag.rpartition("}")
+    if not namespace or name != root_tag:
+        return
+    prefix = namespace + "}"
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(prefix)
+
+
+def _check_shape(root: Element) -> None:
     level = [root]
     for _ in range(MAX_DEPTH):
-        _check_attributes(level, slug)
+        _check_attributes(level)
         level = [child for element in level for child in element]
         if not level:
             return
     raise ModelError(
         f"tags are nested more than {MAX_DEPTH} deep, at line {level[0].sourceline}",
-        slug=f"{slug}.depth",
+        slug="xml.depth",
     )
 
 
-def _check_attributes(elements: list[Element], slug: str) -> None:
+def _check_attributes(elements: list[Element]) -> None:
     for element in elements:
         if len(element.attrib) > MAX_ATTRIBUTES:
             raise ModelError(
                 f"<{element.tag[:80]}> at line {element.sourceline} has {len(element.attrib)} "
                 f"attributes; at most {MAX_ATTRIBUTES} are read",
-                slug=f"{slug}.size",
+                slug="xml.size",
             )

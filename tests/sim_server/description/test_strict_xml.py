@@ -27,6 +27,8 @@ def test_parser_reads_a_document_when_it_is_plain() -> None:
         '<?xml version="1.0"?>\n',
         '<?xml version="1.0" encoding="UTF-16"?>',
         "<!-- <!DOCTYPE robot> -->",
+        '<?xml version="0.0" ?>',
+        '<!-- c -->\n<?pi?><?xml version="1.0"?>',
         "<?xml version='1.0'?><?pi <!DOCTYPE ?>\n<!-- c -->",
     ],
 )
@@ -36,12 +38,20 @@ def test_parser_reads_a_document_when_it_has_a_harmless_head(head: str) -> None:
     assert (root.text, len(root)) == ("ä", 0)
 
 
+def test_parser_drops_a_default_namespace_when_the_root_has_one() -> None:
+    text = '<robot xmlns="http://www.ros.org" xmlns:x="urn:x"><link/><x:link/></robot>'
+
+    root = parse_xml(text, root_tag="robot", slug="urdf")
+
+    assert [root.tag, *(child.tag for child in root)] == ["robot", "link", "{urn:x}link"]
+
+
 @pytest.mark.parametrize("head", ["", "<?xml version='1.0'?>\n", "<!-- c -->\n<?pi?> ", "\ufeff"])
 def test_parser_refuses_a_doctype_when_it_comes_first_or_later(head: str) -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml(head + BOMB, root_tag="robot", slug="urdf")
 
-    assert caught.value.slug == "urdf.doctype"
+    assert caught.value.slug == "xml.doctype"
 
 
 @pytest.mark.parametrize(
@@ -52,7 +62,7 @@ def test_parser_refuses_text_when_it_is_not_well_formed(text: str) -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml(text, root_tag="robot", slug="urdf")
 
-    assert (caught.value.slug, caught.value.code) == ("urdf.xml", SpawnCode.RESOURCE_PARSE_ERROR)
+    assert (caught.value.slug, caught.value.code) == ("xml.syntax", SpawnCode.RESOURCE_PARSE_ERROR)
 
 
 def test_parser_refuses_text_when_it_has_a_lone_surrogate() -> None:
@@ -65,7 +75,7 @@ def test_parser_refuses_text_when_it_is_empty(text: str) -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml(text, root_tag="robot", slug="urdf")
 
-    assert (caught.value.slug, caught.value.code) == ("urdf.empty", SpawnCode.NO_RESOURCE)
+    assert (caught.value.slug, caught.value.code) == ("xml.empty", SpawnCode.NO_RESOURCE)
 
 
 def test_parser_refuses_another_root_when_one_is_expected() -> None:
@@ -87,7 +97,7 @@ def test_parser_refuses_text_when_it_is_huge(text: str) -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml(text, root_tag="robot", slug="urdf")
 
-    assert caught.value.slug == "urdf.size"
+    assert caught.value.slug == "xml.size"
 
 
 def test_parser_refuses_an_element_when_it_has_very_many_attributes() -> None:
@@ -96,7 +106,7 @@ def test_parser_refuses_an_element_when_it_has_very_many_attributes() -> None:
     with pytest.raises(ModelError, match="<a> at line 1 has 100000 attributes") as caught:
         parse_xml(f"<robot><a {attributes}/></robot>", root_tag="robot", slug="urdf")
 
-    assert caught.value.slug == "urdf.size"
+    assert caught.value.slug == "xml.size"
 
 
 def test_parser_refuses_tags_when_they_nest_too_deep() -> None:
@@ -107,7 +117,7 @@ def test_parser_refuses_tags_when_they_nest_too_deep() -> None:
 
     with pytest.raises(ModelError) as caught:
         parse_xml(deeper, root_tag="robot", slug="urdf")
-    assert caught.value.slug == "urdf.depth"
+    assert caught.value.slug == "xml.depth"
 
 
 def test_parser_refuses_tags_when_they_nest_beyond_what_xml_allows() -> None:
