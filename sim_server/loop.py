@@ -6,6 +6,7 @@ that a request between steps is answered at once.
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import msgspec
@@ -43,6 +44,15 @@ class Clock(Protocol):
         """Wait."""
 
 
+@dataclass
+class _Stepping:
+    """A request whose steps are being made; a reset sets time back, not what is left."""
+
+    left: int
+    call: Call
+    response: msgspec.Struct
+
+
 class Loop:
     """Drives one world."""
 
@@ -56,7 +66,7 @@ class Loop:
         self._telemetry = Telemetry(desk.world, desk.meter)
         self._deadline_ns = clock.now_ns()
         self._answers = Answers()
-        self._stepping: list[tuple[int, Call, msgspec.Struct]] = []
+        self._stepping: list[_Stepping] = []
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Go on until told to stop."""
@@ -139,10 +149,11 @@ class Loop:
     def _requested_step(self, now_ns: int) -> None:
         self._deadline_ns = now_ns
         self.tick(now_ns)
-        last_step, call, response = self._stepping[0]
-        if self._world.steps >= last_step:
+        first = self._stepping[0]
+        first.left -= 1
+        if first.left == 0:
             self._stepping.pop(0)
-            self._reply(call, response)
+            self._reply(first.call, first.response)
 
     def _note_agent(self, agent: str, *, is_alive: bool) -> None:
         if is_alive:
@@ -172,9 +183,9 @@ class Loop:
 
     def _joins_waiting(self, call: Call) -> bool:
         """Let a retry take the place of a request whose steps are still being made."""
-        for i, (last_step, waiting, response) in enumerate(self._stepping):
-            if call.request_id and waiting.request_id == call.request_id:
-                self._stepping[i] = (last_step, call, response)
+        for waiting in self._stepping:
+            if call.request_id and waiting.call.request_id == call.request_id:
+                waiting.call = call
                 return True
         return False
 
@@ -190,8 +201,7 @@ class Loop:
             )
         else:
             if isinstance(request, StepSimulationRequest):
-                since = self._stepping[-1][0] if self._stepping else self._world.steps
-                self._stepping.append((since + request.steps, call, response))
+                self._stepping.append(_Stepping(request.steps, call, response))
                 return
         self._reply(call, response)
 
