@@ -26,31 +26,34 @@ CHARACTERS_OF_ENTITY = 48
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
+Connect = Annotated[
+    str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")
+]
+WorldName = Annotated[
+    str,
+    typer.Option("--world-name", "--world", help="World on the network.", envvar="ZENSIM_WORLD"),
+]
+Wait = Annotated[
+    float, typer.Option(min=0.0, help="Seconds to wait for server and entities at the start.")
+]
+CmdVelTimeout = Annotated[
+    float, typer.Option(min=0.0, help="Simulated seconds that a command holds; 0 = for ever.")
+]
+OnReleaseWord = Annotated[
+    str, typer.Option(help="What becomes of the entities at the end: stop, keep or delete.")
+]
+
 
 @app.command()
 def agent(
     entities: Annotated[list[str], typer.Argument(help="Entities to drive.")],
     *,
-    connect: Annotated[
-        str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")
-    ] = "",
-    world_name: Annotated[
-        str,
-        typer.Option(
-            "--world-name", "--world", help="World on the network.", envvar="ZENSIM_WORLD"
-        ),
-    ] = "default",
+    connect: Connect = "",
+    world_name: WorldName = "default",
     name: Annotated[str, typer.Option(help="Of this agent; made up unless given.")] = "",
-    wait: Annotated[
-        float, typer.Option(min=0.0, help="Seconds to wait for server and entities at the start.")
-    ] = 30.0,
-    cmd_vel_timeout: Annotated[
-        float,
-        typer.Option(min=0.0, help="Simulated seconds that a command holds; 0 = for ever."),
-    ] = 0.5,
-    on_release: Annotated[
-        str, typer.Option(help="What becomes of the entities at the end: stop, keep or delete.")
-    ] = "stop",
+    wait: Wait = 30.0,
+    cmd_vel_timeout: CmdVelTimeout = 0.5,
+    on_release: OnReleaseWord = "stop",
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False,
 ) -> None:
     """Drive robots: cmd_vel in, odom and tf out."""

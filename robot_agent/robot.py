@@ -31,9 +31,11 @@ class Robot:
 
     def reset(self) -> None:
         """Start again at a reset of the world: stand, forget, let time go back."""
-        for part in (self._base, self._motion, self._joints, self.commanded):
-            if part is not None:
-                part.reset()
+        self._base.reset()
+        self._motion.reset()
+        self._joints.reset()
+        if self.commanded is not None:
+            self.commanded.reset()
 
     def advance(self, reading: Reading) -> tuple[float, ...]:
         """Take a reading and find the wheel speeds [rad/s], as `Model.driven_joints` has them."""

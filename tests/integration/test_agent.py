@@ -1,0 +1,149 @@
+"""An agent's life among real processes: what it waits for, what it survives, how it ends."""
+
+import signal
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+
+from proto import keys
+from proto.bus import Bus
+from proto.codec import decode
+from proto.topics import JointState, Odometry, String, TFMessage
+from spawner.client import SimClient
+from tests.integration.processes import (
+    Server,
+    agent_of,
+    driven,
+    eventually,
+    free_endpoint,
+    joined,
+    running,
+    serving,
+    wait_for_agents,
+)
+
+if TYPE_CHECKING:
+    import subprocess
+
+    import msgspec
+
+EXIT_S = 0.5
+MAX_MEMORY_BYTES = 70 * 1024 * 1024
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    """One server for all; each test has entities of its own."""
+    with serving() as server:
+        for name in ("r1", "r2", "r3", "r4"):
+            server.zensim("spawn", "box_bot", "-n", name, "-y", name[1:])
+        yield server
+
+
+def agents_up(bus: Bus) -> list[str]:
+    return [keys.agent_of(key) for key in bus.alive(keys.alive_agents("default"))]
+
+
+def seconds_to_end(process: "subprocess.Popen[str]", number: signal.Signals) -> float:
+    began_s = time.monotonic()
+    process.send_signal(number)
+    process.wait(10.0)
+    return time.monotonic() - began_s
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_agent_ends_well_and_at_once_when_it_is_told_to(
+    server: Server, number: signal.Signals
+) -> None:
+    with driven(server, "r1") as agents:
+        name = agent_of(server, "r1")
+
+        assert seconds_to_end(agents["r1"], number) < EXIT_S
+
+        assert agents["r1"].returncode == 0
+        eventually(lambda: name not in agents_up(server.bus), 2.0, "withdrawing the token")
+        eventually(lambda: not agent_of(server, "r1"), 2.0, "releasing the entity")
+
+
+def test_agent_ends_at_once_while_it_waits_for_its_entity(server: Server) -> None:
+    with running("agent", "r9", "--name", "patient", "--connect", server.endpoint) as waiting:
+        eventually(lambda: "patient" in agents_up(server.bus), 10.0, "joining")
+
+        assert seconds_to_end(waiting, signal.SIGTERM) < EXIT_S
+        assert waiting.returncode == 0
+
+
+def test_agent_ends_at_once_while_it_waits_for_a_server() -> None:
+    with running("agent", "r1", "--connect", free_endpoint()) as waiting:
+        eventually(lambda: psutil.Process(waiting.pid).num_threads() > 1, 10.0, "joining")
+
+        assert seconds_to_end(waiting, signal.SIGINT) < EXIT_S
+
+
+def test_agent_names_the_entity_that_never_came(server: Server) -> None:
+    done = server.zensim("agent", "r9", "--wait", "0.3")
+
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 3
+    assert last.startswith("zensim agent: NOT_FOUND (2): ")
+    assert "'r9'" in last
+
+
+def test_agent_leaves_an_entity_to_the_agent_that_drives_it(server: Server) -> None:
+    with driven(server, "r2"):
+        done = server.zensim("agent", "r2", "--wait", "0.3")
+
+    assert done.returncode == 1
+    assert "ALREADY_CLAIMED (101)" in done.stderr.splitlines()[-1]
+
+
+def test_agent_drives_an_entity_again_when_it_was_deleted_and_spawned(server: Server) -> None:
+    with driven(server, "r3"):
+        server.zensim("delete", "r3")
+        eventually(lambda: server.bus.get("r3/odom") == [], 5.0, "falling silent")
+
+        server.zensim("spawn", "box_bot", "-n", "r3", "-y", "3")
+
+        wait_for_agents(server, ["r3"])
+        eventually(lambda: server.bus.get("r3/odom") != [], 5.0, "odometry")
+
+
+def test_agent_answers_late_comers_and_stays_small(server: Server) -> None:
+    kinds: dict[str, type[msgspec.Struct]] = {
+        "r4/odom": Odometry,
+        "r4/tf": TFMessage,
+        "r4/tf_static": TFMessage,
+        "r4/joint_states": JointState,
+        "r4/robot_description": String,
+    }
+    with driven(server, "r4") as agents:
+        listener = server.bus.subscribe("r4/tf_static")
+
+        eventually(lambda: server.bus.get("r4/odom") != [], 5.0, "odometry")
+        answers = server.bus.get("r4/*")
+        announced = eventually(listener.newest, 5.0, "tf_static")
+        memory_bytes = psutil.Process(agents["r4"].pid).memory_info().rss
+
+    assert {answer.key for answer in answers} == set(kinds)
+    for sample in (announced, *answers):
+        decode(kinds[sample.key], sample.payload, sample.encoding)
+    assert memory_bytes < MAX_MEMORY_BYTES
+
+
+def test_agent_outlives_its_server_and_may_be_there_before_it() -> None:
+    endpoint = free_endpoint()
+    with running("agent", "r1", "--connect", endpoint) as agent:
+        for _ in range(2):
+            with (
+                running("serve", "--listen", endpoint) as process,
+                joined(endpoint, process) as bus,
+            ):
+                server = Server(process, endpoint, bus, SimClient(bus))
+                server.zensim("spawn", "box_bot", "-n", "r1")
+                wait_for_agents(server, ["r1"])
+                process.kill()
+                process.wait()
+        assert agent.poll() is None

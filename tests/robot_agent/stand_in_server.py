@@ -1,0 +1,93 @@
+"""A server without physics: grants claims, sends what it is told to, keeps what it hears."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from proto import keys
+from proto.claims import ClaimEntityRequest, ClaimEntityResponse, DriveCommand, DriveState
+from proto.codec import Format, decode, encode, encoding_of
+from proto.result import ClaimCode, Result, ResultCode
+from proto.telemetry import Event, EventKind
+from tests.fakes import MemoryBus, MemoryToken
+from tests.robot_agent.models import a_claim, two_wheeler
+
+if TYPE_CHECKING:
+    from proto.model import Model
+
+WORLD = "default"
+AGENT = "a1"
+
+
+class StandInServer:
+    """Knows entities and who drives them."""
+
+    def __init__(self, bus: MemoryBus, *entities: str) -> None:
+        self.entities: dict[str, Model] = {name: two_wheeler() for name in entities}
+        self.drivers: dict[str, str] = {}
+        self.requests: list[ClaimEntityRequest] = []
+        self.refusal: ClaimCode | None = None
+        self._bus = bus
+        self._next_claim = 1
+        self._calls = bus.serve(keys.service(WORLD, "claim_entity"))
+        self._commands = bus.subscribe(keys.drive_commands(WORLD), 64)
+        self._token: MemoryToken | None = None
+        bus.pumps.append(self.poll)
+
+    def come_up(self) -> None:
+        self._token = self._bus.token(keys.alive_server(WORLD))
+
+    def go_down(self) -> None:
+        self.drivers.clear()
+        if self._token is not None:
+            self._token.close()
+
+    def poll(self) -> None:
+        for call in self._calls.take():
+            request = decode(ClaimEntityRequest, call.payload, call.encoding)
+            self.requests.append(request)
+            response = self._answer(request)
+            encoding = encoding_of(response, Format.MSGPACK)
+            call.reply(encode(response, Format.MSGPACK), encoding)
+
+    def send(self, state: DriveState, agent: str = AGENT) -> None:
+        self._bus.put_message(keys.drive_state(WORLD, agent), state, Format.MSGPACK)
+
+    def tell(self, kind: EventKind, entity: str) -> None:
+        self._bus.put_message(keys.events(WORLD), Event(kind, entity), Format.MSGPACK)
+
+    def commands(self) -> list[DriveCommand]:
+        return [
+            decode(DriveCommand, sample.payload, sample.encoding)
+            for sample in self._commands.take()
+        ]
+
+    def asked_for(self) -> list[Sequence[str]]:
+        asked: list[Sequence[str]] = [request.entities for request in self.requests]
+        self.requests.clear()
+        return asked
+
+    def _answer(self, request: ClaimEntityRequest) -> ClaimEntityResponse:
+        if not self._bus.alive(keys.alive_agent(WORLD, request.agent)):
+            return refused(ResultCode.INCORRECT_STATE, "no token")
+        if self.refusal is not None:
+            return refused(self.refusal, "refused")
+        for entity in request.entities:
+            if entity not in self.entities:
+                return refused(ResultCode.NOT_FOUND, f"entity '{entity}' does not exist")
+            if self.drivers.get(entity, request.agent) != request.agent:
+                return refused(ClaimCode.ALREADY_CLAIMED, f"entity '{entity}' is driven")
+        return ClaimEntityResponse(
+            claims=tuple(
+                a_claim(self._grant(entity, request.agent), entity, self.entities[entity])
+                for entity in request.entities
+            )
+        )
+
+    def _grant(self, entity: str, agent: str) -> int:
+        self.drivers[entity] = agent
+        self._next_claim += 1
+        return self._next_claim - 1
+
+
+def refused(code: int, message: str) -> ClaimEntityResponse:
+    return ClaimEntityResponse(Result(code, message))

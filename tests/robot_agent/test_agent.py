@@ -1,0 +1,239 @@
+"""An agent among a server and users, all in memory."""
+
+import struct
+
+import msgspec
+import pytest
+
+from proto import keys
+from proto.codec import Format, decode
+from proto.geometry import Twist, Vector3
+from proto.model import DiffDrive
+from proto.result import ServiceError
+from proto.topics import Odometry
+from robot_agent.agent import Agent, AgentConfig, run_agent
+from tests.fakes import ManualClock, MemoryBus
+from tests.robot_agent.models import DRIVE, a_state, two_wheeler
+from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
+
+FORWARD = Twist(Vector3(0.5))
+BACK = Twist(Vector3(-0.5))
+
+
+class Scene:
+    """A server with entities, and an agent that wants some of them."""
+
+    def __init__(self, *entities: str, drive: DiffDrive | None = DRIVE) -> None:
+        self.bus = MemoryBus()
+        self.server = StandInServer(self.bus, *entities)
+        self.server.entities = {name: two_wheeler(drive) for name in entities}
+        self.server.come_up()
+        self.now_s = 100.0
+        self.agent = Agent(self.bus, AgentConfig(agent=AGENT, entities=entities))
+
+    def poll(self) -> bool:
+        self.now_s += 0.001
+        return self.agent.poll(self.now_s)
+
+    def wait(self, duration_s: float) -> None:
+        self.now_s += duration_s
+        self.poll()
+
+    def drive_to(self, step: int, *claims: int, epoch: int = 0) -> list[tuple[float, ...]]:
+        """Send a state, and return the targets of the commands that come back."""
+        self.server.commands()
+        self.server.send(a_state(step, claims or (1,), epoch=epoch))
+        assert self.poll()
+        return [
+            struct.unpack(f"<{len(command.targets) // 8}d", command.targets)
+            for command in self.server.commands()
+        ]
+
+
+def test_agent_has_its_token_up_before_it_claims() -> None:
+    scene = Scene("r1")
+
+    assert scene.bus.alive(keys.alive_agents(WORLD)) == [keys.alive_agent(WORLD, AGENT)]
+    assert scene.server.requests == []
+
+
+def test_agent_claims_its_entities_at_its_first_poll() -> None:
+    scene = Scene("r1", "r2")
+
+    scene.poll()
+
+    assert scene.server.drivers == {"r1": AGENT, "r2": AGENT}
+    assert scene.bus.is_heard("r1/cmd_vel")
+    assert scene.bus.is_served("r2/odom")
+
+
+def test_agent_answers_a_state_with_targets_of_the_newest_twist() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+
+    assert scene.drive_to(1) == [pytest.approx((5.0, 5.0))]
+
+    scene.bus.put_message("r1/cmd_vel", BACK, Format.MSGPACK)
+    assert scene.drive_to(2) == [pytest.approx((-5.0, -5.0))]
+
+
+def test_agent_says_which_state_it_answers() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    state = a_state(7, (1,), epoch=2)
+    scene.server.send(state)
+
+    scene.poll()
+
+    (command,) = scene.server.commands()
+    assert (command.epoch, command.step, command.claims) == (2, 7, state.claims)
+
+
+def test_agent_publishes_odometry_of_a_state() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    listener = scene.bus.subscribe("r1/odom")
+
+    scene.drive_to(3)
+
+    (sample,) = listener.take()
+    assert decode(Odometry, sample.payload, sample.encoding).header.stamp.nanosec == 30_000_000
+
+
+def test_agent_answers_a_get_with_the_last_odometry() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(3)
+    scene.bus.pumps.append(lambda: scene.wait(0.01))
+
+    assert [sample.key for sample in scene.bus.get("r1/odom")] == ["r1/odom"]
+
+
+def test_agent_says_that_it_is_idle_when_no_state_has_come() -> None:
+    scene = Scene("r1")
+
+    assert not scene.poll()
+
+
+def test_agent_stops_the_robot_when_commands_cease() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+    scene.drive_to(1)
+
+    assert scene.drive_to(51) == [pytest.approx((5.0, 5.0))]
+    assert scene.drive_to(52) == [(0.0, 0.0)]
+
+
+def test_agent_ignores_a_state_that_is_late() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(10)
+
+    assert scene.drive_to(9) == []
+
+
+def test_agent_starts_its_robots_again_at_a_reset() -> None:
+    scene = Scene("r1", drive=msgspec.structs.replace(DRIVE, max_acceleration=1.0))
+    scene.poll()
+    for step in range(10):
+        scene.bus.put_message("r1/cmd_vel", FORWARD)
+        scene.drive_to(step)
+
+    assert scene.drive_to(0, epoch=1) == [(0.0, 0.0)]
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+    assert scene.drive_to(1, epoch=1) == [pytest.approx((0.1, 0.1))]
+
+
+def test_agent_claims_again_when_an_entity_comes_back(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(1)
+    kept = scene.server.entities.pop("r1")
+    scene.server.drivers.clear()
+
+    scene.server.send(a_state(2, (), base=(), positions=(), velocities=()))
+    scene.poll()
+    assert not scene.bus.is_served("r1/odom")
+    scene.poll()
+
+    scene.server.entities["r1"] = kept
+    scene.server.tell("spawned", "r1")
+    scene.poll()
+    assert scene.drive_to(3, 2) == [(0.0, 0.0)]
+    assert [line.split(" ")[0] for line in caplog.messages] == [
+        "claimed",
+        "lost",
+        "waiting",
+        "claimed",
+    ]
+
+
+def test_agent_drives_the_others_when_one_entity_is_gone() -> None:
+    scene = Scene("r1", "r2")
+    scene.poll()
+    scene.drive_to(1, 1, 2)
+    del scene.server.entities["r1"]
+    scene.bus.put_message("r2/cmd_vel", FORWARD)
+
+    assert scene.drive_to(2, 2) == [pytest.approx((5.0, 5.0))]
+    assert not scene.bus.is_served("r1/odom")
+
+
+def test_agent_ignores_states_of_claims_that_it_does_not_hold() -> None:
+    scene = Scene("r1")
+    scene.poll()
+
+    assert scene.drive_to(1, 7) == []
+    assert scene.bus.is_served("r1/odom")
+
+
+def test_agent_ignores_a_state_from_before_its_claim() -> None:
+    scene = Scene("r1")
+    scene.server.send(a_state(5, (), base=(), positions=(), velocities=()))
+
+    scene.poll()
+
+    assert scene.bus.is_served("r1/odom")
+
+
+def test_agent_claims_again_when_the_server_was_restarted() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(100)
+
+    scene.server.go_down()
+    scene.server.entities.clear()
+    scene.poll()
+    assert not scene.bus.is_served("r1/odom")
+
+    scene.server.entities["r1"] = two_wheeler()
+    scene.server.come_up()
+    scene.poll()
+    assert scene.drive_to(0, 2) == [(0.0, 0.0)]
+
+
+def test_agent_goes_on_when_a_state_is_garbled(caplog: pytest.LogCaptureFixture) -> None:
+    scene = Scene("r1")
+    scene.poll()
+
+    for _ in range(3):
+        scene.bus.put(keys.drive_state(WORLD, AGENT), b"garbage")
+        assert scene.poll()
+
+    assert scene.agent.malformed == 3
+    assert len(caplog.messages) == 1
+    assert scene.drive_to(1) == [(0.0, 0.0)]
+
+
+def test_agent_that_runs_drives_until_something_raises() -> None:
+    bus, clock = MemoryBus(), ManualClock()
+    StandInServer(bus)
+    config = AgentConfig(agent=AGENT, entities=("r1",), wait_s=2.0)
+
+    with pytest.raises(ServiceError, match="NOT_FOUND"):
+        run_agent(bus, config, clock=clock, sleep=clock.sleep)
+
+    assert clock.now_s == pytest.approx(2.5, abs=1.0)

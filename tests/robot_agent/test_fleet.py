@@ -1,0 +1,118 @@
+"""Robots by claim, and the states that speak of them."""
+
+import struct
+
+import pytest
+
+from proto.claims import DriveCommand
+from proto.codec import MalformedPayload
+from proto.geometry import Twist, Vector3
+from robot_agent.fleet import Fleet
+from robot_agent.robot import Robot
+from tests.fakes import MemoryBus
+from tests.robot_agent.models import a_claim, a_state, two_wheeler
+
+
+def a_fleet(bus: MemoryBus, *claims: int) -> Fleet:
+    fleet = Fleet()
+    for claim in claims:
+        fleet.hold(claim, Robot(bus, a_claim(claim, f"r{claim}"), 0))
+    return fleet
+
+
+def targets_of(command: DriveCommand) -> tuple[float, ...]:
+    return struct.unpack(f"<{len(command.targets) // 8}d", command.targets)
+
+
+def test_fleet_answers_a_state_claim_by_claim() -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus, 1, 2)
+    bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
+    bus.put_message("r2/cmd_vel", Twist(Vector3(0.2)))
+
+    command = fleet.advance(a_state(7, (2, 1), epoch=3))
+
+    assert (command.epoch, command.step) == (3, 7)
+    assert command.claims == struct.pack("<2I", 2, 1)
+    assert targets_of(command) == pytest.approx((2.0, 2.0, 1.0, 1.0))
+
+
+def test_fleet_answers_for_the_robots_that_are_left() -> None:
+    fleet = a_fleet(MemoryBus(), 1, 2)
+    fleet.advance(a_state(1, (1, 2)))
+
+    lost = fleet.lose_all_but(a_state(2, (2,)).claims)
+
+    assert lost == ("r1",)
+    assert [robot.entity for robot in fleet.robots] == ["r2"]
+    assert targets_of(fleet.advance(a_state(2, (2,)))) == (0.0, 0.0)
+
+
+def test_fleet_answers_for_a_robot_that_joined() -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus, 1)
+    fleet.advance(a_state(1, (1,)))
+
+    fleet.hold(2, Robot(bus, a_claim(2, "r2"), 0))
+
+    assert fleet.lose_all_but(a_state(2, (1, 2)).claims) == ()
+    assert len(targets_of(fleet.advance(a_state(2, (1, 2))))) == 4
+
+
+def test_fleet_answers_nothing_for_a_robot_without_a_drive() -> None:
+    bus = MemoryBus()
+    fleet = Fleet()
+    fleet.hold(1, Robot(bus, a_claim(model=two_wheeler(None)), 0))
+
+    assert fleet.advance(a_state(1)).targets == b""
+
+
+def test_fleet_loses_nothing_while_states_speak_of_all() -> None:
+    fleet = a_fleet(MemoryBus(), 1, 2)
+    state = a_state(1, (1, 2))
+    fleet.advance(state)
+
+    assert fleet.lose_all_but(state.claims) == ()
+
+
+def test_fleet_closes_what_it_loses() -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus, 1, 2)
+
+    assert fleet.lose_all_but(b"") == ("r1", "r2")
+    assert not bus.is_served("*/*")
+
+
+def test_fleet_holds_what_it_was_given_only() -> None:
+    fleet = a_fleet(MemoryBus(), 1, 2)
+
+    assert fleet.holds(a_state(1, (2,)).claims)
+    assert fleet.holds(b"")
+    assert not fleet.holds(a_state(1, (1, 3)).claims)
+
+
+def test_fleet_refuses_claims_that_are_cut_off() -> None:
+    with pytest.raises(MalformedPayload):
+        a_fleet(MemoryBus(), 1).holds(b"\x01\x00\x00")
+
+
+def test_fleet_resets_every_robot() -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus, 1)
+    bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
+    fleet.advance(a_state(10))
+
+    fleet.reset()
+
+    assert targets_of(fleet.advance(a_state(0, epoch=1))) == (0.0, 0.0)
+
+
+def test_fleet_tells_for_every_robot() -> None:
+    bus = MemoryBus()
+    listener = bus.subscribe("*/odom", 8)
+    fleet = a_fleet(bus, 1, 2)
+
+    fleet.advance(a_state(1, (1, 2)))
+    fleet.tell()
+
+    assert {sample.key for sample in listener.take()} == {"r1/odom", "r2/odom"}

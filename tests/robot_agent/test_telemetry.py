@@ -1,0 +1,183 @@
+"""What a robot tells, and when."""
+
+from typing import TypeVar
+
+import msgspec
+import pytest
+
+from proto.codec import decode
+from proto.header import Header, Time
+from proto.model import JointStatePublisher, Model, RosBlock
+from proto.topics import JointState, Odometry, String, TFMessage
+from robot_agent.odometry import Motion
+from robot_agent.reading import Reading
+from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
+from tests.fakes import MemoryBus
+from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, a_claim, two_wheeler
+
+SECOND = 1_000_000_000
+Message = TypeVar("Message", bound=msgspec.Struct)
+MOTION = Motion((1.0, 2.0, 0.0), linear_x=0.5)
+
+
+def reading(time_ns: int = 5 * SECOND) -> Reading:
+    return Reading(time_ns, AT_REST, (0.1, 0.2), (1.0, 2.0))
+
+
+def heard(bus: MemoryBus, key: str, kind: type[Message], model: Model | None = None) -> Message:
+    listener = bus.subscribe(key)
+    MotionTelemetry(bus, a_claim(model=model)).tell(reading(), MOTION)
+    JointTelemetry(bus, a_claim(model=model)).tell(reading())
+    (sample,) = listener.take()
+    return decode(kind, sample.payload, sample.encoding)
+
+
+def test_motion_is_told_as_odometry() -> None:
+    message = heard(MemoryBus(), "r1/odom", Odometry)
+
+    assert message.header == Header(Time(5), "odom")
+    assert message.child_frame_id == "base_footprint"
+    assert message.pose.pose.position.x == 1.0
+    assert message.twist.twist.linear.x == 0.5
+
+
+def test_motion_is_told_in_tf_with_the_wheels() -> None:
+    message = heard(MemoryBus(), "r1/tf", TFMessage)
+
+    assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == [
+        ("odom", "base_footprint"),
+        ("base_link", "left_wheel"),
+        ("base_link", "right_wheel"),
+    ]
+    assert {t.header.stamp for t in message.transforms} == {Time(5)}
+
+
+def test_tf_has_joints_only_when_the_drive_does_not_publish_its_own() -> None:
+    quiet = msgspec.structs.replace(DRIVE, publish_odom_tf=False)
+
+    message = heard(MemoryBus(), "r1/tf", TFMessage, two_wheeler(quiet))
+
+    assert [t.child_frame_id for t in message.transforms] == ["left_wheel", "right_wheel"]
+
+
+def test_odometry_is_not_offered_when_the_drive_does_not_publish_it() -> None:
+    bus = MemoryBus()
+    quiet = msgspec.structs.replace(DRIVE, publish_odom=False)
+
+    MotionTelemetry(bus, a_claim(model=two_wheeler(quiet)))
+
+    assert not bus.is_served("r1/odom")
+
+
+def test_tf_is_not_offered_when_nothing_moves() -> None:
+    bus = MemoryBus()
+
+    MotionTelemetry(bus, a_claim(model=two_wheeler(None, joints=())))
+
+    assert not bus.is_served("r1/*")
+
+
+def test_joint_states_have_names_positions_and_velocities() -> None:
+    message = heard(MemoryBus(), "r1/joint_states", JointState)
+
+    assert message == JointState(
+        Header(Time(5)), ("left_joint", "right_joint"), (0.1, 0.2), (1.0, 2.0), ()
+    )
+
+
+def test_joint_states_hold_the_publishers_joints_only() -> None:
+    model = two_wheeler(joint_state=JointStatePublisher(("right_joint",)))
+
+    message = heard(MemoryBus(), "r1/joint_states", JointState, model)
+
+    assert (message.name, message.position) == (("right_joint",), (0.2,))
+
+
+def test_joint_states_are_not_offered_when_there_are_none() -> None:
+    bus = MemoryBus()
+
+    telemetry = JointTelemetry(
+        bus, a_claim(model=two_wheeler(joint_state=JointStatePublisher(("missing",))))
+    )
+    telemetry.tell(reading())
+
+    assert not bus.is_served("r1/*")
+
+
+@pytest.mark.parametrize(("rate_hz", "count"), [(None, 30), (10.0, 10), (0.0, 80)])
+def test_joint_states_come_at_their_own_rate(rate_hz: float | None, count: int) -> None:
+    bus = MemoryBus()
+    listener = bus.subscribe("r1/joint_states", 100)
+    names = ("left_joint",)
+    publisher = None if rate_hz is None else JointStatePublisher(names, rate_hz)
+    telemetry = JointTelemetry(bus, a_claim(model=two_wheeler(joint_state=publisher)))
+
+    for i in range(80):
+        telemetry.tell(reading(i * SECOND // 80))
+
+    assert len(listener.take()) == count
+
+
+def test_topics_follow_remappings() -> None:
+    bus = MemoryBus()
+    drive = msgspec.structs.replace(DRIVE, ros=RosBlock("", ("odom:=ground_truth", "/tf:=/all/tf")))
+    publisher = JointStatePublisher(("left_joint",), ros=RosBlock("", ("joint_states:=js",)))
+    claim = a_claim(model=two_wheeler(drive, joint_state=publisher))
+
+    outlets = [MotionTelemetry(bus, claim), JointTelemetry(bus, claim)]
+
+    assert outlets
+    assert all(bus.is_served(key) for key in ("r1/ground_truth", "all/tf", "r1/js"))
+    assert not any(bus.is_served(key) for key in ("r1/odom", "r1/tf", "r1/joint_states"))
+
+
+def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None:
+    bus = MemoryBus()
+    motion, joints = MotionTelemetry(bus, a_claim()), JointTelemetry(bus, a_claim())
+    bus.pumps += [outlet.answer for outlet in (*motion.outlets, *joints.outlets)]
+    assert bus.get("r1/*") == []
+
+    motion.tell(reading(), MOTION)
+    joints.tell(reading())
+    assert {sample.key for sample in bus.get("r1/*")} == {
+        "r1/odom",
+        "r1/tf",
+        "r1/joint_states",
+    }
+
+    motion.reset()
+    joints.reset()
+    assert bus.get("r1/*") == []
+
+
+def test_joint_states_come_at_once_after_a_reset() -> None:
+    bus = MemoryBus()
+    listener = bus.subscribe("r1/joint_states", 8)
+    telemetry = JointTelemetry(bus, a_claim())
+    telemetry.tell(reading(5 * SECOND))
+
+    telemetry.reset()
+    telemetry.tell(reading(0))
+
+    assert len(listener.take()) == 2
+
+
+def test_constants_are_the_fixed_frames_and_the_description() -> None:
+    bus = MemoryBus()
+    bus.pumps += [outlet.answer for outlet in constant_outlets(bus, a_claim())]
+
+    (fixed,) = bus.get("r1/tf_static")
+    (description,) = bus.get("r1/robot_description")
+
+    transforms = decode(TFMessage, fixed.payload).transforms
+    assert [t.child_frame_id for t in transforms] == ["base_link", "camera"]
+    assert {t.header.stamp for t in transforms} == {Time()}
+    assert decode(String, description.payload) == String("<robot/>")
+
+
+def test_constants_are_not_offered_when_there_are_none() -> None:
+    bus = MemoryBus()
+    model = two_wheeler(None, joints=WHEELS, frames=())
+    claim = msgspec.structs.replace(a_claim(model=model), robot_description="")
+
+    assert constant_outlets(bus, claim) == []
