@@ -26,7 +26,10 @@ ENDPOINT = re.compile(r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 MAX_PORT: Final = 65535
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
-"""A router that someone joins or leaves just then may end a query empty: ask again, same id."""
+"""Right after a reconnect a query may end empty though a server is there: ask again, same id.
+
+Source: eclipse-zenoh/zenoh#2767.
+"""
 MAX_ANSWERS: Final = 16384
 """To one question, kept in a queue: a ring loses what is left in it when the last has come."""
 LATEST: Final = 1

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ import typer
 from proto.bus import Bus
 from proto.exits import one_line_failures
 from proto.model import Model
+from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.errors import SimError
 
@@ -23,18 +23,6 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 class MissingExtra(Exception):
     """The server's packages are not installed."""
-
-
-class _Stop:
-    """Set by the first SIGINT or SIGTERM."""
-
-    def __init__(self) -> None:
-        self.is_set = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._set)
-
-    def _set(self, _number: int, _frame: object) -> None:
-        self.is_set = True
 
 
 @app.command()
@@ -62,7 +50,7 @@ def serve(
     )
     if listen and connect:
         raise typer.BadParameter("--listen and --connect exclude each other; give one")
-    stop = _Stop()
+    stop = StopFlag()
     config = ServerConfig(
         bus=server_bus(listen, connect),
         world=world_name,
@@ -75,7 +63,7 @@ def serve(
     _serve(config, stop)
 
 
-def _serve(config: ServerConfig, stop: _Stop) -> None:
+def _serve(config: ServerConfig, stop: StopFlag) -> None:
     def announce(bus: Bus) -> None:
         typer.echo(
             f"zensim serve: world '{config.world}' at {bus.endpoint} "
@@ -84,19 +72,25 @@ def _serve(config: ServerConfig, stop: _Stop) -> None:
         )
 
     with one_line_failures("serve", ConfigError, AlreadyServed, MissingExtra):
-        _import_server()(config, lambda: stop.is_set, announce)
+        _import_server()(config, stop, announce)
 
 
 def _import_server() -> Callable[..., None]:
-    try:
+    with _server_extra():
         from sim_server.server import serve as run_server
+    return run_server
+
+
+@contextmanager
+def _server_extra() -> Iterator[None]:
+    try:
+        yield
     except ModuleNotFoundError as error:
         if error.name not in SERVER_EXTRA:
             raise
         raise MissingExtra(
             f"{error.name} is not installed; use pip install 'zensim[server]'"
         ) from error
-    return run_server
 
 
 @app.command()
@@ -119,8 +113,9 @@ def model(
 def _read_model(file: str, package_paths: list[Path]) -> Model:
     from sim_server.description.assets import meshes_in
     from sim_server.description.library import model_text, shipped_models
-    from sim_server.description.urdf import read_urdf
 
+    with _server_extra():
+        from sim_server.description.urdf import read_urdf
     if file in shipped_models():
         return read_urdf(model_text(file))
     path = Path(file)

@@ -1,7 +1,6 @@
 """`zensim up`: everything on this machine, from one command."""
 
 import os
-import signal
 import sys
 import time
 import webbrowser
@@ -19,26 +18,12 @@ from deploy.local import Program, ProgramDied, Supervisor
 from proto.bus import DEFAULT_ENDPOINT, with_free_port
 from proto.exits import one_line_failures
 from proto.names import check_name
+from proto.stop import StopFlag
 from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 console = Console(stderr=True)
-
-
-class _Stop:
-    """Set by the first SIGINT or SIGTERM; while coming up it also ends the wait."""
-
-    def __init__(self) -> None:
-        self.is_set = False
-        self.is_up = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._set)
-
-    def _set(self, _number: int, _frame: object) -> None:
-        was_set, self.is_set = self.is_set, True
-        if not self.is_up and not was_set:
-            raise KeyboardInterrupt
 
 
 Robots = Annotated[int, typer.Option("--robots", min=0, help="How many.")]
@@ -81,7 +66,7 @@ def up(
     as_json: AsJson = False,
 ) -> None:
     """Run a world, its robots, their agents and the page, all on this machine."""
-    began_s, stop = time.monotonic(), _Stop()
+    began_s, stop = time.monotonic(), StopFlag(is_armed=False)
     with one_line_failures("up", DemoFailed, ProgramDied):
         config = DemoConfig(
             places=_places(model, robots, layout, spacing),
@@ -97,11 +82,11 @@ def up(
         try:
             with _progress(len(config.places)) as steps:
                 demo = start(config, supervisor, steps, began_s)
-            stop.is_up = True
+            stop.arm()
             with demo.bus:
                 _announce(demo, as_json=as_json)
                 _maybe_open(demo.viewer_url, open_page)
-                run(demo, duration, lambda: stop.is_set)
+                run(demo, duration, stop)
                 _close(demo, as_json=as_json)
         finally:
             supervisor.close()

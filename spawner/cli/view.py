@@ -1,6 +1,5 @@
 """`zensim view`: the 3D page of a world, on this host or another."""
 
-import signal
 import webbrowser
 from collections.abc import Callable
 from contextlib import closing
@@ -11,6 +10,7 @@ import typer
 from proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
 from proto.exits import one_line_failures
 from proto.names import check_name
+from proto.stop import StopFlag
 from spawner.cli.session import Connect, WorldName
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -22,18 +22,6 @@ ANY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 
 class MissingExtra(Exception):
     """The page's packages are not installed."""
-
-
-class _Stop:
-    """Set by the first SIGINT or SIGTERM."""
-
-    def __init__(self) -> None:
-        self.is_set = False
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._set)
-
-    def _set(self, _number: int, _frame: object) -> None:
-        self.is_set = True
 
 
 @app.command()
@@ -56,7 +44,7 @@ def view(
         if open_page:
             webbrowser.open(url)
 
-    stop = _Stop()
+    stop = StopFlag()
     with one_line_failures("view", MissingExtra):
         check_name(world_name, "world")
         config = BusConfig(connect=(connect or DEFAULT_ENDPOINT,))
@@ -70,7 +58,7 @@ def _serve(
     host: str,
     port: int,
     announce: Callable[[int], None],
-    stop: _Stop,
+    stop: StopFlag,
 ) -> None:
     try:
         from spawner.viewer.app import Viewer

@@ -1,0 +1,217 @@
+"""The bus on real sessions over loopback."""
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from proto import keys
+from proto.bus import (
+    Bus,
+    BusConfig,
+    EndpointTaken,
+    NoServer,
+    Sample,
+    Unreachable,
+    check_endpoint,
+    open_bus,
+    with_free_port,
+)
+from proto.catalog import DELETE_ENTITY, INFO
+from proto.codec import Format, encode, encoding_of
+from proto.result import Result, ResultCode, ServiceError
+from proto.services import DeleteEntityRequest, DeleteEntityResponse
+from proto.telemetry import Info, InfoRequest
+from tests.integration.processes import eventually, free_endpoint
+
+
+@pytest.fixture
+def router() -> Iterator[Bus]:
+    with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as bus:
+        yield bus
+
+
+@pytest.fixture
+def client(router: Bus) -> Iterator[Bus]:
+    with open_bus(BusConfig(connect=(router.endpoint,))) as bus:
+        yield bus
+
+
+class Answering(threading.Thread):
+    """Answers every request with one reply, as a server's loop does."""
+
+    def __init__(self, bus: Bus, reply: bytes, encoding: str) -> None:
+        super().__init__()
+        self.seen: list[bytes] = []
+        self._calls = bus.serve(keys.services("default"))
+        self._reply = (reply, encoding)
+        self._done = threading.Event()
+
+    def __enter__(self) -> "Answering":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self.join()
+
+    def run(self) -> None:
+        while not self._done.wait(0.0002):
+            for call in self._calls.take():
+                self.seen.append(call.request_id)
+                call.reply(*self._reply)
+
+
+def answering(bus: Bus, response: Info | DeleteEntityResponse) -> Answering:
+    form = Format.MSGPACK
+    return Answering(bus, encode(response, form), encoding_of(response, form))
+
+
+def test_samples_arrive_in_order_when_the_subscription_is_deep(router: Bus, client: Bus) -> None:
+    listener = router.subscribe("r1/*", depth=100)
+    publisher = client.advertise("r1/odom", "application/cdr")
+    eventually(lambda: publisher.is_matched, 5.0, "matching")
+
+    for number in range(10):
+        publisher.send(bytes([number]))
+
+    found: list[Sample] = []
+
+    def have_all_come() -> bool:
+        found.extend(listener.take())
+        return len(found) == 10
+
+    eventually(have_all_come, 5.0, "arriving")
+    assert [sample.payload[0] for sample in found] == list(range(10))
+    assert {sample.key for sample in found} == {"r1/odom"}
+    assert {sample.encoding for sample in found} == {"application/cdr"}
+
+
+def test_newest_sample_is_kept_when_the_subscription_is_latest(router: Bus, client: Bus) -> None:
+    latest, deep = router.subscribe("a"), router.subscribe("a", depth=10)
+    publisher = client.advertise("a", "")
+    eventually(lambda: publisher.is_matched, 5.0, "matching")
+
+    for number in range(3):
+        publisher.send(bytes([number]))
+
+    eventually(lambda: any(sample.payload == b"\x02" for sample in deep.take()), 5.0, "arriving")
+    newest = latest.newest()
+    assert newest is not None
+    assert newest.payload == b"\x02"
+    assert latest.newest() is None
+
+
+def test_call_returns_the_typed_response(router: Bus, client: Bus) -> None:
+    with answering(router, Info(world="w", steps=7)):
+        info = client.call(INFO, InfoRequest(), world="default")
+
+    assert (info.world, info.steps) == ("w", 7)
+
+
+def test_call_raises_the_servers_code_when_it_is_refused(router: Bus, client: Bus) -> None:
+    refusal = DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "entity 'x' does not exist"))
+    with answering(router, refusal), pytest.raises(ServiceError, match="NOT_FOUND") as caught:
+        client.call(DELETE_ENTITY, DeleteEntityRequest("x"), world="default")
+
+    assert caught.value.code == ResultCode.NOT_FOUND
+
+
+def test_call_carries_its_request_id(router: Bus, client: Bus) -> None:
+    with answering(router, Info()) as server:
+        client.call(INFO, InfoRequest(), world="default", request_id="again")
+
+    assert server.seen == [b"again"]
+
+
+def test_call_raises_when_nobody_serves(client: Bus) -> None:
+    with pytest.raises(NoServer, match="zensim serve"):
+        client.call(INFO, InfoRequest(), world="default")
+
+
+def test_call_times_out_when_a_server_never_answers(router: Bus, client: Bus) -> None:
+    calls = router.serve(keys.services("default"))
+
+    with pytest.raises(TimeoutError, match=r"0\.2 s"):
+        client.call(INFO, InfoRequest(), world="default", timeout_s=0.2)
+
+    for call in calls.take():
+        call.drop()
+
+
+def test_call_is_refused_unsent_when_it_exceeds_the_limit(router: Bus) -> None:
+    config = BusConfig(connect=(router.endpoint,), max_message_bytes=1000)
+    with open_bus(config) as client, pytest.raises(ServiceError, match="at most 1000"):
+        client.call(DELETE_ENTITY, DeleteEntityRequest("x" * 2000), world="default")
+
+
+def test_calls_are_all_answered_while_others_come_and_go(router: Bus, client: Bus) -> None:
+    done = threading.Event()
+
+    def come_and_go() -> None:
+        while not done.is_set():
+            open_bus(BusConfig(connect=(router.endpoint,))).close()
+
+    visitor = threading.Thread(target=come_and_go)
+    with answering(router, Info()):
+        visitor.start()
+        try:
+            for _ in range(1000):
+                client.call(INFO, InfoRequest(), world="default")
+        finally:
+            done.set()
+            visitor.join()
+
+
+def test_token_is_seen_to_come_and_go(router: Bus, client: Bus) -> None:
+    watch = router.watch_tokens("alive/*")
+    token = client.token("alive/a")
+
+    assert eventually(lambda: watch.take() or None, 5.0, "coming") == [("alive/a", True)]
+    assert router.alive("alive/*") == ["alive/a"]
+    token.close()
+    assert eventually(lambda: watch.take() or None, 5.0, "going") == [("alive/a", False)]
+
+
+def test_all_answers_are_collected_when_many_reply(router: Bus, client: Bus) -> None:
+    keys_served = [f"many/k{number}" for number in range(50)]
+    queues = [router.serve(key) for key in keys_served]
+    done = threading.Event()
+
+    def answer() -> None:
+        while not done.wait(0.001):
+            for key, queue in zip(keys_served, queues, strict=True):
+                for call in queue.take():
+                    call.reply(key.encode(), "", key)
+
+    server = threading.Thread(target=answer)
+    server.start()
+    try:
+        found = client.get("many/*", timeout_s=5.0)
+    finally:
+        done.set()
+        server.join()
+    assert sorted(sample.payload.decode() for sample in found) == sorted(keys_served)
+
+
+def test_open_says_so_when_nobody_listens() -> None:
+    config = BusConfig(connect=(free_endpoint(),), open_timeout_s=0.2)
+
+    with pytest.raises(Unreachable, match="nobody listens at tcp/127"):
+        open_bus(config)
+
+
+def test_open_says_so_when_the_endpoint_is_taken(router: Bus) -> None:
+    with pytest.raises(EndpointTaken, match="taken"):
+        open_bus(BusConfig(mode="router", listen=(router.endpoint,)))
+
+
+@pytest.mark.parametrize("endpoint", ["", "7447", "tcp/localhost", "tcp/h:99999", "ftp/h:1", "x"])
+def test_endpoint_is_refused_when_it_is_none(endpoint: str) -> None:
+    with pytest.raises(ValueError, match="tcp/127"):
+        check_endpoint(endpoint)
+
+
+def test_port_is_chosen_when_it_is_0() -> None:
+    assert not with_free_port("tcp/127.0.0.1:0").endswith(":0")
+    assert with_free_port("tcp/127.0.0.1:7447") == "tcp/127.0.0.1:7447"
