@@ -51,8 +51,19 @@ def test_help_is_shown_when_no_extra_is_installed() -> None:
     assert "serve" in done.stdout
 
 
-def test_serve_names_the_extra_when_it_is_not_installed() -> None:
-    done = run(CALL_ZENSIM, "serve", "--listen", "tcp/127.0.0.1:0")
+@pytest.mark.parametrize(
+    ("command", "extra"),
+    [
+        (("serve", "--listen", "tcp/127.0.0.1:0"), "server"),
+        (("model", "box_bot"), "server"),
+        (("view",), "viewer"),
+    ],
+)
+def test_command_names_the_extra_when_it_is_not_installed(
+    command: tuple[str, ...], extra: str
+) -> None:
+    done = run(CALL_ZENSIM, *command)
 
-    assert "pip install 'zensim[server]'" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert f"pip install 'zensim[{extra}]'" in done.stderr
     assert done.returncode != 0
