@@ -1,0 +1,53 @@
+"""What a page says to its server, without a browser."""
+
+import msgspec
+import viser
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
+
+
+def bare_page(url: str, origin: str = "") -> ClientConnection:
+    """Connect as a page does that came from `origin`, else from the server itself."""
+    address = url.replace("http", "ws")
+    return connect(address, subprotocols=[PROTOCOL], origin=Origin(origin or url), max_size=None)
+
+
+def a_camera() -> bytes:
+    """Encode the first thing that a page sends: where its camera is."""
+    return _encoded(
+        "ViewerCameraMessage",
+        wxyz=(1.0, 0.0, 0.0, 0.0),
+        position=(-3.0, -2.0, 2.0),
+        fov=0.8,
+        near=0.01,
+        far=1000.0,
+        image_height=800,
+        image_width=1280,
+        look_at=(3.0, 0.0, 0.0),
+        up_direction=(0.0, 0.0, 1.0),
+    )
+
+
+def a_click(path: str, instance: int) -> bytes:
+    """Encode a click on one instance of a scene node."""
+    return _encoded(
+        "SceneNodeClickMessage",
+        name=path,
+        instance_index=instance,
+        ray_origin=(0.0, 0.0, 1.0),
+        ray_direction=(0.0, 0.0, -1.0),
+        screen_pos=(0.5, 0.5),
+        modifier=None,
+        owner="",
+    )
+
+
+def a_wish_to_share() -> bytes:
+    """Encode the wish for a public address."""
+    return _encoded("ShareUrlRequest")
+
+
+def _encoded(kind: str, **fields: object) -> bytes:
+    return msgspec.msgpack.encode({"type": kind, **fields})

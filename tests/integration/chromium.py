@@ -1,0 +1,206 @@
+"""Headless Chromium, driven by its DevTools protocol; WebGL runs in software."""
+
+import base64
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from websockets.sync.client import ClientConnection, connect
+
+NAMES = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--no-first-run",
+    "--remote-debugging-port=0",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-dev-shm-usage",
+    "--disable-quic",
+    "--disable-sync",
+)
+START_TIMEOUT_S = 30.0
+WIDTH, HEIGHT = 1280, 800
+DEVTOOLS = "DevTools listening on "
+
+UNTIL = """
+new Promise((resolve, reject) => {
+  const end = performance.now() + %f * 1000;
+  const look = () => {
+    let found = false;
+    try { found = (%s); } catch (error) { /* not there yet */ }
+    if (found) resolve(found);
+    else if (performance.now() > end) reject(new Error("never came true"));
+    else setTimeout(look, 50);
+  };
+  look();
+})
+"""
+PIXELS = """
+(() => {
+  const seen = window.__viserMutable.canvas, copy = document.createElement("canvas");
+  [copy.width, copy.height] = [seen.width, seen.height];
+  const context = copy.getContext("2d");
+  context.drawImage(seen, 0, 0);
+  const bytes = context.getImageData(0, 0, copy.width, copy.height).data;
+  let text = "";
+  for (let i = 0; i < bytes.length; i += 8192) {
+    text += String.fromCharCode(...bytes.subarray(i, i + 8192));
+  }
+  return [copy.width, copy.height, btoa(text)];
+})()
+"""
+
+
+class Tab:
+    """One page in the browser."""
+
+    def __init__(self, connection: ClientConnection, session: str) -> None:
+        self._connection = connection
+        self._session = session
+        self._number = 0
+        self.complaints: list[str] = []
+        """What the page wrote to its console as an error, its policy's refusals among it."""
+
+    def call(self, method: str, **parameters: object) -> dict[str, Any]:
+        """Call a method of the protocol and return its result."""
+        self._number += 1
+        call = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            call["sessionId"] = self._session
+        self._connection.send(json.dumps(call))
+        while True:
+            message = json.loads(self._connection.recv(timeout=60.0))
+            if message.get("id") == self._number:
+                if "error" in message:
+                    raise RuntimeError(f"{method}: {message['error']['message']}")
+                return dict(message["result"])
+            self._note(message)
+
+    def open(self, url: str) -> None:
+        """Go to a viewer's page, drawn at full resolution however slow this machine is."""
+        self.call("Log.enable")
+        self.call("Runtime.enable")
+        size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.call("Page.navigate", url=f"{url}/?fixedDpr=1")
+
+    def evaluate(self, expression: str) -> Any:  # noqa: ANN401  it is JSON
+        """Return what an expression, or the promise that it is, comes to."""
+        done = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        if "exceptionDetails" in done:
+            raise RuntimeError(f"{expression.strip()[:200]}: {done['exceptionDetails']}")
+        return done["result"].get("value")
+
+    def until(self, expression: str, within_s: float = 30.0) -> Any:  # noqa: ANN401
+        """Wait until an expression is true; return it."""
+        return self.evaluate(UNTIL % (within_s, expression))
+
+    def point(self, x: float, y: float) -> None:
+        """Move the pointer there."""
+        self._mouse("mouseMoved", x, y)
+
+    def click(self, x: float, y: float) -> None:
+        """Press and release the left button there."""
+        self.point(x, y)
+        self._mouse("mousePressed", x, y, button="left", clickCount=1)
+        self._mouse("mouseReleased", x, y, button="left", clickCount=1)
+
+    def press(self, label: str) -> None:
+        """Click the button with this text."""
+        labelled = f"[...document.querySelectorAll('button')].find(b => b.innerText === '{label}')"
+        self.until(f"!!{labelled}")
+        self.evaluate(f"{labelled}.click()")
+
+    def pixels(self) -> np.ndarray:
+        """Return the 3D picture, (height, width, 3) of uint8."""
+        width, height, text = self.evaluate(PIXELS)
+        flat = np.frombuffer(base64.b64decode(text), dtype=np.uint8)
+        return flat.reshape(height, width, 4)[:, :, :3]
+
+    def screenshot(self) -> bytes:
+        """Return the whole page as PNG."""
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+
+    def _mouse(self, kind: str, x: float, y: float, **more: object) -> None:
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def _note(self, message: dict[str, Any]) -> None:
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.complaints.append(str(message["params"]["exceptionDetails"]))
+        entry = message.get("params", {}).get("entry", {})
+        if entry.get("level") == "error":
+            self.complaints.append(f"{entry['text']} {entry.get('url', '')}")
+
+
+class Chromium:
+    """A browser of its own; close it."""
+
+    def __init__(self) -> None:
+        program = next((found for name in NAMES if (found := shutil.which(name))), None)
+        if program is None:
+            raise FileNotFoundError("no Chromium found; apt-get install chromium")
+        self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        self._process = subprocess.Popen(
+            [program, *FLAGS, f"--user-data-dir={self._profile.name}", "about:blank"],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        self._connection = connect(self._endpoint(), max_size=None, compression=None)
+
+    def __enter__(self) -> "Chromium":
+        """Return the browser itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """End the browser."""
+        self.close()
+
+    def tab(self) -> Tab:
+        """Open an empty page; use one at a time."""
+        browser = Tab(self._connection, "")
+        target = browser.call("Target.createTarget", url="about:blank")["targetId"]
+        session = browser.call("Target.attachToTarget", targetId=target, flatten=True)
+        return Tab(self._connection, session["sessionId"])
+
+    def close(self) -> None:
+        """End the browser and forget its profile."""
+        self._connection.close()
+        self._process.terminate()
+        self._process.wait(timeout=10.0)
+        if self._process.stderr is not None:
+            self._process.stderr.close()
+        self._profile.cleanup()
+
+    def _endpoint(self) -> str:
+        if self._process.stderr is None:
+            raise RuntimeError("the browser has no standard error to read")
+        for line in self._process.stderr:
+            if DEVTOOLS in line:
+                return line.split(DEVTOOLS)[1].strip()
+        raise RuntimeError("Chromium ended before it could be driven")
+
+
+@contextmanager
+def opened(url: str) -> Iterator[Tab]:
+    """Show one viewer's page in a browser of its own."""
+    with Chromium() as browser:
+        tab = browser.tab()
+        tab.open(url)
+        yield tab

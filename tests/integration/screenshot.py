@@ -1,0 +1,33 @@
+"""`python -m tests.integration.screenshot URL FILE.png`: a picture of the page of a running world.
+
+With a third argument, the name of a robot, that robot is followed.
+"""
+
+import sys
+from pathlib import Path
+
+from tests.integration.chromium import opened
+
+ROBOTS = "Object.keys(window.__viserSceneTree.getState()).some(p => p.startsWith('/robots/'))"
+SOFTWARE_NOTE = """
+const style = document.createElement("style");
+style.textContent = ".mantine-Notifications-root { display: none }";
+document.head.append(style);
+"""
+SETTLED = "new Promise(done => setTimeout(done, 2500))"
+"""The first frames are drawn before shaders are compiled and cameras have come to rest."""
+
+
+def screenshot(url: str) -> bytes:
+    """Take a picture of the page, once there are robots in it."""
+    with opened(url) as tab:
+        tab.until(ROBOTS)
+        tab.evaluate(SOFTWARE_NOTE)
+        tab.evaluate(SETTLED)
+        return tab.screenshot()
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[2])
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_bytes(screenshot(sys.argv[1]))
