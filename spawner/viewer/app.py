@@ -86,7 +86,7 @@ class Viewer:
         """Ask the network for nothing any more."""
         if self._feed is not None:
             self._feed.close()
-            self._feed = None
+            self._feed, self._warned = None, ""
 
     def _listen(self) -> Feed:
         self._feed = Feed(self._network, self._world, self._clock)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proto.model import JointKind, Origin, Quat, Vec3
+from proto.rotation import multiply, rotate
 
 Array = NDArray[np.float64]
 
@@ -51,28 +52,6 @@ def link_poses(hinges: Sequence[Hinge], base: Array, joint_positions: Array) -> 
     for hinge, moved in zip(hinges, joint_positions.T, strict=True):
         placed.append(_child_poses(placed[hinge.parent], hinge, moved))
     return placed
-
-
-def rotate(quaternions: Array, vectors: Array) -> Array:
-    """Turn (k, 3) or (3,) vectors by (k, 4) or (4,) unit quaternions, x y z w."""
-    axis, angle = quaternions[..., :3], quaternions[..., 3:]
-    turned = np.cross(axis, vectors)
-    return np.asarray(vectors + 2.0 * (angle * turned + np.cross(axis, turned)))
-
-
-def multiply(first: Array, second: Array) -> Array:
-    """Compose rotations given as quaternions x y z w; `second` acts first."""
-    axis_1, w_1 = first[..., :3], first[..., 3:]
-    axis_2, w_2 = second[..., :3], second[..., 3:]
-    axis = w_1 * axis_2 + w_2 * axis_1 + np.cross(axis_1, axis_2)
-    w = w_1 * w_2 - np.sum(axis_1 * axis_2, axis=-1, keepdims=True)
-    return np.concatenate((axis, w), axis=-1)
-
-
-def yaws(quaternions: Array) -> Array:
-    """Find the heading about z [rad] of (k, 4) quaternions x y z w."""
-    x, y, z, w = quaternions.T
-    return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
 
 
 def _child_poses(parent: Poses, hinge: Hinge, moved: Array) -> Poses:

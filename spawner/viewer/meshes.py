@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from proto.model import Quat, Shape
+from proto.rotation import rotate
 from spawner.viewer.form import Form
-from spawner.viewer.kinematics import link_poses, rotate, unit
+from spawner.viewer.kinematics import link_poses, unit
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.uint32]

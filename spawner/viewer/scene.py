@@ -6,9 +6,10 @@ import msgspec
 import numpy as np
 
 from proto.claims import STATE_COLUMNS
+from proto.rotation import yaw_of
 from proto.telemetry import EntityModel, GetModelsResponse, Snapshot
 from spawner.viewer.form import Form, NotATree, form_of
-from spawner.viewer.kinematics import Array, Poses, link_poses, yaws
+from spawner.viewer.kinematics import Array, Poses, link_poses
 
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 """How far the view is turned from the long side of the fleet: a row then runs into the depth."""
@@ -147,7 +148,7 @@ def framing(points: Array, *, aspect: float, fov_rad: float) -> tuple[Array, Arr
 def pose_lines(state: Array) -> tuple[str, str]:
     """Write a base state (STATE_COLUMNS,) as position and heading, and as speed."""
     x, y, z = state[:3]
-    yaw = np.degrees(yaws(state[None, 3:7])[0])
+    yaw = np.degrees(yaw_of(state[3:7]))
     speed, turn = np.linalg.norm(state[7:9]), state[12]
     return (
         f"x {x:.2f}  y {y:.2f}  z {z:.2f} m  yaw {yaw:.0f}°",
