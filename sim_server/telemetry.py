@@ -42,11 +42,12 @@ class Telemetry:
         self._clock = Timer(NANOSECONDS // CLOCK_HZ)
         self._snapshot = Timer(NANOSECONDS // SNAPSHOT_HZ)
         self._idle = Timer(NANOSECONDS // PAUSED_HZ)
-        self._shown = (-1, -1, -1)
+        self._shown = (-1, -1, -1, -1)
 
     def due(self, now_ns: int) -> Iterator[str]:
         """Name the topics of motion that are due now."""
-        seen = (self._world.epoch, self._world.steps, self._world.roster_number)
+        world = self._world
+        seen = (world.epoch, world.steps, world.roster_number, world.placed)
         has_changed = seen != self._shown or self._idle.is_due(now_ns)
         if has_changed and self._clock.is_due(now_ns):
             yield "clock"

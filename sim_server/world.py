@@ -49,6 +49,7 @@ class World:
         self.epoch = 0
         self.steps = 0
         self.roster_number = 0
+        self.placed = 0
         self.dropped = 0
         self.commands = 0
         self.ready_s: dict[str, float] = {}
@@ -153,6 +154,7 @@ class World:
             EntityNotFound: There is none of this name.
         """
         self._engine.place(self.entity(name).body, base)
+        self.placed += 1
         self._reading = None
 
     def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
