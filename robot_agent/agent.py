@@ -1,6 +1,7 @@
 """The agent: holds entities of one world and drives them, for as long as it is left to."""
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from typing import NoReturn
@@ -20,6 +21,9 @@ from robot_agent.upkeep import Upkeep
 
 LOG = logging.getLogger("zensim.agent")
 IDLE_S = 0.001
+"""Pause between looks for a drive state."""
+LOOK_S = 0.01
+"""Pause between looks for anything else: none of it is urgent, and each look costs."""
 
 
 class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,6 +61,7 @@ class Agent:
         self._fleet = Fleet()
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
+        self._look_s = -math.inf
 
     def poll(self, now_s: float) -> bool:
         """Do what there is to do; tell whether there was a drive state.
@@ -70,13 +75,17 @@ class Agent:
             TimeoutError: See there.
             MalformedPayload: See there.
         """
+        if now_s >= self._look_s:
+            self._look_s = now_s + LOOK_S
+            self._look_around(now_s)
+        return self._drive()
+
+    def _look_around(self, now_s: float) -> None:
         self._watch_server()
         claims = self._claimer.poll(now_s)
         if claims:
             self._take_over(claims)
-        is_busy = self._drive()
         self._upkeep.poll(now_s)
-        return is_busy
 
     def _watch_server(self) -> None:
         for _, is_alive in self._servers.take():

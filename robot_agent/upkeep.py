@@ -5,7 +5,6 @@ import logging
 from robot_agent.fleet import Fleet
 
 LOG = logging.getLogger("zensim.agent")
-ANSWER_S = 0.01
 ANNOUNCE_S = 0.2
 COMPLAIN_S = 1.0
 
@@ -15,13 +14,10 @@ class Upkeep:
 
     def __init__(self, fleet: Fleet) -> None:
         self._fleet = fleet
-        self._answer_s = self._announce_s = self._complain_s = 0.0
+        self._announce_s = self._complain_s = 0.0
 
     def poll(self, now_s: float) -> None:
-        """Do what is due."""
-        if now_s < self._answer_s:
-            return
-        self._answer_s = now_s + ANSWER_S
+        """Answer, and do what else is due."""
         for robot in self._fleet.robots:
             robot.answer()
         if now_s >= self._announce_s:
