@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from proto.geometry import Point, Pose, Quaternion, Twist, Vector3
-from proto.rotation import from_rpy, rotate
+from proto.rotation import FloatArray, from_rpy, rotate
 from sim_server.errors import PoseRefused
 from sim_server.poses import (
     MAX_POSITION_M,
@@ -104,7 +104,7 @@ def test_compose_puts_a_pose_of_a_frame_into_the_world() -> None:
 
 
 @given(states, states)
-def test_compose_agrees_with_turning_a_point_twice(frame: np.ndarray, pose: np.ndarray) -> None:
+def test_compose_agrees_with_turning_a_point_twice(frame: FloatArray, pose: FloatArray) -> None:
     point = np.array([0.3, -0.2, 0.1])
 
     row = compose(frame[:7], pose[:7])
