@@ -5,9 +5,9 @@ MAKEFLAGS += --no-print-directory
 .DEFAULT_GOAL := help
 
 IS_SUITABLE := import sys; sys.exit(sys.version_info[:2] not in ((3, 10), (3, 11)))
-PYTHONS := $(PYTHON) python3.11 python3.10 python3 python \
+PYTHONS := $(or $(PYTHON), python3.11 python3.10 python3 python \
 	$(wildcard $(HOME)/.pyenv/versions/3.11*/bin/python) \
-	$(wildcard $(HOME)/.pyenv/versions/3.10*/bin/python)
+	$(wildcard $(HOME)/.pyenv/versions/3.10*/bin/python))
 FIND_PYTHON = for python in $(PYTHONS); do \
 		if $$python -c '$(IS_SUITABLE)' 2>/dev/null; then break; fi; python=; \
 	done; \
@@ -19,7 +19,6 @@ FIND_PYTHON = for python in $(PYTHONS); do \
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
-PINS := requirements/base.txt requirements/server.txt requirements/viewer.txt requirements/dev.txt
 
 .PHONY: help setup demo test lint fmt types imports schemas docs bench chaos fuzz pins ci clean \
 	packages
