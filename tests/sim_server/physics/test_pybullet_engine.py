@@ -1,7 +1,7 @@
 """PyBulletEngine beyond the contract: masses, frictions, limits, and what Bullet cannot do."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import msgspec
 import numpy as np
@@ -70,8 +70,11 @@ def in_namespace(model: Model, namespace: str) -> Model:
     return msgspec.structs.replace(model, drive=drive)
 
 
-@pytest.mark.parametrize("model", [a_box_bot(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)
-def test_body_weighs_what_its_model_weighs(engine: PyBulletEngine, model: Model) -> None:
+@pytest.mark.parametrize("make_model", [a_box_bot, a_cart, a_lopsided_box])
+def test_body_weighs_what_its_model_weighs(
+    engine: PyBulletEngine, make_model: Callable[[], Model]
+) -> None:
+    model = make_model()
     body = engine.add(model, a_state((0.0, 0.0, 1.0)))
 
     total = sum(part.mass_kg for part in dynamics_of(engine, body))
@@ -79,8 +82,11 @@ def test_body_weighs_what_its_model_weighs(engine: PyBulletEngine, model: Model)
     assert total == pytest.approx(model.mass_kg, abs=1e-6)
 
 
-@pytest.mark.parametrize("model", [a_box_bot(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)
-def test_body_has_the_inertia_of_its_model(engine: PyBulletEngine, model: Model) -> None:
+@pytest.mark.parametrize("make_model", [a_box_bot, a_cart, a_lopsided_box])
+def test_body_has_the_inertia_of_its_model(
+    engine: PyBulletEngine, make_model: Callable[[], Model]
+) -> None:
+    model = make_model()
     body = engine.add(model, a_state((0.0, 0.0, 1.0)))
 
     for part, link in zip(dynamics_of(engine, body), model.links, strict=False):

@@ -1,0 +1,79 @@
+"""Configuration: what a server can start with."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from proto.bus import DEFAULT_ENDPOINT, BusConfig
+from proto.header import NANOSECONDS
+from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, server_bus
+
+DEFAULTS = ServerConfig(bus=BusConfig())
+
+
+def test_config_defaults_can_be_started_with() -> None:
+    assert checked(DEFAULTS) == DEFAULTS
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"world": "my world"}, "world 'my world' is not valid; use a letter"),
+        ({"world": ""}, "world '' is not valid; use a letter"),
+        ({"step_hz": 0.0}, "--step-hz 0 is out of range; use 1 to 10000"),
+        ({"step_hz": -240.0}, "--step-hz -240 is out of range"),
+        ({"step_hz": 1e6}, r"--step-hz 1e\+06 is out of range"),
+        ({"step_hz": float("nan")}, "--step-hz nan is out of range"),
+        ({"real_time_factor": -1.0}, r"--rtf -1 is out of range; use 0 \(flat out\) or up to 1000"),
+        ({"real_time_factor": float("inf")}, "--rtf inf is out of range"),
+        ({"real_time_factor": float("nan")}, "--rtf nan is out of range"),
+        ({"seed": -1}, "--seed -1 is negative; use 0 or more"),
+    ],
+    ids=str,
+)
+def test_config_is_refused_with_what_would_work(changes: dict[str, object], message: str) -> None:
+    config = replace(DEFAULTS, **changes)
+
+    with pytest.raises(ConfigError, match=message):
+        checked(config)
+
+
+@pytest.mark.parametrize(
+    ("step_hz", "step_ns", "control_steps"),
+    [
+        (1.0, 1_000_000_000, 1),
+        (60.0, 16_666_667, 1),
+        (100.0, 10_000_000, 1),
+        (101.0, 9_900_990, 2),
+        (240.0, 4_166_667, 3),
+        (1000.0, 1_000_000, 10),
+        (10_000.0, 100_000, 100),
+    ],
+)
+def test_config_tells_step_and_control_period(
+    step_hz: float, step_ns: int, control_steps: int
+) -> None:
+    config = replace(DEFAULTS, step_hz=step_hz)
+
+    assert (config.step_ns, config.control_steps) == (step_ns, control_steps)
+
+
+@given(st.floats(1.0, 10_000.0))
+def test_agents_are_told_at_most_at_the_control_rate(step_hz: float) -> None:
+    config = replace(DEFAULTS, step_hz=step_hz)
+
+    assert config.control_steps >= 1
+    assert NANOSECONDS / config.step_ns / config.control_steps <= CONTROL_HZ * (1 + 1e-6)
+
+
+def test_server_is_a_router_at_the_default_endpoint_unless_told() -> None:
+    assert server_bus("", "") == BusConfig(mode="router", listen=(DEFAULT_ENDPOINT,))
+
+
+def test_server_is_a_router_where_it_is_told_to_listen() -> None:
+    assert server_bus("tcp/0.0.0.0:1", "") == BusConfig(mode="router", listen=("tcp/0.0.0.0:1",))
+
+
+def test_server_is_a_client_when_it_is_told_to_connect() -> None:
+    assert server_bus("", "tcp/h:1") == BusConfig(mode="client", connect=("tcp/h:1",))
