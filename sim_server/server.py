@@ -6,7 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from proto import keys
-from proto.bus import Bus, open_bus
+from proto.bus import Bus, NoServer, open_bus
+from proto.catalog import INFO
+from proto.telemetry import InfoRequest
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, checked
 from sim_server.description.library import shipped_worlds, world_text
 from sim_server.description.sdf import WorldModel, read_world
@@ -20,6 +22,7 @@ from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.world import World
 
+ASK_TIMEOUT_S = 2.0
 LOG = logging.getLogger(__name__)
 
 
@@ -50,12 +53,25 @@ def serve(
     checked(config)
     world_model = load_world(config.world_file)
     with open_bus(config.bus) as bus:
-        if bus.alive(keys.alive_server(config.world)):
+        if _is_served(bus, config.world):
             raise AlreadyServed(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
-                "stop it, or use --world with another name"
+                "stop it, or use --world-name with another"
             )
         _run(config, world_model, bus, should_stop, on_ready)
+
+
+def _is_served(bus: Bus, world: str) -> bool:
+    """Whether another server answers for a world; a router of our own is too young to have one."""
+    if bus.config.mode == "router":
+        return False
+    try:
+        bus.call(INFO, InfoRequest(), world=world, timeout_s=ASK_TIMEOUT_S)
+    except NoServer:
+        return bool(bus.alive(keys.alive_server(world)))
+    except TimeoutError:
+        return True
+    return True
 
 
 def load_world(name: str) -> WorldModel:

@@ -5,7 +5,7 @@ import sys
 import time
 import webbrowser
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Annotated
 
 import msgspec
@@ -78,8 +78,7 @@ def up(
             has_viewer=viewer,
             viewer_port=viewer_port,
         )
-        supervisor = Supervisor(_note_restart)
-        try:
+        with closing(Supervisor(_note_restart)) as supervisor:
             with _progress(len(config.places)) as steps:
                 demo = start(config, supervisor, steps, began_s)
             stop.arm()
@@ -88,8 +87,6 @@ def up(
                 _maybe_open(demo.viewer_url, open_page)
                 run(demo, duration, stop)
                 _close(demo, as_json=as_json)
-        finally:
-            supervisor.close()
 
 
 def _places(model: str, count: int, layout: str, spacing: float) -> tuple[Place, ...]:
