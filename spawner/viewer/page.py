@@ -12,7 +12,7 @@ import viser
 
 from spawner.viewer import stage
 from spawner.viewer.buttons import BUTTONS, Button
-from spawner.viewer.drawn import LABEL_GAP_M, DrawnFleet
+from spawner.viewer.drawn import LABEL_GAP_M, MAX_LABELS, DrawnFleet
 from spawner.viewer.panel import status_html
 from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
 from spawner.viewer.serving import close_server, open_server
@@ -76,7 +76,9 @@ class Page:
         self._status = self._server.gui.add_html(status_html(Status()))
         self._buttons = self._server.gui.add_button_group("Simulation", BUTTONS)
         self._buttons.on_click(lambda e: self._deeds.put(Pressed(cast("Button", e.target.value))))
-        self._has_names = self._server.gui.add_checkbox("Names", initial_value=False)
+        self._has_names = self._server.gui.add_checkbox(
+            "Names", initial_value=False, hint=f"Above robots, the first {MAX_LABELS} of them."
+        )
         everybody = self._server.gui.add_button("Show all", color=stage.QUIET)
         everybody.on_click(self._search)
         self._server.on_client_connect(lambda client: self._deeds.put(Opened(client.client_id)))

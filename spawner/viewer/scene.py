@@ -14,7 +14,7 @@ from spawner.viewer.kinematics import Array, Poses, link_poses
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 """How far the view is turned from the long side of the fleet: a row then runs into the depth."""
 VIEW_ELEVATION_RAD: Final = np.radians(17.0)
-VIEW_MARGIN_M: Final = 0.35
+VIEW_MARGIN_M: Final = 0.2
 """Around the outermost robots."""
 
 

@@ -1,7 +1,4 @@
-"""`python -m tests.integration.screenshot URL FILE.png`: a picture of the page of a running world.
-
-With a third argument, the name of a robot, that robot is followed.
-"""
+"""`python -m tests.integration.screenshot URL FILE.png` takes a picture of a viewer's page."""
 
 import sys
 from pathlib import Path
