@@ -365,6 +365,7 @@ def _zenoh_config(config: BusConfig) -> zenoh.Config:
         "connect/endpoints": list(config.connect),
         "connect/timeout_ms": round(config.open_timeout_s * 1000),
         "connect/exit_on_failure": True,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 500},
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
