@@ -234,19 +234,9 @@ class Bus:
         self.close()
 
     @property
-    def session_id(self) -> str:
-        """Zenoh id of this session."""
-        return str(self._session.info.zid())
-
-    @property
     def endpoint(self) -> str:
         """Where this bus listens, or else connects."""
         return (self.config.listen or self.config.connect or ("",))[0]
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether a router or peer is linked right now."""
-        return bool(self._session.info.routers_zid() or self._session.info.peers_zid())
 
     def close(self) -> None:
         """End the session; tokens go, queues close."""
