@@ -59,7 +59,7 @@ def test_box_bot_drives_with_left_on_the_left(box_bot: Model) -> None:
     assert drive is not None
     assert drive.pairs == (WheelPair("left_wheel_joint", "right_wheel_joint", 0.11, 0.07),)
     assert places["left_wheel_joint"] == (0.0, 0.055, -0.025)
-    assert (drive.max_torque_nm, drive.max_acceleration) == (0.3, 5.0)
+    assert (drive.max_torque_nm, drive.max_acceleration) == (0.1, 5.0)
     assert (drive.odometry_frame, drive.robot_base_frame) == ("odom", "base_footprint")
     assert drive.publish_odom
     assert drive.publish_odom_tf
@@ -107,6 +107,21 @@ def test_xacro_is_refused_with_what_to_do_when_not_expanded() -> None:
 
     with pytest.raises(ModelError, match="run xacro on it first") as caught:
         read_urdf(text)
+
+    assert caught.value.slug == "urdf.xacro"
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        '<link name="${prefix}a"/>',
+        '<link name="a"><visual><origin xyz="0 0 $(arg height)"/></visual></link>',
+        '<xacro:macro name="m"/><link name="a"/>',
+    ],
+)
+def test_xacro_is_refused_when_an_expression_is_left(link: str) -> None:
+    with pytest.raises(ModelError, match="run xacro on it first") as caught:
+        read_urdf(f'<robot name="r">{link}</robot>')
 
     assert caught.value.slug == "urdf.xacro"
 
