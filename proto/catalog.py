@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from proto import claims, services, telemetry
+from proto import assets, claims, services, telemetry
 from proto.result import (
     ClaimCode,
     ResultCode,
@@ -96,6 +96,11 @@ CLAIM_ENTITY = Service(
     is_mutating=True,
 )
 GET_MODELS = Service("get_models", telemetry.GetModelsRequest, telemetry.GetModelsResponse)
+MISSING_ASSETS = Service(
+    "missing_assets", assets.MissingAssetsRequest, assets.MissingAssetsResponse
+)
+PUT_ASSET = Service("put_asset", assets.PutAssetRequest, assets.PutAssetResponse)
+GET_ASSET = Service("get_asset", assets.GetAssetRequest, assets.GetAssetResponse)
 INFO = Service("info", telemetry.InfoRequest, telemetry.Info)
 
 SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
@@ -113,6 +118,9 @@ SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
         GET_SIMULATOR_FEATURES,
         CLAIM_ENTITY,
         GET_MODELS,
+        MISSING_ASSETS,
+        PUT_ASSET,
+        GET_ASSET,
         INFO,
     )
 }

@@ -68,6 +68,16 @@ def alive_agents(world: str) -> str:
     return f"sim/{world}/alive/agent/*"
 
 
+def bond(world: str, name: str) -> str:
+    """Liveliness token that keeps entities alive."""
+    return f"sim/{world}/bond/{name}"
+
+
+def bonds(world: str) -> str:
+    """All bonds."""
+    return f"sim/{world}/bond/*"
+
+
 def robot(namespace: str, topic: str) -> str:
     """A robot's topic."""
     return f"{namespace}/{topic}"

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import msgspec
 
-from proto import claims, geometry, header, keys, model, result, services, telemetry, topics
+from proto import assets, claims, geometry, header, keys, model, result, services, telemetry, topics
 from proto.catalog import SERVICES
 from proto.codec import Format, encode, encoding_of, offers
 from proto.example import example_of
@@ -22,6 +22,7 @@ Kind = TypeVar("Kind")
 
 SCHEMAS = Path(__file__).parent / "schemas"
 MESSAGE_MODULES: tuple[ModuleType, ...] = (
+    assets,
     claims,
     geometry,
     header,

@@ -5,15 +5,18 @@ MessagePack and JSON only.
 """
 
 from enum import IntEnum
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import msgspec
 
+from proto.assets import AssetRef
 from proto.geometry import Accel, Pose, PoseStamped, Twist, Vector3
 from proto.header import Header
 from proto.model import ReportEntry
 from proto.result import Result
 from proto.widths import UInt8, UInt16, UInt64
+
+Compat = Literal["fixed", "gazebo11"]
 
 
 class Resource(msgspec.Struct, frozen=True):
@@ -42,6 +45,18 @@ class SpawnEntityOrder(SpawnEntityRequest, frozen=True):
 
     snap_to_ground: bool = False
     """Move the entity along z until its lowest point touches z = 0."""
+    strict: bool = False
+    """Refuse what the report would call suspicious."""
+    allow_missing: bool = False
+    """Leave out collisions whose mesh is not on the server."""
+    dry_run: bool = False
+    """Check everything, say what would be done, and do nothing."""
+    compat: Compat = "fixed"
+    """Whether drives behave sanely, or with the documented quirks of Gazebo 11."""
+    bond: str = ""
+    """A name; the entity goes when the liveliness token `sim/<world>/bond/<name>` does."""
+    assets: tuple[AssetRef, ...] = ()
+    """Which file stands behind which uri of the description; sent before by `put_asset`."""
 
 
 class SpawnEntityResponse(msgspec.Struct, frozen=True):

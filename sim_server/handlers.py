@@ -71,7 +71,9 @@ def handle(desk: Desk, request: msgspec.Struct) -> msgspec.Struct:
     Raises:
         SimError: It is refused.
     """
-    return HANDLERS[type(request)](desk, request)
+    if (handler := HANDLERS.get(type(request))) is None:
+        raise Unsupported("this server does not offer the service yet; send meshes as boxes")
+    return handler(desk, request)
 
 
 def refusal(name: str, code: int, message: str) -> msgspec.Struct:

@@ -49,6 +49,13 @@ ZENSIM = {
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets",
     "Info_Request": EMPTY,
     "GetModels_Request": "string[] entities",
+    "MissingAssets_Request": "string[] sha256s",
+    "MissingAssets_Response": "simulation_interfaces/Result result; string[] missing;"
+    " uint64[] received",
+    "PutAsset_Request": "string sha256; uint64 offset; uint64 total; uint8[] data",
+    "PutAsset_Response": "simulation_interfaces/Result result; uint64 received",
+    "GetAsset_Request": "string sha256; uint64 offset",
+    "GetAsset_Response": "simulation_interfaces/Result result; uint8[] data; uint64 total",
 }
 """Messages of ours that CDR can express."""
 

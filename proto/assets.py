@@ -1,0 +1,84 @@
+"""Files that a description names, sent by content: sha256 says what a file is. zensim's own."""
+
+from typing import ClassVar
+
+import msgspec
+
+from proto.result import Result
+from proto.widths import UInt64
+
+MAX_CHUNK_BYTES = 4 << 20
+MAX_FILE_BYTES = 64 << 20
+MAX_BUNDLE_BYTES = 256 << 20
+MAX_BUNDLE_FILES = 512
+
+
+class AssetRef(msgspec.Struct, frozen=True):
+    """A file that a description names."""
+
+    uri: str
+    """As the description writes it, such as `package://robot/meshes/base.stl`."""
+    sha256: str
+    """Of the file's bytes; 64 lower-case hex digits."""
+
+
+class MissingAssetsRequest(msgspec.Struct, frozen=True):
+    """Ask which files the server does not have."""
+
+    ros_type: ClassVar[str] = "zensim/srv/MissingAssets_Request"
+
+    sha256s: tuple[str, ...] = ()
+
+
+class MissingAssetsResponse(msgspec.Struct, frozen=True):
+    """Files that it does not have, and how much of each it has already."""
+
+    ros_type: ClassVar[str] = "zensim/srv/MissingAssets_Response"
+
+    result: Result = Result()
+    missing: tuple[str, ...] = ()
+    received: tuple[UInt64, ...] = ()
+    """Bytes from the start that are there, by place in `missing`: go on from here."""
+
+
+class PutAssetRequest(msgspec.Struct, frozen=True):
+    """Send a piece of a file; pieces follow one another from offset 0."""
+
+    ros_type: ClassVar[str] = "zensim/srv/PutAsset_Request"
+
+    sha256: str = ""
+    """Of the whole file."""
+    offset: UInt64 = 0
+    total: UInt64 = 0
+    """Length of the whole file; at most `MAX_FILE_BYTES`."""
+    data: bytes = b""
+    """At most `MAX_CHUNK_BYTES`."""
+
+
+class PutAssetResponse(msgspec.Struct, frozen=True):
+    """How much of the file is there."""
+
+    ros_type: ClassVar[str] = "zensim/srv/PutAsset_Response"
+
+    result: Result = Result()
+    received: UInt64 = 0
+    """Bytes from the start; equal to `total` when the file is there and its sha256 is right."""
+
+
+class GetAssetRequest(msgspec.Struct, frozen=True):
+    """Ask for a file that was sent, or for a mesh that the server made of one."""
+
+    ros_type: ClassVar[str] = "zensim/srv/GetAsset_Request"
+
+    sha256: str = ""
+    offset: UInt64 = 0
+
+
+class GetAssetResponse(msgspec.Struct, frozen=True):
+    """A piece of it, `MAX_CHUNK_BYTES` at most; a mesh in `Shape.mesh` is a binary STL."""
+
+    ros_type: ClassVar[str] = "zensim/srv/GetAsset_Response"
+
+    result: Result = Result()
+    data: bytes = b""
+    total: UInt64 = 0
