@@ -67,6 +67,14 @@ class Link(msgspec.Struct, frozen=True):
 JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
 
 
+class Mimic(msgspec.Struct, frozen=True):
+    """A joint that follows another: position = multiplier * the other's + offset [rad or m]."""
+
+    joint: str
+    multiplier: float = 1.0
+    offset: float = 0.0
+
+
 class Joint(msgspec.Struct, frozen=True):
     """How a link moves in its parent; axis in the joint's (= child's) frame."""
 
@@ -82,6 +90,7 @@ class Joint(msgspec.Struct, frozen=True):
     velocity: float = 0.0
     damping: float = 0.0
     friction: float = 0.0
+    mimic: Mimic | None = None
 
 
 class Frame(msgspec.Struct, frozen=True):
@@ -142,6 +151,31 @@ class JointStatePublisher(msgspec.Struct, frozen=True):
     ros: RosBlock = RosBlock()
 
 
+class Parameter(msgspec.Struct, frozen=True):
+    """One setting of a sensor, by its path of tags, such as `scan/horizontal/samples`."""
+
+    path: str
+    value: str
+
+
+class Sensor(msgspec.Struct, frozen=True):
+    """A sensor that a description asks for; `origin` places it in `link`, which moves by itself."""
+
+    name: str
+    kind: str
+    """As Gazebo calls it: imu, ray, gpu_ray, contact, camera, depth and others."""
+    link: str
+    frame: str
+    """The link that the description puts it on; it may be merged into `link`."""
+    origin: Origin = Origin()
+    update_rate_hz: float = 0.0
+    """0 = every step."""
+    plugin: str = ""
+    """File name of its plug-in."""
+    ros: RosBlock = RosBlock()
+    parameters: tuple[Parameter, ...] = ()
+
+
 class Model(msgspec.Struct, frozen=True):
     """What a description says, after lumping; shared by all entities spawned from it.
 
@@ -156,6 +190,7 @@ class Model(msgspec.Struct, frozen=True):
     frames: tuple[Frame, ...] = ()
     drive: DiffDrive | None = None
     joint_state: JointStatePublisher | None = None
+    sensors: tuple[Sensor, ...] = ()
     is_static: bool = False
     report: tuple[ReportEntry, ...] = ()
 

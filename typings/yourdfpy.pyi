@@ -7,44 +7,6 @@ import numpy.typing as npt
 
 _Array = npt.NDArray[np.float64]
 
-class Box:
-    size: _Array
-
-class Cylinder:
-    radius: float
-    length: float
-
-class Sphere:
-    radius: float
-
-class Mesh:
-    filename: str
-    scale: float | _Array | None
-
-class Geometry:
-    box: Box | None
-    cylinder: Cylinder | None
-    sphere: Sphere | None
-    mesh: Mesh | None
-
-class Color:
-    rgba: _Array
-
-class Material:
-    name: str | None
-    color: Color | None
-
-class Visual:
-    name: str | None
-    origin: _Array | None
-    geometry: Geometry
-    material: Material | None
-
-class Collision:
-    name: str | None
-    origin: _Array | None
-    geometry: Geometry
-
 class Inertial:
     origin: _Array | None
     mass: float | None
@@ -53,8 +15,6 @@ class Inertial:
 class Link:
     name: str
     inertial: Inertial | None
-    visuals: list[Visual]
-    collisions: list[Collision]
 
 class Dynamics:
     damping: str | None
@@ -66,6 +26,11 @@ class Limit:
     lower: float | None
     upper: float | None
 
+class Mimic:
+    joint: str
+    multiplier: float | None
+    offset: float | None
+
 class Joint:
     name: str
     type: str
@@ -75,12 +40,12 @@ class Joint:
     axis: _Array
     dynamics: Dynamics | None
     limit: Limit | None
+    mimic: Mimic | None
 
 class Robot:
     name: str
     links: list[Link]
     joints: list[Joint]
-    materials: list[Material]
 
 class URDF:
     robot: Robot

@@ -44,6 +44,9 @@ GAZEBO_COLOURS: dict[str, Quat] = {
 }
 
 
+RGB = 3
+
+
 def gazebo_colour(name: str) -> Quat | None:
     """Find the colour (r, g, b, a) that Gazebo calls `Gazebo/<name>`; None when it is not known."""
     return GAZEBO_COLOURS.get(name.strip().removeprefix("Gazebo/"))
@@ -80,8 +83,11 @@ def colour_of(visual: Element, colours: dict[str, Quat], report: Report) -> Quat
 def _rgba(colour: Element, name: str, report: Report) -> Quat:
     where = f"material {name[:80]!r}"
     written = read_numbers(
-        colour.get("rgba", "1 1 1 1"), counts=(4,), where=where, slug="urdf.number"
+        colour.get("rgba", "1 1 1 1"), counts=(3, 4), where=where, slug="urdf.number"
     )
+    if len(written) == RGB:
+        report.suspicious(where, "its colour has three numbers; opaque")
+        written = (*written, 1.0)
     r, g, b, a = (min(max(part, 0.0), 1.0) for part in written)
     if (r, g, b, a) != written:
         report.suspicious(where, "colours lie in 0 to 1; cut to it")

@@ -9,6 +9,7 @@ import msgspec
 
 from sim_server.description.colours import gazebo_colour
 from sim_server.description.decimals import read_number
+from sim_server.description.sensors import SensorTag
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ class GazeboBlocks:
         colours: By link; they win over the colours of URDF materials, as in Gazebo.
         kept_joints: Fixed joints that are not to be lumped.
         plugins: Of the model.
+        sensors: By the link that they are on.
         is_static: The robot is nailed down.
     """
 
@@ -65,6 +67,7 @@ class GazeboBlocks:
     colours: dict[str, Quat] = field(default_factory=dict)
     kept_joints: set[str] = field(default_factory=set)
     plugins: list[Element] = field(default_factory=list)
+    sensors: list[SensorTag] = field(default_factory=list)
     is_static: bool = False
 
 
@@ -130,8 +133,7 @@ def _read_link_tag(link: str, child: Element, blocks: GazeboBlocks, report: Repo
     elif child.tag == "material":
         _read_material(link, child, blocks, report)
     elif child.tag == "sensor":
-        kind, name = child.get("type") or "", child.get("name") or ""
-        report.ignored(f"{subject}: sensor {name[:80]!r}", f"type {kind[:40]!r} is not simulated")
+        blocks.sensors.append(SensorTag(link, child))
     elif child.tag == "plugin":
         report.suspicious(
             f"{subject}: <plugin>", "not read in a block with a reference; remove the reference"

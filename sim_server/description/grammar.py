@@ -40,7 +40,7 @@ class Tag(msgspec.Struct, frozen=True):
 
 
 ORIGIN = Tag(attributes={"xyz": THREE, "rpy": THREE})
-COLOUR = Tag(attributes={"rgba": (4,)})
+COLOUR = Tag(attributes={"rgba": (3, 4)})
 TEXTURE = Tag(attributes={"filename": TEXT}, unread="textures are not drawn")
 MATERIAL = Tag(attributes={"name": TEXT}, children={"color": COLOUR, "texture": TEXTURE})
 GEOMETRY = Tag(
@@ -48,6 +48,7 @@ GEOMETRY = Tag(
         "box": Tag(attributes={"size": THREE}, required=("size",)),
         "sphere": Tag(attributes={"radius": ONE}, required=("radius",)),
         "cylinder": Tag(attributes={"radius": ONE, "length": ONE}, required=("radius", "length")),
+        "capsule": Tag(attributes={"radius": ONE, "length": ONE}, required=("radius", "length")),
         "mesh": Tag(attributes={"filename": TEXT, "scale": (1, 3)}, required=("filename",)),
     }
 )
@@ -69,7 +70,12 @@ INERTIAL = Tag(
 LINK = Tag(
     attributes={"name": TEXT},
     required=("name",),
-    children={"inertial": INERTIAL, "visual": VISUAL, "collision": COLLISION},
+    children={
+        "inertial": INERTIAL,
+        "visual": VISUAL,
+        "collision": COLLISION,
+        "contact": Tag(is_opaque=True, unread="of Bullet; friction is set by <mu1> in <gazebo>"),
+    },
     many=("visual", "collision"),
 )
 END = Tag(attributes={"link": TEXT}, required=("link",))
@@ -85,7 +91,7 @@ JOINT = Tag(
         "dynamics": Tag(attributes={"damping": ONE, "friction": ONE}),
         "mimic": Tag(
             attributes={"joint": TEXT, "multiplier": ONE, "offset": ONE},
-            unread="joints do not follow others here; this one moves by itself",
+            required=("joint",),
         ),
         "calibration": Tag(
             attributes=dict.fromkeys(("rising", "falling", "reference_position"), ONE),
@@ -109,8 +115,10 @@ ROBOT = Tag(
         "material": msgspec.structs.replace(MATERIAL, required=("name",)),
         "gazebo": Tag(is_opaque=True),
         "transmission": Tag(is_opaque=True, unread="of ros_control, which is not used here"),
+        "ros2_control": Tag(is_opaque=True, unread="of ros2_control, which is not used here"),
+        "sensor": Tag(is_opaque=True, unread="outside <gazebo>, no simulator reads it"),
     },
-    many=("link", "joint", "material", "gazebo", "transmission"),
+    many=("link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"),
 )
 
 
@@ -130,7 +138,7 @@ def _check(element: Element, tag: Tag, where: str, report: Report) -> None:
         return
     _check_attributes(element, tag, where, report)
     if tag is GEOMETRY:
-        _check_geometry(element, where)
+        _check_geometry(element, where, report)
     seen: set[str] = set()
     for child in element:
         _check_child(child, tag, where, report)
@@ -166,14 +174,16 @@ def _check_attributes(element: Element, tag: Tag, where: str, report: Report) ->
             raise ModelError(f'{where} has no {name}; write {name}="..."', slug=f"urdf.{name}")
 
 
-def _check_geometry(geometry: Element, where: str) -> None:
+def _check_geometry(geometry: Element, where: str, report: Report) -> None:
     shapes = [child.tag for child in geometry]
-    if len(shapes) == 1 and shapes[0] in GEOMETRY.children:
-        return
-    held = f"<{shapes[0][:80]}>" if len(shapes) == 1 else f"{len(shapes)} shapes"
-    raise ModelError(
-        f"{where} holds {held}; write one of {', '.join(GEOMETRY.children)}", slug="urdf.geometry"
-    )
+    if not shapes or shapes[0] not in GEOMETRY.children:
+        held = f"<{shapes[0][:80]}>" if shapes else "nothing"
+        raise ModelError(
+            f"{where} holds {held}; write one of {', '.join(GEOMETRY.children)}",
+            slug="urdf.geometry",
+        )
+    if len(shapes) > 1:
+        report.suspicious(where, f"{len(shapes)} shapes; the first counts")
 
 
 def _where(where: str, child: Element) -> str:

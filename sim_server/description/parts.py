@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from io import BytesIO
 from typing import TYPE_CHECKING, get_args
 
@@ -10,18 +11,15 @@ import numpy as np
 import yourdfpy
 from lxml import etree
 
-from proto.model import Inertial, Joint, JointKind, Link, Origin, Shape, Vec3
-from proto.result import SpawnCode
+from proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
 from proto.rotation import FloatArray, from_matrix
-from sim_server.description.colours import colour_of, named_colours
+from sim_server.description.colours import named_colours
+from sim_server.description.shapes import MeshRule, read_collisions, read_visuals
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from lxml.etree import _Element as Element
 
-    from sim_server.description.assets import HasMesh
     from sim_server.description.report import Report
 
 KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
@@ -36,7 +34,7 @@ class Parts(msgspec.Struct, frozen=True):
     joints: tuple[Joint, ...]
 
 
-def read_parts(robot: Element, *, has_mesh: HasMesh, report: Report) -> Parts:
+def read_parts(robot: Element, rule: MeshRule, report: Report) -> Parts:
     """Read links and joints of a <robot> whose grammar was checked.
 
     Raises:
@@ -44,30 +42,34 @@ def read_parts(robot: Element, *, has_mesh: HasMesh, report: Report) -> Parts:
     """
     read = _kinematics(robot)
     colours = named_colours(robot, report)
-    links = []
-    for element, link in zip(robot.findall("link"), read.links, strict=True):
-        rgba = [colour_of(visual, colours, report) for visual in element.findall("visual")]
-        visuals = [
-            msgspec.structs.replace(_shape(visual), rgba=colour)
-            for visual, colour in zip(link.visuals, rgba, strict=True)
-        ]
-        collisions = tuple(_shape(collision) for collision in link.collisions)
-        _check_collision_meshes(link.name, collisions, has_mesh)
-        links.append(
-            Link(
-                name=link.name,
-                inertial=_inertial(link.inertial),
-                collisions=collisions,
-                visuals=tuple(_served(link.name, visuals, has_mesh, report)),
-            )
+    links = tuple(
+        Link(
+            name=link.name,
+            inertial=_inertial(link.inertial),
+            collisions=read_collisions(element, rule, report),
+            visuals=read_visuals(element, rule, colours, report),
         )
-    return Parts(read.name, tuple(links), tuple(_joint(joint) for joint in read.joints))
+        for element, link in zip(robot.findall("link"), read.links, strict=True)
+    )
+    return Parts(read.name, links, tuple(_joint(joint, report) for joint in read.joints))
+
+
+def _skeleton(robot: Element) -> Element:
+    """Copy what moves: shapes are read by themselves, since URDF has more kinds than yourdfpy."""
+    bare = etree.Element("robot", {"name": robot.get("name") or ""})
+    for part in robot:
+        if part.tag == "joint":
+            bare.append(deepcopy(part))
+        elif part.tag == "link":
+            link = etree.SubElement(bare, "link", dict(part.attrib.items()))
+            link.extend(deepcopy(inertial) for inertial in part.findall("inertial")[:1])
+    return bare
 
 
 def _kinematics(robot: Element) -> yourdfpy.Robot:
     try:
         return yourdfpy.URDF.load(
-            BytesIO(etree.tostring(robot)), build_scene_graph=False, load_meshes=False
+            BytesIO(etree.tostring(_skeleton(robot))), build_scene_graph=False, load_meshes=False
         ).robot
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         # Any of these means a fault that the grammar let through; the text is not ours to trust.
@@ -76,7 +78,7 @@ def _kinematics(robot: Element) -> yourdfpy.Robot:
         ) from error
 
 
-def _joint(joint: yourdfpy.Joint) -> Joint:
+def _joint(joint: yourdfpy.Joint, report: Report) -> Joint:
     kind = KINDS.get(joint.type)
     if kind is None:
         raise ModelError(
@@ -88,7 +90,9 @@ def _joint(joint: yourdfpy.Joint) -> Joint:
             f"{kind} joint {joint.name!r} has no <limit>; add one, or make it continuous",
             slug="urdf.limit",
         )
-    limit, dynamics = joint.limit, joint.dynamics
+    limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
+    if kind in LIMITED and limit is not None and limit.lower is None and limit.upper is None:
+        report.suspicious(f"joint {joint.name!r}", "its <limit> has no lower and no upper: held")
     x, y, z = joint.axis.tolist()
     return Joint(
         name=joint.name,
@@ -103,7 +107,13 @@ def _joint(joint: yourdfpy.Joint) -> Joint:
         velocity=(limit.velocity or 0.0) if limit else 0.0,
         damping=float(dynamics.damping or 0.0) if dynamics else 0.0,
         friction=float(dynamics.friction or 0.0) if dynamics else 0.0,
+        mimic=_mimic(mimic) if mimic else None,
     )
+
+
+def _mimic(mimic: yourdfpy.Mimic) -> Mimic:
+    multiplier = 1.0 if mimic.multiplier is None else mimic.multiplier
+    return Mimic(mimic.joint, multiplier, mimic.offset or 0.0)
 
 
 def _inertial(inertial: yourdfpy.Inertial | None) -> Inertial:
@@ -119,29 +129,6 @@ def _inertial(inertial: yourdfpy.Inertial | None) -> Inertial:
     )
 
 
-def _shape(part: yourdfpy.Visual | yourdfpy.Collision) -> Shape:
-    origin, geometry = _origin(part.origin), part.geometry
-    if geometry.box is not None:
-        x, y, z = geometry.box.size.tolist()
-        return Shape("box", (x, y, z), origin)
-    if geometry.sphere is not None:
-        return Shape("sphere", (geometry.sphere.radius, 0.0, 0.0), origin)
-    if geometry.cylinder is not None:
-        cylinder = geometry.cylinder
-        return Shape("cylinder", (cylinder.radius, cylinder.length, 0.0), origin)
-    if geometry.mesh is not None:
-        mesh = geometry.mesh
-        return Shape("mesh", _scale(mesh.scale), origin, mesh=mesh.filename)
-    raise ModelError("a <geometry> holds no shape", slug="urdf.geometry")
-
-
-def _scale(scale: float | FloatArray | None) -> Vec3:
-    if scale is None:
-        return (1.0, 1.0, 1.0)
-    x, y, z = np.broadcast_to(scale, 3).tolist()
-    return (x, y, z)
-
-
 def _origin(matrix: FloatArray | None) -> Origin:
     if matrix is None:
         return Origin()
@@ -150,26 +137,3 @@ def _origin(matrix: FloatArray | None) -> Origin:
         return Origin((x, y, z))
     qx, qy, qz, qw = from_matrix(matrix[:3, :3]).tolist()
     return Origin((x, y, z), (qx, qy, qz, qw))
-
-
-def _check_collision_meshes(link: str, shapes: Iterable[Shape], has_mesh: HasMesh) -> None:
-    for shape in shapes:
-        if shape.kind == "mesh" and not has_mesh(shape.mesh):
-            raise ModelError(
-                f"collision mesh {shape.mesh!r} of link {link!r} is not on the server; "
-                "use a box, sphere or cylinder, or send the mesh",
-                code=SpawnCode.MISSING_ASSETS,
-                slug="urdf.mesh",
-            )
-
-
-def _served(
-    link: str, visuals: Iterable[Shape], has_mesh: HasMesh, report: Report
-) -> Iterable[Shape]:
-    for visual in visuals:
-        if visual.kind == "mesh" and not has_mesh(visual.mesh):
-            report.suspicious(
-                f"link {link!r}", f"visual mesh {visual.mesh!r} is not on the server; not drawn"
-            )
-        else:
-            yield visual

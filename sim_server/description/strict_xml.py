@@ -19,6 +19,8 @@ MAX_TAGS = 40_000
 MAX_DEPTH = 64
 MAX_ATTRIBUTES = 64
 """Of one element: to list n of them takes lxml n * n steps."""
+_UNKNOWN_PREFIX = 201
+"""XML_NS_ERR_UNDEFINED_NAMESPACE of libxml2; readers of URDF know nothing of prefixes."""
 _SPACES = re.compile(rb"[ \t\r\n]+")
 _DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
 
@@ -112,21 +114,29 @@ def _past_spaces(data: bytes, at: int) -> int:
 
 
 def _parsed(data: bytes) -> Element:
-    parser = etree.XMLParser(
+    text = _without_declaration(data)
+    parser = _parser(recover=False)
+    try:
+        return etree.fromstring(text, parser)
+    except etree.XMLSyntaxError as error:
+        if {entry.type for entry in parser.error_log} == {_UNKNOWN_PREFIX}:
+            return etree.fromstring(text, _parser(recover=True))
+        raise ModelError(
+            f"the description is not well-formed XML: {str(error)[:200]}", slug="xml.syntax"
+        ) from error
+
+
+def _parser(*, recover: bool) -> etree.XMLParser:
+    return etree.XMLParser(
         encoding="utf-8",
         huge_tree=False,
         load_dtd=False,
         no_network=True,
+        recover=recover,
         remove_comments=True,
         remove_pis=True,
         resolve_entities=False,
     )
-    try:
-        return etree.fromstring(_without_declaration(data), parser)
-    except etree.XMLSyntaxError as error:
-        raise ModelError(
-            f"the description is not well-formed XML: {str(error)[:200]}", slug="xml.syntax"
-        ) from error
 
 
 def _drop_default_namespace(root: Element, root_tag: str) -> None:

@@ -5,10 +5,12 @@ from collections.abc import Iterable, Sequence
 
 from proto.model import Joint, Link
 from sim_server.description.parts import Parts
+from sim_server.description.report import Report
 from sim_server.description.wording import listed
 from sim_server.errors import ModelError
 
 MAX_LINKS = 500
+WORLD = "world"
 
 
 def in_tree_order(parts: Parts) -> Parts:
@@ -32,6 +34,24 @@ def in_tree_order(parts: Parts) -> Parts:
         )
     links = (by_name[root], *(by_name[joint.child] for joint in joints))
     return Parts(parts.name, links, tuple(joints))
+
+
+def without_world(parts: Parts, report: Report) -> Parts:
+    """Drop a root link `world` that holds the robot by a floating joint only: it is free anyway."""
+    if parts.links[0].name != WORLD or [j.kind for j in parts.joints if j.parent == WORLD] != [
+        "floating"
+    ]:
+        return parts
+    report.applied(f"joint {parts.joints[0].name!r}", "floating in the world: the robot is free")
+    return Parts(parts.name, parts.links[1:], parts.joints[1:])
+
+
+def is_held_by_world(parts: Parts, report: Report) -> bool:
+    """Whether the robot's root is a link `world`, which Gazebo takes for the world itself."""
+    if parts.links[0].name != WORLD or len(parts.links) == 1:
+        return False
+    report.applied(f"link {WORLD!r}", "it is the world: the robot does not move from its place")
+    return True
 
 
 def _check_names(parts: Parts) -> None:

@@ -11,7 +11,7 @@ from sim_server.description.report import Report
 from sim_server.errors import ModelError
 
 TURNING_OR_SLIDING = ("revolute", "continuous", "prismatic", "planar")
-SIZES = {"box": 3, "sphere": 1, "cylinder": 2}
+SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
 """How many numbers of `Shape.size` must be positive, by kind."""
 MOST = 1e12
 """Of a distance [m], mass or moment: far beyond use, and its square still finite."""

@@ -19,12 +19,12 @@ from proto.services import EntityState, Resource, State
 from sim_server.errors import SimError
 from sim_server.handlers import MAX_STEPS, Desk, handle
 from tests.sim_server.fakes import a_desk, a_world, names_in
+from tests.sim_server.description.robots import a_joint, a_link, a_robot
 from tests.sim_server.orders import BOX_BOT, an_order
 
-FLOATING = (
-    '<robot name="f"><link name="a"/><link name="b"><inertial><mass value="1"/>'
-    '<inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
-    '<joint name="j" type="floating"><parent link="a"/><child link="b"/></joint></robot>'
+HEDGEHOG = a_robot(
+    a_link("body"),
+    *(a_link(f"s{i}") + a_joint(f"j{i}", ("body", f"s{i}"), "continuous") for i in range(121)),
 )
 NAN, INF = math.nan, math.inf
 HERE, STILL = Pose(), Twist()
@@ -68,9 +68,9 @@ REFUSED = {
     ),
     "spawn no XML": (a_spawn_of("<robot"), SpawnCode.RESOURCE_PARSE_ERROR, "."),
     "spawn a model that the engine cannot simulate": (
-        a_spawn_of(FLOATING),
-        ResultCode.OPERATION_FAILED,
-        "'floating' is not supported.*use",
+        a_spawn_of(HEDGEHOG),
+        SpawnCode.RESOURCE_PARSE_ERROR,
+        "urdf.joints: 121 joints are left.*at most 120",
     ),
     "spawn a taken name": (
         a_spawn(name="r0"),

@@ -1,6 +1,6 @@
 """What zensim uses of lxml.etree."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import IO
 
 class LxmlError(Exception):
@@ -36,9 +36,15 @@ class _Element:
     def findtext(self, path: str) -> str | None: ...
     def get(self, key: str, default: str = ...) -> str | None: ...
     def remove(self, element: _Element) -> None: ...
+    def append(self, element: _Element) -> None: ...
+    def extend(self, elements: Iterable[_Element]) -> None: ...
     def getroottree(self) -> _ElementTree: ...
 
+class _LogEntry:
+    type: int
+
 class XMLParser:
+    error_log: list[_LogEntry]
     def __init__(
         self,
         *,
@@ -46,11 +52,16 @@ class XMLParser:
         huge_tree: bool = ...,
         load_dtd: bool = ...,
         no_network: bool = ...,
+        recover: bool = ...,
         remove_comments: bool = ...,
         remove_pis: bool = ...,
         resolve_entities: bool = ...,
     ) -> None: ...
 
+def Element(tag: str, attrib: dict[str, str] = ...) -> _Element: ...  # noqa: N802
+def SubElement(  # noqa: N802
+    parent: _Element, tag: str, attrib: dict[str, str] = ...
+) -> _Element: ...
 def fromstring(text: bytes, parser: XMLParser) -> _Element: ...
 def parse(source: IO[bytes], parser: XMLParser) -> _ElementTree: ...
 def tostring(element: _Element) -> bytes: ...

@@ -89,9 +89,9 @@ def test_blocks_are_noted_by_what_became_of_them() -> None:
     ]
     assert reasons(entries, "ignored") == [
         "gazebo 'body': <kp>: known to Gazebo; no effect here",
-        "gazebo 'body': sensor 's': type 'imu' is not simulated",
         "gazebo 'j': <stopCfm>: known to Gazebo; no effect here",
         "gazebo: <self_collide>: known to Gazebo; no effect here",
+        "sensor 's' on 'body': 'imu' is known, not simulated yet",
     ]
     assert reasons(entries, "unknown") == [
         "gazebo 'body': <zebra>: not read",

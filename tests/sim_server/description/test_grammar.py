@@ -62,7 +62,7 @@ def test_grammar_asks_for_what_is_missing(text: str, slug: str) -> None:
         a_collision('<geometry><sphere radius="inf"/></geometry>'),
         a_collision(BALL, '<origin xyz="0 0"/>'),
         a_collision(BALL, '<origin rpy="0 0 nan"/>'),
-        a_visual(BALL, '<material name="m"><color rgba="1 1 1"/></material>'),
+        a_visual(BALL, '<material name="m"><color rgba="1 1"/></material>'),
         a_visual('<geometry><mesh filename="m.stl" scale="1 1"/></geometry>'),
     ],
 )
@@ -111,12 +111,12 @@ def test_grammar_notes_what_urdf_does_not_have() -> None:
 
 
 def test_grammar_notes_what_has_no_effect() -> None:
-    joint = a_joint("j", ("a", "b"), "continuous", '<mimic joint="k"/>')
+    joint = a_joint("j", ("a", "b"), "continuous", '<calibration rising="0"/>')
 
     entries = report_of(a_robot(PAIR, joint, '<transmission name="t"><any x="y"/></transmission>'))
 
     assert [entry.subject for entry in entries if entry.status == "ignored"] == [
-        "joint 'j', mimic",
+        "joint 'j', calibration",
         "transmission 't'",
     ]
 

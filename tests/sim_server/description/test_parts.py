@@ -10,6 +10,7 @@ from proto.result import SpawnCode
 from sim_server.description.assets import no_meshes
 from sim_server.description.parts import read_parts
 from sim_server.description.report import Report
+from sim_server.description.shapes import MeshRule
 from sim_server.description.strict_xml import parse_xml
 from sim_server.description.urdf import read_urdf
 from sim_server.errors import ModelError
@@ -89,7 +90,9 @@ def test_joint_keeps_limits_and_dynamics_when_read() -> None:
 def test_joint_needs_no_limit_when_its_kind_has_none(kind: str) -> None:
     pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
 
-    assert read_urdf(a_robot(pair, a_joint("j", ("a", "b"), kind))).joints[0].kind == kind
+    last = read_urdf(a_robot(pair, a_joint("j", ("a", "b"), kind))).joints[-1]
+
+    assert (last.name, last.kind) == ("j", "continuous")
 
 
 @pytest.mark.parametrize(
@@ -110,7 +113,7 @@ def test_visual_mesh_is_dropped_and_noted_when_it_is_not_here() -> None:
 
     assert [shape.kind for shape in model.links[0].visuals] == ["sphere"]
     assert reasons(model.report, "suspicious") == [
-        "link 'a': visual mesh 'package://r/body.stl' is not on the server; not drawn"
+        "link 'a', visual 1: visual mesh 'package://r/body.stl' is not on the server; not drawn"
     ]
 
 
@@ -118,7 +121,7 @@ def test_collision_mesh_refuses_the_robot_when_it_is_not_here() -> None:
     with pytest.raises(ModelError, match=r"package://r/body\.stl") as caught:
         read_urdf(a_robot(a_link("a", a_collision(MESH))))
 
-    assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "urdf.mesh")
+    assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "mesh.missing")
 
 
 def test_reader_is_asked_for_each_mesh_when_meshes_are_named() -> None:
@@ -134,14 +137,12 @@ def test_reader_is_asked_for_each_mesh_when_meshes_are_named() -> None:
     assert model.links[0].visuals[0].size == (2.0, 2.0, 2.0)
 
 
-@pytest.mark.parametrize(
-    "inside", ["<joint name='j'/>", "<link/>", "<link name='a'><visual/></link>"]
-)
+@pytest.mark.parametrize("inside", ["<joint name='j'/>", "<link/>"])
 def test_parts_are_refused_when_the_grammar_was_not_checked(inside: str) -> None:
     robot = parse_xml(a_robot(inside), root_tag="robot", slug="urdf")
 
     with pytest.raises(ModelError) as caught:
-        read_parts(robot, has_mesh=no_meshes, report=Report())
+        read_parts(robot, MeshRule(no_meshes), Report())
 
     assert caught.value.slug == "urdf.unreadable"
     assert etree.tostring(robot)

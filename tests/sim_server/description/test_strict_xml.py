@@ -46,6 +46,19 @@ def test_parser_drops_a_default_namespace_when_the_root_has_one() -> None:
     assert [root.tag, *(child.tag for child in root)] == ["robot", "link", "{urn:x}link"]
 
 
+def test_parser_takes_a_prefix_that_nothing_declares_as_part_of_the_name() -> None:
+    root = parse_xml("<robot><a:b c:d='1'/></robot>", root_tag="robot", slug="urdf")
+
+    assert [child.tag for child in root] == ["a:b"]
+
+
+def test_parser_mends_nothing_else_when_a_prefix_is_undeclared() -> None:
+    with pytest.raises(ModelError) as caught:
+        parse_xml("<robot><a:b/></robt>", root_tag="robot", slug="urdf")
+
+    assert caught.value.slug == "xml.syntax"
+
+
 @pytest.mark.parametrize("head", ["", "<?xml version='1.0'?>\n", "<!-- c -->\n<?pi?> ", "\ufeff"])
 def test_parser_refuses_a_doctype_when_it_comes_first_or_later(head: str) -> None:
     with pytest.raises(ModelError) as caught:

@@ -1,0 +1,113 @@
+"""Sensors of <gazebo> blocks: read in full, so that a client knows what a robot carries."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from proto.model import Origin, Parameter, RosBlock, Sensor
+from proto.rotation import from_rpy
+from sim_server.description.decimals import read_numbers
+from sim_server.description.ros_block import read_ros_block
+from sim_server.description.transforms import compose
+from sim_server.description.wording import shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from lxml.etree import _Element as Element
+
+    from sim_server.description.lumping import Lumped
+    from sim_server.description.report import Report
+
+KINDS = (
+    "altimeter", "camera", "contact", "depth", "force_torque", "gps", "gpu_lidar", "gpu_ray", "imu",
+    "lidar", "logical_camera", "magnetometer", "multicamera", "ray", "rgbd_camera", "sonar",
+    "wideanglecamera", "wireless_receiver", "wireless_transmitter",
+)  # fmt: skip
+"""Sensors that Gazebo has; `depth_camera` and the like count as what they begin with."""
+MAX_PARAMETERS = 200
+MAX_VALUE = 1000
+_NOT_YET = "known, not simulated yet"
+
+
+@dataclass(frozen=True)
+class SensorTag:
+    """A <sensor> and the link that its block refers to."""
+
+    link: str
+    element: Element
+
+
+def read_sensors(tags: Iterable[SensorTag], lumped: Lumped, report: Report) -> tuple[Sensor, ...]:
+    """Read sensors; each is placed in the link that moves it.
+
+    Raises:
+        ModelError: A pose or an update rate is no number.
+    """
+    places = {link.name: (link.name, Origin()) for link in lumped.links}
+    places |= {frame.name: (frame.parent, frame.origin) for frame in lumped.frames}
+    return tuple(_sensor(tag, *places[tag.link], report) for tag in tags)
+
+
+def _sensor(tag: SensorTag, link: str, place: Origin, report: Report) -> Sensor:
+    element, plugin = tag.element, tag.element.find("plugin")
+    kind, name = element.get("type") or "", element.get("name") or ""
+    subject = f"sensor {shown(name)} on {shown(tag.link)}"
+    if kind.startswith(KINDS):
+        report.ignored(subject, f"{shown(kind)} is {_NOT_YET}")
+    else:
+        report.unknown(subject, f"no sensor is of type {shown(kind)}")
+    rate = _number(element, "update_rate", subject)
+    return Sensor(
+        name=name[:MAX_VALUE],
+        kind=kind[:MAX_VALUE],
+        link=link,
+        frame=tag.link,
+        origin=compose(place, _pose(element, subject)),
+        update_rate_hz=max(rate, 0.0),
+        plugin=((plugin.get("filename") or "") if plugin is not None else "")[:MAX_VALUE],
+        ros=_ros(plugin, subject, report),
+        parameters=_parameters(element, subject, report),
+    )
+
+
+def _number(element: Element, tag: str, subject: str) -> float:
+    text = (element.findtext(tag) or "").strip() or "0"
+    (number,) = read_numbers(text, counts=(1,), where=f"{subject}, {tag}", slug="urdf.sensor")
+    return number
+
+
+def _pose(element: Element, subject: str) -> Origin:
+    text = (element.findtext("pose") or "").strip() or "0 0 0 0 0 0"
+    x, y, z, roll, pitch, yaw = read_numbers(
+        text, counts=(6,), where=f"{subject}, pose", slug="urdf.sensor"
+    )
+    if not any((roll, pitch, yaw)):
+        return Origin((x, y, z))
+    qx, qy, qz, qw = from_rpy(roll, pitch, yaw).tolist()
+    return Origin((x, y, z), (qx, qy, qz, qw))
+
+
+def _ros(plugin: Element | None, subject: str, report: Report) -> RosBlock:
+    ros = plugin.find("ros") if plugin is not None else None
+    return RosBlock() if ros is None else read_ros_block(ros, subject=subject, report=report)
+
+
+def _parameters(element: Element, subject: str, report: Report) -> tuple[Parameter, ...]:
+    found = list(_settings(element, ""))
+    if len(found) > MAX_PARAMETERS:
+        report.suspicious(
+            subject, f"has {len(found)} settings; the first {MAX_PARAMETERS} are read"
+        )
+    return tuple(found[:MAX_PARAMETERS])
+
+
+def _settings(element: Element, above: str) -> Iterator[Parameter]:
+    for child in element:
+        path = f"{above}{child.tag}"
+        if len(child):
+            yield from _settings(child, f"{path}/")
+        elif path != "pose":
+            text = (child.text or child.get("value") or "").strip()
+            yield Parameter(path[:MAX_VALUE], text[:MAX_VALUE])
