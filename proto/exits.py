@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from enum import IntEnum
 
 from proto.bus import BusError, NoServer, Unreachable
+from proto.codec import MalformedPayload
 from proto.result import ResultCode, ServiceError
 
 
@@ -41,6 +42,7 @@ _STATUSES: tuple[tuple[tuple[type[Exception], ...], Exit], ...] = (
     ((NoServer, Unreachable), Exit.UNREACHABLE),
     ((TimeoutError,), Exit.TIMEOUT),
     ((FileNotFoundError,), Exit.NOT_FOUND),
+    ((MalformedPayload,), Exit.FAILED),  # what somebody sent, not what was typed
     ((ValueError,), Exit.USAGE),
 )
 

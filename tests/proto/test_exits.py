@@ -1,0 +1,119 @@
+"""Exits: each kind of failure has its status and its one line."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from proto.bus import BusError, EndpointTaken, NoServer, Unreachable
+from proto.codec import MalformedPayload
+from proto.exits import Exit, line_of, one_line_failures, status_of
+from proto.names import InvalidName
+from proto.result import ResultCode, ServiceError, SpawnCode
+
+
+def a_refusal(code: int, name: str = "SOME_CODE") -> ServiceError:
+    return ServiceError("spawn_entity", code, name, "given, wrong, works")
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (a_refusal(ResultCode.NOT_FOUND), Exit.NOT_FOUND),
+        (a_refusal(ResultCode.OPERATION_FAILED), Exit.FAILED),
+        (a_refusal(SpawnCode.NAME_NOT_UNIQUE), Exit.FAILED),
+        (NoServer("nobody"), Exit.UNREACHABLE),
+        (Unreachable("nobody"), Exit.UNREACHABLE),
+        (EndpointTaken("taken"), Exit.FAILED),
+        (BusError("odd"), Exit.FAILED),
+        (TimeoutError("late"), Exit.TIMEOUT),
+        (FileNotFoundError(2, "no such file", "a.urdf"), Exit.NOT_FOUND),
+        (PermissionError(13, "denied", "a.urdf"), Exit.FAILED),
+        (IsADirectoryError(21, "is a directory", "a"), Exit.FAILED),
+        (InvalidName("no name"), Exit.USAGE),
+        (ValueError("no number"), Exit.USAGE),
+        (MalformedPayload("no message"), Exit.FAILED),
+        (KeyError("else"), Exit.FAILED),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_failure_has_its_exit_status(error: Exception, status: Exit) -> None:
+    assert status_of(error) == status
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (a_refusal(101, "NAME_NOT_UNIQUE"), "NAME_NOT_UNIQUE (101): given, wrong, works"),
+        (NoServer("nothing answers"), "UNREACHABLE (4): nothing answers"),
+        (FileNotFoundError(2, "no such file", "a.urdf"), "NOT_FOUND (3): a.urdf: no such file"),
+        (ValueError("first\n  second\tthird"), "USAGE (2): first second third"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_failure_is_said_in_one_line_with_its_code(error: Exception, line: str) -> None:
+    assert line_of(error) == line
+
+
+def test_command_ends_with_one_line_and_a_status(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, one_line_failures("spawn"):
+        raise NoServer("nothing answers")
+
+    said = capsys.readouterr()
+    assert ended.value.code == Exit.UNREACHABLE
+    assert said.err == "zensim spawn: UNREACHABLE (4): nothing answers\n"
+    assert said.out == ""
+
+
+def test_command_expects_further_failures_when_it_names_them(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended, one_line_failures("up", LookupError):
+        raise LookupError("lost")
+
+    assert ended.value.code == Exit.FAILED
+    assert capsys.readouterr().err == "zensim up: FAILED (1): lost\n"
+
+
+def test_command_lets_a_fault_of_its_own_through() -> None:
+    with pytest.raises(ZeroDivisionError), one_line_failures("spawn"):
+        raise ZeroDivisionError
+
+
+def test_command_says_nothing_when_nothing_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    with one_line_failures("spawn"):
+        pass
+
+    assert capsys.readouterr().err == ""
+
+
+def test_command_ends_quietly_when_interrupted(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, one_line_failures("drive"):
+        raise KeyboardInterrupt
+
+    assert ended.value.code == Exit.INTERRUPTED
+    assert capsys.readouterr().err == ""
+
+
+def test_command_ends_well_when_its_reader_has_gone() -> None:
+    program = (
+        "from proto.exits import one_line_failures\n"
+        "import sys\n"
+        "with one_line_failures('echo'):\n"
+        "    while True:\n"
+        "        print('line', flush=True)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+
+    process.stdout.close()
+    _, complaint = process.communicate(timeout=20.0)
+
+    assert (process.returncode, complaint) == (Exit.OK, b"")

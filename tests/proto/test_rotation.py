@@ -1,0 +1,104 @@
+"""Quaternion arithmetic agrees with rotation matrices, and broadcasts."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto.rotation import FloatArray, conjugate, from_matrix, from_rpy, multiply, rotate, yaw_of
+
+angles = st.floats(-math.pi, math.pi)
+turns = st.builds(from_rpy, angles, angles, angles)
+vectors = st.tuples(*[st.floats(-10.0, 10.0)] * 3).map(np.array)
+
+
+def matrix_of(turn: FloatArray) -> FloatArray:
+    return np.asarray(rotate(turn, np.eye(3)).T)
+
+
+def assert_same_turn(found: FloatArray, expected: FloatArray) -> None:
+    assert abs(np.dot(found, expected)) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rpy", "turned"),
+    [
+        ((0.0, 0.0, math.pi / 2.0), [0.0, 1.0, 0.0]),
+        ((0.0, math.pi / 2.0, 0.0), [0.0, 0.0, -1.0]),
+        ((math.pi / 2.0, 0.0, 0.0), [1.0, 0.0, 0.0]),
+        # Fixed axes: roll about x first, then yaw about z.
+        ((math.pi / 2.0, 0.0, math.pi / 2.0), [0.0, 1.0, 0.0]),
+    ],
+)
+def test_from_rpy_turns_x_about_fixed_axes(
+    rpy: tuple[float, float, float], turned: list[float]
+) -> None:
+    found = rotate(from_rpy(*rpy), np.array([1.0, 0.0, 0.0]))
+
+    assert found == pytest.approx(turned, abs=1e-12)
+
+
+@given(angles, angles, angles)
+def test_from_rpy_is_yaw_after_pitch_after_roll(roll: float, pitch: float, yaw: float) -> None:
+    steps = multiply(
+        from_rpy(0.0, 0.0, yaw), multiply(from_rpy(0.0, pitch, 0.0), from_rpy(roll, 0.0, 0.0))
+    )
+
+    assert from_rpy(roll, pitch, yaw) == pytest.approx(steps, abs=1e-12)
+
+
+@given(turns, turns, vectors)
+def test_multiply_turns_by_the_right_one_first(
+    left: FloatArray, right: FloatArray, vector: FloatArray
+) -> None:
+    at_once = rotate(multiply(left, right), vector)
+
+    assert at_once == pytest.approx(rotate(left, rotate(right, vector)), abs=1e-9)
+
+
+@given(turns, vectors)
+def test_conjugate_turns_back(turn: FloatArray, vector: FloatArray) -> None:
+    there = rotate(turn, vector)
+
+    assert rotate(conjugate(turn), there) == pytest.approx(vector, abs=1e-9)
+    assert np.linalg.norm(there) == pytest.approx(np.linalg.norm(vector), abs=1e-9)
+
+
+@given(turns)
+def test_from_matrix_gives_the_turn_back(turn: FloatArray) -> None:
+    found = from_matrix(matrix_of(turn))
+
+    assert_same_turn(found, turn)
+    assert found[3] >= 0.0
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_from_matrix_is_exact_for_half_turns(axis: int) -> None:
+    signs = np.full(3, -1.0)
+    signs[axis] = 1.0
+
+    found = from_matrix(np.diag(signs))
+
+    assert abs(found[axis]) == pytest.approx(1.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -1.0, 0.0, 0.5, 3.1])
+def test_yaw_of_finds_the_heading_whatever_the_sign(yaw: float) -> None:
+    turn = from_rpy(0.1, -0.2, yaw)
+
+    assert yaw_of(turn) == pytest.approx(yaw, abs=1e-12)
+    assert yaw_of(-turn) == pytest.approx(yaw, abs=1e-12)
+
+
+def test_arithmetic_broadcasts_over_leading_axes() -> None:
+    many = np.array([from_rpy(0.1 * i, 0.2, 0.3) for i in range(6)]).reshape(2, 3, 4)
+    one, vector = from_rpy(0.4, 0.5, 0.6), np.array([1.0, 2.0, 3.0])
+
+    products, turned, headings = multiply(many, one), rotate(many, vector), yaw_of(many)
+
+    assert (products.shape, turned.shape, headings.shape) == ((2, 3, 4), (2, 3, 3), (2, 3))
+    assert products[1, 2] == pytest.approx(multiply(many[1, 2], one))
+    assert turned[0, 1] == pytest.approx(rotate(many[0, 1], vector))
+    assert conjugate(many).shape == many.shape
