@@ -121,8 +121,7 @@ class Page:
             self._drawn.show(fleet, frame)
         self._names = self._drawn.names_json()
         for visitor in self._present():
-            if not visitor.has_view and fleet.names:
-                visitor.look_at_all(frame.base[:, :3])
+            visitor.keep_in_view(fleet.names, frame.base[:, :3])
         self.glide()
         if time.monotonic() >= self._texts_due:
             self._texts_due = time.monotonic() + TEXT_PERIOD_S
@@ -174,7 +173,8 @@ class Page:
             self._visitors[number].follow(self._fleet.members.get(deed.entity))
         else:
             self._visitors[number].follow(None)
-            self._visitors[number].has_view = False
+            if self._fleet.names:
+                self._visitors[number].look_at_all(self._fleet.names, self._frame.base[:, :3])
 
     def _write(self, status: Status, commands: Mapping[str, LastCommand]) -> None:
         self._status.content = status_html(status)

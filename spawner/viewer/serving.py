@@ -28,7 +28,7 @@ from websockets.http11 import Request, Response
 
 from spawner.viewer.hover import SCRIPT
 
-CLOSE_TIMEOUT_S: Final = 0.3
+CLOSE_TIMEOUT_S: Final = 0.1
 """What a page gets to say goodbye."""
 TITLE: Final = "zensim"
 NAMES_PATH: Final = "/names"

@@ -19,7 +19,7 @@ SUN: Final = (-4.0, 5.0, 8.0)
 """Where the light comes from."""
 START: Final = ((-1.5, -1.6, 1.1), (3.0, 0.2, 0.0))
 """Where the camera is and what it looks at before there is a robot."""
-FOV_RAD: Final = np.radians(45.0)
+FOV_RAD: Final = float(np.radians(45.0))
 
 
 def build(server: viser.ViserServer) -> None:

@@ -10,12 +10,14 @@ from proto.telemetry import EntityModel
 from spawner.viewer.kinematics import Array
 from spawner.viewer.panel import robot_html
 from spawner.viewer.scene import LastCommand, framing
-from spawner.viewer.stage import QUIET
+from spawner.viewer.stage import FOV_RAD, QUIET, START
 
 GLIDE: Final = 0.2
 """Share of the way that the camera goes towards the followed robot at each call."""
 FOLLOW_DISTANCE_M: Final = 1.6
 """A camera that is farther away comes this close."""
+SAME: Final = 0.01
+"""Metres or radians by which a camera may be off and yet be where it was put."""
 
 
 class Visitor:
@@ -28,18 +30,23 @@ class Visitor:
         self._text: viser.GuiHtmlHandle | None = None
         self._label: viser.LabelHandle | None = None
         self._focus = np.zeros(3)
+        self._left_at = np.array(START[0])
+        self._shown: tuple[str, ...] = ()
         self.follows = ""
-        self.has_view = False
-        """Whether the camera has been pointed at the fleet."""
 
-    def look_at_all(self, points: Array) -> None:
+    def keep_in_view(self, names: tuple[str, ...], points: Array) -> None:
+        """Show everybody whenever somebody comes or goes, until the visitor moves the camera."""
+        if names and names != self._shown and not self.follows and self._is_untouched():
+            self.look_at_all(names, points)
+
+    def look_at_all(self, names: tuple[str, ...], points: Array) -> None:
         """Point the camera so that everybody is in view."""
         camera = self._client.camera
         position, look_at = framing(points, aspect=camera.aspect, fov_rad=camera.fov)
         with self._client.atomic():
             camera.position = position
             camera.look_at = look_at
-        self.has_view = True
+        self._left_at, self._shown = position, names
 
     def follow(self, member: EntityModel | None) -> None:
         """Follow this robot, or nobody."""
@@ -74,6 +81,12 @@ class Visitor:
     def warn(self, text: str) -> None:
         """Say once that something did not work."""
         self._client.add_notification("zensim", text, color="orange", auto_close_seconds=6.0)
+
+    def _is_untouched(self) -> bool:
+        """Whether the camera is where the page or we have put it; a new page needs a moment."""
+        camera = self._client.camera
+        has_fov = abs(camera.fov - FOV_RAD) < SAME
+        return has_fov and np.allclose(camera.position, self._left_at, rtol=0.0, atol=SAME)
 
     def _begin(self, name: str) -> None:
         self._focus = np.array(self._client.camera.look_at)

@@ -5,6 +5,8 @@ import viser
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
+from spawner.viewer.stage import FOV_RAD, START
+
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 
@@ -19,13 +21,13 @@ def a_camera() -> bytes:
     return _encoded(
         "ViewerCameraMessage",
         wxyz=(1.0, 0.0, 0.0, 0.0),
-        position=(-3.0, -2.0, 2.0),
-        fov=0.8,
+        position=START[0],
+        fov=FOV_RAD,
         near=0.01,
         far=1000.0,
         image_height=800,
         image_width=1280,
-        look_at=(3.0, 0.0, 0.0),
+        look_at=START[1],
         up_direction=(0.0, 0.0, 1.0),
     )
 

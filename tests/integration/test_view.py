@@ -15,7 +15,7 @@ from proto import keys
 from proto.codec import Format, encode, encoding_of
 from proto.geometry import Twist, Vector3
 from tests.integration.bare_page import a_camera, bare_page
-from tests.integration.chromium import Tab, opened
+from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
 from tests.integration.processes import Server, eventually, running, serving, zensim
 
 if TYPE_CHECKING:
@@ -122,6 +122,14 @@ def test_page_asks_nobody_but_its_server(shown: Shown) -> None:
 
 
 @pytest.mark.browser
+def test_page_has_every_robot_in_view(shown: Shown) -> None:
+    places = [shown.tab.evaluate(PLACE % number) for number in range(ROBOTS)]
+
+    assert all(0.0 < x < WIDTH and 0.0 < y < HEIGHT for x, y in places)
+    assert max(x for x, _ in places) - min(x for x, _ in places) > WIDTH / 4.0
+
+
+@pytest.mark.browser
 def test_page_shows_state_and_number_of_robots(shown: Shown) -> None:
     shown.tab.until("document.body.innerText.includes('playing')")
 
@@ -188,6 +196,7 @@ def test_buttons_pause_step_reset_and_play(shown: Shown) -> None:
 
 
 @pytest.mark.browser
+@pytest.mark.timeout(180)
 def test_page_recovers_when_the_server_ends_and_another_comes() -> None:
     with serving() as first:
         endpoint = first.endpoint
