@@ -245,13 +245,13 @@ class Bus:
     def advertise(self, key: str, encoding: str) -> Publisher:
         """Declare a publisher whose payloads have this encoding."""
         declared = self._session.declare_publisher(
-            key, encoding=encoding, congestion_control=zenoh.CongestionControl.DROP
+            _expression(key), encoding=encoding, congestion_control=zenoh.CongestionControl.DROP
         )
         return Publisher(declared)
 
     def subscribe(self, key: str, depth: int = LATEST) -> Subscription:
         """Listen to a key expression, keeping the newest `depth` messages in all."""
-        return Subscription(self._session.declare_subscriber(key, RingChannel(depth)))
+        return Subscription(self._session.declare_subscriber(_expression(key), RingChannel(depth)))
 
     def serve(self, key: str, depth: int = 4096) -> CallQueue:
         """Answer requests on a key expression."""
@@ -274,7 +274,7 @@ class Bus:
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         """Ask a key expression for its values and collect the answers."""
         replies = self._session.get(
-            key, FifoChannel(MAX_ANSWERS), payload=payload or None, timeout=timeout_s
+            _expression(key), FifoChannel(MAX_ANSWERS), payload=payload or None, timeout=timeout_s
         )
         return [_sample(reply.ok) for reply in replies if reply.ok]
 
@@ -346,6 +346,14 @@ def open_bus(config: BusConfig) -> Bus:
         return Bus(zenoh.open(_zenoh_config(settled)), settled)
     except zenoh.ZError as error:
         raise _open_error(settled, str(error)) from error
+
+
+def _expression(key: str) -> zenoh.KeyExpr:
+    try:
+        canonical: zenoh.KeyExpr = zenoh.KeyExpr.autocanonize(key)
+    except zenoh.ZError as error:
+        raise ValueError(f"key {key[:80]!r} is not valid; use names joined by '/'") from error
+    return canonical
 
 
 def _zenoh_config(config: BusConfig) -> zenoh.Config:

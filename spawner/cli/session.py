@@ -9,6 +9,7 @@ from rich.console import Console
 
 from proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
 from proto.exits import one_line_failures
+from proto.names import check_name
 from spawner.client import SimClient
 
 Connect = Annotated[
@@ -19,6 +20,9 @@ WorldName = Annotated[
 ]
 Timeout = Annotated[float, typer.Option("--timeout", help="Seconds to wait for an answer.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+
+SHORTEST_S, LONGEST_S = 0.01, 86_400.0
+OPEN_TIMEOUT_S = 0.1
 
 progress_console = Console(stderr=True)
 """People's side: progress and notes go to standard error."""
@@ -40,7 +44,17 @@ def client_for(
         wait_s: How long to wait for somebody to listen at the endpoint.
     """
     with one_line_failures(command):
+        check_name(world, "world name")
+        _check_seconds("--timeout", timeout_s, SHORTEST_S)
+        _check_seconds("--wait", wait_s, 0.0)
         endpoint = connect or DEFAULT_ENDPOINT
-        config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, 0.1))
+        config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, OPEN_TIMEOUT_S))
         with open_bus(config) as bus:
             yield SimClient(bus, world, timeout_s)
+
+
+def _check_seconds(option: str, given_s: float, least_s: float) -> None:
+    if not least_s <= given_s <= LONGEST_S:
+        raise ValueError(
+            f"{option} {given_s:g} is out of range; use {least_s:g} to {LONGEST_S:g} seconds"
+        )

@@ -145,8 +145,8 @@ def hz(
         listener = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
         end = time.monotonic() + (duration or math.inf)
         arrivals: list[float] = []
-        report_at = time.monotonic() + 1.0
-        while (now := time.monotonic()) < end:
+        report_at = min(time.monotonic() + 1.0, end)
+        while (now := time.monotonic()) <= end or report_at <= end:
             arrivals.extend(now for _ in listener.take())
             del arrivals[:-window]
             if now >= report_at:
