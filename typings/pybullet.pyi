@@ -67,6 +67,7 @@ JOINT_PRISMATIC: int
 JOINT_SPHERICAL: int
 JOINT_PLANAR: int
 JOINT_FIXED: int
+JOINT_GEAR: int
 
 VELOCITY_CONTROL: int
 POSITION_CONTROL: int
@@ -180,6 +181,30 @@ def createMultiBody(
     flags: int = ...,
     physicsClientId: int = ...,
 ) -> int: ...
+def calculateMassMatrix(
+    bodyUniqueId: int, objPositions: Sequence[float], physicsClientId: int = ...
+) -> tuple[tuple[float, ...], ...]: ...
+def createConstraint(
+    parentBodyUniqueId: int,
+    parentLinkIndex: int,
+    childBodyUniqueId: int,
+    childLinkIndex: int,
+    jointType: int,
+    jointAxis: Sequence[float],
+    parentFramePosition: Sequence[float],
+    childFramePosition: Sequence[float],
+    physicsClientId: int = ...,
+) -> int: ...
+def changeConstraint(
+    userConstraintUniqueId: int,
+    *,
+    gearRatio: float = ...,
+    relativePositionTarget: float = ...,
+    erp: float = ...,
+    maxForce: float = ...,
+    physicsClientId: int = ...,
+) -> None: ...
+def removeConstraint(userConstraintUniqueId: int, physicsClientId: int = ...) -> None: ...
 def removeBody(bodyUniqueId: int, physicsClientId: int = ...) -> None: ...
 def removeCollisionShape(collisionShapeId: int, physicsClientId: int = ...) -> None: ...
 def changeDynamics(

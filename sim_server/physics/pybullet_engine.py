@@ -24,6 +24,10 @@ with silenced():
 SOLVER_ITERATIONS = 20
 """10 costs 0.8 of this and doubles the sideways drift of a box_bot (1 mm in 2 m); 50 costs 1.4."""
 
+GEAR_FORCE = 1e4
+"""Most that a joint is pushed with to follow another [N or N m]."""
+GEAR_ERP = 0.2
+"""Share of a follower's error that one step mends."""
 MAX_PARTS = 128
 """Bullet reads the states of a body's first 127 joints back and no more."""
 
@@ -55,6 +59,8 @@ class PyBulletEngine:
         self._shapes: dict[Solids, int] = {}
         self._joints: dict[int, list[int]] = {}
         self._driven: dict[int, tuple[list[int], list[float]]] = {}
+        self._gears: dict[int, list[int]] = {}
+        self._dt_s = config.step_ns * 1e-9
         self._com_in_root: FloatArray = np.zeros((64, 3))
         self._root_from_com: FloatArray = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
         pybullet.setPhysicsEngineParameter(
@@ -87,11 +93,17 @@ class PyBulletEngine:
         self._driven[body] = (driven, [torque] * len(driven))
         self._remember_root(body, blueprint)
         self._set_dynamics(body, blueprint)
-        self.rest(body, base)
+        self._set_dampings(body, blueprint)
+        self._set_gears(body, model)
+        # Made at its place, with joints at zero: placing it again would cost as much as making it.
+        self._set_twist(body, base)
+        self.command([body], np.zeros(len(driven)))
         return body
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`."""
+        for gear in self._gears.pop(body, ()):
+            pybullet.removeConstraint(gear, physicsClientId=self._client)
         pybullet.removeBody(body, physicsClientId=self._client)
         del self._joints[body], self._driven[body]
 
@@ -120,13 +132,10 @@ class PyBulletEngine:
         """See `Engine.place`."""
         arm = rotate(base[3:7], self._com_in_root[body])
         turn = multiply(base[3:7], conjugate(self._root_from_com[body]))
-        linear = base[7:10] + np.cross(base[10:13], arm)
         pybullet.resetBasePositionAndOrientation(
             body, (base[:3] + arm).tolist(), turn.tolist(), physicsClientId=self._client
         )
-        pybullet.resetBaseVelocity(
-            body, linear.tolist(), base[10:13].tolist(), physicsClientId=self._client
-        )
+        self._set_twist(body, base)
 
     def rest(self, body: int, base: FloatArray) -> None:
         """See `Engine.rest`."""
@@ -224,7 +233,7 @@ class PyBulletEngine:
                 restitution=0.0,
                 physicsClientId=client,
             )
-            if not blueprint.is_static and (part.parent < 0 or part.joint is not None):
+            if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
                 inertia = [max(moment, MIN_INERTIA) for moment in part.inertia]
                 pybullet.changeDynamics(
                     body, link, localInertiaDiagonal=inertia, physicsClientId=client
@@ -236,7 +245,6 @@ class PyBulletEngine:
         joint, client = part.joint, self._client
         if joint is None or joint.kind == "fixed":
             return
-        pybullet.changeDynamics(body, link, jointDamping=joint.damping, physicsClientId=client)
         if joint.kind in ("revolute", "prismatic"):
             pybullet.changeDynamics(
                 body,
@@ -254,6 +262,56 @@ class PyBulletEngine:
             force=joint.friction,
             physicsClientId=client,
         )
+
+    def _set_twist(self, body: int, base: FloatArray) -> None:
+        arm = rotate(base[3:7], self._com_in_root[body])
+        linear = base[7:10] + np.cross(base[10:13], arm)
+        pybullet.resetBaseVelocity(
+            body, linear.tolist(), base[10:13].tolist(), physicsClientId=self._client
+        )
+
+    def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
+        """Damp joints as an implicit step would: Bullet's own step blows up when d dt > I."""
+        moving = [
+            (link, part.joint)
+            for link, part in enumerate(blueprint.parts, start=-1)
+            if part.joint is not None and part.joint.kind != "fixed"
+        ]
+        if not any(joint.damping for _, joint in moving):
+            return
+        masses = pybullet.calculateMassMatrix(
+            body, [0.0] * len(moving), physicsClientId=self._client
+        )
+        yielding = np.diag(np.linalg.pinv(np.array(masses)))[-len(moving) :].tolist()
+        for (link, joint), lightness in zip(moving, yielding, strict=True):
+            damping = joint.damping / (1.0 + joint.damping * self._dt_s * max(lightness, 0.0))
+            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=self._client)
+
+    def _set_gears(self, body: int, model: Model) -> None:
+        index = {joint.name: i for i, joint in enumerate(model.joints)}
+        for follower, joint in enumerate(model.joints):
+            if joint.mimic is None:
+                continue
+            gear = pybullet.createConstraint(
+                body,
+                follower,
+                body,
+                index[joint.mimic.joint],
+                pybullet.JOINT_GEAR,
+                joint.axis,
+                ZERO,
+                ZERO,
+                physicsClientId=self._client,
+            )
+            pybullet.changeConstraint(
+                gear,
+                gearRatio=-joint.mimic.multiplier,
+                relativePositionTarget=joint.mimic.offset,
+                erp=GEAR_ERP,
+                maxForce=GEAR_FORCE,
+                physicsClientId=self._client,
+            )
+            self._gears.setdefault(body, []).append(gear)
 
     def _remember_root(self, body: int, blueprint: Blueprint) -> None:
         while body >= len(self._com_in_root):
