@@ -34,13 +34,14 @@ TELEMETRY_TYPES: dict[str, type[msgspec.Struct]] = {
 }
 ARRAYS = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
 CLAIMS = "<u4"
+MAX_DEPTH = 64
 
 
 def as_plain(sample: Sample) -> object:
     """Read a payload into dicts, lists and numbers; what cannot be read is said in words."""
     try:
         return _plain(sample)
-    except (MalformedPayload, msgspec.MsgspecError) as error:
+    except (ValueError, RecursionError) as error:
         return f"{len(sample.payload)} bytes that cannot be read: {error}"
 
 
@@ -52,10 +53,23 @@ def _plain(sample: Sample) -> object:
         message = decode(kind, sample.payload, sample.encoding)
         return {name: _value(name, getattr(message, name)) for name in message.__struct_fields__}
     if format_of(sample.payload, sample.encoding) is Format.JSON:
-        return msgspec.json.decode(sample.payload)
+        return _readable(msgspec.json.decode(sample.payload))
     if format_of(sample.payload, sample.encoding) is Format.MSGPACK:
-        return msgspec.msgpack.decode(sample.payload)
+        return _readable(msgspec.msgpack.decode(sample.payload))
     raise MalformedPayload(f"CDR of unknown type; the Encoding is {sample.encoding[:80]!r}")
+
+
+def _readable(value: object, depth: int = 0) -> object:
+    """Turn what MessagePack knows and JSON does not into what both do."""
+    if depth > MAX_DEPTH:
+        raise MalformedPayload(f"values are nested more than {MAX_DEPTH} deep")
+    if isinstance(value, dict):
+        return {str(key): _readable(inner, depth + 1) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_readable(inner, depth + 1) for inner in value]
+    if isinstance(value, msgspec.msgpack.Ext):
+        return {"extension": value.code, "data": list(value.data)}
+    return list(value) if isinstance(value, bytes) else value
 
 
 def _value(name: str, value: object) -> object:
@@ -63,6 +77,9 @@ def _value(name: str, value: object) -> object:
         kind = CLAIMS if name == "claims" else ARRAYS.get(name, "u1")
         return np.frombuffer(value, dtype=kind).tolist()
     return msgspec.to_builtins(value)
+
+
+_NOT_FINITE = {"inf": ".Inf", "-inf": "-.Inf", "nan": ".nan"}
 
 
 def as_lines(plain: object, indent: str = "") -> Iterator[str]:
@@ -91,7 +108,7 @@ def _entry(head: str, value: object, indent: str) -> Iterator[str]:
 
 def _scalar(value: object) -> str:
     if isinstance(value, float):
-        return f"{value:.9g}" if math.isfinite(value) else f".{value}".replace("inf", "Inf")
+        return f"{value:.9g}" if math.isfinite(value) else _NOT_FINITE[str(value)]
     if isinstance(value, str):
         return msgspec.json.encode(value).decode()
     if isinstance(value, bool) or value is None:
