@@ -4,28 +4,29 @@ from proto.result import ResultCode, SpawnCode
 
 
 class SimError(Exception):
-    """A request is refused; turned into a Result in one place."""
+    """A request is refused; turned into a Result in one place.
+
+    `slug` names the fault for programs, such as `urdf.cycle`, and begins the message, whose rest
+    is for people; docs/refusals.md lists all slugs. Empty where the result's code says it all.
+    """
 
     code: int = ResultCode.OPERATION_FAILED
+    slug = ""
 
     def __init__(self, message: str) -> None:
-        super().__init__(message)
-        self.message = message
+        self.message = f"{self.slug}: {message}" if self.slug else message
+        super().__init__(self.message)
 
 
 class ModelError(SimError):
-    """A robot or world description cannot be used.
-
-    `slug` names the fault for programs, such as `urdf.cycle`, and begins the message, whose rest
-    is for people. `docs/refusals.md` lists all slugs.
-    """
+    """A robot or world description cannot be used."""
 
     def __init__(
         self, message: str, *, code: int = SpawnCode.RESOURCE_PARSE_ERROR, slug: str
     ) -> None:
-        super().__init__(f"{slug}: {message}")
-        self.code = code
         self.slug = slug
+        super().__init__(message)
+        self.code = code
 
 
 class EntityNotFound(SimError):
@@ -41,6 +42,7 @@ class NameNotUnique(SimError):
     """Two entities would have the same name."""
 
     code = SpawnCode.NAME_NOT_UNIQUE
+    slug = "name.taken"
 
     def __init__(self, name: str) -> None:
         super().__init__(
@@ -52,18 +54,21 @@ class NameRefused(SimError):
     """A name that is not one."""
 
     code = SpawnCode.NAME_INVALID
+    slug = "name.invalid"
 
 
 class NamespaceRefused(SimError):
     """A namespace that is not one, or that another entity has."""
 
     code = SpawnCode.NAMESPACE_INVALID
+    slug = "name.namespace"
 
 
 class PoseRefused(SimError):
     """A pose or twist that no entity can have."""
 
     code = SpawnCode.INVALID_POSE
+    slug = "pose.refused"
 
 
 class IncorrectState(SimError):

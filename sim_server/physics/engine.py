@@ -23,6 +23,7 @@ class EngineRefused(SimError):
     """The engine cannot simulate this."""
 
     code = ResultCode.OPERATION_FAILED
+    slug = "engine.refused"
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,8 @@ class EngineConfig:
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     has_ground: bool = True
     ground_friction: float = 1.0
+    mesh_folder: str = ""
+    """Where `<Shape.mesh>.stl` is."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +70,9 @@ class Engine(Protocol):
     def remove(self, body: int) -> None:
         """Take a body out; its number may be used again."""
 
+    def overlapping(self, body: int) -> Sequence[int]:
+        """Name the other bodies that a body reaches into; the ground is none."""
+
     def read(self, bodies: Sequence[int]) -> Reading:
         """Read bodies back."""
 
@@ -74,10 +80,17 @@ class Engine(Protocol):
         """Put the root link at `base` (13,) and keep the joints."""
 
     def rest(self, body: int, base: FloatArray) -> None:
-        """Put the root link at `base` (13,), joints at zero and still, targets at zero."""
+        """Put the root link at `base` (13,), joints at zero and still, targets at zero.
+
+        A twist is imposed no more, until it is commanded again.
+        """
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
-        """Set velocity targets of driven joints, body by body; they hold until set again."""
+        """Set the targets of `Model.actuators`, body by body; they hold until set again.
+
+        Speeds and angles are reached with the effort that each motor has. A twist is imposed before
+        each step on what the body does in the plane: heights and tilts remain the engine's.
+        """
 
     def step(self) -> None:
         """Advance by one step."""
