@@ -1,11 +1,11 @@
-"""How long encoding and decoding take, next to rosbags in the same run.
+"""Codec
 
-`python -m tests.benchmark.bench_codec` prints a table in Markdown.
+One message to bytes and back, in each format: CDR is what ROS reads, MessagePack what services and
+the drive speak, JSON what anybody can write. Floor: rosbags, in the same run.
 """
 
 import struct
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 
 import msgspec
 
@@ -28,6 +28,7 @@ from tests.benchmark.timing import Timing, measure
 from tests.proto.ros_oracle import HUMBLE, as_ros, message_name
 
 REPEATS = 501
+REPEATS_WHEN_SHORT = 11
 INNER = 20
 ROBOTS = 100
 JOINTS = 4
@@ -70,41 +71,42 @@ def samples() -> dict[str, msgspec.Struct]:
     }
 
 
-def rows() -> Iterator[Row]:
+def rows(*, is_short: bool) -> Iterator[Row]:
     """Measure each sample in each format, and by rosbags."""
+    repeats = REPEATS_WHEN_SHORT if is_short else REPEATS
     for name, message in samples().items():
         for format_ in Format:
-            yield _ours(name, message, format_)
-        yield _rosbags(name, message)
+            yield _ours(name, message, format_, repeats)
+        yield _rosbags(name, message, repeats)
 
 
-def table() -> str:
-    """Write all measurements as Markdown."""
+def table(rows: Iterable[Row]) -> str:
+    """Write measurements as a table in Markdown."""
     lines = [
-        f"Median of {REPEATS} runs of {INNER} calls, with the 10th to the 90th percentile.",
+        f"Median of runs of {INNER} calls, {REPEATS} of them at full length, with p10 to p90.",
         "",
         "| message | format | bytes | encode [us] | decode [us] |",
         "|---|---|---|---|---|",
     ]
     lines += [
         f"| {row.message} | {row.format} | {row.size_bytes} | {row.encode} | {row.decode} |"
-        for row in rows()
+        for row in rows
     ]
     return "\n".join(lines) + "\n"
 
 
-def _ours(name: str, message: msgspec.Struct, format_: Format) -> Row:
+def _ours(name: str, message: msgspec.Struct, format_: Format, repeats: int) -> Row:
     payload, encoding = encode(message, format_), encoding_of(message, format_)
     return Row(
         name,
         format_.name,
         len(payload),
-        _measured(lambda: encode(message, format_)),
-        _measured(lambda: decode(type(message), payload, encoding)),
+        measure(lambda: encode(message, format_), repeats, INNER),
+        measure(lambda: decode(type(message), payload, encoding), repeats, INNER),
     )
 
 
-def _rosbags(name: str, message: msgspec.Struct) -> Row:
+def _rosbags(name: str, message: msgspec.Struct, repeats: int) -> Row:
     payload = encode(message, Format.CDR)
     ros_name = message_name(encoding_of(message, Format.CDR).partition(";")[2])
     built = as_ros(message, ros_name)
@@ -112,18 +114,10 @@ def _rosbags(name: str, message: msgspec.Struct) -> Row:
         name,
         "CDR by rosbags",
         len(payload),
-        _measured(lambda: HUMBLE.serialize_cdr(built, ros_name)),
-        _measured(lambda: HUMBLE.deserialize_cdr(payload, ros_name)),
+        measure(lambda: HUMBLE.serialize_cdr(built, ros_name), repeats, INNER),
+        measure(lambda: HUMBLE.deserialize_cdr(payload, ros_name), repeats, INNER),
     )
-
-
-def _measured(call: Callable[[], object]) -> Timing:
-    return measure(call, REPEATS, INNER)
 
 
 def _numbers(count: int) -> bytes:
     return struct.pack(f"<{count}d", *(0.001 * place for place in range(count)))
-
-
-if __name__ == "__main__":
-    sys.stdout.write(table())

@@ -35,7 +35,12 @@ def measure(call: Callable[[], object], repeats: int, inner: int) -> Timing:
     finally:
         if was_collecting:
             gc.enable()
-    return Timing(_quantile(each_us, 0.5), _quantile(each_us, 0.1), _quantile(each_us, 0.9))
+    return Timing(quantile(each_us, 0.5), quantile(each_us, 0.1), quantile(each_us, 0.9))
+
+
+def quantile(ordered: list[float], share: float) -> float:
+    """Find the number below which a share of the others is."""
+    return ordered[round(share * (len(ordered) - 1))]
 
 
 def _run(call: Callable[[], object], inner: int) -> float:
@@ -43,7 +48,3 @@ def _run(call: Callable[[], object], inner: int) -> float:
     for _ in range(inner):
         call()
     return (perf_counter() - start) / inner * MICROSECONDS
-
-
-def _quantile(ordered: list[float], share: float) -> float:
-    return ordered[round(share * (len(ordered) - 1))]

@@ -1,0 +1,53 @@
+"""Box_bots in the physics engine alone: no server, no network, no agents."""
+
+import numpy as np
+
+from sim_server.config import ServerConfig, server_bus
+from sim_server.description.library import model_text
+from sim_server.description.urdf import read_urdf
+from sim_server.physics.engine import EngineConfig, FloatArray
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from tests.benchmark.fleet import SPACING_M
+
+CONFIG = ServerConfig(bus=server_bus("", ""))
+"""As a server that is told nothing."""
+HEIGHT_M = 0.06
+"""Of the root, when the wheels touch the ground."""
+WHEELS = 2
+WHEEL_SPEED = 5.0
+
+
+class Bodies:
+    """A row of box_bots in a PyBullet of this process."""
+
+    def __init__(self, count: int) -> None:
+        model = read_urdf(model_text("box_bot"))
+        self.engine = PyBulletEngine(EngineConfig(CONFIG.step_ns))
+        self._bodies = [self.engine.add(model, standing_at(i * SPACING_M)) for i in range(count)]
+        self._targets = np.full(count * WHEELS, WHEEL_SPEED)
+        self.drive()
+
+    def drive(self) -> None:
+        """Set the wheel speeds of all."""
+        self.engine.command(self._bodies, self._targets)
+
+    def step(self, steps: int) -> None:
+        """Step, and do nothing else."""
+        for _ in range(steps):
+            self.engine.step()
+
+    def step_and_drive(self, steps: int) -> None:
+        """Step, and read and command all bodies each control period."""
+        for step in range(steps):
+            self.engine.step()
+            if step % CONFIG.control_steps == 0:
+                self.engine.read(self._bodies)
+                self.drive()
+
+
+def standing_at(x: float) -> FloatArray:
+    """Make the state row of a box_bot at rest on the ground."""
+    base = np.zeros(13)
+    base[:3] = x, 0.0, HEIGHT_M
+    base[6] = 1.0
+    return base

@@ -1,0 +1,69 @@
+"""Ten box_bots and what drives them, as real processes; and how to watch them closely."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+from tests.integration.processes import Server, running, serving, wait_for_agents
+from tests.integration.robots import Robot, robot
+
+T = TypeVar("T")
+ROBOTS = 10
+ROBOTS_WHEN_SHORT = 2
+SPACING_M = 5.0
+CIRCLE = (0.2, 0.5)
+"""Linear [m/s] and angular [rad/s] of a robot that drives and stays where it is: r = 0.4 m."""
+POLL_S = 0.0003
+MILLISECONDS = 1e3
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """A server and robots with an agent each, standing."""
+
+    server: Server
+    robots: list[Robot]
+
+    def circle(self) -> None:
+        """Let every robot drive in a circle until told otherwise."""
+        for found in self.robots:
+            found.command(*CIRCLE)
+
+
+@contextmanager
+def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
+    """Run a server, robots far apart, and agents that let a command stand."""
+    layout = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    with serving(*serve_arguments) as server, ExitStack() as stack:
+        done = server.zensim("fleet", "box_bot", *layout)
+        if done.returncode:
+            raise RuntimeError(f"no fleet was spawned: {done.stderr}")
+        names = [f"box_bot{i}" for i in range(count)]
+        joined = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
+        for name in names:
+            stack.enter_context(running("agent", name, *joined))
+        wait_for_agents(server, names)
+        yield Fleet(server, [robot(server.bus, name) for name in names])
+
+
+def soon(ask: Callable[[], T | None], within_s: float = 10.0) -> T:
+    """Ask until there is an answer, often enough to time it.
+
+    Raises:
+        TimeoutError: There was none.
+    """
+    deadline = time.monotonic() + within_s
+    while (answer := ask()) is None:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"nothing came within {within_s:g} s")
+        time.sleep(POLL_S)
+    return answer
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """Time one call [ms]."""
+    start = time.perf_counter()
+    call()
+    return (time.perf_counter() - start) * MILLISECONDS

@@ -1,0 +1,49 @@
+"""The machine that figures were measured on, and what ran there."""
+
+import os
+import platform
+import subprocess
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+
+import psutil
+
+ROOT = Path(__file__).parents[2]
+LIBRARIES = ("eclipse-zenoh", "pybullet", "msgspec", "numpy", "viser")
+
+
+def load() -> str:
+    """Write the load average of now."""
+    return ", ".join(f"{number:.2f}" for number in os.getloadavg())
+
+
+def description(load_before: str) -> Iterator[tuple[str, str]]:
+    """List what a reader needs to compare figures with those of another machine."""
+    yield "measured", f"{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC"
+    yield "zensim", f"{version('zensim')}, commit {_commit()}"
+    yield "cores", str(len(os.sched_getaffinity(0)))
+    yield "CPU", _cpu_model()
+    yield "memory", f"{psutil.virtual_memory().total / 2**30:.1f} GiB"
+    yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
+    yield "Python", platform.python_version()
+    yield "libraries", ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    yield "load average before", f"{load_before} (1, 5, 15 min)"
+
+
+def _cpu_model() -> str:
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def _commit() -> str:
+    done = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout.strip() or "unknown"

@@ -1,0 +1,47 @@
+"""What benchmarks found, as a document."""
+
+from importlib import import_module
+
+import msgspec
+
+from tests.benchmark import machine
+from tests.benchmark.figures import Figure, missed
+
+NAMES = ("start", "cost", "accuracy", "cmd_vel", "spawn", "services", "flat_out", "codec")
+HEAD = """# Benchmarks
+
+`make bench` measures all of this anew and rewrites this page; the command under a heading measures
+that section alone. *n* is the number of samples; a tenth of them is below p10, a tenth above p90.
+"""
+
+
+class Section(msgspec.Struct, frozen=True):
+    """What one benchmark has to say."""
+
+    text: str
+    missed: tuple[str, ...]
+
+
+def measure(name: str, *, is_short: bool) -> Section:
+    """Run one benchmark."""
+    module = import_module(f"tests.benchmark.bench_{name}")
+    rows = list(module.rows(is_short=is_short))
+    title, _, method = str(module.__doc__).partition("\n")
+    command = f"`.venv/bin/python -m tests.benchmark {name}`"
+    return Section(
+        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}",
+        tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
+    )
+
+
+def page(sections: list[Section], load_before: str) -> str:
+    """Write the document."""
+    facts = "".join(f"| {what} | {fact} |\n" for what, fact in machine.description(load_before))
+    misses = [line for section in sections for line in section.missed]
+    verdict = "".join(f"- {line}\n" for line in misses) or "Nothing.\n"
+    parts = [
+        f"{HEAD}\n| machine | |\n|---|---|\n{facts}",
+        f"## Missed\n\n{verdict}",
+        *(section.text for section in sections),
+    ]
+    return "\n".join(parts)
