@@ -81,4 +81,4 @@ class DriveCommand(msgspec.Struct, frozen=True):
     claims: bytes
     """`<u4`, (n,)."""
     targets: bytes
-    """`<f8`, velocity [rad/s or m/s] of `Model.driven_joints`, claim by claim."""
+    """`<f8`, for each of `Model.actuators` as many numbers as its width, claim by claim."""

@@ -4,6 +4,34 @@ from typing import ClassVar, Literal
 
 import msgspec
 
+from proto.drives import Actuator, DiffDrive, Drive, RosBlock, WheelPair
+
+__all__ = [
+    "IDENTITY",
+    "ZERO",
+    "Actuator",
+    "DiffDrive",
+    "Drive",
+    "Frame",
+    "Inertial",
+    "Joint",
+    "JointKind",
+    "JointStatePublisher",
+    "Link",
+    "Mimic",
+    "Model",
+    "Origin",
+    "Parameter",
+    "Quat",
+    "ReportEntry",
+    "ReportStatus",
+    "RosBlock",
+    "Sensor",
+    "Shape",
+    "Vec3",
+    "WheelPair",
+]
+
 Vec3 = tuple[float, float, float]
 Quat = tuple[float, float, float, float]
 
@@ -101,48 +129,6 @@ class Frame(msgspec.Struct, frozen=True):
     origin: Origin = Origin()
 
 
-class RosBlock(msgspec.Struct, frozen=True):
-    """What the <ros> block of a plug-in asks for."""
-
-    namespace: str = ""
-    """Without a leading slash."""
-    remappings: tuple[str, ...] = ()
-    """As written: `from:=to`."""
-
-
-class WheelPair(msgspec.Struct, frozen=True):
-    """A left and a right wheel joint on one axle; separation and diameter [m], > 0."""
-
-    left_joint: str
-    right_joint: str
-    separation_m: float = 0.34
-    diameter_m: float = 0.15
-
-
-class DiffDrive(msgspec.Struct, frozen=True, tag="diff_drive", tag_field="kind"):
-    """Parameters of a differential drive, defaults as Gazebo's plug-in has them.
-
-    Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch.
-    """
-
-    pairs: tuple[WheelPair, ...] = ()
-    max_torque_nm: float = 5.0
-    max_acceleration: float = 0.0
-    """At the rim [m/s^2]; 0 = unlimited."""
-    update_rate_hz: float = 100.0
-    """0 = every step that the agent is told of."""
-    odometry_source: Literal["encoder", "world"] = "world"
-    odometry_frame: str = "odom"
-    robot_base_frame: str = "base_footprint"
-    publish_odom: bool = False
-    publish_odom_tf: bool = False
-    publish_wheel_tf: bool = False
-    covariance_x: float = 1e-5
-    covariance_y: float = 1e-5
-    covariance_yaw: float = 1e-3
-    ros: RosBlock = RosBlock()
-
-
 class JointStatePublisher(msgspec.Struct, frozen=True):
     """Which joints are published, and how often. Source: gazebo_ros_joint_state_publisher."""
 
@@ -188,7 +174,7 @@ class Model(msgspec.Struct, frozen=True):
     links: tuple[Link, ...]
     joints: tuple[Joint, ...] = ()
     frames: tuple[Frame, ...] = ()
-    drive: DiffDrive | None = None
+    drive: Drive | None = None
     joint_state: JointStatePublisher | None = None
     sensors: tuple[Sensor, ...] = ()
     is_static: bool = False
@@ -200,8 +186,11 @@ class Model(msgspec.Struct, frozen=True):
         return sum(link.inertial.mass_kg for link in self.links)
 
     @property
-    def driven_joints(self) -> tuple[str, ...]:
-        """Joints that a drive command addresses, left before right, pair by pair."""
-        if self.drive is None:
-            return ()
-        return tuple(j for pair in self.drive.pairs for j in (pair.left_joint, pair.right_joint))
+    def actuators(self) -> tuple[Actuator, ...]:
+        """What a drive command addresses, in order."""
+        return self.drive.actuators if self.drive else ()
+
+    @property
+    def target_count(self) -> int:
+        """How many numbers a drive command has for this model."""
+        return sum(actuator.width for actuator in self.actuators)

@@ -13,7 +13,19 @@ from typing import TypeVar
 
 import msgspec
 
-from proto import assets, claims, geometry, header, keys, model, result, services, telemetry, topics
+from proto import (
+    assets,
+    claims,
+    drives,
+    geometry,
+    header,
+    keys,
+    model,
+    result,
+    services,
+    telemetry,
+    topics,
+)
 from proto.catalog import SERVICES
 from proto.codec import Format, encode, encoding_of, offers
 from proto.example import example_of
@@ -24,6 +36,7 @@ SCHEMAS = Path(__file__).parent / "schemas"
 MESSAGE_MODULES: tuple[ModuleType, ...] = (
     assets,
     claims,
+    drives,
     geometry,
     header,
     model,

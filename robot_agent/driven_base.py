@@ -1,8 +1,10 @@
-"""A robot's base under its drive: readings and twists in, wheel speeds and odometry out."""
+"""A robot's base under its drive: readings and twists in, targets and odometry out."""
 
+from proto.drives import DiffDrive, Drive
 from proto.geometry import Twist
-from proto.model import DiffDrive, Model
-from robot_agent.drives.diff_drive import DifferentialDrive
+from proto.model import Model
+from robot_agent.drives.choice import controller_of
+from robot_agent.drives.controller import Measured
 from robot_agent.frames import base_of
 from robot_agent.odometry import EncoderOdometry, Motion, world_motion
 from robot_agent.rate_gate import RateGate
@@ -12,51 +14,67 @@ NO_DRIVE = DiffDrive(update_rate_hz=30.0)
 """Has no wheels and publishes nothing: stands in where a description has no drive."""
 
 
-def drive_of(model: Model) -> DiffDrive:
+def drive_of(model: Model) -> Drive:
     """Find the drive; one that does nothing when there is none."""
     return model.drive or NO_DRIVE
 
 
 class DrivenBase:
-    """Keeps a drive and its odometry at the drive's own rate."""
+    """Keeps a drive and its odometry at the drive's own rates."""
 
     def __init__(self, model: Model, *, is_encoder_speed_unsigned: bool) -> None:
         drive = drive_of(model)
-        names = [joint.name for joint in model.joints]
-        self._wheels = tuple(names.index(name) for name in model.driven_joints)
-        self.targets: tuple[float, ...] = (0.0,) * len(self._wheels)
-        """Wheel speeds [rad/s] in the order of `Model.driven_joints`."""
+        self._standing = (0.0,) * model.target_count
+        self.targets: tuple[float, ...] = self._standing
+        """Numbers for `Model.actuators`, in order."""
         self.motion = Motion()
-        """As of the last update."""
+        """As of the last odometry."""
         self._base_in_root = base_of(model).in_root
-        self._drive = DifferentialDrive(drive)
+        self._drive = controller_of(drive)
         self._gate = RateGate(drive.update_rate_hz)
+        # Without a rate of its own odometry is due whenever the drive is.
+        rate = drive.odometry_rate_hz
+        self._odometry_gate = None if rate is None else RateGate(rate)
+        index = {joint.name: place for place, joint in enumerate(model.joints)}
+        self._measured = tuple(index[one.joint] for one in model.actuators if one.joint)
         self._encoder: EncoderOdometry | None = None
-        if drive.odometry_source == "encoder" and drive.pairs:
-            self._encoder = EncoderOdometry(
-                drive.pairs[0], is_speed_unsigned=is_encoder_speed_unsigned
-            )
+        self._encoder_wheels = (0, 0)
+        if (pair := drive.encoder) is not None:
+            self._encoder = EncoderOdometry(pair, is_speed_unsigned=is_encoder_speed_unsigned)
+            self._encoder_wheels = (index[pair.left_joint], index[pair.right_joint])
 
     def reset(self) -> None:
         """Start again: time may have gone back."""
-        self.targets = (0.0,) * len(self._wheels)
+        self.targets = self._standing
         self.motion = Motion()
         self._drive.reset()
         self._gate.reset()
+        if self._odometry_gate is not None:
+            self._odometry_gate.reset()
         if self._encoder is not None:
             self._encoder.reset()
 
     def update(self, reading: Reading, twist: Twist) -> bool:
-        """Take a reading; tell whether the drive was due, so that targets and motion are new."""
+        """Take a reading; tell whether odometry was due, so that the motion is new."""
         if self._encoder is not None:
-            left, right = (reading.positions[wheel] for wheel in self._wheels[:2])
+            left, right = (reading.positions[wheel] for wheel in self._encoder_wheels)
             self._encoder.update(left_rad=left, right_rad=right, time_ns=reading.time_ns)
+        is_due = self._drive_on(reading, twist)
+        if self._odometry_gate is not None:
+            is_due = self._odometry_gate.elapsed_s(reading.time_ns) is not None
+        if is_due:
+            self.motion = self._motion(reading)
+        return is_due
+
+    def _drive_on(self, reading: Reading, twist: Twist) -> bool:
         elapsed_s = self._gate.elapsed_s(reading.time_ns)
         if elapsed_s is None:
             return False
-        velocities = [reading.velocities[wheel] for wheel in self._wheels]
-        self.targets = self._drive.update(twist, wheel_velocities=velocities, elapsed_s=elapsed_s)
-        self.motion = self._motion(reading)
+        measured = Measured(
+            [reading.positions[joint] for joint in self._measured],
+            [reading.velocities[joint] for joint in self._measured],
+        )
+        self.targets = self._drive.update(twist, measured=measured, elapsed_s=elapsed_s)
         return True
 
     def _motion(self, reading: Reading) -> Motion:

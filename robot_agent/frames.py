@@ -113,7 +113,8 @@ def moving_joints(model: Model) -> tuple[MovingJoint, ...]:
     """
     told = {model.joints[index].name for index in published_joints(model)}
     has_wheels = model.drive is not None and model.drive.publish_wheel_tf
-    silent = set() if has_wheels else set(model.driven_joints) - told
+    wheels = () if has_wheels or model.drive is None else model.drive.joints
+    silent = set(wheels) - told
     return tuple(
         MovingJoint(joint, index)
         for index, joint in enumerate(model.joints)

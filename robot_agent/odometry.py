@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import msgspec
 
+from proto.drives import DriveSettings, WheelPair
 from proto.geometry import (
     Point,
     Pose,
@@ -15,7 +16,7 @@ from proto.geometry import (
     Vector3,
 )
 from proto.header import Header, Time
-from proto.model import IDENTITY, ZERO, DiffDrive, Origin, Quat, Vec3, WheelPair
+from proto.model import IDENTITY, ZERO, Origin, Quat, Vec3
 from proto.topics import Odometry
 from robot_agent.transforms import add, cross, multiply, rotate, turn, yaw_of
 
@@ -102,7 +103,7 @@ class EncoderOdometry:
         )
 
 
-def covariance_of(drive: DiffDrive) -> tuple[float, ...]:
+def covariance_of(drive: DriveSettings) -> tuple[float, ...]:
     """Lay the drive's variances out as a 6 x 6 matrix, for pose and twist alike."""
     diagonal = (drive.covariance_x, drive.covariance_y, UNKNOWN, UNKNOWN, UNKNOWN)
     matrix = [0.0] * 36

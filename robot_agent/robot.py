@@ -12,7 +12,7 @@ from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outl
 
 
 class Robot:
-    """Turns readings into wheel speeds, then into telemetry; without a drive, only the latter."""
+    """Turns readings into targets, then into telemetry; without a drive, only the latter."""
 
     def __init__(self, network: Network, claim: Claim, cmd_vel_timeout_ns: int) -> None:
         self.entity = claim.entity
@@ -38,7 +38,7 @@ class Robot:
             self.commanded.reset()
 
     def advance(self, reading: Reading) -> tuple[float, ...]:
-        """Take a reading and find the wheel speeds [rad/s], as `Model.driven_joints` has them."""
+        """Take a reading and find the numbers for `Model.actuators`."""
         twist = self.commanded.at(reading.time_ns) if self.commanded else STILL
         self._reading = reading
         self._is_motion_new = self._base.update(reading, twist)

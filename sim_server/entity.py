@@ -87,5 +87,5 @@ def fleet_of(roster: Roster, members: Sequence[tuple[Entity, Hold]]) -> Fleet:
         rows=rows,
         joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),
         bodies=tuple(entity.body for entity, _ in members),
-        target_count=sum(len(entity.model.driven_joints) for entity, _ in members),
+        target_count=sum(entity.model.target_count for entity, _ in members),
     )

@@ -7,7 +7,6 @@ import numpy as np
 
 from proto.claims import Claim, DriveCommand, DriveState, OnRelease
 from proto.model import Model
-from proto.names import InvalidName, check_name, check_namespace
 from proto.result import ClaimCode
 from proto.services import ResetScope, State
 from proto.telemetry import Event, EventKind, Snapshot, StateName
@@ -15,14 +14,11 @@ from sim_server.entity import Entity, Fleet, Hold, Roster, fleet_of, roster_of
 from sim_server.errors import (
     EntityNotFound,
     IncorrectState,
-    NameNotUnique,
-    NameRefused,
-    NamespaceRefused,
     Refused,
 )
+from sim_server.naming import free_name, free_namespace
+from sim_server.physics.actuation import standing
 from sim_server.physics.engine import Engine, FloatArray, Reading
-
-MAX_RENAMES = 100_000
 
 
 @dataclass(frozen=True)
@@ -118,8 +114,7 @@ class World:
             NamespaceRefused: The namespace is not valid, or another entity has it.
             EngineRefused: The engine cannot simulate the model.
         """
-        name = self._free_name(birth.name, allow_renaming=birth.allow_renaming)
-        namespace = self._free_namespace(birth.namespace or name)
+        name, namespace = self.names_for(birth)
         body = self._engine.add(birth.model, birth.base)
         entity = Entity(
             name, namespace, birth.model, body, birth.base.copy(), birth.description, birth.born_ns
@@ -128,6 +123,31 @@ class World:
         self._changed()
         self._tell("spawned", entity=name)
         return entity
+
+    def names_for(self, birth: Birth) -> tuple[str, str]:
+        """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
+        name = free_name(birth.name, self._entities, allow_renaming=birth.allow_renaming)
+        return name, free_namespace(birth.namespace or name, self._entities.values())
+
+    def rehearse(self, birth: Birth) -> list[str]:
+        """Spawn and take back at once; name the entities that it overlaps; raises as `spawn` does.
+
+        Nobody is told.
+        """
+        self.names_for(birth)
+        body = self._engine.add(birth.model, birth.base)
+        try:
+            return self._overlapped(body)
+        finally:
+            self._engine.remove(body)
+
+    def overlapped(self, name: str) -> list[str]:
+        """Name the entities that an entity overlaps."""
+        return self._overlapped(self.entity(name).body)
+
+    def _overlapped(self, body: int) -> list[str]:
+        bodies = set(self._engine.overlapping(body))
+        return [name for name, other in self._entities.items() if other.body in bodies]
 
     def delete(self, name: str) -> None:
         """Take an entity out; its claim ends.
@@ -182,7 +202,8 @@ class World:
             self._drop_hold(name)
             self._tell("released", entity=name, agent=agent)
             if hold.on_release == "stop":
-                self._engine.command([entity.body], np.zeros(len(entity.model.driven_joints)))
+                positions = self._engine.read([entity.body]).joint_positions
+                self._engine.command([entity.body], standing(entity.model, positions))
             elif hold.on_release == "delete":
                 self.delete(name)
         # It has gone: nobody is left to be told.
@@ -336,30 +357,6 @@ class World:
             return None
         targets = np.frombuffer(command.targets, dtype="<f8")
         return targets if np.isfinite(targets).all() else None
-
-    def _free_name(self, name: str, *, allow_renaming: bool) -> str:
-        try:
-            check_name(name)
-        except InvalidName as error:
-            raise NameRefused(str(error)) from error
-        if name not in self._entities:
-            return name
-        if not allow_renaming:
-            raise NameNotUnique(name)
-        numbered = (f"{name[:56]}_{i}" for i in range(1, MAX_RENAMES))
-        return next(candidate for candidate in numbered if candidate not in self._entities)
-
-    def _free_namespace(self, namespace: str) -> str:
-        try:
-            bare = check_namespace(namespace)
-        except InvalidName as error:
-            raise NamespaceRefused(str(error)) from error
-        for entity in self._entities.values():
-            if entity.namespace == bare:
-                raise NamespaceRefused(
-                    f"namespace '{bare}' belongs to entity '{entity.name}'; choose another"
-                )
-        return bare
 
     def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:
         hold = Hold(self._next_claim, agent, on_release)

@@ -7,12 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from proto.drives import DiffDrive
 from proto.model import Model
 from proto.rotation import multiply, yaw_of
+from sim_server.physics.actuation import actuation_of, imposed
 from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.pybullet_engine import PyBulletEngine
 
 STEP_NS = 4_166_667
+TOUCHING_M = 0.1
 MakeEngine = Callable[[EngineConfig], Engine]
 
 
@@ -22,6 +25,7 @@ class _Body:
     base: FloatArray
     positions: FloatArray
     velocities: FloatArray
+    targets: FloatArray | None = None
 
 
 class ObedientEngine:
@@ -50,6 +54,14 @@ class ObedientEngine:
     def remove(self, body: int) -> None:
         del self._bodies[body]
 
+    def overlapping(self, body: int) -> Sequence[int]:
+        place = self._bodies[body].base[:3]
+        return [
+            number
+            for number, other in self._bodies.items()
+            if number != body and float(np.linalg.norm(other.base[:3] - place)) < TOUCHING_M
+        ]
+
     def read(self, bodies: Sequence[int]) -> Reading:
         found = [self._bodies[body] for body in bodies]
         none = np.zeros(0)
@@ -66,15 +78,15 @@ class ObedientEngine:
         self.place(body, base)
         self._bodies[body].positions[:] = 0.0
         self._bodies[body].velocities[:] = 0.0
+        self._bodies[body].targets = None
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         at = 0
         for number in bodies:
             body = self._bodies[number]
-            names = [joint.name for joint in body.model.joints]
-            for name in body.model.driven_joints:
-                body.velocities[names.index(name)] = targets[at]
-                at += 1
+            width = body.model.target_count
+            body.targets = targets[at : at + width] if width else None
+            at += width
 
     def step(self) -> None:
         for body in self._bodies.values():
@@ -85,17 +97,28 @@ class ObedientEngine:
         self.is_closed = True
 
     def _advance(self, body: _Body) -> None:
-        if body.model.drive is not None:
-            body.base[7:13] = _twist_of_wheels(body)
+        if body.targets is not None:
+            _obey(body, body.targets)
+        if isinstance(body.model.drive, DiffDrive):
+            body.base[7:13] = _twist_of_wheels(body, body.model.drive)
         body.positions += body.velocities * self._dt_s
         body.base[:3] += body.base[7:10] * self._dt_s
         if body.base[10:13].any():
             body.base[3:7] = multiply(_turned_by(body.base[10:13] * self._dt_s), body.base[3:7])
 
 
-def _twist_of_wheels(body: _Body) -> FloatArray:
-    assert body.model.drive is not None
-    pair = body.model.drive.pairs[0]
+def _obey(body: _Body, targets: FloatArray) -> None:
+    plan = actuation_of(body.model)
+    body.velocities[plan.speeds.joints] = targets[plan.speeds.places]
+    body.positions[plan.angles.joints] = targets[plan.angles.places]
+    if plan.twist is not None:
+        twist = targets[plan.twist : plan.twist + 3]
+        rows = imposed(body.base[None, 7:], body.base[None, 3:7], np.zeros((1, 3)), twist[None])
+        body.base[7:13] = rows[0]
+
+
+def _twist_of_wheels(body: _Body, drive: DiffDrive) -> FloatArray:
+    pair = drive.pairs[0]
     names = [joint.name for joint in body.model.joints]
     left, right = (
         body.velocities[names.index(name)] * pair.diameter_m / 2.0

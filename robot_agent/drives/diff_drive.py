@@ -5,8 +5,10 @@ Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch.
 
 from collections.abc import Sequence
 
+from proto.drives import DiffDrive
 from proto.geometry import Twist
-from proto.model import DiffDrive
+from robot_agent.drives.controller import Measured, clamped
+from robot_agent.drives.twist_limits import LimitedVelocity
 
 REACHED_M_S = 0.01
 """A wheel whose rim is this close to its speed has reached it."""
@@ -27,35 +29,40 @@ class DifferentialDrive:
         self._radii = tuple(pair.diameter_m / 2.0 for pair in self._pairs for _ in range(2))
         self._max_acceleration = parameters.max_acceleration
         self._instructed = [0.0] * len(self._radii)
+        self._linear = LimitedVelocity(parameters.linear_limits)
+        self._angular = LimitedVelocity(parameters.angular_limits)
 
     def reset(self) -> None:
         """Forget what the wheels were told."""
         self._instructed = [0.0] * len(self._radii)
+        self._linear.reset()
+        self._angular.reset()
 
-    def update(
-        self, twist: Twist, *, wheel_velocities: Sequence[float], elapsed_s: float
-    ) -> tuple[float, ...]:
+    def update(self, twist: Twist, *, measured: Measured, elapsed_s: float) -> tuple[float, ...]:
         """Find the wheel speeds [rad/s], left before right, pair by pair.
 
         Args:
             twist: Of the base; only linear.x and angular.z are reachable, the rest is ignored.
-            wheel_velocities: As measured [rad/s], in the same order.
+            measured: The wheels, in the same order.
             elapsed_s: Simulation time since the last update.
         """
-        desired = self._desired_rims(twist)
+        velocities = measured.velocities
+        desired = self._desired_rims(
+            self._linear.update(twist.linear.x, elapsed_s),
+            self._angular.update(twist.angular.z, elapsed_s),
+        )
         if self._max_acceleration == 0.0:
             return _joint_speeds(desired, self._radii)
         targets: list[float] = []
         for left in range(0, len(desired), 2):
             wheels = slice(left, left + 2)
-            rims = self._limited(left, desired[wheels], wheel_velocities[wheels], elapsed_s)
+            rims = self._limited(left, desired[wheels], velocities[wheels], elapsed_s)
             targets += _joint_speeds(rims, self._radii[wheels])
         return tuple(targets)
 
-    def _desired_rims(self, twist: Twist) -> list[float]:
-        speed, turn = twist.linear.x, twist.angular.z
+    def _desired_rims(self, speed: float, turn: float) -> list[float]:
         return [
-            min(max(rim, -MAX_RIM_SPEED_M_S), MAX_RIM_SPEED_M_S)
+            clamped(rim, MAX_RIM_SPEED_M_S)
             for pair in self._pairs
             for rim in (
                 speed - turn * pair.separation_m / 2.0,

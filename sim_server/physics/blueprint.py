@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.model import IDENTITY, Inertial, Joint, Link, Model, Quat, Shape, Vec3
+from proto.model import IDENTITY, Inertial, Joint, Link, Model, Origin, Quat, Shape, Vec3
 from proto.rotation import from_matrix
 
 DEFAULT_FRICTION = 1.0
@@ -32,6 +32,16 @@ class Part:
     friction: float
     parent: int
     joint: Joint | None = None
+
+    @property
+    def joint_kind(self) -> str:
+        """How it moves, as URDF calls it."""
+        return self.joint.kind if self.joint else "fixed"
+
+    @property
+    def origin(self) -> Origin:
+        """Where it is in its parent, its joint at zero."""
+        return self.joint.origin if self.joint else Origin()
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import IDENTITY, ZERO, Model, Origin, Quat, Shape, Vec3
+from proto.model import ZERO, Model, Origin, Shape, Vec3
 from proto.rotation import conjugate, multiply, rotate
+from sim_server.physics.acceptance import check_blueprint
+from sim_server.physics.actuation import Actuation, actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
 from sim_server.physics.engine import (
     MIN_INERTIA,
@@ -58,7 +60,8 @@ class PyBulletEngine:
         # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
         self._shapes: dict[Solids, int] = {}
         self._joints: dict[int, list[int]] = {}
-        self._driven: dict[int, tuple[list[int], list[float]]] = {}
+        self._actuations: dict[int, Actuation] = {}
+        self._twists: dict[int, list[float]] = {}
         self._gears: dict[int, list[int]] = {}
         self._dt_s = config.step_ns * 1e-9
         self._com_in_root: FloatArray = np.zeros((64, 3))
@@ -81,23 +84,20 @@ class PyBulletEngine:
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         blueprint = blueprint_of(model)
-        _check(blueprint)
+        check_blueprint(blueprint, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
             raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
         self._joints[body] = list(range(len(model.joints)))
-        index = {joint.name: i for i, joint in enumerate(model.joints)}
-        torque = model.drive.max_torque_nm if model.drive else 0.0
-        driven = [index[name] for name in model.driven_joints]
-        self._driven[body] = (driven, [torque] * len(driven))
+        self._actuations[body] = actuation_of(model)
         self._remember_root(body, blueprint)
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
         self._set_gears(body, model)
         # Made at its place, with joints at zero: placing it again would cost as much as making it.
         self._set_twist(body, base)
-        self.command([body], np.zeros(len(driven)))
+        self._let_go(body)
         return body
 
     def remove(self, body: int) -> None:
@@ -105,25 +105,21 @@ class PyBulletEngine:
         for gear in self._gears.pop(body, ()):
             pybullet.removeConstraint(gear, physicsClientId=self._client)
         pybullet.removeBody(body, physicsClientId=self._client)
-        del self._joints[body], self._driven[body]
+        del self._joints[body], self._actuations[body]
+        self._twists.pop(body, None)
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
         client = self._client
-        rows: list[tuple[float, ...]] = []
         positions: list[float] = []
         velocities: list[float] = []
         for body in bodies:
-            place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-            linear, angular = pybullet.getBaseVelocity(body, physicsClientId=client)
-            rows.append((*place, *turn, *linear, *angular))
             if joints := self._joints[body]:
                 for state in pybullet.getJointStates(body, joints, physicsClientId=client):
                     positions.append(state[0])
                     velocities.append(state[1])
-        com = np.array(rows, dtype=np.float64).reshape(len(rows), 13)
         return Reading(
-            self._root_states(np.asarray(bodies, dtype=np.intp), com),
+            self._root_states(np.asarray(bodies, dtype=np.intp), self._com_states(bodies)),
             np.array(positions, dtype=np.float64),
             np.array(velocities, dtype=np.float64),
         )
@@ -142,32 +138,75 @@ class PyBulletEngine:
         self.place(body, base)
         for joint in self._joints[body]:
             pybullet.resetJointState(body, joint, 0.0, 0.0, physicsClientId=self._client)
-        self.command([body], np.zeros(len(self._driven[body][0])))
+        self._let_go(body)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
         numbers = targets.tolist()
         at = 0
         for body in bodies:
-            driven, torques = self._driven[body]
-            if driven:
-                pybullet.setJointMotorControlArray(
-                    body,
-                    driven,
-                    pybullet.VELOCITY_CONTROL,
-                    targetVelocities=numbers[at : at + len(driven)],
-                    forces=torques,
-                    physicsClientId=self._client,
-                )
-                at += len(driven)
+            width = self._actuations[body].width
+            if width:
+                self._actuate(body, numbers[at : at + width])
+                at += width
 
     def step(self) -> None:
         """See `Engine.step`."""
+        if self._twists:
+            self._impose_twists()
         pybullet.stepSimulation(physicsClientId=self._client)
 
     def close(self) -> None:
         """See `Engine.close`."""
         pybullet.disconnect(physicsClientId=self._client)
+
+    def _let_go(self, body: int) -> None:
+        """Give a body targets of 0, and its own way where a twist moved it."""
+        self.command([body], np.zeros(self._actuations[body].width))
+        self._twists.pop(body, None)
+
+    def _actuate(self, body: int, numbers: list[float]) -> None:
+        plan = self._actuations[body]
+        if plan.speeds.joints:
+            pybullet.setJointMotorControlArray(
+                body,
+                plan.speeds.joints,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocities=plan.speeds.of(numbers),
+                forces=plan.speeds.efforts,
+                physicsClientId=self._client,
+            )
+        if plan.angles.joints:
+            pybullet.setJointMotorControlArray(
+                body,
+                plan.angles.joints,
+                pybullet.POSITION_CONTROL,
+                targetPositions=plan.angles.of(numbers),
+                forces=plan.angles.efforts,
+                physicsClientId=self._client,
+            )
+        if plan.twist is not None:
+            self._twists[body] = numbers[plan.twist : plan.twist + 3]
+
+    def _impose_twists(self) -> None:
+        bodies = list(self._twists)
+        com = self._com_states(bodies)
+        turns = multiply(com[:, 3:7], self._root_from_com[bodies])
+        arms = rotate(turns, self._com_in_root[bodies])
+        twists = np.array(list(self._twists.values()))
+        for body, row in zip(bodies, imposed(com[:, 7:], turns, arms, twists), strict=True):
+            pybullet.resetBaseVelocity(
+                body, row[:3].tolist(), row[3:].tolist(), physicsClientId=self._client
+            )
+
+    def _com_states(self, bodies: Sequence[int]) -> FloatArray:
+        client = self._client
+        rows: list[tuple[float, ...]] = []
+        for body in bodies:
+            place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+            linear, angular = pybullet.getBaseVelocity(body, physicsClientId=client)
+            rows.append((*place, *turn, *linear, *angular))
+        return np.array(rows, dtype=np.float64).reshape(len(rows), 13)
 
     def _add_ground(self, friction: float) -> None:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
@@ -207,12 +246,12 @@ class PyBulletEngine:
             linkCollisionShapeIndices=shapes[1:],
             # Without a visual shape Bullet tessellates every collision shape: five times the cost.
             linkVisualShapeIndices=[self._visual] * len(rest),
-            linkPositions=[_position(part) for part in rest],
-            linkOrientations=[_orientation(part) for part in rest],
+            linkPositions=[part.origin.position for part in rest],
+            linkOrientations=[part.origin.orientation for part in rest],
             linkInertialFramePositions=[part.com for part in rest],
             linkInertialFrameOrientations=[part.principal for part in rest],
             linkParentIndices=[part.parent for part in rest],
-            linkJointTypes=[KINDS[_joint_kind(part)] for part in rest],
+            linkJointTypes=[KINDS[part.joint_kind] for part in rest],
             linkJointAxis=[part.joint.axis if part.joint else (0.0, 0.0, 1.0) for part in rest],
             physicsClientId=self._client,
         )
@@ -331,40 +370,5 @@ class PyBulletEngine:
         )
 
 
-def _check(blueprint: Blueprint) -> None:
-    """Refuse what Bullet cannot simulate, before anything of it is made."""
-    if (count := len(blueprint.parts)) > MAX_PARTS:
-        raise EngineRefused(
-            f"model '{blueprint.name}' has {count} parts: links, and further frictions on one; "
-            f"use at most {MAX_PARTS}"
-        )
-    for part in blueprint.parts:
-        _check_kind(blueprint, "joint", _joint_kind(part), KINDS)
-        for shape in part.shapes:
-            _check_kind(blueprint, "collision shape", shape.kind, GEOMETRIES)
-
-
-def _check_kind(blueprint: Blueprint, what: str, kind: str, known: dict[str, int]) -> None:
-    if kind not in known:
-        raise EngineRefused(
-            f"model '{blueprint.name}': {what} '{kind}' is not supported by pybullet here; "
-            f"use {', '.join(known)}"
-        )
-
-
-def _joint_kind(part: Part) -> str:
-    return part.joint.kind if part.joint else "fixed"
-
-
 def _link_mass(part: Part) -> float:
-    if part.joint is None:
-        return 0.0
-    return max(part.mass_kg, MIN_MASS_KG)
-
-
-def _position(part: Part) -> Vec3:
-    return part.joint.origin.position if part.joint else ZERO
-
-
-def _orientation(part: Part) -> Quat:
-    return part.joint.origin.orientation if part.joint else IDENTITY
+    return 0.0 if part.joint is None else max(part.mass_kg, MIN_MASS_KG)

@@ -1,6 +1,7 @@
 """What a model tells of itself."""
 
-from proto.model import DiffDrive, Inertial, Link, Model, WheelPair
+from proto.drives import DiffDrive, PlanarMove, WheelPair
+from proto.model import Inertial, Link, Model
 
 BASE = Link("base_link", Inertial(mass_kg=5.0))
 WHEEL = Link("wheel", Inertial(mass_kg=0.25))
@@ -11,13 +12,19 @@ def test_mass_of_a_model_is_that_of_its_links() -> None:
     assert Model("nothing", ()).mass_kg == 0.0
 
 
-def test_driven_joints_are_left_before_right_pair_by_pair() -> None:
-    pairs = (WheelPair("front_left", "front_right"), WheelPair("rear_left", "rear_right"))
+def test_model_has_the_actuators_of_its_drive() -> None:
+    drive = DiffDrive((WheelPair("left", "right"),))
 
-    model = Model("rover", (BASE,), drive=DiffDrive(pairs))
+    model = Model("rover", (BASE,), drive=drive)
 
-    assert model.driven_joints == ("front_left", "front_right", "rear_left", "rear_right")
+    assert model.actuators == drive.actuators
+    assert model.target_count == 2
 
 
-def test_model_without_a_drive_has_no_driven_joints() -> None:
-    assert Model("box", (BASE,)).driven_joints == ()
+def test_target_of_a_planar_move_is_three_numbers() -> None:
+    assert Model("puck", (BASE,), drive=PlanarMove()).target_count == 3
+
+
+def test_model_without_a_drive_has_no_actuators() -> None:
+    assert Model("box", (BASE,)).actuators == ()
+    assert Model("box", (BASE,)).target_count == 0

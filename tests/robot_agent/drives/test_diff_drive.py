@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from proto.drives import DiffDrive, WheelPair
 from proto.geometry import Twist, Vector3
-from proto.model import DiffDrive, WheelPair
+from robot_agent.drives.controller import Measured
 from robot_agent.drives.diff_drive import DifferentialDrive
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
@@ -44,7 +45,7 @@ def rims(targets: tuple[float, ...]) -> list[float]:
 def test_drive_finds_wheel_speeds(speed: float, turn: float, left: float, right: float) -> None:
     drive = DifferentialDrive(DiffDrive(pairs=(PAIR,)))
 
-    targets = drive.update(twist(speed, turn), wheel_velocities=STILL, elapsed_s=0.01)
+    targets = drive.update(twist(speed, turn), measured=Measured(velocities=STILL), elapsed_s=0.01)
 
     assert targets == pytest.approx((left, right))
 
@@ -53,7 +54,7 @@ def test_drive_uses_forward_speed_and_turn_only() -> None:
     drive = DifferentialDrive(DiffDrive(pairs=(PAIR,)))
     sideways = Twist(Vector3(0.0, 1.0, 1.0), Vector3(1.0, 1.0, 0.0))
 
-    targets = drive.update(sideways, wheel_velocities=STILL, elapsed_s=0.01)
+    targets = drive.update(sideways, measured=Measured(velocities=STILL), elapsed_s=0.01)
 
     assert targets == (0.0, 0.0)
 
@@ -61,7 +62,9 @@ def test_drive_uses_forward_speed_and_turn_only() -> None:
 def test_drive_gives_each_pair_its_own_separation_and_diameter() -> None:
     drive = DifferentialDrive(DiffDrive(pairs=(PAIR, REAR)))
 
-    targets = drive.update(twist(0.5, 1.0), wheel_velocities=(0.0,) * 4, elapsed_s=0.01)
+    targets = drive.update(
+        twist(0.5, 1.0), measured=Measured(velocities=(0.0,) * 4), elapsed_s=0.01
+    )
 
     assert targets == pytest.approx((3.0, 7.0, 4.0, 16.0))
 
@@ -69,14 +72,14 @@ def test_drive_gives_each_pair_its_own_separation_and_diameter() -> None:
 def test_drive_has_no_targets_when_it_has_no_wheels() -> None:
     drive = DifferentialDrive(DiffDrive())
 
-    assert drive.update(twist(1.0), wheel_velocities=(), elapsed_s=0.01) == ()
+    assert drive.update(twist(1.0), measured=Measured(velocities=()), elapsed_s=0.01) == ()
 
 
 def test_drive_limits_acceleration_at_the_rim() -> None:
     drive = limited(1.0)
 
-    first = drive.update(twist(0.5), wheel_velocities=STILL, elapsed_s=0.01)
-    second = drive.update(twist(0.5), wheel_velocities=(0.1, 0.1), elapsed_s=0.02)
+    first = drive.update(twist(0.5), measured=Measured(velocities=STILL), elapsed_s=0.01)
+    second = drive.update(twist(0.5), measured=Measured(velocities=(0.1, 0.1)), elapsed_s=0.02)
 
     assert rims(first) == pytest.approx([0.01, 0.01])
     assert rims(second) == pytest.approx([0.03, 0.03])
@@ -85,7 +88,7 @@ def test_drive_limits_acceleration_at_the_rim() -> None:
 def test_drive_limits_deceleration_at_the_rim() -> None:
     drive = limited(1.0)
 
-    targets = drive.update(twist(0.0), wheel_velocities=(5.0, -5.0), elapsed_s=0.01)
+    targets = drive.update(twist(0.0), measured=Measured(velocities=(5.0, -5.0)), elapsed_s=0.01)
 
     assert rims(targets) == pytest.approx([-0.01, 0.01])
 
@@ -93,7 +96,7 @@ def test_drive_limits_deceleration_at_the_rim() -> None:
 def test_drive_adds_no_more_than_what_is_missing() -> None:
     drive = limited(10.0)
 
-    targets = drive.update(twist(0.5), wheel_velocities=(4.8, 4.8), elapsed_s=0.1)
+    targets = drive.update(twist(0.5), measured=Measured(velocities=(4.8, 4.8)), elapsed_s=0.1)
 
     assert rims(targets) == pytest.approx([0.02, 0.02])
 
@@ -107,7 +110,7 @@ def test_drive_commands_the_speed_itself_when_both_rims_are_within_a_centimetre_
     drive = limited(1.0)
     speed = measured / RADIUS
 
-    targets = drive.update(twist(0.5), wheel_velocities=(speed, speed), elapsed_s=0.01)
+    targets = drive.update(twist(0.5), measured=Measured(velocities=(speed, speed)), elapsed_s=0.01)
 
     assert rims(targets) == pytest.approx([expected, expected])
 
@@ -115,7 +118,7 @@ def test_drive_commands_the_speed_itself_when_both_rims_are_within_a_centimetre_
 def test_drive_limits_both_wheels_when_one_is_not_there_yet() -> None:
     drive = limited(1.0)
 
-    targets = drive.update(twist(0.5), wheel_velocities=(5.0, 0.0), elapsed_s=0.01)
+    targets = drive.update(twist(0.5), measured=Measured(velocities=(5.0, 0.0)), elapsed_s=0.01)
 
     assert rims(targets) == pytest.approx([0.0, 0.01])
 
@@ -123,7 +126,9 @@ def test_drive_limits_both_wheels_when_one_is_not_there_yet() -> None:
 def test_drive_limits_pairs_one_by_one() -> None:
     drive = DifferentialDrive(DiffDrive(pairs=(PAIR, REAR), max_acceleration=1.0))
 
-    targets = drive.update(twist(0.5), wheel_velocities=(5.0, 5.0, 0.0, 0.0), elapsed_s=0.01)
+    targets = drive.update(
+        twist(0.5), measured=Measured(velocities=(5.0, 5.0, 0.0, 0.0)), elapsed_s=0.01
+    )
 
     assert targets == pytest.approx((5.0, 5.0, 0.2, 0.2))
 
@@ -131,30 +136,30 @@ def test_drive_limits_pairs_one_by_one() -> None:
 def test_drive_remembers_its_instruction_when_the_speed_was_reached_meanwhile() -> None:
     drive = limited(1.0)
     for _ in range(3):
-        drive.update(twist(0.5), wheel_velocities=STILL, elapsed_s=0.01)
-    drive.update(twist(0.5), wheel_velocities=(5.0, 5.0), elapsed_s=0.01)
+        drive.update(twist(0.5), measured=Measured(velocities=STILL), elapsed_s=0.01)
+    drive.update(twist(0.5), measured=Measured(velocities=(5.0, 5.0)), elapsed_s=0.01)
 
-    targets = drive.update(twist(0.0), wheel_velocities=(5.0, 5.0), elapsed_s=0.01)
+    targets = drive.update(twist(0.0), measured=Measured(velocities=(5.0, 5.0)), elapsed_s=0.01)
 
     assert rims(targets) == pytest.approx([0.02, 0.02])
 
 
 def test_drive_forgets_its_instruction_when_it_is_reset() -> None:
     drive = limited(1.0)
-    drive.update(twist(0.5), wheel_velocities=STILL, elapsed_s=0.3)
+    drive.update(twist(0.5), measured=Measured(velocities=STILL), elapsed_s=0.3)
 
     drive.reset()
 
-    assert rims(drive.update(twist(0.5), wheel_velocities=STILL, elapsed_s=0.01)) == pytest.approx(
-        [0.01, 0.01]
-    )
+    assert rims(
+        drive.update(twist(0.5), measured=Measured(velocities=STILL), elapsed_s=0.01)
+    ) == pytest.approx([0.01, 0.01])
 
 
 @pytest.mark.parametrize("speed", [0.5, -0.5])
 def test_drive_does_not_wind_up_when_its_wheels_are_held(speed: float) -> None:
     drive = limited(1.0)
     for _ in range(1000):
-        targets = drive.update(twist(speed), wheel_velocities=STILL, elapsed_s=0.1)
+        targets = drive.update(twist(speed), measured=Measured(velocities=STILL), elapsed_s=0.1)
 
     assert rims(targets) == pytest.approx([math.copysign(0.6, speed)] * 2)
 
@@ -162,14 +167,16 @@ def test_drive_does_not_wind_up_when_its_wheels_are_held(speed: float) -> None:
 def test_drive_keeps_targets_finite_when_the_twist_overflows() -> None:
     drive = limited(1.0)
 
-    far = drive.update(twist(1e308, 1e308), wheel_velocities=STILL, elapsed_s=0.01)
+    far = drive.update(twist(1e308, 1e308), measured=Measured(velocities=STILL), elapsed_s=0.01)
     direct = DifferentialDrive(DiffDrive(pairs=(REAR,)))
 
     assert all(map(math.isfinite, far))
     assert all(
         map(
             math.isfinite,
-            direct.update(twist(-1.7e308, 1.7e308), wheel_velocities=STILL, elapsed_s=0.01),
+            direct.update(
+                twist(-1.7e308, 1.7e308), measured=Measured(velocities=STILL), elapsed_s=0.01
+            ),
         )
     )
 
@@ -186,7 +193,9 @@ def test_drive_speeds_give_the_twist_back(
     pair = WheelPair("left", "right", separation, diameter)
     drive = DifferentialDrive(DiffDrive(pairs=(pair,)))
 
-    left, right = drive.update(twist(speed, turn), wheel_velocities=STILL, elapsed_s=0.01)
+    left, right = drive.update(
+        twist(speed, turn), measured=Measured(velocities=STILL), elapsed_s=0.01
+    )
 
     rim_left, rim_right = left * diameter / 2.0, right * diameter / 2.0
     assert (rim_left + rim_right) / 2.0 == pytest.approx(speed, abs=1e-9)
@@ -203,7 +212,9 @@ def test_drive_wheels_that_obey_never_change_faster_than_the_limit(
     drive, elapsed_s = limited(acceleration), 0.01
     wheels: tuple[float, ...] = STILL
     for speed, turn in commands:
-        targets = drive.update(twist(speed, turn), wheel_velocities=wheels, elapsed_s=elapsed_s)
+        targets = drive.update(
+            twist(speed, turn), measured=Measured(velocities=wheels), elapsed_s=elapsed_s
+        )
         change = max(abs(b - a) for a, b in zip(rims(wheels), rims(targets), strict=True))
         # Within the tolerance the speed itself is commanded.
         assert change <= max(acceleration * elapsed_s, 0.01) + 0.011

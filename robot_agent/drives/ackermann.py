@@ -1,0 +1,62 @@
+"""A car: commanded speed and steering angle to rear wheels and front steering joints.
+
+Source: gazebo_ros_ackermann_drive of gazebo_ros_pkgs, ROS 2 branch. Gazebo's controllers push the
+joints by force; here motors hold speed and angle, so each rear wheel gets the speed of its own
+circle.
+"""
+
+import math
+
+from proto.drives import AckermannDrive
+from proto.geometry import Twist
+from robot_agent.drives.controller import Measured, clamped
+
+LARGEST_STEER_RAD = 1.5
+"""Short of a right angle, where a car has no turning circle."""
+
+
+class AckermannSteering:
+    """Steers both front wheels at the one point that the rear axle's line goes through."""
+
+    def __init__(self, parameters: AckermannDrive) -> None:
+        self._parameters = parameters
+        self._half_track = parameters.track_m / 2.0
+        self._ratio = parameters.max_steering_angle / max(parameters.max_steer, 1e-9)
+        self._has_steering_wheel = bool(parameters.steering_wheel_joint)
+
+    def reset(self) -> None:
+        """Do nothing: it remembers nothing."""
+
+    def update(
+        self,
+        twist: Twist,
+        *,
+        measured: Measured,
+        elapsed_s: float,  # noqa: ARG002 - of the protocol
+    ) -> tuple[float, ...]:
+        """Find rear wheel speeds [rad/s] and steering angles [rad]; see `Controller.update`.
+
+        Args:
+            twist: linear.x is the speed of the rear axle [m/s], angular.z the steering angle [rad];
+                in reverse it steers to the other side.
+            measured: As in the protocol; the steering wheel follows the front wheels.
+            elapsed_s: Not used.
+        """
+        parameters = self._parameters
+        speed = clamped(twist.linear.x, parameters.max_speed)
+        steer = clamped(
+            twist.angular.z * math.copysign(1.0, twist.linear.x),
+            min(parameters.max_steer, LARGEST_STEER_RAD),
+        )
+        # Radians turned a metre driven, by the middle of the rear axle.
+        curvature = math.tan(steer) / parameters.wheelbase_m
+        inner, outer = 1.0 - curvature * self._half_track, 1.0 + curvature * self._half_track
+        rim = speed / parameters.wheel_radius_m
+        angles = (math.atan2(math.tan(steer), inner), math.atan2(math.tan(steer), outer))
+        return (rim * inner, rim * outer, *angles, *self._steering_wheel(measured))
+
+    def _steering_wheel(self, measured: Measured) -> tuple[float, ...]:
+        if not self._has_steering_wheel:
+            return ()
+        left, right = measured.positions[2:4]
+        return ((left + right) / 2.0 * self._ratio,)

@@ -1,0 +1,38 @@
+"""What every drive does: twists in, numbers for its actuators out."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+import msgspec
+
+from proto.geometry import Twist
+
+
+class Measured(msgspec.Struct, frozen=True, gc=False):
+    """Joints of a drive's actuators as they are, in order; a twist has none."""
+
+    positions: Sequence[float] = ()
+    """[rad]."""
+    velocities: Sequence[float] = ()
+    """[rad/s]."""
+
+
+class Controller(Protocol):
+    """Finds what actuators are to do."""
+
+    def reset(self) -> None:
+        """Forget what was told before."""
+
+    def update(self, twist: Twist, *, measured: Measured, elapsed_s: float) -> tuple[float, ...]:
+        """Find the numbers for the actuators of the drive, in order.
+
+        Args:
+            twist: As commanded to the base.
+            measured: The joints as they are.
+            elapsed_s: Simulation time since the last update.
+        """
+
+
+def clamped(value: float, limit: float) -> float:
+    """Keep a value within its limit, on both sides of 0."""
+    return min(max(value, -limit), limit)

@@ -1,0 +1,37 @@
+"""Whether an engine can simulate a blueprint: asked before anything of it is made."""
+
+from collections.abc import Collection
+
+from sim_server.physics.blueprint import Blueprint
+from sim_server.physics.engine import EngineRefused
+
+
+def check_blueprint(
+    blueprint: Blueprint,
+    *,
+    max_parts: int,
+    joint_kinds: Collection[str],
+    shape_kinds: Collection[str],
+) -> None:
+    """Compare a blueprint with what an engine has.
+
+    Raises:
+        EngineRefused: It has too many parts, or a joint or a shape that the engine has not.
+    """
+    if (count := len(blueprint.parts)) > max_parts:
+        raise EngineRefused(
+            f"model '{blueprint.name}' has {count} parts: links, and further frictions on one; "
+            f"use at most {max_parts}"
+        )
+    for part in blueprint.parts:
+        _check_kind(blueprint, "joint", part.joint_kind, joint_kinds)
+        for shape in part.shapes:
+            _check_kind(blueprint, "collision shape", shape.kind, shape_kinds)
+
+
+def _check_kind(blueprint: Blueprint, what: str, kind: str, known: Collection[str]) -> None:
+    if kind not in known:
+        raise EngineRefused(
+            f"model '{blueprint.name}': {what} '{kind}' is not supported by pybullet here; "
+            f"use {', '.join(known)}"
+        )
