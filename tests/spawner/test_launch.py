@@ -1,0 +1,150 @@
+"""Launch: what is read, what is sent, and what becomes of a fleet."""
+
+import math
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto.bus import Bus, NoServer
+from proto.geometry import Pose, Quaternion
+from proto.result import ResultCode, ServiceError, SpawnCode
+from proto.rotation import from_rpy
+from proto.services import Resource, SpawnEntityOrder, SpawnEntityReport
+from spawner.client import SimClient
+from spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
+from spawner.namespacing import DescriptionError
+from spawner.placement import Place
+from tests.fakes import MemoryBus
+
+DRIVEN = (
+    '<robot name="r"><link name="base"/><gazebo>'
+    '<plugin name="d" filename="libgazebo_ros_diff_drive.so"/></gazebo></robot>'
+)
+angles = st.floats(-3.0, 3.0)
+
+
+class ListeningClient(SimClient):
+    """Takes orders down; refuses names that it was told to."""
+
+    def __init__(self, *refused: str) -> None:
+        super().__init__(cast("Bus", MemoryBus()))
+        self.orders: list[SpawnEntityOrder] = []
+        self._refused = refused
+
+    def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
+        self.orders.append(order)
+        if order.name in self._refused:
+            raise ServiceError(
+                "spawn_entity", SpawnCode.NAME_NOT_UNIQUE, "NAME_NOT_UNIQUE", "taken"
+            )
+        return SpawnEntityReport(entity_name=order.name, entity_namespace=order.entity_namespace)
+
+
+def test_description_is_read_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "r.urdf"
+    file.write_text("<robot/>", encoding="utf-8")
+
+    assert read_description(str(file)) == "<robot/>"
+
+
+def test_description_is_read_from_a_shipped_model() -> None:
+    assert '<robot name="box_bot">' in read_description("box_bot")
+
+
+def test_description_is_empty_when_a_name_is_not_known_here() -> None:
+    assert read_description("tank") == ""
+
+
+@pytest.mark.parametrize("model", ["nowhere/r.urdf", "r.urdf", "", "a b"])
+def test_description_is_refused_when_there_is_no_such_file(model: str) -> None:
+    with pytest.raises(FileNotFoundError, match="no such file, nor a shipped model"):
+        read_description(model)
+
+
+def test_description_is_refused_when_it_is_no_text(tmp_path: Path) -> None:
+    file = tmp_path / "r.urdf"
+    file.write_bytes(b"\xff\xfe\x00")
+
+    with pytest.raises(ValueError, match="decode"):
+        read_description(str(file))
+
+
+def test_resource_is_the_name_when_there_is_no_text() -> None:
+    assert resource_for("tank", "", "r1") == Resource(uri="tank")
+
+
+def test_resource_is_the_text_as_it_is_when_there_is_no_namespace() -> None:
+    assert resource_for("r", DRIVEN, "") == Resource(resource_string=DRIVEN)
+
+
+def test_resource_is_the_text_with_its_namespace() -> None:
+    text = resource_for("r", DRIVEN, "team/r1").resource_string
+
+    assert "<namespace>/team/r1</namespace>" in text
+    assert "<remapping>/tf:=/team/r1/tf</remapping>" in text
+
+
+def test_resource_is_refused_when_the_text_is_no_robot() -> None:
+    with pytest.raises(DescriptionError, match="begins with <html>"):
+        resource_for("r", "<html/>", "r1")
+
+
+def test_pose_is_where_it_says() -> None:
+    assert pose_at((1.0, 2.0, 3.0)).position.z == 3.0
+    assert pose_at((0.0, 0.0, 0.0)) == Pose()
+
+
+@given(angles, angles, angles)
+def test_pose_turns_as_urdf_does(roll: float, pitch: float, yaw: float) -> None:
+    q = pose_at((0.0, 0.0, 0.0), (roll, pitch, yaw)).orientation
+
+    assert [q.x, q.y, q.z, q.w] == pytest.approx(from_rpy(roll, pitch, yaw), abs=1e-12)
+
+
+def test_fleet_is_spawned_on_the_ground_each_in_its_namespace() -> None:
+    client = ListeningClient()
+    places = [Place("r0", 1.0, 2.0), Place("r1", 3.0, 4.0, math.pi)]
+
+    outcomes = spawn_fleet(client, "box_bot", places, lambda _: None)
+
+    assert outcomes == [Outcome("r0", ResultCode.OK), Outcome("r1", ResultCode.OK)]
+    assert [(order.name, order.entity_namespace) for order in client.orders] == [
+        ("r0", "r0"),
+        ("r1", "r1"),
+    ]
+    assert all(order.snap_to_ground and not order.allow_renaming for order in client.orders)
+    pose = client.orders[1].initial_pose.pose
+    assert (pose.position.x, pose.position.y) == (3.0, 4.0)
+    assert np.allclose([pose.orientation.z, pose.orientation.w], [1.0, 0.0])
+    assert "<namespace>/r1</namespace>" in client.orders[1].entity_resource.resource_string
+
+
+def test_fleet_goes_on_when_one_is_refused() -> None:
+    client = ListeningClient("r1")
+    done: list[str] = []
+
+    outcomes = spawn_fleet(
+        client,
+        "box_bot",
+        [Place(f"r{i}", 0.0, 0.0) for i in range(3)],
+        lambda outcome: done.append(outcome.name),
+    )
+
+    assert [outcome.code for outcome in outcomes] == [1, SpawnCode.NAME_NOT_UNIQUE, 1]
+    assert outcomes[1].message == "NAME_NOT_UNIQUE (101): taken"
+    assert done == ["r0", "r1", "r2"]
+
+
+def test_fleet_ends_when_the_server_has_gone() -> None:
+    client = SimClient(cast("Bus", MemoryBus()))
+
+    with pytest.raises(NoServer):
+        spawn_fleet(client, "box_bot", [Place("r0", 0.0, 0.0)], lambda _: None)
+
+
+def test_quaternion_of_no_turn_is_identity() -> None:
+    assert pose_at((0.0, 0.0, 0.0)).orientation == Quaternion()
