@@ -1,0 +1,30 @@
+"""A robot's text to Model, URDF or SDF by what its root says."""
+
+import re
+
+from proto.model import Model
+from sim_server.description.assets import HasMesh, no_meshes
+from sim_server.description.sdf_model import read_sdf_model
+from sim_server.description.urdf import read_urdf
+
+FORMATS = ("urdf", "sdf")
+"""As get_simulator_features names them."""
+_BEFORE_ROOT = re.compile(r"(?:[\ufeff\s]+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
+_SDF_ROOT = re.compile(r"<sdf[\s/>]")
+
+
+def read_robot(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool = False) -> Model:
+    """Read a robot; as `read_urdf` and `read_sdf_model`, which one the root tag tells.
+
+    Raises:
+        ModelError: The text is neither, or describes what cannot be.
+    """
+    if is_sdf(text):
+        return read_sdf_model(text, has_mesh=has_mesh, allow_missing=allow_missing)
+    return read_urdf(text, has_mesh=has_mesh, allow_missing=allow_missing)
+
+
+def is_sdf(text: str) -> bool:
+    """Whether the first tag of a text, comments and instructions apart, is <sdf>."""
+    before = _BEFORE_ROOT.match(text)
+    return _SDF_ROOT.match(text, before.end() if before else 0) is not None

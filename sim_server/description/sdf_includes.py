@@ -1,0 +1,142 @@
+"""<include> of SDF: each becomes the model that a resolver finds, in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from typing import TYPE_CHECKING
+
+from proto.result import SpawnCode
+from sim_server.description.sdf_values import read_text
+from sim_server.description.strict_xml import parse_xml
+from sim_server.description.wording import shown
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element as Element
+
+    from sim_server.description.report import Report
+
+Resolve = Callable[[str], str | None]
+"""The SDF text that a URI stands for; None when it is not here."""
+
+VERSIONS = ("1.4", "1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11", "1.12")
+VERSION_MARK = "sdf_version"
+"""Attribute that every model gets: files of several versions may meet in one."""
+MAX_NESTING = 16
+"""Of models in models, included or not."""
+MAX_INCLUDES = 2000
+MAX_TAGS = 400_000
+"""Of all that is included."""
+READ = ("uri", "name", "pose", "static", "placement_frame", "plugin")
+
+
+def no_includes(uri: str) -> str | None:  # noqa: ARG001  every Resolve takes a URI
+    """Say that no model is here."""
+    return None
+
+
+def marked(sdf: Element, report: Report) -> Element:
+    """Mark every model of a document with the document's version."""
+    version = (sdf.get("version") or "").strip()
+    if version not in VERSIONS:
+        report.suspicious(
+            "sdf", f"version {shown(version)}; read as one of {VERSIONS[0]} to {VERSIONS[-1]}"
+        )
+    for model in sdf.iter("model"):
+        model.set(VERSION_MARK, version)
+    return sdf
+
+
+class Includes:
+    """Puts models in the place of includes, below one document; equal URIs are read once."""
+
+    def __init__(self, resolve: Resolve, report: Report) -> None:
+        self._resolve = resolve
+        self._report = report
+        self._read: dict[str, Element] = {}
+        self._count = 0
+        self._tags = 0
+
+    def expand(self, owner: Element, chain: tuple[str, ...] = (), *, depth: int = 1) -> None:
+        """Expand the includes below a world or a model.
+
+        Args:
+            owner: Changed in place.
+            chain: URIs that are being included, outermost first.
+            depth: How many models the owner is in, itself counted.
+
+        Raises:
+            ModelError: One is not here, includes itself, or there are too many.
+        """
+        if depth > MAX_NESTING:
+            raise ModelError(
+                f"models are nested more than {MAX_NESTING} deep; join some of them",
+                slug="sdf.nesting",
+            )
+        for child in list(owner):
+            if child.tag == "model":
+                self.expand(child, chain, depth=depth + 1)
+            elif child.tag == "include":
+                uri = read_text(child, "uri")
+                model = self._model(child, uri, chain)
+                owner.replace(child, model)
+                self.expand(model, (*chain, uri), depth=depth + 1)
+
+    def _model(self, include: Element, uri: str, chain: tuple[str, ...]) -> Element:
+        if uri in chain:
+            raise ModelError(
+                f"{shown(uri)} includes itself, by {' > '.join(map(shown, chain[:5]))}",
+                slug="sdf.include_cycle",
+            )
+        model = deepcopy(self._found(uri))
+        self._count += 1
+        self._tags += sum(1 for _ in model.iter())
+        if self._count > MAX_INCLUDES or self._tags > MAX_TAGS:
+            raise ModelError(
+                f"{self._count} includes bring {self._tags} tags; "
+                f"at most {MAX_INCLUDES} and {MAX_TAGS} are read",
+                slug="sdf.size",
+            )
+        self._override(model, include, uri)
+        self._report.applied(f"include {shown(uri)}")
+        return model
+
+    def _found(self, uri: str) -> Element:
+        if uri in self._read:
+            return self._read[uri]
+        text = self._resolve(uri) if uri else None
+        if text is None:
+            raise ModelError(
+                f"it includes {shown(uri)}, which is not here; nothing is fetched: "
+                "write the model out, or give the folder that it is in",
+                code=SpawnCode.MISSING_ASSETS,
+                slug="sdf.include",
+            )
+        sdf = marked(parse_xml(text, root_tag="sdf", slug="sdf"), self._report)
+        models = sdf.findall("model")
+        if len(models) != 1:
+            raise ModelError(
+                f"{shown(uri)} holds {len(models)} models; one is needed",
+                code=SpawnCode.UNSUPPORTED_FORMAT,
+                slug="sdf.model",
+            )
+        self._read[uri] = models[0]
+        return models[0]
+
+    def _override(self, model: Element, include: Element, uri: str) -> None:
+        for tag in ("name", "placement_frame"):
+            if text := read_text(include, tag):
+                model.set(tag, text)
+        if include.get("merge") in ("true", "1"):
+            self._report.suspicious(
+                f"include {shown(uri)}: merge", "not supported; read as a model of its own"
+            )
+        for written in (*include.findall("pose")[:1], *include.findall("static")[:1]):
+            for old in model.findall(written.tag):
+                model.remove(old)
+            model.append(written)
+        model.extend(include.findall("plugin"))
+        for child in include:
+            if child.tag not in READ:
+                self._report.unread_tag(f"include {shown(uri)}", child.tag, READ)

@@ -1,0 +1,196 @@
+"""SDF text to Model, by the same parts, lumping and plug-ins as URDF."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from proto.model import Inertial, Joint, Link, Model, Origin
+from proto.result import SpawnCode
+from sim_server.description.assets import HasMesh, no_meshes
+from sim_server.description.following import with_true_mimics
+from sim_server.description.free_joints import with_chains
+from sim_server.description.lumping import Lumped, lump
+from sim_server.description.parts import Parts
+from sim_server.description.plugins import read_plugins
+from sim_server.description.report import Report
+from sim_server.description.sdf_frames import MODEL
+from sim_server.description.sdf_gather import WORLD, Gathered, canonical_link, gather
+from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
+from sim_server.description.sdf_joints import JointReader
+from sim_server.description.sdf_links import DEFAULT, LinkReader
+from sim_server.description.sdf_values import read_flag, read_name, read_pose
+from sim_server.description.sensors import read_sensors
+from sim_server.description.shapes import MeshRule
+from sim_server.description.strict_xml import parse_xml
+from sim_server.description.tree import in_tree_order
+from sim_server.description.values import check_links, check_moving, with_unit_axes
+from sim_server.description.wording import listed, shown
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lxml.etree import _Element as Element
+
+MAX_JOINTS = 120
+"""Left after lumping, as for URDF."""
+
+
+class Shared(NamedTuple):
+    """A fault that URDF and SDF share, and what it is called in SDF."""
+
+    of_urdf: str
+    slug: str
+
+
+SHARED = {
+    fault.of_urdf: fault.slug
+    for fault in (
+        Shared("urdf.axis", slug="sdf.axis"),
+        Shared("urdf.cycle", slug="sdf.cycle"),
+        Shared("urdf.dynamics", slug="sdf.dynamics"),
+        Shared("urdf.mass", slug="sdf.mass"),
+        Shared("urdf.no_links", slug="sdf.no_links"),
+        Shared("urdf.number", slug="sdf.number"),
+        Shared("urdf.sensor", slug="sdf.sensor"),
+        Shared("urdf.size", slug="sdf.size"),
+        Shared("urdf.two_parents", slug="sdf.two_parents"),
+        Shared("urdf.two_roots", slug="sdf.two_roots"),
+    )
+}
+
+
+def read_sdf_model(
+    text: str,
+    *,
+    has_mesh: HasMesh = no_meshes,
+    allow_missing: bool = False,
+    resolve: Resolve = no_includes,
+) -> Model:
+    """Read a robot; what became of each tag that matters is in the model's report.
+
+    Args:
+        text: SDF with one <model>.
+        has_mesh: Whether a mesh URI is on the server; no file is opened here.
+        allow_missing: Leave collisions out whose mesh is not on the server.
+        resolve: Finds the text of an included model; nothing else is read.
+
+    Raises:
+        ModelError: The text is no SDF, or describes what cannot be.
+    """
+    report = Report()
+    sdf = marked(parse_xml(text, root_tag="sdf", slug="sdf"), report)
+    models = sdf.findall("model")
+    if len(models) != 1 or len(sdf) != 1:
+        held = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
+        raise ModelError(
+            f"the <sdf> holds {held}; a robot's holds one <model> and nothing else; "
+            "a world is for zensim serve --world",
+            code=SpawnCode.UNSUPPORTED_FORMAT,
+            slug="sdf.model",
+        )
+    Includes(resolve, report).expand(models[0])
+    if read_pose(models[0], "model").origin != Origin():
+        report.ignored("model: <pose>", "the pose is that of the spawn request")
+    model = model_of(models[0], MeshRule(has_mesh, allow_missing), report)
+    return msgspec.structs.replace(model, report=report.entries())
+
+
+def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
+    """Read a <model> whose includes were expanded; its report is left empty.
+
+    Raises:
+        ModelError: It describes what cannot be.
+    """
+    name = read_name(element, "model")
+    is_static = read_flag(element, "static", default=False, where="model")
+    with _faults_of_sdf():
+        found = gather(element, report)
+        parts = _parts(name, found, is_static=is_static, rule=rule, report=report)
+        check_links(parts.links, report)
+        lumped = _lumped(parts, report)
+        plugins = read_plugins(found.plugins, lumped, report)
+        return Model(
+            name=name,
+            links=lumped.links,
+            joints=lumped.joints,
+            frames=lumped.frames,
+            drive=plugins.drive,
+            joint_state=plugins.joint_state,
+            sensors=read_sensors(found.sensors, lumped, report),
+            is_static=is_static or parts.links[0].name == WORLD,
+        )
+
+
+@contextmanager
+def _faults_of_sdf() -> Iterator[None]:
+    try:
+        yield
+    except ModelError as error:
+        if error.slug not in SHARED:
+            raise
+        message = error.message.removeprefix(f"{error.slug}: ")
+        raise ModelError(message, code=error.code, slug=SHARED[error.slug]) from error
+
+
+def _parts(name: str, found: Gathered, *, is_static: bool, rule: MeshRule, report: Report) -> Parts:
+    reader = LinkReader(found.frames, rule, report, is_static)
+    links = [reader.read(tag) for tag in found.links]
+    links = links if is_static else _weighed(links, report)
+    taken = {link.name for link in links} | {tag.name for tag in found.joints}
+    joints = JointReader(found.frames, report, taken)
+    # Nothing of a static model moves, whatever its joints say.
+    chains = [] if is_static else [joint for tag in found.joints for joint in joints.read(tag)]
+    parts = Parts(name, (*links, *joints.pivots), tuple(chains))
+    return in_tree_order(_rooted(parts, found, is_static=is_static, report=report))
+
+
+def _weighed(links: list[Link], report: Report) -> list[Link]:
+    if any(link.inertial != Inertial() for link in links):
+        return links
+    report.suspicious("model", "no link has an <inertial>; each weighs 1 kg, as by SDF")
+    return [msgspec.structs.replace(link, inertial=DEFAULT) for link in links]
+
+
+def _rooted(parts: Parts, found: Gathered, *, is_static: bool, report: Report) -> Parts:
+    """Hang the model from its own frame, unless its root link is there already."""
+    if not parts.links:
+        return parts
+    if any(joint.parent == WORLD for joint in parts.joints):
+        report.applied(f"link {WORLD!r}", "it is the world: the robot does not move from its place")
+        return Parts(parts.name, (Link(WORLD), *parts.links), parts.joints)
+    children = {joint.child for joint in parts.joints}
+    roots = [link.name for link in parts.links if link.name not in children]
+    canonical = canonical_link(found)
+    if len(roots) > 1 and not is_static:
+        raise ModelError(
+            f"links {listed(roots)} are joined to nothing; join them so that one is left",
+            slug="sdf.two_roots",
+        )
+    if len(roots) == 1 and canonical != roots[0]:
+        report.suspicious(
+            f"link {shown(canonical)}", f"canonical, but poses are those of {shown(roots[0])}"
+        )
+    if len(roots) == 1 and found.frames.pose(roots[0]) == Origin():
+        return parts
+    held = [
+        Joint(f"{MODEL} {root}", "fixed", MODEL, root, found.frames.pose(root)) for root in roots
+    ]
+    return Parts(parts.name, (Link(MODEL), *parts.links), (*held, *parts.joints))
+
+
+def _lumped(parts: Parts, report: Report) -> Lumped:
+    lumped = lump(parts.links, with_unit_axes(parts.joints), kept=frozenset())
+    check_moving(lumped.links, lumped.joints, report)
+    joints = with_true_mimics(lumped.joints, report)
+    lumped = with_chains(Lumped(lumped.links, joints, lumped.frames), report)
+    if len(lumped.joints) > MAX_JOINTS:
+        raise ModelError(
+            f"{len(lumped.joints)} joints are left once fixed ones are merged; "
+            f"at most {MAX_JOINTS} are simulated",
+            slug="sdf.joints",
+        )
+    return lumped

@@ -1,0 +1,176 @@
+"""Joints of SDF turn about the axes that the files mean."""
+
+import math
+
+import pytest
+
+from proto.model import Joint, Mimic
+from sim_server.description.sdf_model import read_sdf_model
+from tests.sim_server.description.robots import reasons
+from tests.sim_server.description.sdf_robots import (
+    a_joint,
+    a_link,
+    a_model,
+    a_pose,
+    an_axis,
+    read,
+)
+
+QUARTER = str(math.pi / 2)
+
+
+def joints_of(inside: str, *, kind: str = "revolute", pose: str = "0 0 0 0 0 0") -> list[Joint]:
+    parts = (a_link("a"), a_link("b", a_pose(pose)), a_joint("j", ("a", "b"), kind, inside))
+    return list(read(*parts).joints)
+
+
+def a_limit(lower: str, upper: str) -> str:
+    return f"<limit><lower>{lower}</lower><upper>{upper}</upper></limit>"
+
+
+@pytest.mark.parametrize(
+    "limit",
+    ["", a_limit("-1e16", "1e16"), a_limit("-inf", "inf"), a_limit("-1e+16", "1e+16")],
+)
+def test_revolute_joint_turns_freely_when_it_has_no_limits(limit: str) -> None:
+    (joint,) = joints_of(an_axis("0 0 1", limit))
+
+    assert (joint.kind, joint.lower, joint.upper) == ("continuous", 0.0, 0.0)
+
+
+def test_limits_are_kept() -> None:
+    inside = (
+        "<limit><lower>-1</lower><upper>2</upper><effort>3</effort><velocity>4</velocity></limit>"
+        "<dynamics><damping>5</damping><friction>6</friction></dynamics>"
+    )
+
+    (joint,) = joints_of(an_axis("0 0 1", inside))
+
+    assert (joint.kind, joint.lower, joint.upper) == ("revolute", -1.0, 2.0)
+    assert (joint.effort, joint.velocity, joint.damping, joint.friction) == (3.0, 4.0, 5.0, 6.0)
+
+
+def test_prismatic_joint_without_limits_slides_as_far_as_the_world_goes() -> None:
+    (joint,) = joints_of(an_axis("1 0 0"), kind="prismatic")
+
+    assert (joint.kind, joint.lower, joint.upper) == ("prismatic", -1e5, 1e5)
+
+
+def test_axis_is_in_the_frame_of_the_joint() -> None:
+    turned = a_pose(f"0 0 0 0 0 {QUARTER}")
+
+    (joint,) = joints_of(turned + an_axis("1 0 0"))
+
+    assert joint.axis == pytest.approx((0.0, 1.0, 0.0), abs=1e-9)
+
+
+def test_axis_is_in_the_frame_that_it_names() -> None:
+    pose = f"0 0 0 0 0 {QUARTER}"
+
+    (joint,) = joints_of(an_axis("1 0 0", attributes='expressed_in="__model__"'), pose=pose)
+
+    assert joint.axis == pytest.approx((0.0, -1.0, 0.0), abs=1e-9)
+
+
+def test_axis_is_in_the_model_frame_when_it_says_so() -> None:
+    axis = an_axis("1 0 0", "<use_parent_model_frame>true</use_parent_model_frame>")
+
+    (joint,) = joints_of(axis, pose=f"0 0 0 0 0 {QUARTER}")
+
+    assert joint.axis == pytest.approx((0.0, -1.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(("version", "axis"), [("1.4", (0.0, -1.0, 0.0)), ("1.5", (1.0, 0.0, 0.0))])
+def test_axis_without_a_frame_is_as_its_version_has_it(
+    version: str, axis: tuple[float, float, float]
+) -> None:
+    parts = (
+        a_link("a"),
+        a_link("b", a_pose(f"0 0 0 0 0 {QUARTER}")),
+        a_joint("j", ("a", "b"), "revolute", an_axis("1 0 0")),
+    )
+
+    model = read_sdf_model(a_model(*parts, version=version))
+
+    assert model.joints[0].axis == pytest.approx(axis, abs=1e-9)
+
+
+def test_child_turns_about_the_joint_when_that_is_elsewhere() -> None:
+    parts = (
+        a_link("a"),
+        a_link("b", a_pose("1 0 0 0 0 0")),
+        a_joint("j", ("a", "b"), "revolute", a_pose("0 0.5 0 0 0 0") + an_axis("0 0 1")),
+    )
+
+    model = read(*parts)
+
+    assert model.joints[0].origin.position == (1.0, 0.5, 0.0)
+    assert [(f.name, f.parent, f.origin.position) for f in model.frames] == [
+        ("b", "j_pivot", (0.0, -0.5, 0.0))
+    ]
+    assert model.links[1].inertial.com_in_link == (0.0, -0.5, 0.0)
+
+
+def test_child_keeps_its_name_when_the_joint_is_elsewhere_on_its_axis() -> None:
+    parts = (
+        a_link("a"),
+        a_link("b"),
+        a_joint("j", ("a", "b"), "revolute", a_pose("0 0 0.5 0 0 0") + an_axis("0 0 1")),
+    )
+
+    assert read(*parts).links[1].name == "b"
+
+
+def test_joint_pose_may_be_relative_to_another_frame() -> None:
+    pose = a_pose("0 0 0 0 0 0", 'relative_to="__model__"')
+
+    (joint,) = joints_of(pose + an_axis("0 0 1"), pose="1 0 0 0 0 0")
+
+    assert joint.origin.position == (0.0, 0.0, 0.0)
+
+
+def test_ball_is_three_turns_and_rolling_comes_first() -> None:
+    joints = joints_of("", kind="ball")
+
+    assert [joint.name for joint in joints] == ["j_1", "j_2", "j"]
+    assert [joint.kind for joint in joints] == ["continuous"] * 3
+    assert joints[0].axis == (0.0, 1.0, 0.0)
+    assert joints[-1].child == "b"
+
+
+def test_universal_joint_is_two_turns() -> None:
+    axes = an_axis("1 0 0") + an_axis("0 1 0").replace("axis>", "axis2>")
+
+    joints = joints_of(axes, kind="universal")
+
+    assert [joint.axis for joint in joints] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+
+
+def test_mimic_counts_from_its_reference() -> None:
+    mimic = (
+        '<mimic joint="j"><multiplier>2</multiplier><offset>1</offset><reference>3</reference>'
+        "</mimic>"
+    )
+    parts = (
+        *(a_link(name) for name in "abc"),
+        a_joint("j", ("a", "b"), "revolute", an_axis("0 0 1")),
+        a_joint("k", ("a", "c"), "revolute", an_axis("0 0 1", mimic)),
+    )
+
+    assert read(*parts).joints[1].mimic == Mimic("j", 2.0, -5.0)
+
+
+def test_missing_axis_is_noted() -> None:
+    parts = (a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "revolute"))
+
+    assert "joint 'j': has no <axis>; 0 0 1 is used" in reasons(read(*parts).report, "suspicious")
+
+
+def test_joint_and_link_may_have_one_name() -> None:
+    parts = (
+        a_link("a"),
+        a_link("b", a_pose("1 0 0 0 0 0")),
+        a_joint("a", ("a", "b"), "revolute", a_pose("0 0 1 0 0 0") + an_axis("0 0 1")),
+    )
+
+    assert read(*parts).joints[0].origin.position == (1.0, 0.0, 0.0)
