@@ -15,6 +15,7 @@ from proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
 from proto.rotation import FloatArray, from_matrix
 from sim_server.description.colours import named_colours
 from sim_server.description.shapes import MeshRule, read_collisions, read_visuals
+from sim_server.description.wording import in_line
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def _kinematics(robot: Element) -> yourdfpy.Robot:
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
         # Any of these means a fault that the grammar let through; the text is not ours to trust.
         raise ModelError(
-            f"the description cannot be read as URDF: {str(error)[:200]}", slug="urdf.unreadable"
+            f"the description cannot be read as URDF: {in_line(str(error))}", slug="urdf.unreadable"
         ) from error
 
 

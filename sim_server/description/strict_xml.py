@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from lxml import etree
 
 from proto.result import SpawnCode
+from sim_server.description.wording import in_line
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _parsed(data: bytes) -> Element:
         if {entry.type for entry in parser.error_log} == {_UNKNOWN_PREFIX}:
             return etree.fromstring(text, _parser(recover=True))
         raise ModelError(
-            f"the description is not well-formed XML: {str(error)[:200]}", slug="xml.syntax"
+            f"the description is not well-formed XML: {in_line(str(error))}", slug="xml.syntax"
         ) from error
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 LONGEST = 80
+LONGEST_LINE = 200
 MOST_NAMES = 5
 
 
@@ -17,3 +18,9 @@ def listed(names: Sequence[str]) -> str:
     quoted = ", ".join(shown(name) for name in names[:MOST_NAMES])
     left_out = len(names) - MOST_NAMES
     return f"{quoted} and {left_out} more" if left_out > 0 else quoted
+
+
+def in_line(text: str) -> str:
+    """Put what another library says in one printable line of at most 200 characters."""
+    words = " ".join(text.split())[:LONGEST_LINE]
+    return "".join(letter if letter.isprintable() else "?" for letter in words)
