@@ -116,9 +116,9 @@ def _read_model(file: str, package_paths: list[Path]) -> Model:
     from sim_server.description.library import model_text, shipped_models
 
     with _server_extra():
-        from sim_server.description.urdf import read_urdf
+        from sim_server.description.formats import read_robot
     if file in shipped_models():
-        return read_urdf(model_text(file))
+        return read_robot(model_text(file))
     path = Path(file)
     text = path.read_text(encoding="utf-8")
-    return read_urdf(text, has_mesh=meshes_in([path.resolve().parent, *package_paths]))
+    return read_robot(text, has_mesh=meshes_in([path.resolve().parent, *package_paths]))

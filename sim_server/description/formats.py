@@ -7,8 +7,6 @@ from sim_server.description.assets import HasMesh, no_meshes
 from sim_server.description.sdf_model import read_sdf_model
 from sim_server.description.urdf import read_urdf
 
-FORMATS = ("urdf", "sdf")
-"""As get_simulator_features names them."""
 _BEFORE_ROOT = re.compile(r"(?:[\ufeff\s]+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
 _SDF_ROOT = re.compile(r"<sdf[\s/>]")
 
