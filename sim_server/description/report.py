@@ -6,13 +6,17 @@ from difflib import get_close_matches
 from proto.model import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
+"""Of what is not suspicious."""
+MAX_SUSPICIOUS = 600
+"""Room for one entry a link of the largest robot, so that no missing mesh goes unsaid."""
 
 
 class Report:
-    """Entries in the order of reading; beyond `MAX_ENTRIES` only counted, once each."""
+    """Entries in the order of reading; beyond their number only counted, once each."""
 
     def __init__(self) -> None:
         self._entries: dict[ReportEntry, None] = {}
+        self._suspicious = 0
         self._left_out = 0
 
     def applied(self, subject: str, reason: str = "") -> None:
@@ -34,7 +38,7 @@ class Report:
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """Note a tag that nothing reads; one that looks misspelt is suspicious."""
         shown = f"{subject}: <{tag[:80]}>"
-        if len(self._entries) >= MAX_ENTRIES:
+        if not self._has_room("unknown"):
             # Guessing at what a hostile file meant would cost more than reading it.
             self._left_out += 1
             return
@@ -55,7 +59,13 @@ class Report:
         entry = ReportEntry(status, subject, reason)
         if entry in self._entries:
             return
-        if len(self._entries) < MAX_ENTRIES:
+        if self._has_room(status):
             self._entries[entry] = None
+            self._suspicious += status == "suspicious"
         else:
             self._left_out += 1
+
+    def _has_room(self, status: ReportStatus) -> bool:
+        if status == "suspicious":
+            return self._suspicious < MAX_SUSPICIOUS
+        return len(self._entries) - self._suspicious < MAX_ENTRIES

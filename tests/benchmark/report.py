@@ -7,7 +7,17 @@ import msgspec
 from tests.benchmark import machine
 from tests.benchmark.figures import Figure, missed
 
-NAMES = ("start", "cost", "accuracy", "cmd_vel", "spawn", "services", "flat_out", "codec")
+NAMES = (
+    "start",
+    "cost",
+    "accuracy",
+    "cmd_vel",
+    "spawn",
+    "reading",
+    "services",
+    "flat_out",
+    "codec",
+)
 HEAD = """# Benchmarks
 
 `make bench` measures all of this anew and rewrites this page; the command under a heading measures

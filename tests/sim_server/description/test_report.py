@@ -1,7 +1,7 @@
 """The report tells what became of each tag, and stays small."""
 
 from proto.model import ReportEntry
-from sim_server.description.report import MAX_ENTRIES, Report
+from sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS, Report
 
 
 def test_report_lists_entries_in_order_when_noted() -> None:
@@ -56,8 +56,20 @@ def test_report_counts_the_rest_when_it_is_full() -> None:
 
     for index in range(MAX_ENTRIES):
         report.unknown(f"tag {index}", "")
-    report.suspicious("one more", "")
+    report.ignored("one more", "")
     report.unread_tag("plugin", "banana", ["bananas"])
 
     assert len(report.entries()) == MAX_ENTRIES + 1
+    assert report.entries()[-1].reason == "2 further entries are left out"
+
+
+def test_report_keeps_what_is_suspicious_when_it_is_full_of_the_rest() -> None:
+    report = Report()
+
+    for index in range(MAX_ENTRIES + 1):
+        report.unknown(f"tag {index}", "")
+    for index in range(MAX_SUSPICIOUS + 1):
+        report.suspicious(f"mesh {index}", "")
+
+    assert sum(entry.status == "suspicious" for entry in report.entries()) == MAX_SUSPICIOUS
     assert report.entries()[-1].reason == "2 further entries are left out"
