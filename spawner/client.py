@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 
 from proto import catalog
+from proto.assets import MissingAssetsRequest, MissingAssetsResponse, PutAssetRequest
 from proto.bus import Bus, NoServer
 from proto.catalog import Request, Response, Service
 from proto.services import (
@@ -67,6 +68,15 @@ class SimClient:
     def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
         """Put one entity into the world."""
         return self._call(catalog.SPAWN_ENTITY, order)
+
+    def missing_assets(self, sha256s: tuple[str, ...]) -> MissingAssetsResponse:
+        """Ask which files the server does not have."""
+        return self._call(catalog.MISSING_ASSETS, MissingAssetsRequest(sha256s))
+
+    def put_asset(self, sha256: str, *, offset: int, total: int, data: bytes) -> int:
+        """Send a piece of a file, and return how many bytes of it are there."""
+        request = PutAssetRequest(sha256, offset, total, data)
+        return self._call(catalog.PUT_ASSET, request).received
 
     def delete(self, entity: str) -> None:
         """Take one entity out."""

@@ -1,156 +1,167 @@
 """`zensim spawn` and `zensim fleet`."""
 
-from typing import Annotated
+from contextlib import ExitStack
 
 import msgspec
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from proto import keys
 from proto.exits import Exit, one_line_failures
-from proto.geometry import PoseStamped
-from proto.header import Header
+from proto.model import ReportEntry
 from proto.names import check_name
-from proto.result import ResultCode
-from proto.services import Resource, SpawnEntityOrder, SpawnEntityReport
-from spawner.cli.session import (
-    AsJson,
-    Connect,
-    Timeout,
-    WorldName,
-    client_for,
-    progress_console,
+from proto.result import ResultCode, ServiceError, SetSimulationStateCode
+from proto.services import SpawnEntityOrder, SpawnEntityReport, State
+from proto.stop import StopFlag
+from spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
+from spawner.cli.fields import takes
+from spawner.cli.options import FleetOptions, SpawnOptions
+from spawner.cli.progress import fleet_progress, upload_progress
+from spawner.cli.report_table import print_report
+from spawner.cli.session import client_for, data_console
+from spawner.cli.wishes import (
+    Source,
+    compat_of,
+    description_here,
+    description_there,
+    order_of,
+    paths_of,
+    patience_s,
+    source_of,
 )
-from spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
-from spawner.placement import LAYOUTS, fleet_places, name_stem
+from spawner.client import SimClient
+from spawner.launch import Cargo, Outcome, cargo_of, order_for, send_files, spawn_all
+from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
+from spawner.search_paths import SearchPaths
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-TRUE_WORDS, FALSE_WORDS = {"true", "1", "yes", "on"}, {"false", "0", "no", "off"}
 
-# Spelt as the tutorial's spawner spells them, and as people write them.
-Model = Annotated[str, typer.Argument(help="Shipped model, or path of a URDF file.")]
-Urdf = Annotated[str, typer.Option("-urdf", "--robot_urdf", help="The same as MODEL.")]
-Name = Annotated[str, typer.Option("-n", "--name", "--robot_name", help="The model's if none.")]
-RobotNamespace = Annotated[
-    str, typer.Option("-ns", "--robot_namespace", help="Namespace; the name unless given.")
-]
-Namespace = Annotated[
-    str,
-    typer.Option("-namespace", "--namespace", help="Namespace, or False for the entity's name."),
-]
-X = Annotated[float, typer.Option("-x", help="Metres.")]
-Y = Annotated[float, typer.Option("-y", help="Metres.")]
-Z = Annotated[float | None, typer.Option("-z", help="Metres; on the ground unless given.")]
-Roll = Annotated[float, typer.Option("-R", help="Radians.")]
-Pitch = Annotated[float, typer.Option("-P", help="Radians.")]
-Yaw = Annotated[float, typer.Option("-Y", help="Radians.")]
-Frame = Annotated[str, typer.Option("--reference-frame", help="Entity that the pose is in.")]
-Renaming = Annotated[bool, typer.Option("--allow-renaming", help="Number the name if taken.")]
-Wait = Annotated[float, typer.Option("--wait", help="Seconds to wait for a server.")]
+class Wish(msgspec.Struct, frozen=True):
+    """What is to be spawned, as far as this host knows."""
+
+    order: SpawnEntityOrder
+    source: Source
+    paths: SearchPaths
+    cargo: Cargo
+    wait_s: float
 
 
 @app.command()
-def spawn(
-    model: Model = "",
-    *,
-    robot_urdf: Urdf = "",
-    name: Name = "",
-    robot_namespace: RobotNamespace = "",
-    namespace: Namespace = "",
-    x: X = 0.0,
-    y: Y = 0.0,
-    z: Z = None,
-    roll: Roll = 0.0,
-    pitch: Pitch = 0.0,
-    yaw: Yaw = 0.0,
-    frame: Frame = "",
-    allow_renaming: Renaming = False,
-    wait: Wait = 10.0,
-    timeout: Timeout = 10.0,
-    as_json: AsJson = False,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
+@takes(SpawnOptions)
+def spawn(given: SpawnOptions) -> None:
     """Put one robot into the world."""
     with one_line_failures("spawn"):
-        space = _namespace(robot_namespace, namespace)
-        order = SpawnEntityOrder(
-            check_name(name) if name else "",
-            allow_renaming=allow_renaming or not name,
-            entity_resource=_resource(model or robot_urdf, space or name),
-            entity_namespace=space,
-            initial_pose=PoseStamped(
-                Header(frame_id=frame), pose_at((x, y, z or 0.0), (roll, pitch, yaw))
-            ),
-            snap_to_ground=z is None,
-        )
-    with client_for("spawn", connect, world_name, timeout, wait_s=wait) as client:
-        client.wait_for_server(wait)
-        _print_report(client.spawn(order), as_json=as_json)
+        wish = _wish(given)
+    if given.gazebo_namespace:
+        note = "-gazebo_namespace has no effect; --world-name chooses the world"
+        typer.echo(f"zensim spawn: note: {note}", err=True)
+    network = (given.connect, given.world_name, given.timeout)
+    with client_for("spawn", *network, wait_s=wish.wait_s) as client:
+        client.wait_for_server(wish.wait_s)
+        if given.wait_entity:
+            wait_for_entity(client, given.wait_entity, wish.wait_s)
+        cargo = _cargo(client, wish, given)
+        with upload_progress() as on_bytes:
+            send_files(client, cargo.bundle, on_bytes)
+        _spawn_and_stay(client, wish.order, cargo, given)
 
 
-def _namespace(robot_namespace: str, namespace: str) -> str:
-    """Read `--namespace`: the tutorial's switch, or a namespace by itself."""
-    word = namespace.lower()
-    if word in FALSE_WORDS:
-        return ""
-    return robot_namespace if word in TRUE_WORDS or not namespace else namespace
+def _wish(given: SpawnOptions) -> Wish:
+    source, order, paths = source_of(given), order_of(given), paths_of(given)
+    wait_s = patience_s(given, given.gazebo_timeout)
+    description = description_here(source, given, paths)
+    cargo = cargo_of(description, paths, allow_missing=given.allow_missing)
+    return Wish(order, source, paths, cargo, wait_s)
 
 
-def _resource(model: str, namespace: str) -> Resource:
-    if not model:
-        raise ValueError("no model was given; use 'zensim spawn box_bot' or a path of a URDF file")
-    return resource_for(model, read_description(model), namespace)
+def _cargo(client: SimClient, wish: Wish, given: SpawnOptions) -> Cargo:
+    if wish.source.kind != "-topic":
+        return wish.cargo
+    description = description_there(client.bus, wish.source, given, wish.wait_s)
+    return cargo_of(description, wish.paths, allow_missing=given.allow_missing)
 
 
-def _print_report(report: SpawnEntityReport, *, as_json: bool) -> None:
-    if as_json:
+def _spawn_and_stay(
+    client: SimClient, wished: SpawnEntityOrder, cargo: Cargo, given: SpawnOptions
+) -> None:
+    is_bonded = given.bond and not given.dry_run
+    order = order_for(cargo, wished, wished.entity_namespace or wished.name)
+    with ExitStack() as stack:
+        if is_bonded:
+            order = msgspec.structs.replace(order, bond=bond_name())
+            token = client.bus.token(keys.bond(given.world_name, order.bond))
+            stack.callback(token.close)
+        report = spawn_bonded(client, order)
+        _print_report(_with_notes(report, cargo), given)
+        if given.unpause and not given.dry_run:
+            _unpause(client)
+        if is_bonded:
+            _stay(client, report.entity_name)
+
+
+def _with_notes(report: SpawnEntityReport, cargo: Cargo) -> SpawnEntityReport:
+    """Add what only this host knows; of a missing file the server may have spoken already."""
+    said = "\n".join(f"{entry.subject} {entry.reason}" for entry in report.report)
+    missing = (
+        ReportEntry("suspicious", file.mesh.uri, f"{file.reason}; not drawn")
+        for file in cargo.bundle.missing
+        if file.mesh.uri not in said
+    )
+    return msgspec.structs.replace(report, report=(*report.report, *cargo.bundle.notes, *missing))
+
+
+def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:
+    if given.as_json:
         typer.echo(msgspec.json.encode(report).decode())
-    else:
-        typer.echo(f"spawned {report.entity_name} under {report.entity_namespace}/")
-    for entry in report.report:
-        if entry.status == "suspicious":
-            typer.echo(f"zensim spawn: warning: {entry.subject}: {entry.reason}", err=True)
+        return
+    done = "would spawn" if given.dry_run else "spawned"
+    typer.echo(f"{done} {report.entity_name} under {report.entity_namespace}/")
+    print_report(report.report, data_console)
+
+
+def _unpause(client: SimClient) -> None:
+    try:
+        client.set_simulation_state(State.PLAYING)
+    except ServiceError as error:
+        if error.code != SetSimulationStateCode.ALREADY_IN_TARGET_STATE:
+            raise
+
+
+def _stay(client: SimClient, entity: str) -> None:
+    stop = StopFlag()
+    typer.echo(f"zensim spawn: {entity} goes when this command ends, as by Ctrl-C", err=True)
+    was_there = stay_with(client, entity, stop)
+    typer.echo(f"deleted {entity}" if was_there else f"{entity} has gone", err=True)
 
 
 @app.command()
-def fleet(
-    model: Model,
-    *,
-    count: Annotated[int, typer.Option("--count", "-c", min=1, help="How many.")] = 10,
-    layout: Annotated[str, typer.Option(help="row, grid or circle.")] = "row",
-    spacing: Annotated[float, typer.Option(help="Metres between neighbours.")] = 1.0,
-    prefix: Annotated[str, typer.Option(help="Names are PREFIX0, PREFIX1, …")] = "",
-    wait: Wait = 10.0,
-    timeout: Timeout = 10.0,
-    as_json: AsJson = False,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
+@takes(FleetOptions)
+def fleet(given: FleetOptions) -> None:
     """Put many robots into the world."""
     with one_line_failures("fleet"):
-        if (shape := next((known for known in LAYOUTS if known == layout), None)) is None:
-            raise ValueError(f"--layout {layout!r} is unknown; use {', '.join(LAYOUTS)}")
-        places = fleet_places(prefix or name_stem(model), count, shape, spacing)
-    with client_for("fleet", connect, world_name, timeout, wait_s=wait) as client:
-        client.wait_for_server(wait)
+        places = _places(given)
+        paths, wait_s = paths_of(given), patience_s(given)
+        wishes = SpawnEntityOrder(
+            strict=given.strict, allow_missing=given.allow_missing, compat=compat_of(given)
+        )
+        description = description_here(Source("MODEL", given.model), given, paths)
+        cargo = cargo_of(description, paths, allow_missing=given.allow_missing)
+    network = (given.connect, given.world_name, given.timeout)
+    with client_for("fleet", *network, wait_s=wait_s) as client:
+        client.wait_for_server(wait_s)
+        with upload_progress() as on_bytes:
+            send_files(client, cargo.bundle, on_bytes)
         with fleet_progress() as progress:
             task = progress.add_task("spawning", total=len(places))
-            outcomes = spawn_fleet(client, model, places, lambda _: progress.advance(task))
-    _print_outcomes(outcomes, as_json=as_json)
+            outcomes = spawn_all(client, cargo, places, lambda _: progress.advance(task), wishes)
+    _print_outcomes(outcomes, as_json=given.as_json)
 
 
-def fleet_progress() -> Progress:
-    """Make the progress bar of a fleet; silent when standard error is no terminal."""
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        console=progress_console,
-        disable=not progress_console.is_terminal,
-        transient=True,
-    )
+def _places(given: FleetOptions) -> list[Place]:
+    if (shape := next((known for known in LAYOUTS if known == given.layout), None)) is None:
+        raise ValueError(f"--layout {given.layout!r} is unknown; use {', '.join(LAYOUTS)}")
+    prefix = check_name(given.prefix, "prefix") if given.prefix else name_stem(given.model)
+    return fleet_places(prefix, given.count, shape, given.spacing)
 
 
 def _print_outcomes(outcomes: list[Outcome], *, as_json: bool) -> None:

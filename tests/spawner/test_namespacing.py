@@ -91,7 +91,7 @@ def test_second_namespace_replaces_the_first(first: str, second: str) -> None:
         ("<robot>", "not well-formed"),
         ("<robot>&nbsp;</robot>", "not well-formed"),
         ("<robot>\ud800</robot>", "not well-formed"),
-        ("<sdf/>", "begins with <sdf>; a URDF begins with <robot>"),
+        ("<html/>", "begins with <html>; a URDF begins with <robot>"),
         ("<!DOCTYPE robot><robot/>", "DOCTYPE"),
         ('<!DOCTYPE r [<!ENTITY a "aa">]><robot>&a;</robot>', "DOCTYPE"),
         (f"<robot>{'<a>' * 70}{'</a>' * 70}</robot>", "more than 64 deep"),

@@ -1,0 +1,158 @@
+"""The files that a description names, gathered on the operator's host and named by content."""
+
+import hashlib
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
+from proto.model import ReportEntry
+from proto.result import SpawnCode
+from spawner.markup import parsed, refused
+from spawner.search_paths import Place, SearchPaths
+
+MESH_ENDINGS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
+"""Nothing else is sent, so that a stranger's description cannot ask for what is no mesh."""
+LEFT_OUT = {".dae": b"<init_from>", ".obj": b"mtllib"}
+"""Marks of further files that a mesh names: textures and materials."""
+BLOCK_BYTES = 1 << 20
+MIB = 1 << 20
+
+
+class Mesh(msgspec.Struct, frozen=True):
+    """A mesh as a description names it."""
+
+    uri: str
+    is_collision: bool
+
+
+class AssetFile(msgspec.Struct, frozen=True):
+    """A file to send."""
+
+    path: Path
+    sha256: str
+    size: int
+
+
+class MissingFile(msgspec.Struct, frozen=True):
+    """A mesh that is not on this host."""
+
+    mesh: Mesh
+    reason: str
+
+
+class Bundle(msgspec.Struct, frozen=True):
+    """What goes with a description."""
+
+    refs: tuple[AssetRef, ...] = ()
+    files: tuple[AssetFile, ...] = ()
+    """Each content once."""
+    missing: tuple[MissingFile, ...] = ()
+    notes: tuple[ReportEntry, ...] = ()
+
+
+def meshes_named(text: str) -> tuple[Mesh, ...]:
+    """List the meshes of a URDF or SDF, each uri once.
+
+    Raises:
+        DescriptionError: It is neither.
+    """
+    root = parsed(text)
+    solid = {uri: True for part in root.iter("collision") for uri in _uris(part)}
+    return tuple(Mesh(uri, uri in solid) for uri in dict.fromkeys(_uris(root)))
+
+
+def _uris(element: ET.Element) -> Iterable[str]:
+    for mesh in element.iter("mesh"):
+        uri = (mesh.get("filename") or mesh.findtext("uri") or "").strip()
+        if uri:
+            yield uri
+
+
+def bundle_of(text: str, paths: SearchPaths) -> Bundle:
+    """Find the files of a description and name each by its content.
+
+    Raises:
+        DescriptionError: The text is neither URDF nor SDF.
+        ServiceError: The files are too many or too large.
+    """
+    places = {mesh: _place(mesh, paths) for mesh in meshes_named(text)}
+    found = {mesh: place.path for mesh, place in places.items() if place.path}
+    paths_once = tuple(dict.fromkeys(found.values()))
+    _check_sizes(paths_once)
+    by_path = {path: _asset(path) for path in paths_once}
+    return Bundle(
+        refs=tuple(AssetRef(mesh.uri, by_path[path].sha256) for mesh, path in found.items()),
+        files=tuple({file.sha256: file for file in by_path.values()}.values()),
+        missing=tuple(
+            MissingFile(mesh, place.reason) for mesh, place in places.items() if not place.path
+        ),
+        notes=tuple(_notes(found)),
+    )
+
+
+def check_collisions(bundle: Bundle) -> None:
+    """Refuse a bundle that lacks a mesh of a collision.
+
+    Raises:
+        ServiceError: It does.
+    """
+    lost = [file for file in bundle.missing if file.mesh.is_collision]
+    if not lost:
+        return
+    first, more = lost[0], f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+    raise refused(
+        SpawnCode.MISSING_ASSETS,
+        "mesh.missing",
+        f"collision mesh {first.mesh.uri[:160]!r}{more}: {first.reason}, "
+        "or leave collisions out by --allow-missing",
+    )
+
+
+def _place(mesh: Mesh, paths: SearchPaths) -> Place:
+    if not mesh.uri.lower().endswith(MESH_ENDINGS):
+        return Place(reason=f"is no mesh that is sent; use one of {', '.join(MESH_ENDINGS)}")
+    return paths.find(mesh.uri)
+
+
+def _check_sizes(paths: tuple[Path, ...]) -> None:
+    sizes = {path: path.stat().st_size for path in paths}
+    for path, size in sizes.items():
+        if size > MAX_FILE_BYTES:
+            raise refused(
+                SpawnCode.UNSUPPORTED_ASSETS,
+                "bundle.size",
+                f"{path} has {size / MIB:.1f} MiB; a file has at most {MAX_FILE_BYTES // MIB} MiB",
+            )
+    if len(paths) > MAX_BUNDLE_FILES:
+        raise refused(
+            SpawnCode.UNSUPPORTED_ASSETS,
+            "bundle.files",
+            f"the description names {len(paths)} files; at most {MAX_BUNDLE_FILES} are sent",
+        )
+    if (total := sum(sizes.values())) > MAX_BUNDLE_BYTES:
+        raise refused(
+            SpawnCode.UNSUPPORTED_ASSETS,
+            "bundle.size",
+            f"the files of the description have {total / MIB:.1f} MiB in all; "
+            f"at most {MAX_BUNDLE_BYTES // MIB} MiB are sent",
+        )
+
+
+def _asset(path: Path) -> AssetFile:
+    digest, size = hashlib.sha256(), 0
+    with path.open("rb") as file:
+        while block := file.read(BLOCK_BYTES):
+            digest.update(block)
+            size += len(block)
+    return AssetFile(path, digest.hexdigest(), size)
+
+
+def _notes(found: dict[Mesh, Path]) -> Iterable[ReportEntry]:
+    for mesh, path in found.items():
+        mark = LEFT_OUT.get(path.suffix.lower())
+        if mark and not mesh.is_collision and mark in path.read_bytes():
+            reason = "its materials and textures are not sent, only its shape is"
+            yield ReportEntry("ignored", mesh.uri, reason)

@@ -1,0 +1,45 @@
+"""Progress bars on standard error; silent when that is no terminal."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+)
+
+from spawner.cli.session import progress_console
+
+
+def fleet_progress() -> Progress:
+    """Make the progress bar of a fleet."""
+    return _progress(MofNCompleteColumn())
+
+
+@contextmanager
+def upload_progress() -> Iterator[Callable[[int, int], None]]:
+    """Show how many bytes of how many have gone; nothing as long as none goes."""
+    with _progress(DownloadColumn()) as progress:
+        task = progress.add_task("sending meshes", total=None, visible=False)
+
+        def advance(count: int, total: int) -> None:
+            progress.update(task, advance=count, total=total, visible=True)
+
+        yield advance
+
+
+def _progress(figures: ProgressColumn) -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        figures,
+        TimeElapsedColumn(),
+        console=progress_console,
+        disable=not progress_console.is_terminal,
+        transient=True,
+    )

@@ -1,0 +1,171 @@
+"""What the options of `zensim spawn` ask for, once they have been checked."""
+
+import math
+import os
+import sys
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from proto.bus import Bus
+from proto.geometry import PoseStamped
+from proto.header import Header
+from proto.names import check_name
+from proto.services import Compat, SpawnEntityOrder
+from spawner.cli.options import Network, Reading, SpawnOptions
+from spawner.descriptions import (
+    Description,
+    from_database,
+    from_file,
+    from_topic,
+    from_word,
+    text_of,
+    with_model_uris,
+)
+from spawner.expansion import arguments_of
+from spawner.launch import pose_at
+from spawner.search_paths import SearchPaths, search_paths
+
+COMPATS: tuple[Compat, ...] = get_args(Compat)
+TRUE_WORDS, FALSE_WORDS = {"true", "1", "yes", "on"}, {"false", "0", "no", "off"}
+
+
+class Source(msgspec.Struct, frozen=True):
+    """The one place that a description comes from."""
+
+    kind: str
+    word: str = ""
+
+
+def source_of(given: SpawnOptions) -> Source:
+    """Tell where the description comes from.
+
+    Raises:
+        ValueError: From nowhere, or from two places.
+    """
+    named = {
+        "MODEL": given.model,
+        "-urdf": given.urdf,
+        "-file": given.file,
+        "-topic": given.topic,
+        "-database": given.database,
+        "-stdin": "-" if given.stdin else "",
+    }
+    sources = [Source(kind, word) for kind, word in named.items() if word]
+    if len(sources) == 1:
+        return sources[0]
+    if sources:
+        kinds = " and ".join(source.kind for source in sources)
+        raise ValueError(f"{kinds} exclude one another; give one")
+    raise ValueError(
+        "no model was given; use 'zensim spawn box_bot', a path of a URDF or SDF file, "
+        "-file, -topic, -database or -stdin"
+    )
+
+
+def paths_of(given: Reading) -> SearchPaths:
+    """Collect where to look for files.
+
+    Raises:
+        NotADirectoryError: A --package-path is no folder.
+    """
+    named = given.package_path or []
+    for path in named:
+        if not path.is_dir():
+            raise NotADirectoryError(20, "--package-path is no folder", str(path))
+    return search_paths(named, os.environ)
+
+
+def description_here(source: Source, given: Reading, paths: SearchPaths) -> Description:
+    """Read a description on this host; empty when it comes from the network.
+
+    Raises:
+        OSError: There is no such file.
+        ValueError: It cannot be read.
+    """
+    arguments = arguments_of(given.xacro_arg or ())
+    if source.kind == "-topic":
+        return Description()
+    if source.kind == "-stdin":
+        found = Description(text_of(sys.stdin.buffer.read(), "standard input"))
+    elif source.kind == "-database":
+        found = from_database(source.word, arguments, paths)
+    elif source.kind == "-file":
+        found = from_file(Path(source.word), arguments, paths)
+    else:
+        found = from_word(source.word, arguments, paths)
+    return with_model_uris(found) if given.package_to_model else found
+
+
+def order_of(given: SpawnOptions) -> SpawnEntityOrder:
+    """Put the options into an order that lacks the description.
+
+    Raises:
+        ValueError: One cannot be had.
+    """
+    if given.joint != ("", ""):
+        raise ValueError(
+            f"-J {given.joint[0]} {given.joint[1]}: initial joint positions are not supported, "
+            "nor are they by Gazebo; leave -J out"
+        )
+    name = given.name or given.entity
+    frame = given.reference_frame or given.frame
+    pose = pose_at((given.x, given.y, given.z or 0.0), (given.roll, given.pitch, given.yaw))
+    return SpawnEntityOrder(
+        check_name(name) if name else "",
+        allow_renaming=given.allow_renaming or not name,
+        entity_namespace=namespace_of(given),
+        initial_pose=PoseStamped(Header(frame_id=frame), pose),
+        snap_to_ground=given.z is None or given.snap_to_ground,
+        dry_run=given.dry_run,
+        strict=given.strict,
+        allow_missing=given.allow_missing,
+        compat=compat_of(given),
+    )
+
+
+def compat_of(given: Reading) -> Compat:
+    """Read `--compat`.
+
+    Raises:
+        ValueError: It is none.
+    """
+    for known in COMPATS:
+        if given.compat == known:
+            return known
+    raise ValueError(f"--compat {given.compat[:40]!r} is unknown; use {' or '.join(COMPATS)}")
+
+
+def namespace_of(given: SpawnOptions) -> str:
+    """Read `--namespace`: the tutorial's switch, or a namespace by itself."""
+    named = given.robot_namespace or given.gazebo_robot_namespace
+    word = given.namespace.lower()
+    if word in FALSE_WORDS:
+        return ""
+    return named if word in TRUE_WORDS or not word else given.namespace
+
+
+def patience_s(given: Network, gazebo_timeout: float | None = None) -> float:
+    """Tell how long to wait for a server, a description or another entity.
+
+    Raises:
+        ValueError: Not a number of seconds from 0 on.
+    """
+    wait = given.wait if gazebo_timeout is None else gazebo_timeout
+    if math.isfinite(wait) and wait >= 0.0:
+        return wait
+    raise ValueError(f"timeout {wait:g} is no time to wait; use 0 s or more")
+
+
+def description_there(
+    bus: Bus, source: Source, given: SpawnOptions, timeout_s: float
+) -> Description:
+    """Read a description from the network.
+
+    Raises:
+        TimeoutError: None came.
+        ValueError: What came is none.
+    """
+    found = from_topic(bus, source.word, timeout_s)
+    return with_model_uris(found) if given.package_to_model else found

@@ -1,0 +1,155 @@
+"""Where a description comes from: a file, a shipped model, a model folder, a stream, a key."""
+
+import re
+import time
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+
+import msgspec
+
+from proto.bus import Bus, Sample
+from proto.codec import MalformedPayload, decode
+from proto.names import NAME
+from proto.result import SpawnCode
+from proto.topics import String
+from spawner.expansion import expanded, needs_expansion
+from spawner.markup import DescriptionError, refused
+from spawner.search_paths import SearchPaths
+
+MAX_TEXT_BYTES = 8 << 20
+KEY = re.compile(r"[^/?#*$\s]+(?:/[^/?#*$\s]+)*")
+MODEL_FILE = re.compile(r"<sdf[^>]*>\s*([^<\s]+)\s*</sdf>")
+PACKAGE_URI = re.compile(r"(<mesh\b[^>]*?\bfilename\s*=\s*[\"']\s*)package://")
+POLL_S = 0.02
+GET_TIMEOUT_S = 1.0
+
+
+class Description(msgspec.Struct, frozen=True):
+    """What to spawn."""
+
+    text: str = ""
+    """Empty when the server knows it by its uri."""
+    uri: str = ""
+    path: Path | None = None
+    """The file that it was read from."""
+
+
+def from_word(model: str, arguments: Mapping[str, str], paths: SearchPaths) -> Description:
+    """Read what MODEL says: the path of a file, or the name of a shipped model.
+
+    Raises:
+        FileNotFoundError: It looks like a path, but there is no such file.
+        DescriptionError: It cannot be read as text, or not expanded.
+    """
+    if Path(model).is_file():
+        return from_file(Path(model), arguments, paths)
+    if not NAME.fullmatch(model):
+        raise FileNotFoundError(2, "no such file, nor a shipped model", model)
+    return _shipped(model) or Description(uri=model)
+
+
+def from_file(file: Path, arguments: Mapping[str, str], paths: SearchPaths) -> Description:
+    """Read a URDF, SDF or xacro file.
+
+    Raises:
+        OSError: There is none.
+        DescriptionError: It is no text, or cannot be expanded.
+        ServiceError: It is too large.
+    """
+    if (size := file.stat().st_size) > MAX_TEXT_BYTES:
+        raise refused(
+            SpawnCode.RESOURCE_PARSE_ERROR,
+            "xml.size",
+            f"{file} has {size} bytes; a description has at most {MAX_TEXT_BYTES}",
+        )
+    text = text_of(file.read_bytes(), str(file))
+    if needs_expansion(text, file):
+        text = expanded(file, arguments, paths.beside(file))
+    return Description(text, path=file)
+
+
+def text_of(data: bytes, where: str) -> str:
+    """Read bytes as XML says how: UTF-16 with its mark, or UTF-8.
+
+    Raises:
+        DescriptionError: They are neither.
+    """
+    try:
+        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DescriptionError(
+            f"{where} cannot be decoded: byte {error.start} is no {error.encoding}; use UTF-8"
+        ) from error
+
+
+def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -> Description:
+    """Find a model by name: in a folder of the search paths, or shipped.
+
+    Raises:
+        FileNotFoundError: There is none.
+    """
+    for folder in paths.package_folders(name):
+        if (file := _model_file(folder)) is not None:
+            return from_file(file, arguments, paths)
+    if NAME.fullmatch(name) and (found := _shipped(name)):
+        return found
+    raise FileNotFoundError(2, "no such model in GAZEBO_MODEL_PATH or shipped", name)
+
+
+def _shipped(name: str) -> Description | None:
+    shipped = resources.files("sim_server") / "models" / f"{name}.urdf"
+    return Description(shipped.read_text(encoding="utf-8"), name) if shipped.is_file() else None
+
+
+def _model_file(folder: Path) -> Path | None:
+    """Find the newest file that model.config names, or model.sdf."""
+    config = folder / "model.config"
+    names = MODEL_FILE.findall(config.read_text(errors="replace")) if config.is_file() else []
+    for name in (*reversed(names), "model.sdf", "model.urdf"):
+        file: Path = (folder / name).resolve()
+        if file.is_file() and file.is_relative_to(folder.resolve()):
+            return file
+    return None
+
+
+def from_topic(bus: Bus, key: str, timeout_s: float) -> Description:
+    """Wait for a description on a key: one that is kept there, or the next that is put.
+
+    Raises:
+        ValueError: The key is none.
+        TimeoutError: None came.
+        DescriptionError: What came is no text.
+    """
+    bare = key.removeprefix("/")
+    if not KEY.fullmatch(bare):
+        raise ValueError(f"-topic {key[:80]!r} is no key; use one such as r1/robot_description")
+    subscription = bus.subscribe(bare)
+    deadline = time.monotonic() + timeout_s
+    try:
+        kept = bus.get(bare, min(timeout_s, GET_TIMEOUT_S))
+        sample = kept[0] if kept else subscription.newest()
+        while sample is None:
+            if time.monotonic() >= deadline:
+                raise TimeoutError(f"no description came on {bare} within {timeout_s:g} s")
+            time.sleep(POLL_S)
+            sample = subscription.newest()
+    finally:
+        subscription.close()
+    return Description(_message_text(sample))
+
+
+def _message_text(sample: Sample) -> str:
+    data = sample.payload
+    if data.lstrip()[:1] == b"<" or data[:3] == b"\xef\xbb\xbf":
+        return text_of(data, sample.key)
+    try:
+        return decode(String, data, sample.encoding).data
+    except MalformedPayload as error:
+        raise DescriptionError(f"what came on {sample.key} is no description: {error}") from error
+
+
+def with_model_uris(description: Description) -> Description:
+    """Write `model://` where meshes say `package://`."""
+    text = PACKAGE_URI.sub(r"\1model://", description.text)
+    return msgspec.structs.replace(description, text=text)
