@@ -90,8 +90,7 @@ class ObedientEngine:
 
     def step(self) -> None:
         for body in self._bodies.values():
-            if not body.model.is_static:
-                self._advance(body)
+            self._advance(body)
 
     def close(self) -> None:
         self.is_closed = True
@@ -102,6 +101,8 @@ class ObedientEngine:
         if isinstance(body.model.drive, DiffDrive):
             body.base[7:13] = _twist_of_wheels(body, body.model.drive)
         body.positions += body.velocities * self._dt_s
+        if body.model.is_static:
+            return
         body.base[:3] += body.base[7:10] * self._dt_s
         if body.base[10:13].any():
             body.base[3:7] = multiply(_turned_by(body.base[10:13] * self._dt_s), body.base[3:7])

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from proto.model import DiffDrive, Inertial, Joint, JointKind, Link, Model, Origin, Shape, WheelPair
+from proto.drives import DiffDrive, PlanarMove, TricycleDrive, WheelPair
+from proto.model import Inertial, Joint, JointKind, Link, Model, Origin, Shape
 from proto.rotation import from_rpy
 from sim_server.description.library import model_text
 from sim_server.description.urdf import read_urdf
@@ -115,3 +116,29 @@ def box_bot_at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
 def angle_between(left: FloatArray, right: FloatArray) -> float:
     """Find the angle [rad] between two orientations, whatever their signs."""
     return 2.0 * math.acos(min(1.0, abs(float(np.dot(left, right)))))
+
+
+def a_puck(name: str = "puck") -> Model:
+    """A slab that a planar twist moves; its centre of mass is not its root."""
+    slab = Shape("box", (0.3, 0.2, 0.1), Origin((0.05, 0.0, 0.05)))
+    inertial = Inertial(3.0, (0.05, 0.02, 0.04), (0.02, 0.0, 0.0, 0.03, 0.0, 0.04))
+    return Model(name, (Link("base", inertial, (slab,)),), drive=PlanarMove())
+
+
+def a_fork(*, effort: float = 5.0) -> Model:
+    """A fixed post whose one arm is steered: its drive's wheels stand beside it."""
+    names = ("wheel", "left", "right", "steering")
+    links = (Link("post", a_body()), *(Link(name, a_body(0.5)) for name in names))
+    joints = tuple(
+        Joint(name, "continuous", "post", name, Origin((0.3 * i, 0.0, 1.0)), axis=(0.0, 0.0, 1.0))
+        for i, name in enumerate(names)
+    )
+    drive = TricycleDrive(
+        actuated_wheel_joint="wheel",
+        encoder_wheel_left_joint="left",
+        encoder_wheel_right_joint="right",
+        steering_joint="steering",
+        max_torque_nm=5.0,
+        steering_effort_nm=effort,
+    )
+    return Model("fork", links, joints, drive=drive, is_static=True)

@@ -10,6 +10,7 @@ import numpy as np
 
 from proto.model import IDENTITY, Inertial, Joint, Link, Model, Origin, Quat, Shape, Vec3
 from proto.rotation import from_matrix
+from sim_server.description.rolling import touching_links
 
 DEFAULT_FRICTION = 1.0
 
@@ -59,7 +60,7 @@ def blueprint_of(model: Model) -> Blueprint:
     joints: list[Joint | None] = [None, *model.joints]
     parts: list[Part] = []
     skins: list[Part] = []
-    for i, (link, joint) in enumerate(zip(model.links, joints, strict=True)):
+    for i, (link, joint) in enumerate(zip(touching_links(model), joints, strict=True)):
         surfaces = _by_friction(link)
         parent = -1 if joint is None else index[joint.parent]
         parts.append(_part(link.inertial, surfaces[0], parent, joint))
