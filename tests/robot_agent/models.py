@@ -4,16 +4,15 @@ import struct
 from collections.abc import Sequence
 
 from proto.claims import Claim, DriveState
+from proto.drives import DiffDrive, Drive, WheelPair
 from proto.model import (
     IDENTITY,
-    DiffDrive,
     Frame,
     Joint,
     JointStatePublisher,
     Link,
     Model,
     Origin,
-    WheelPair,
 )
 
 PAIR = WheelPair("left_joint", "right_joint", separation_m=0.4, diameter_m=0.2)
@@ -34,7 +33,7 @@ AT_REST = (0.0, 0.0, 0.1, *IDENTITY, *(0.0,) * 6)
 
 
 def two_wheeler(
-    drive: DiffDrive | None = DRIVE,
+    drive: Drive | None = DRIVE,
     *,
     joints: tuple[Joint, ...] = WHEELS,
     frames: tuple[Frame, ...] = (FOOTPRINT, CAMERA),

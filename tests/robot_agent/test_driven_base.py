@@ -3,6 +3,7 @@
 import msgspec
 import pytest
 
+from proto.drives import PlanarMove
 from proto.geometry import Twist, Vector3
 from robot_agent.driven_base import DrivenBase
 from robot_agent.odometry import Motion
@@ -99,3 +100,24 @@ def test_base_without_a_drive_is_only_watched() -> None:
     assert base.targets == ()
     base.reset()
     assert base.motion == Motion()
+
+
+def test_base_tells_motion_at_the_rate_of_its_odometry_when_that_has_one() -> None:
+    drive = msgspec.structs.replace(DRIVE, odometry_rate_hz=10.0)
+    base = DrivenBase(two_wheeler(drive), is_encoder_speed_unsigned=False)
+
+    assert base.update(reading(0), FORWARD)
+    assert not base.update(reading(50), Twist())
+    assert base.targets == (0.0, 0.0)
+    assert base.update(reading(100), Twist())
+    base.reset()
+    assert base.update(reading(0), Twist())
+
+
+def test_base_that_is_moved_itself_has_three_targets() -> None:
+    base = DrivenBase(two_wheeler(PlanarMove()), is_encoder_speed_unsigned=False)
+    assert base.targets == (0.0, 0.0, 0.0)
+
+    base.update(reading(0), Twist(Vector3(0.5, 0.2)))
+
+    assert base.targets == (0.5, 0.2, 0.0)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.drives import DiffDrive, WheelPair
+from proto.drives import DiffDrive, Limits, WheelPair
 from proto.geometry import Twist, Vector3
 from robot_agent.drives.controller import Measured
 from robot_agent.drives.diff_drive import DifferentialDrive
@@ -153,6 +153,22 @@ def test_drive_forgets_its_instruction_when_it_is_reset() -> None:
     assert rims(
         drive.update(twist(0.5), measured=Measured(velocities=STILL), elapsed_s=0.01)
     ) == pytest.approx([0.01, 0.01])
+
+
+def test_drive_limits_the_twist_itself_when_it_has_bounds_for_it() -> None:
+    drive = DifferentialDrive(
+        DiffDrive(
+            pairs=(PAIR,),
+            linear_limits=Limits(max_velocity=0.3),
+            angular_limits=Limits(max_acceleration=1.0),
+        )
+    )
+
+    first = drive.update(twist(9.0, 1.0), measured=Measured(velocities=STILL), elapsed_s=0.5)
+    drive.reset()
+    again = drive.update(twist(9.0, 1.0), measured=Measured(velocities=STILL), elapsed_s=0.5)
+
+    assert first == again == pytest.approx((2.0, 4.0))
 
 
 @pytest.mark.parametrize("speed", [0.5, -0.5])
