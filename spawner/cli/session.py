@@ -26,7 +26,7 @@ OPEN_TIMEOUT_S = 0.1
 
 progress_console = Console(stderr=True)
 """People's side: progress and notes go to standard error."""
-data_console = Console(soft_wrap=True)
+data_console = Console(soft_wrap=True, markup=False)
 """Programs' side: data goes to standard output."""
 
 
