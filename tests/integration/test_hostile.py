@@ -1,0 +1,87 @@
+"""Hostile descriptions at a live server: each has its answer, and the world goes on meanwhile."""
+
+import time
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+import zenoh
+
+from proto.result import ServiceError
+from proto.services import Resource, SpawnEntityOrder
+from tests.hostile.case import Case
+from tests.hostile.corpus import corpus
+from tests.integration.processes import Server, eventually, serving
+
+EVERY = 6
+LONGEST_ANSWER_S = 10.0
+CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]
+"""Lone surrogates cannot be sent at all."""
+DEEP = 100_000
+MANY = b"\xff\xff\xff\xff"
+BOMBS = {
+    "array_of_4_g": b"\xdd" + MANY,
+    "map_of_4_g": b"\xdf" + MANY,
+    "text_of_4_g": b"\xdb" + MANY,
+    "bytes_of_4_g": b"\xc6" + MANY,
+    "extension_of_4_g": b"\xc9" + MANY + b"\x01",
+    "deep_arrays": b"\x91" * DEEP,
+    "deep_maps": b"\x81\xa1a" * DEEP,
+    "deep_json": b'{"a":' * DEEP,
+    "name_of_wrong_type": msgspec.msgpack.encode({"name": 7}),
+    "resource_of_wrong_type": msgspec.msgpack.encode({"entity_resource": ["box_bot"]}),
+    "text_as_bytes": msgspec.msgpack.encode({"entity_resource": {"resource_string": b"\xff"}}),
+    "text_that_is_no_utf8": b"\x81\xa4name\xa2\xff\xfe",
+    "pose_of_wrong_type": msgspec.msgpack.encode({"initial_pose": "here"}),
+    "same_key_1000_times": b"\xde\x03\xe8" + b"\xa4name\xa1a" * 1000,
+}
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture(autouse=True)
+def keeps_stepping(server: Server) -> Iterator[None]:
+    before = server.steps()
+    yield
+    eventually(lambda: server.steps() > before, 5.0, "stepping")
+    assert server.process.poll() is None
+    assert server.client.entities() == ()
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: ascii(case.name))
+def test_server_answers_a_hostile_description_and_steps_on(server: Server, case: Case) -> None:
+    order = SpawnEntityOrder("hostile", entity_resource=Resource(resource_string=case.text))
+    started = time.monotonic()
+
+    answer = answer_to(server, order)
+
+    assert time.monotonic() - started < LONGEST_ANSWER_S
+    assert answer.startswith(f"{case.slug}: ") if case.slug else answer == ""
+
+
+def answer_to(server: Server, order: SpawnEntityOrder) -> str:
+    """Spawn, delete again, and tell the message of the refusal; empty when there was none."""
+    try:
+        report = server.client.spawn(order)
+    except ServiceError as refusal:
+        return refusal.message
+    server.client.delete(report.entity_name)
+    return ""
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_server_refuses_a_bomb_and_steps_on(server: Server, name: str) -> None:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')
+    config.insert_json5("scouting/multicast/enabled", "false")
+
+    with zenoh.open(config) as session:
+        replies = list(session.get("sim/default/spawn_entity", payload=BOMBS[name], timeout=5.0))
+
+    (answer,) = [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
+    assert b"result" in answer
