@@ -83,6 +83,15 @@ class Unsupported(SimError):
     code = ResultCode.FEATURE_UNSUPPORTED
 
 
+class AssetRefused(SimError):
+    """A file that was sent or asked for."""
+
+    def __init__(self, message: str, *, slug: str, code: int = ResultCode.OPERATION_FAILED) -> None:
+        self.slug = slug
+        super().__init__(message)
+        self.code = code
+
+
 class Refused(SimError):
     """Any other refusal, with the code of its service."""
 

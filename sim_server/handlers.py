@@ -1,35 +1,29 @@
 """One handler a service: request in, response out. Refusals become Results here and only here."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from importlib.metadata import version
 
 import msgspec
-import numpy as np
 
-from proto import claims, services, telemetry
+from proto import assets, claims, services, telemetry
 from proto.catalog import SERVICES
 from proto.header import Header, time_from_ns
-from proto.model import Model, ReportEntry
 from proto.names import InvalidName, check_name
 from proto.result import ClaimCode, Result, ResultCode, SetEntityStateCode, SetSimulationStateCode
 from proto.services import Feature, State
-from sim_server.description.clearance import ground_clearance
-from sim_server.description.resources import read_resource
+from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, PoseRefused, Refused, Unsupported
-from sim_server.meter import Meter
 from sim_server.physics.engine import FloatArray
 from sim_server.poses import (
     WORLD_FRAMES,
-    compose,
-    is_zero,
     pose_of,
     pose_row,
     turned,
     twist_of,
     twist_row,
 )
-from sim_server.world import Birth, World
+from sim_server.spawning import in_world, spawn
+from sim_server.world import World
 
 FEATURES = (
     Feature.SPAWNING,
@@ -49,20 +43,6 @@ FEATURES = (
 )
 VERSION = version("zensim")
 MAX_STEPS = 10_000_000
-UNDERGROUND_M = 0.001
-
-
-@dataclass
-class Desk:
-    """What handlers work on."""
-
-    world: World
-    meter: Meter
-    now_ns: Callable[[], int]
-    world_model: str = ""
-    target_real_time_factor: float = 1.0
-    seed: int = 0
-    alive_agents: set[str] = field(default_factory=set)
 
 
 def handle(desk: Desk, request: msgspec.Struct) -> msgspec.Struct:
@@ -71,9 +51,7 @@ def handle(desk: Desk, request: msgspec.Struct) -> msgspec.Struct:
     Raises:
         SimError: It is refused.
     """
-    if (handler := HANDLERS.get(type(request))) is None:
-        raise Unsupported("this server does not offer the service yet; send meshes as boxes")
-    return handler(desk, request)
+    return HANDLERS[type(request)](desk, request)
 
 
 def refusal(name: str, code: int, message: str) -> msgspec.Struct:
@@ -83,66 +61,6 @@ def refusal(name: str, code: int, message: str) -> msgspec.Struct:
     if "result" not in response.__struct_fields__:
         response = services.DeleteEntityResponse
     return response(result=Result(int(code), message))
-
-
-def _spawn(desk: Desk, request: services.SpawnEntityOrder) -> services.SpawnEntityReport:
-    model, text = read_resource(request.entity_resource)
-    pose, notes = _birth_pose(desk.world, request, model)
-    entity = desk.world.spawn(
-        Birth(
-            name=request.name or model.name,
-            namespace=request.entity_namespace,
-            model=model,
-            base=np.concatenate([pose, np.zeros(6)]),
-            description=text,
-            allow_renaming=request.allow_renaming,
-            born_ns=desk.now_ns(),
-        )
-    )
-    for note in notes:
-        desk.world.warn(entity.name, f"{note.subject}: {note.reason}")
-    return services.SpawnEntityReport(
-        Result(), entity.name, entity.namespace, (*notes, *model.report)
-    )
-
-
-def _birth_pose(
-    world: World, request: services.SpawnEntityOrder, model: Model
-) -> tuple[FloatArray, list[ReportEntry]]:
-    wish = request.initial_pose
-    notes = []
-    if is_zero(wish.pose.orientation):
-        notes.append(
-            ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
-        )
-    pose = in_world(world, wish.header.frame_id, pose_row(wish.pose))
-    qx, qy, qz, qw = pose[3:7].tolist()
-    # Not -clearance, which is -0 for a model without collisions.
-    standing = 0.0 - ground_clearance(model, (qx, qy, qz, qw))
-    if request.snap_to_ground:
-        pose[2] = standing
-    depth = standing - float(pose[2])
-    if depth > UNDERGROUND_M:
-        notes.append(
-            ReportEntry(
-                "suspicious",
-                "initial_pose",
-                f"lowest point is {depth * 100:.1f} cm below ground; "
-                f"z = {standing:.3f} puts it on the ground",
-            )
-        )
-    return pose, notes
-
-
-def in_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
-    """Turn a pose (7,) given in a frame (world, map or an entity's name) into the world's.
-
-    Raises:
-        EntityNotFound: The frame is neither.
-    """
-    if frame_id in WORLD_FRAMES:
-        return pose
-    return compose(world.state_of(frame_id)[:7], pose)
 
 
 def _twist_in_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:
@@ -243,7 +161,7 @@ def _features(
 ) -> services.GetSimulatorFeaturesResponse:
     return services.GetSimulatorFeaturesResponse(
         services.SimulatorFeatures(
-            tuple(int(feature) for feature in FEATURES), ("urdf",), f"zensim {VERSION}"
+            tuple(int(feature) for feature in FEATURES), ("urdf", "sdf"), f"zensim {VERSION}"
         )
     )
 
@@ -284,6 +202,27 @@ def _get_models(desk: Desk, request: telemetry.GetModelsRequest) -> telemetry.Ge
     )
 
 
+def _missing_assets(
+    desk: Desk, request: assets.MissingAssetsRequest
+) -> assets.MissingAssetsResponse:
+    missing = desk.store.missing(request.sha256s)
+    return assets.MissingAssetsResponse(
+        Result(), tuple(name for name, _ in missing), tuple(received for _, received in missing)
+    )
+
+
+def _put_asset(desk: Desk, request: assets.PutAssetRequest) -> assets.PutAssetResponse:
+    received = desk.store.put(
+        request.sha256, offset=request.offset, total=request.total, data=request.data
+    )
+    return assets.PutAssetResponse(Result(), received)
+
+
+def _get_asset(desk: Desk, request: assets.GetAssetRequest) -> assets.GetAssetResponse:
+    data = desk.store.piece(request.sha256, request.offset, assets.MAX_CHUNK_BYTES)
+    return assets.GetAssetResponse(Result(), data, desk.store.size(request.sha256))
+
+
 def _info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:
     world, is_playing = desk.world, desk.world.state == State.PLAYING
     return telemetry.Info(
@@ -306,7 +245,7 @@ def _info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:
 
 
 HANDLERS: dict[type[msgspec.Struct], Callable[[Desk, msgspec.Struct], msgspec.Struct]] = {
-    services.SpawnEntityOrder: _spawn,  # type: ignore[dict-item]
+    services.SpawnEntityOrder: spawn,  # type: ignore[dict-item]
     services.DeleteEntityRequest: _delete,  # type: ignore[dict-item]
     services.GetEntitiesRequest: _get_entities,  # type: ignore[dict-item]
     services.GetEntityStateRequest: _get_state,  # type: ignore[dict-item]
@@ -318,5 +257,8 @@ HANDLERS: dict[type[msgspec.Struct], Callable[[Desk, msgspec.Struct], msgspec.St
     services.GetSimulatorFeaturesRequest: _features,  # type: ignore[dict-item]
     claims.ClaimEntityRequest: _claim,  # type: ignore[dict-item]
     telemetry.GetModelsRequest: _get_models,  # type: ignore[dict-item]
+    assets.MissingAssetsRequest: _missing_assets,  # type: ignore[dict-item]
+    assets.PutAssetRequest: _put_asset,  # type: ignore[dict-item]
+    assets.GetAssetRequest: _get_asset,  # type: ignore[dict-item]
     telemetry.InfoRequest: _info,  # type: ignore[dict-item]
 }

@@ -20,12 +20,16 @@ class Inbox(Protocol):
     def take_agents(self) -> list[tuple[str, bool]]:
         """Take who came (True) and went (False)."""
 
+    def take_bonds(self) -> list[tuple[str, bool]]:
+        """Take which bonds came (True) and went (False)."""
+
 
 class BusInbox:
     """The inbox on a bus."""
 
     def __init__(self, bus: Bus, world: str) -> None:
         self._agents = bus.watch_tokens(keys.alive_agents(world))
+        self._bonds = bus.watch_tokens(keys.bonds(world))
         self._commands = bus.subscribe(keys.drive_commands(world), COMMAND_DEPTH)
         self._calls = bus.serve(keys.services(world))
 
@@ -40,3 +44,7 @@ class BusInbox:
     def take_agents(self) -> list[tuple[str, bool]]:
         """See `Inbox`."""
         return [(keys.agent_of(key), alive) for key, alive in self._agents.take()]
+
+    def take_bonds(self) -> list[tuple[str, bool]]:
+        """See `Inbox`."""
+        return [(keys.last_chunk(key), alive) for key, alive in self._bonds.take()]

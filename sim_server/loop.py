@@ -18,10 +18,11 @@ from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, f
 from proto.keys import agent_of
 from proto.keys import service as service_key
 from proto.result import ResultCode
-from proto.services import State, StepSimulationRequest
+from proto.services import SpawnEntityOrder, State, StepSimulationRequest
 from sim_server.answers import Answer, Answers
+from sim_server.desk import Desk
 from sim_server.errors import SimError
-from sim_server.handlers import Desk, handle, refusal
+from sim_server.handlers import handle, refusal
 from sim_server.inbox import Inbox
 from sim_server.outlets import Outlet
 from sim_server.telemetry import TOPICS, Telemetry
@@ -42,6 +43,14 @@ class Clock(Protocol):
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
+
+
+@dataclass
+class _Waiting:
+    """A spawn whose description is being read."""
+
+    call: Call
+    order: SpawnEntityOrder
 
 
 @dataclass
@@ -67,6 +76,7 @@ class Loop:
         self._deadline_ns = clock.now_ns()
         self._answers = Answers()
         self._stepping: list[_Stepping] = []
+        self._waiting: list[_Waiting] = []
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Go on until told to stop."""
@@ -95,11 +105,14 @@ class Loop:
         calls = self._inbox.take_calls()
         for agent, is_alive in self._inbox.take_agents():
             self._note_agent(agent, is_alive=is_alive)
+        self._note_bonds()
         for sample in self._inbox.take_commands():
             self._command(agent_of(sample.key), sample.payload, sample.encoding)
         for call in calls:
             self._meter.requests += 1
             self._answer(call)
+        if self._desk.descriptions.poll():
+            self._carry_on()
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step and tell the agents."""
@@ -163,6 +176,13 @@ class Loop:
         self._world.release(agent)
         self._outlet.forget_agent(agent)
 
+    def _note_bonds(self) -> None:
+        for bond, is_alive in self._inbox.take_bonds():
+            if is_alive:
+                self._desk.alive_bonds.add(bond)
+            else:
+                self._desk.end_bond(bond)
+
     def _command(self, agent: str, payload: bytes, encoding: str) -> None:
         try:
             command = decode(DriveCommand, payload, encoding)
@@ -182,8 +202,9 @@ class Loop:
             self._carry_out(call)
 
     def _joins_waiting(self, call: Call) -> bool:
-        """Let a retry take the place of a request whose steps are still being made."""
-        for waiting in self._stepping:
+        """Let a retry take the place of a request that is still being carried out."""
+        everybody: list[_Stepping | _Waiting] = [*self._stepping, *self._waiting]
+        for waiting in everybody:
             if call.request_id and waiting.call.request_id == call.request_id:
                 waiting.call = call
                 return True
@@ -192,6 +213,8 @@ class Loop:
     def _carry_out(self, call: Call) -> None:
         try:
             request = decode(_request_type(call.name), call.payload, call.encoding)
+            if self._must_wait(call, request):
+                return
             response = handle(self._desk, request)
         except SimError as error:
             response = refusal(call.name, error.code, str(error))
@@ -204,6 +227,25 @@ class Loop:
                 self._stepping.append(_Stepping(request.steps, call, response))
                 return
         self._reply(call, response)
+
+    def _must_wait(self, call: Call, request: msgspec.Struct) -> bool:
+        if not isinstance(request, SpawnEntityOrder) or self._desk.descriptions.is_read(request):
+            return False
+        self._waiting.append(_Waiting(call, request))
+        return True
+
+    def _carry_on(self) -> None:
+        """Spawn what has been read meanwhile, in the order of asking."""
+        for waiting in self._waiting[:]:
+            if self._desk.descriptions.is_read(waiting.order):
+                self._waiting.remove(waiting)
+                self._reply(waiting.call, self._outcome(waiting.call.name, waiting.order))
+
+    def _outcome(self, name: str, request: msgspec.Struct) -> msgspec.Struct:
+        try:
+            return handle(self._desk, request)
+        except SimError as error:
+            return refusal(name, error.code, str(error))
 
     def _reply(self, call: Call, response: msgspec.Struct) -> None:
         wanted = _reply_format(call)

@@ -3,23 +3,27 @@
 import logging
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 from proto import keys
 from proto.bus import Bus, NoServer, open_bus
 from proto.catalog import INFO
 from proto.telemetry import InfoRequest
+from sim_server.assets import AssetStore
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, checked
 from sim_server.description.library import shipped_worlds, world_text
 from sim_server.description.sdf import WorldModel, read_world
+from sim_server.descriptions import ReadElsewhere
+from sim_server.desk import Desk
 from sim_server.errors import ModelError
-from sim_server.handlers import Desk
 from sim_server.inbox import BusInbox
 from sim_server.loop import Loop
 from sim_server.meter import Meter
 from sim_server.outlets import BusOutlet
 from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.reader import Reader
 from sim_server.world import World
 
 ASK_TIMEOUT_S = 2.0
@@ -99,28 +103,42 @@ def _run(
     on_ready: Callable[[Bus], None],
 ) -> None:
     clock = WallClock()
+    with ExitStack() as ending:
+        store = AssetStore()
+        ending.callback(store.close)
+        reader = Reader(store, clock.now_ns)
+        ending.callback(reader.close)
+        world = _world(config, world_model, store)
+        ending.callback(world.close)
+        desk = Desk(
+            world,
+            Meter(clock.now_ns()),
+            clock.now_ns,
+            ReadElsewhere(reader, store),
+            store,
+            world_model.name,
+            config.real_time_factor,
+            config.seed,
+        )
+        loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
+        ending.callback(bus.token(keys.alive_server(config.world)).close)
+        LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
+        on_ready(bus)
+        loop.run(should_stop)
+
+
+def _world(config: ServerConfig, world_model: WorldModel, store: AssetStore) -> World:
     engine = PyBulletEngine(
-        EngineConfig(config.step_ns, world_model.gravity, world_model.ground_plane)
+        EngineConfig(
+            config.step_ns,
+            world_model.gravity,
+            world_model.ground_plane,
+            mesh_folder=store.folder,
+        )
     )
     world = World(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
     if config.is_paused:
         world.pause()
-    desk = Desk(
-        world,
-        Meter(clock.now_ns()),
-        clock.now_ns,
-        world_model.name,
-        config.real_time_factor,
-        config.seed,
-    )
-    loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
-    token = bus.token(keys.alive_server(config.world))
-    LOG.info("serving world=%s endpoint=%s step_ns=%d", config.world, bus.endpoint, config.step_ns)
-    on_ready(bus)
-    try:
-        loop.run(should_stop)
-    finally:
-        token.close()
-        world.close()
+    return world

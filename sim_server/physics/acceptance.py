@@ -1,6 +1,7 @@
 """Whether an engine can simulate a blueprint: asked before anything of it is made."""
 
 from collections.abc import Collection
+from pathlib import Path
 
 from sim_server.physics.blueprint import Blueprint
 from sim_server.physics.engine import EngineRefused
@@ -35,3 +36,17 @@ def _check_kind(blueprint: Blueprint, what: str, kind: str, known: Collection[st
             f"model '{blueprint.name}': {what} '{kind}' is not supported by pybullet here; "
             f"use {', '.join(known)}"
         )
+
+
+def check_meshes(blueprint: Blueprint, folder: str) -> None:
+    """Refuse a mesh whose file is not in the folder.
+
+    Raises:
+        EngineRefused: One is not.
+    """
+    for shape in (shape for part in blueprint.parts for shape in part.shapes if shape.mesh):
+        if not Path(folder, f"{shape.mesh}.stl").is_file():
+            raise EngineRefused(
+                f"model '{blueprint.name}': collision shape '{shape.kind}' {shape.mesh[:80]!r} is "
+                "not here; send it again, or use box, sphere, cylinder or capsule"
+            )

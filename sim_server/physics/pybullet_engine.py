@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from proto.model import ZERO, Model, Origin, Shape, Vec3
 from proto.rotation import conjugate, multiply, rotate
-from sim_server.physics.acceptance import check_blueprint
+from sim_server.physics.acceptance import check_blueprint, check_meshes
 from sim_server.physics.actuation import Actuation, actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
 from sim_server.physics.engine import (
@@ -33,6 +33,9 @@ GEAR_ERP = 0.2
 MAX_PARTS = 128
 """Bullet reads the states of a body's first 127 joints back and no more."""
 
+OVERLAP_M = 0.001
+"""Bodies that only touch do not overlap."""
+
 KINDS = {
     "revolute": pybullet.JOINT_REVOLUTE,
     "continuous": pybullet.JOINT_REVOLUTE,
@@ -46,8 +49,9 @@ GEOMETRIES = {
     "sphere": pybullet.GEOM_SPHERE,
     "cylinder": pybullet.GEOM_CYLINDER,
     "capsule": pybullet.GEOM_CAPSULE,
+    "mesh": pybullet.GEOM_MESH,
 }
-Solids = tuple[tuple[str, Vec3, Origin], ...]
+Solids = tuple[tuple[str, Vec3, Origin, str], ...]
 
 
 class PyBulletEngine:
@@ -59,6 +63,7 @@ class PyBulletEngine:
         self._client = pybullet.connect(pybullet.DIRECT)
         # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
         self._shapes: dict[Solids, int] = {}
+        self._mesh_folder = config.mesh_folder
         self._joints: dict[int, list[int]] = {}
         self._actuations: dict[int, Actuation] = {}
         self._twists: dict[int, list[float]] = {}
@@ -85,6 +90,7 @@ class PyBulletEngine:
         """See `Engine.add`."""
         blueprint = blueprint_of(model)
         check_blueprint(blueprint, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
+        check_meshes(blueprint, self._mesh_folder)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
@@ -107,6 +113,19 @@ class PyBulletEngine:
         pybullet.removeBody(body, physicsClientId=self._client)
         del self._joints[body], self._actuations[body]
         self._twists.pop(body, None)
+
+    def overlapping(self, body: int) -> Sequence[int]:
+        """See `Engine.overlapping`."""
+        client = self._client
+        links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
+        boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
+        low, high = boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()
+        near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
+        return [
+            other
+            for other in sorted({other for other, _ in near} & self._joints.keys() - {body})
+            if pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=client)
+        ]
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
@@ -214,10 +233,10 @@ class PyBulletEngine:
         # Bullet multiplies the frictions of a pair: 1 leaves the robot's own, as Gazebo's min does.
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
 
-    def _collision(self, shapes: tuple[Shape, ...]) -> int:
+    def _collision(self, shapes: tuple[Shape, ...], *, is_static: bool) -> int:
         if not shapes:
             return -1
-        solids = tuple((shape.kind, shape.size, shape.origin) for shape in shapes)
+        solids = tuple((shape.kind, shape.size, shape.origin, shape.mesh) for shape in shapes)
         if (known := self._shapes.get(solids)) is not None:
             return known
         self._shapes[solids] = pybullet.createCollisionShapeArray(
@@ -225,6 +244,12 @@ class PyBulletEngine:
             halfExtents=[[extent / 2 for extent in s.size] for s in shapes],
             radii=[s.size[0] for s in shapes],
             lengths=[s.size[1] for s in shapes],
+            fileNames=[f"{self._mesh_folder}/{s.mesh}.stl" if s.mesh else "" for s in shapes],
+            meshScales=[s.size if s.mesh else (1.0, 1.0, 1.0) for s in shapes],
+            # Only what never moves may have dents.
+            flags=[
+                pybullet.GEOM_FORCE_CONCAVE_TRIMESH if is_static and s.mesh else 0 for s in shapes
+            ],
             collisionFramePositions=[s.origin.position for s in shapes],
             collisionFrameOrientations=[s.origin.orientation for s in shapes],
             physicsClientId=self._client,
@@ -233,9 +258,10 @@ class PyBulletEngine:
 
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
         root, *rest = blueprint.parts
-        shapes = [self._collision(part.shapes) for part in blueprint.parts]
+        static = blueprint.is_static
+        shapes = [self._collision(part.shapes, is_static=static) for part in blueprint.parts]
         return pybullet.createMultiBody(
-            0.0 if blueprint.is_static else max(root.mass_kg, MIN_MASS_KG),
+            0.0 if static else max(root.mass_kg, MIN_MASS_KG),
             shapes[0],
             self._visual,
             base[:3].tolist(),

@@ -11,8 +11,12 @@ from proto.claims import DriveCommand, DriveState
 from proto.codec import Format, decode, encode, encoding_of
 from proto.keys import drive_command
 from proto.model import Model
+from proto.services import SpawnEntityOrder
 from proto.telemetry import Event
-from sim_server.handlers import Desk
+from sim_server.assets import AssetStore
+from sim_server.description.describing import describe
+from sim_server.description.resources import text_of
+from sim_server.desk import Desk
 from sim_server.loop import Loop
 from sim_server.meter import Meter
 from sim_server.physics.engine import EngineConfig, FloatArray
@@ -54,6 +58,26 @@ class TimedEngine(ObedientEngine):
         super().step()
 
 
+class ReadHere:
+    """Reads descriptions at once, or when told to."""
+
+    def __init__(self) -> None:
+        self.is_slow = False
+
+    def is_read(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
+        return not self.is_slow
+
+    def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
+        text = text_of(order.entity_resource)
+        described = describe(
+            text, assets={}, allow_missing=order.allow_missing, compat=order.compat
+        )
+        return described.model, text
+
+    def poll(self) -> bool:
+        return not self.is_slow
+
+
 @dataclass
 class ScriptedInbox:
     """Gives out what was put in, once."""
@@ -61,6 +85,7 @@ class ScriptedInbox:
     calls: list[MemoryCall] = field(default_factory=list)
     commands: list[Sample] = field(default_factory=list)
     agents: list[tuple[str, bool]] = field(default_factory=list)
+    bonds: list[tuple[str, bool]] = field(default_factory=list)
 
     def take_calls(self) -> list[Call]:
         taken, self.calls = self.calls, []
@@ -72,6 +97,10 @@ class ScriptedInbox:
 
     def take_agents(self) -> list[tuple[str, bool]]:
         taken, self.agents = self.agents, []
+        return taken
+
+    def take_bonds(self) -> list[tuple[str, bool]]:
+        taken, self.bonds = self.bonds, []
         return taken
 
 
@@ -158,7 +187,9 @@ def a_stage(*names: str, factor: float = 1.0, cost_ns: int = 0) -> Stage:
 
 def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> Desk:
     clock = wall or WallTime()
-    return Desk(world, Meter(clock.now_ns()), clock.now_ns, "empty", factor, 7)
+    return Desk(
+        world, Meter(clock.now_ns()), clock.now_ns, ReadHere(), AssetStore(), "empty", factor, 7
+    )
 
 
 def a_world(*names: str, engine: ObedientEngine | None = None) -> World:

@@ -77,7 +77,7 @@ def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
 
     assert isinstance(response, services.GetSimulatorFeaturesResponse)
     assert set(response.features.features) == {int(feature) for feature in FEATURES}
-    assert response.features.spawn_formats == ("urdf",)
+    assert response.features.spawn_formats == ("urdf", "sdf")
     assert response.features.custom_info.startswith("zensim ")
 
 

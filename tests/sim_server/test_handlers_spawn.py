@@ -7,7 +7,7 @@ import pytest
 from proto import services
 from proto.geometry import Quaternion
 from proto.services import Resource
-from sim_server.handlers import Desk
+from sim_server.desk import Desk
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.sim_server.fakes import (
     WallTime,

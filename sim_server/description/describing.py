@@ -1,0 +1,68 @@
+"""A description's text to Model and meshes, whatever its format: what the reader process does."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+
+from sim_server.description.formats import read_robot
+from sim_server.description.library import model_text
+from sim_server.description.meshes import Files, with_meshes
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from proto.model import Model
+    from proto.services import Compat
+
+SAMPLE = """<robot name="sample"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
+<visual><geometry><mesh filename="{0}"/></geometry></visual>
+<collision><geometry><mesh filename="{0}"/></geometry></collision></link></robot>"""
+
+
+@dataclass(frozen=True)
+class Described:
+    """A model, and the meshes that it names, by sha256."""
+
+    model: Model
+    meshes: dict[str, bytes]
+
+
+def describe(text: str, *, assets: Files, allow_missing: bool, compat: Compat) -> Described:
+    """Read a description.
+
+    Args:
+        text: URDF or SDF.
+        assets: The file behind each mesh URI: its sha256 and its bytes, None when it is not here.
+        allow_missing: Leave collisions out whose mesh is not here.
+        compat: Whether drives have Gazebo's documented quirks.
+
+    Raises:
+        ModelError: The text or a mesh cannot be used.
+    """
+    present = {uri: (sha, data) for uri, (sha, data) in assets.items() if data is not None}
+    model = read_robot(text, has_mesh=present.__contains__, allow_missing=allow_missing)
+    del compat
+    return Described(*with_meshes(model, present))
+
+
+def warm_up() -> None:
+    """Read a sample of everything: once no file can be opened, nothing can be imported."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    sides = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    tetrahedron = trimesh.Trimesh(corners, sides)
+    for ending in ("stl", "obj", "dae", "glb"):
+        exported = tetrahedron.export(file_type=ending)
+        data = exported.encode() if isinstance(exported, str) else exported
+        assert isinstance(data, bytes)
+        name = f"a.{ending}"
+        describe(
+            SAMPLE.format(name), assets={name: ("", data)}, allow_missing=False, compat="fixed"
+        )
+    for text in ("", "<robot", model_text("box_bot")):
+        with suppress(ModelError):
+            describe(text, assets={}, allow_missing=False, compat="fixed")

@@ -1,0 +1,191 @@
+"""A mesh file's bytes to triangles: STL, OBJ, DAE, GLB. Counts are checked first."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from io import BytesIO
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+
+from proto.result import SpawnCode
+from sim_server.description.wording import shown
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+MAX_TRIANGLES = 2_000_000
+MAX_EXTENT = 1e6
+"""Of a coordinate, in the file's own unit."""
+STL_HEAD = 84
+STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE | re.MULTILINE)
+
+
+@dataclass(frozen=True, eq=False)
+class Triangles:
+    """Corners (v, 3) in the file's scale, and triples of their indices (f, 3)."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+
+
+def read_mesh(name: str, data: bytes) -> Triangles:
+    """Read a mesh file by the ending of its name.
+
+    Raises:
+        ModelError: The ending is not known, or the bytes are no such mesh.
+    """
+    ending = name.rpartition(".")[2].lower()
+    if ending not in READERS:
+        raise _bad(
+            name,
+            f"ends in {ending[:20]!r}; convert it to stl, obj, dae or glb",
+            slug="mesh.format",
+            code=SpawnCode.UNSUPPORTED_ASSETS,
+        )
+    return _checked(name, READERS[ending](name, data))
+
+
+def write_stl(triangles: Triangles) -> bytes:
+    """Write triangles as binary STL."""
+    records = np.zeros(len(triangles.faces), STL_RECORD)
+    records["corners"] = triangles.vertices[triangles.faces]
+    return b"zensim".ljust(80, b"\0") + len(records).to_bytes(4, "little") + records.tobytes()
+
+
+def _checked(name: str, found: Triangles) -> Triangles:
+    vertices, faces = found.vertices, found.faces
+    if not len(faces):
+        raise _bad(name, "has no triangles; export it again", slug="mesh.empty")
+    if len(faces) > MAX_TRIANGLES:
+        raise _too_many(name, len(faces))
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise _bad(name, f"names corners outside of its {len(vertices)}", slug="mesh.index")
+    if not np.isfinite(vertices).all():
+        raise _bad(name, "has coordinates that are not finite numbers", slug="mesh.number")
+    if np.abs(vertices).max() > MAX_EXTENT:
+        raise _bad(name, f"reaches beyond {MAX_EXTENT:g}; check its unit", slug="mesh.extent")
+    return found
+
+
+def _stl(name: str, data: bytes) -> Triangles:
+    count = int.from_bytes(data[80:STL_HEAD], "little") if len(data) >= STL_HEAD else -1
+    if count >= 0 and len(data) == STL_HEAD + count * STL_RECORD.itemsize:
+        if count > MAX_TRIANGLES:
+            raise _too_many(name, count)
+        return _soup(np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"].reshape(-1, 3))
+    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]:
+        try:
+            return _soup(np.array(VERTEX.findall(data), dtype=np.float64).reshape(-1, 3))
+        except ValueError as error:
+            raise _bad(name, "has a corner that is no three numbers", slug="mesh.number") from error
+    # Some exporters pad the end: more bytes than the count says are harmless, fewer are not.
+    if 0 < count <= MAX_TRIANGLES and len(data) > STL_HEAD + count * STL_RECORD.itemsize:
+        return _soup(np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"].reshape(-1, 3))
+    raise _bad(
+        name,
+        f"promises {max(count, 0)} triangles, but its {len(data)} bytes do not hold them",
+        slug="mesh.length",
+    )
+
+
+def _soup(corners: NDArray[np.floating]) -> Triangles:
+    vertices = corners[: len(corners) // 3 * 3].astype(np.float64)
+    return Triangles(vertices, np.arange(len(vertices)).reshape(-1, 3))
+
+
+def _obj(name: str, data: bytes) -> Triangles:
+    vertices: list[tuple[float, ...]] = []
+    faces: list[tuple[int, int, int]] = []
+    try:
+        for line in data.replace(b"\\\n", b" ").splitlines():
+            words = line.split()
+            if not words:
+                continue
+            if words[0] == b"v":
+                x, y, z = words[1:4]
+                vertices.append((float(x), float(y), float(z)))
+            elif words[0] == b"f":
+                corners = [_corner(word, len(vertices)) for word in words[1:]]
+                faces.extend((corners[0], b, c) for b, c in pairwise(corners[1:]))
+                if len(faces) > MAX_TRIANGLES:
+                    raise _too_many(name, len(faces))
+    except ValueError as error:
+        what = shown(line.decode(errors="replace"))
+        raise _bad(name, f"has a line that is no OBJ: {what}", slug="mesh.unreadable") from error
+    return Triangles(
+        np.array(vertices).reshape(-1, 3), np.array(faces, dtype=np.int64).reshape(-1, 3)
+    )
+
+
+def _corner(word: bytes, count: int) -> int:
+    number = int(word.partition(b"/")[0])
+    return number - 1 if number > 0 else number + count
+
+
+def _dae(name: str, data: bytes) -> Triangles:
+    if b"<!DOCTYPE" in data or b"<!ENTITY" in data or b"\0" in data[:200]:
+        raise _bad(name, "declares a document type or is not UTF-8", slug="mesh.doctype")
+    return _by_trimesh(name, data, "dae")
+
+
+def _glb(name: str, data: bytes) -> Triangles:
+    return _by_trimesh(name, data, "glb")
+
+
+def _by_trimesh(name: str, data: bytes, kind: str) -> Triangles:
+    try:
+        scene = trimesh.load_scene(BytesIO(data), file_type=kind, skip_materials=True)
+        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
+    except MemoryError:
+        raise
+    # A foreign parser over foreign bytes raises anything.
+    except Exception as error:
+        fault = f"cannot be read: {type(error).__name__} {str(error)[:120]}"
+        raise _bad(name, fault, slug="mesh.unreadable") from error
+    if not parts:
+        return Triangles(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    faces = [np.asarray(part.faces) + at for part, at in zip(parts, starts, strict=False)]
+    vertices = np.concatenate([np.asarray(part.vertices, dtype=np.float64) for part in parts])
+    return Triangles(vertices * _unit(scene), np.concatenate(faces).astype(np.int64))
+
+
+def _unit(scene: trimesh.Scene) -> float:
+    written = str(scene.metadata.get("units", "")).partition(" * meters")
+    try:
+        return float(written[0]) if written[1] else 1.0
+    except ValueError:
+        return 1.0
+
+
+def _too_many(name: str, count: int) -> ModelError:
+    return _bad(
+        name, f"has {count} triangles; at most {MAX_TRIANGLES} are read", slug="mesh.triangles"
+    )
+
+
+def _bad(
+    name: str,
+    fault: str,
+    *,
+    slug: str,
+    code: int = SpawnCode.UNSUPPORTED_ASSETS,
+) -> ModelError:
+    return ModelError(f"mesh {shown(name)} {fault}", code=code, slug=slug)
+
+
+READERS: dict[str, Callable[[str, bytes], Triangles]] = {
+    "stl": _stl,
+    "stlb": _stl,
+    "obj": _obj,
+    "dae": _dae,
+    "glb": _glb,
+}

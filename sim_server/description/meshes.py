@@ -1,0 +1,188 @@
+"""Meshes that a model names, made fit for the engine and the page: a hull, or fewer triangles.
+
+A moving body collides by the convex hull of each mesh, a static one by the triangles themselves.
+What comes out is binary STL in the file's own scale, named by its sha256.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from proto.model import ReportEntry
+from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
+from sim_server.description.wording import shown
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from proto.model import Link, Model, Shape
+
+Points = NDArray[np.float64]
+Files = dict[str, tuple[str, bytes | None]]
+"""By mesh URI: sha256 and bytes."""
+
+MAX_HULL_CORNERS = 96
+MAX_SOUP = 20_000
+"""Triangles of a static collision."""
+MAX_DRAWN = 60_000
+"""Triangles of a visual: 3 MB."""
+MIN_CORNERS = 4
+GRIDS = (512, 256, 128, 64, 32, 16)
+
+
+@dataclass
+class _Made:
+    files: dict[str, tuple[str, bytes]]
+    is_static: bool
+    meshes: dict[str, bytes] = field(default_factory=dict)
+    notes: list[ReportEntry] = field(default_factory=list)
+    known: dict[tuple[str, str], str] = field(default_factory=dict)
+    read: dict[str, Triangles] = field(default_factory=dict)
+
+
+def with_meshes(
+    model: Model, files: dict[str, tuple[str, bytes]]
+) -> tuple[Model, dict[str, bytes]]:
+    """Replace each mesh's URI by the sha256 of what was made of it.
+
+    Returns:
+        The model, and the meshes by sha256.
+
+    Raises:
+        ModelError: A collision's mesh cannot be read.
+    """
+    if not any(shape.kind == "mesh" for link in model.links for shape in _shapes(link)):
+        return model, {}
+    made = _Made(files, model.is_static)
+    links = tuple(_with_meshes(link, made) for link in model.links)
+    changed = msgspec.structs.replace(model, links=links, report=(*model.report, *made.notes))
+    return changed, made.meshes
+
+
+def _shapes(link: Link) -> tuple[Shape, ...]:
+    return (*link.collisions, *link.visuals)
+
+
+def _with_meshes(link: Link, made: _Made) -> Link:
+    purpose = "soup" if made.is_static else "hull"
+    collisions = (_collision(shape, purpose, made) for shape in link.collisions)
+    visuals = (_visual(link.name, shape, made) for shape in link.visuals)
+    return msgspec.structs.replace(
+        link,
+        collisions=tuple(collisions),
+        visuals=tuple(visual for visual in visuals if visual is not None),
+    )
+
+
+def _collision(shape: Shape, purpose: str, made: _Made) -> Shape:
+    return shape if shape.kind != "mesh" else _converted(shape, purpose, made)
+
+
+def _visual(link: str, shape: Shape, made: _Made) -> Shape | None:
+    if shape.kind != "mesh":
+        return shape
+    try:
+        return _converted(shape, "drawn", made)
+    except ModelError as error:
+        made.notes.append(
+            ReportEntry("suspicious", f"link {shown(link)}", f"{error.message}; not drawn")
+        )
+        return None
+
+
+def _converted(shape: Shape, purpose: str, made: _Made) -> Shape:
+    source, data = made.files[shape.mesh]
+    if (name := made.known.get((source, purpose))) is None:
+        if source not in made.read:
+            made.read[source] = read_mesh(shape.mesh, data)
+        stl = write_stl(CONVERSIONS[purpose](made.read[source]))
+        name = made.known[source, purpose] = sha256(stl).hexdigest()
+        made.meshes[name] = stl
+    return msgspec.structs.replace(shape, mesh=name)
+
+
+def convex_hull(triangles: Triangles) -> Triangles:
+    """Wrap the corners; of many, those that stand out most in directions spread over a sphere."""
+    points = np.unique(triangles.vertices[triangles.faces].reshape(-1, 3), axis=0)
+    points = _thickened(points)
+    hull = _hull(points)
+    if len(np.unique(hull.faces)) > MAX_HULL_CORNERS:
+        hull = _hull(_outstanding(hull.vertices))
+    return hull
+
+
+def _thickened(points: Points) -> Points:
+    spread = points - points.mean(axis=0)
+    _, sizes, axes = np.linalg.svd(spread, full_matrices=False)
+    largest = max(float(sizes[0]), 1e-9) if len(sizes) else 1e-9
+    flat = [axis for size, axis in zip(sizes, axes, strict=True) if size < 1e-6 * largest]
+    if len(points) >= MIN_CORNERS and not flat:
+        return points
+    # A flat or thin mesh has no hull; a sheet of a thousandth of its length has.
+    reach = max(float(np.abs(spread).max()), 1e-6) * 1e-3
+    corners = np.array(np.meshgrid(*[[-reach, reach]] * 3)).T.reshape(-1, 3)
+    thick: Points = (points[:, None, :] + corners[None, :, :]).reshape(-1, 3)
+    return thick
+
+
+def _hull(points: Points) -> Triangles:
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        hull = ConvexHull(points, qhull_options="QJ")
+    used, faces = np.unique(hull.simplices, return_inverse=True)
+    vertices, faces = points[used], faces.reshape(-1, 3)
+    # Qhull leaves the winding open: turn outwards what looks inwards.
+    first, second, third = (vertices[faces[:, i]] for i in range(3))
+    normals = np.cross(second - first, third - first)
+    inwards = ((first - vertices.mean(axis=0)) * normals).sum(axis=1) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    return Triangles(vertices, faces)
+
+
+def _outstanding(points: Points) -> Points:
+    count = MAX_HULL_CORNERS
+    turns = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
+    z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
+    ring = np.sqrt(1.0 - z * z)
+    directions = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
+    scale = np.maximum(np.ptp(points, axis=0), 1e-9)
+    found: Points = points[np.unique(np.argmax((points / scale) @ directions.T, axis=0))]
+    return found
+
+
+def fewer(triangles: Triangles, most: int) -> Triangles:
+    """Merge corners on ever coarser grids until few enough triangles are left."""
+    found = triangles
+    for cells in GRIDS:
+        if len(found.faces) <= most:
+            return found
+        found = _on_grid(triangles, cells)
+    return Triangles(found.vertices, found.faces[:most])
+
+
+def _on_grid(triangles: Triangles, cells: int) -> Triangles:
+    low = triangles.vertices.min(axis=0)
+    size = max(float(np.ptp(triangles.vertices, axis=0).max()), 1e-9) / cells
+    places = np.floor((triangles.vertices - low) / size).astype(np.int64)
+    number = (places[:, 0] * (cells + 1) + places[:, 1]) * (cells + 1) + places[:, 2]
+    _, first, merged = np.unique(number, return_index=True, return_inverse=True)
+    faces = merged.reshape(-1)[triangles.faces]
+    a, b, c = faces.T
+    kept = faces[(a != b) & (b != c) & (a != c)]
+    return Triangles(triangles.vertices[first], np.unique(kept, axis=0))
+
+
+CONVERSIONS: dict[str, Callable[[Triangles], Triangles]] = {
+    "hull": convex_hull,
+    "soup": lambda triangles: fewer(triangles, MAX_SOUP),
+    "drawn": lambda triangles: fewer(triangles, MAX_DRAWN),
+}

@@ -1,0 +1,142 @@
+"""Models of the texts that spawns bring: read by the reader process, each once, kept for others."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
+from sim_server.description.resources import text_of
+from sim_server.errors import ModelError
+from sim_server.reader_messages import MeshMade, ReadRequest, TextRead
+
+if TYPE_CHECKING:
+    from proto.model import Model
+    from proto.services import Compat, SpawnEntityOrder
+    from sim_server.assets import AssetStore
+    from sim_server.reader import Reader
+
+KEPT = 512
+KEPT_CHARACTERS = 64 << 20
+TRANSIENT = frozenset({"reader.crashed", "reader.timeout"})
+"""Faults that another try may not have."""
+
+
+class Reading(NamedTuple):
+    """What is read: the same reading gives the same model."""
+
+    text: str
+    compat: Compat
+    allow_missing: bool
+    assets: tuple[AssetRef, ...]
+
+
+class Descriptions(Protocol):
+    """Gives the model that a spawn asks for."""
+
+    def is_read(self, order: SpawnEntityOrder) -> bool:
+        """Whether `model` can answer now; if not, reading is under way."""
+
+    def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
+        """Find the model and its text.
+
+        Raises:
+            ModelError: The description cannot be used.
+        """
+
+    def poll(self) -> bool:
+        """Go on; say whether something was read."""
+
+
+class ReadElsewhere:
+    """Descriptions that the reader process reads."""
+
+    def __init__(self, reader: Reader, store: AssetStore) -> None:
+        self._reader = reader
+        self._store = store
+        self._read: OrderedDict[Reading, Model | ModelError] = OrderedDict()
+        self._under_way: dict[int, Reading] = {}
+        self._numbers: dict[Reading, int] = {}
+        self._transient: list[Reading] = []
+        self._next_number = 1
+
+    def is_read(self, order: SpawnEntityOrder) -> bool:
+        """See `Descriptions`."""
+        try:
+            reading = self._reading_of(order)
+        except ModelError:
+            return True
+        if reading in self._read:
+            return True
+        if reading not in self._numbers:
+            self._submit(reading)
+        return reading in self._read
+
+    def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
+        """See `Descriptions`."""
+        reading = self._reading_of(order)
+        found = self._read[reading]
+        if isinstance(found, ModelError):
+            raise found
+        self._read.move_to_end(reading)
+        return found, reading.text
+
+    def poll(self) -> bool:
+        """See `Descriptions`."""
+        # Whoever waited for it has been told by now.
+        for reading in self._transient:
+            self._read.pop(reading, None)
+        self._transient.clear()
+        messages = self._reader.poll()
+        for message in messages:
+            if isinstance(message, MeshMade):
+                self._store.keep(message.sha256, message.data)
+            else:
+                self._note(message)
+        return bool(messages)
+
+    def _submit(self, reading: Reading) -> None:
+        try:
+            files = self._files(reading.assets)
+        except ModelError as error:
+            self._keep(reading, error)
+            return
+        number, self._next_number = self._next_number, self._next_number + 1
+        self._under_way[number] = reading
+        self._numbers[reading] = number
+        self._reader.submit(ReadRequest(number, *reading, files=files))
+
+    def _files(self, assets: tuple[AssetRef, ...]) -> tuple[str, ...]:
+        names = tuple(dict.fromkeys(ref.sha256 for ref in assets))
+        total = sum(self._store.size(name) for name in names)
+        if len(assets) > MAX_BUNDLE_FILES or total > MAX_BUNDLE_BYTES:
+            raise ModelError(
+                f"{len(assets)} files of {total} bytes in all; at most {MAX_BUNDLE_FILES} files "
+                f"of {MAX_BUNDLE_BYTES} bytes are taken",
+                slug="bundle.size",
+            )
+        return names
+
+    def _note(self, answer: TextRead) -> None:
+        reading = self._under_way.pop(answer.number)
+        del self._numbers[reading]
+        if answer.model is not None:
+            self._keep(reading, answer.model)
+        else:
+            self._keep(reading, ModelError(answer.message, code=answer.code, slug=answer.slug))
+        if answer.slug in TRANSIENT:
+            self._transient.append(reading)
+
+    def _keep(self, reading: Reading, found: Model | ModelError) -> None:
+        self._read[reading] = found
+        while len(self._read) > KEPT or self._characters() > KEPT_CHARACTERS:
+            self._read.popitem(last=False)
+
+    def _characters(self) -> int:
+        return sum(len(reading.text) for reading in self._read)
+
+    def _reading_of(self, order: SpawnEntityOrder) -> Reading:
+        # Files that are not here are no part of it: once they come it is another reading.
+        present = tuple(ref for ref in order.assets if ref.sha256 in self._store)
+        text = text_of(order.entity_resource)
+        return Reading(text, order.compat, order.allow_missing, present)

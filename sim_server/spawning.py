@@ -1,0 +1,125 @@
+"""Spawning: everything is checked before anything is made; a dry run stops there."""
+
+import numpy as np
+
+from proto.model import Model, ReportEntry
+from proto.result import Result, SpawnCode
+from proto.services import SpawnEntityOrder, SpawnEntityReport
+from sim_server.description.clearance import ground_clearance
+from sim_server.desk import Desk
+from sim_server.errors import IncorrectState, ModelError
+from sim_server.physics.engine import FloatArray
+from sim_server.poses import WORLD_FRAMES, compose, is_zero, pose_row
+from sim_server.world import Birth, World
+
+UNDERGROUND_M = 0.001
+MAX_NAMED = 3
+
+
+def spawn(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport:
+    """Put an entity into the world, or say what that would do.
+
+    Raises:
+        SimError: It is refused; nothing has changed.
+    """
+    _check_bond(desk, order.bond)
+    birth, notes = _planned(desk, order)
+    if order.strict or order.dry_run:
+        notes.extend(_overlaps(desk.world.rehearse(birth)))
+    if order.strict:
+        _refuse_suspicious((*notes, *birth.model.report))
+    if order.dry_run:
+        name, namespace = desk.world.names_for(birth)
+        return SpawnEntityReport(Result(), name, namespace, (*notes, *birth.model.report))
+    entity = desk.world.spawn(birth)
+    if not order.strict:
+        notes.extend(_overlaps(desk.world.overlapped(entity.name)))
+    if order.bond:
+        desk.bonded.setdefault(order.bond, []).append((entity.name, entity.born_ns))
+    for note in notes:
+        desk.world.warn(entity.name, f"{note.subject}: {note.reason}")
+    report = (*notes, *birth.model.report)
+    return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
+
+
+def _planned(desk: Desk, order: SpawnEntityOrder) -> tuple[Birth, list[ReportEntry]]:
+    model, text = desk.descriptions.model(order)
+    pose, notes = _birth_pose(desk.world, order, model)
+    birth = Birth(
+        name=order.name or model.name,
+        namespace=order.entity_namespace,
+        model=model,
+        base=np.concatenate([pose, np.zeros(6)]),
+        description=text,
+        allow_renaming=order.allow_renaming,
+        born_ns=desk.now_ns(),
+    )
+    return birth, notes
+
+
+def in_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
+    """Turn a pose (7,) given in a frame (world, map or an entity's name) into the world's.
+
+    Raises:
+        EntityNotFound: The frame is neither.
+    """
+    if frame_id in WORLD_FRAMES:
+        return pose
+    return compose(world.state_of(frame_id)[:7], pose)
+
+
+def _check_bond(desk: Desk, bond: str) -> None:
+    if not bond:
+        return
+    if bond not in desk.alive_bonds:
+        raise IncorrectState(
+            f"bond '{bond[:80]}' has no liveliness token; declare it before spawning"
+        )
+
+
+def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
+    found = [f"{entry.subject}: {entry.reason}" for entry in report if entry.status == "suspicious"]
+    if found:
+        more = f" and {len(found) - MAX_NAMED} more" if len(found) > MAX_NAMED else ""
+        raise ModelError(
+            f"{len(found)} suspicious: {'; '.join(found[:MAX_NAMED])}{more}; "
+            "mend them, or spawn without strict",
+            code=SpawnCode.RESOURCE_PARSE_ERROR,
+            slug="report.suspicious",
+        )
+
+
+def _birth_pose(
+    world: World, request: SpawnEntityOrder, model: Model
+) -> tuple[FloatArray, list[ReportEntry]]:
+    wish = request.initial_pose
+    notes = []
+    if is_zero(wish.pose.orientation):
+        notes.append(
+            ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
+        )
+    pose = in_world(world, wish.header.frame_id, pose_row(wish.pose))
+    qx, qy, qz, qw = pose[3:7].tolist()
+    # Not -clearance, which is -0 for a model without collisions.
+    standing = 0.0 - ground_clearance(model, (qx, qy, qz, qw))
+    if request.snap_to_ground:
+        pose[2] = standing
+    depth = standing - float(pose[2])
+    if depth > UNDERGROUND_M:
+        notes.append(
+            ReportEntry(
+                "suspicious",
+                "initial_pose",
+                f"lowest point is {depth * 100:.1f} cm below ground; "
+                f"z = {standing:.3f} puts it on the ground",
+            )
+        )
+    return pose, notes
+
+
+def _overlaps(others: list[str]) -> list[ReportEntry]:
+    if not others:
+        return []
+    named = ", ".join(f"'{name}'" for name in others[:MAX_NAMED])
+    more = f" and {len(others) - MAX_NAMED} more" if len(others) > MAX_NAMED else ""
+    return [ReportEntry("suspicious", "initial_pose", f"overlaps entity {named}{more}")]
