@@ -14,6 +14,8 @@ class SimError(Exception):
     slug = ""
 
     def __init__(self, message: str) -> None:
+        if not message.isprintable():  # what was given is quoted, and may be anything
+            message = "".join(letter if letter.isprintable() else "?" for letter in message)
         self.message = f"{self.slug}: {message}" if self.slug else message
         super().__init__(self.message)
 

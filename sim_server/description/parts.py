@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from copy import deepcopy
 from io import BytesIO
 from typing import TYPE_CHECKING, get_args
 
@@ -14,6 +13,7 @@ from lxml import etree
 from proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
 from proto.rotation import FloatArray, from_matrix
 from sim_server.description.colours import named_colours
+from sim_server.description.grammar import INERTIAL, JOINT, LINK, Tag
 from sim_server.description.shapes import MeshRule, read_collisions, read_visuals
 from sim_server.description.wording import in_line
 from sim_server.errors import ModelError
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from sim_server.description.report import Report
 
 KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
+BONE = msgspec.structs.replace(LINK, children={"inertial": INERTIAL})
+"""A link without its shapes: URDF has more kinds of them than yourdfpy."""
 LIMITED = ("revolute", "prismatic")
 
 
@@ -56,15 +58,22 @@ def read_parts(robot: Element, rule: MeshRule, report: Report) -> Parts:
 
 
 def _skeleton(robot: Element) -> Element:
-    """Copy what moves: shapes are read by themselves, since URDF has more kinds than yourdfpy."""
+    """Copy what moves, and of it what was checked: shapes are read by themselves."""
     bare = etree.Element("robot", {"name": robot.get("name") or ""})
     for part in robot:
         if part.tag == "joint":
-            bare.append(deepcopy(part))
+            _copy(part, JOINT, bare)
         elif part.tag == "link":
-            link = etree.SubElement(bare, "link", dict(part.attrib.items()))
-            link.extend(deepcopy(inertial) for inertial in part.findall("inertial")[:1])
+            _copy(part, BONE, bare)
     return bare
+
+
+def _copy(element: Element, tag: Tag, into: Element) -> None:
+    known = {name: value for name, value in element.attrib.items() if name in tag.attributes}
+    copy = etree.SubElement(into, element.tag, known)
+    for child in element:
+        if child.tag in tag.children:
+            _copy(child, tag.children[child.tag], copy)
 
 
 def _kinematics(robot: Element) -> yourdfpy.Robot:

@@ -21,6 +21,5 @@ def listed(names: Sequence[str]) -> str:
 
 
 def in_line(text: str) -> str:
-    """Put what another library says in one printable line of at most 200 characters."""
-    words = " ".join(text.split())[:LONGEST_LINE]
-    return "".join(letter if letter.isprintable() else "?" for letter in words)
+    """Put what another library says in one line of at most 200 characters."""
+    return " ".join(text.split())[:LONGEST_LINE]
