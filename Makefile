@@ -89,7 +89,7 @@ fuzz: setup ## property tests with many more examples
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server viewer base; do \
+	@set -e; for name in dev server viewer xacro base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \

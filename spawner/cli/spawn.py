@@ -25,7 +25,6 @@ from spawner.cli.wishes import (
     description_there,
     order_of,
     paths_of,
-    patience_s,
     source_of,
 )
 from spawner.client import SimClient
@@ -68,7 +67,7 @@ def spawn(given: SpawnOptions) -> None:
 
 def _wish(given: SpawnOptions) -> Wish:
     source, order, paths = source_of(given), order_of(given), paths_of(given)
-    wait_s = patience_s(given, given.gazebo_timeout)
+    wait_s = given.wait if given.gazebo_timeout is None else given.gazebo_timeout
     description = description_here(source, given, paths)
     cargo = cargo_of(description, paths, allow_missing=given.allow_missing)
     return Wish(order, source, paths, cargo, wait_s)
@@ -111,12 +110,21 @@ def _with_notes(report: SpawnEntityReport, cargo: Cargo) -> SpawnEntityReport:
 
 
 def _print_report(report: SpawnEntityReport, given: SpawnOptions) -> None:
+    if given.as_json or not data_console.is_terminal:
+        _warn(report)
     if given.as_json:
         typer.echo(msgspec.json.encode(report).decode())
         return
     done = "would spawn" if given.dry_run else "spawned"
     typer.echo(f"{done} {report.entity_name} under {report.entity_namespace}/")
     print_report(report.report, data_console)
+
+
+def _warn(report: SpawnEntityReport) -> None:
+    """Tell people what looks wrong where the table may be out of their sight."""
+    for entry in report.report:
+        if entry.status == "suspicious":
+            typer.echo(f"zensim spawn: warning: {entry.subject}: {entry.reason}", err=True)
 
 
 def _unpause(client: SimClient) -> None:
@@ -140,15 +148,15 @@ def fleet(given: FleetOptions) -> None:
     """Put many robots into the world."""
     with one_line_failures("fleet"):
         places = _places(given)
-        paths, wait_s = paths_of(given), patience_s(given)
+        paths = paths_of(given)
         wishes = SpawnEntityOrder(
             strict=given.strict, allow_missing=given.allow_missing, compat=compat_of(given)
         )
         description = description_here(Source("MODEL", given.model), given, paths)
         cargo = cargo_of(description, paths, allow_missing=given.allow_missing)
     network = (given.connect, given.world_name, given.timeout)
-    with client_for("fleet", *network, wait_s=wait_s) as client:
-        client.wait_for_server(wait_s)
+    with client_for("fleet", *network, wait_s=given.wait) as client:
+        client.wait_for_server(given.wait)
         with upload_progress() as on_bytes:
             send_files(client, cargo.bundle, on_bytes)
         with fleet_progress() as progress:

@@ -1,6 +1,5 @@
 """What the options of `zensim spawn` ask for, once they have been checked."""
 
-import math
 import os
 import sys
 from pathlib import Path
@@ -11,9 +10,9 @@ import msgspec
 from proto.bus import Bus
 from proto.geometry import PoseStamped
 from proto.header import Header
-from proto.names import check_name
+from proto.names import check_name, check_namespace
 from proto.services import Compat, SpawnEntityOrder
-from spawner.cli.options import Network, Reading, SpawnOptions
+from spawner.cli.options import Reading, SpawnOptions
 from spawner.descriptions import (
     Description,
     from_database,
@@ -138,24 +137,17 @@ def compat_of(given: Reading) -> Compat:
 
 
 def namespace_of(given: SpawnOptions) -> str:
-    """Read `--namespace`: the tutorial's switch, or a namespace by itself."""
+    """Read `--namespace`: the tutorial's switch, or a namespace by itself.
+
+    Raises:
+        InvalidName: It is none.
+    """
     named = given.robot_namespace or given.gazebo_robot_namespace
     word = given.namespace.lower()
     if word in FALSE_WORDS:
         return ""
-    return named if word in TRUE_WORDS or not word else given.namespace
-
-
-def patience_s(given: Network, gazebo_timeout: float | None = None) -> float:
-    """Tell how long to wait for a server, a description or another entity.
-
-    Raises:
-        ValueError: Not a number of seconds from 0 on.
-    """
-    wait = given.wait if gazebo_timeout is None else gazebo_timeout
-    if math.isfinite(wait) and wait >= 0.0:
-        return wait
-    raise ValueError(f"timeout {wait:g} is no time to wait; use 0 s or more")
+    space = named if word in TRUE_WORDS or not word else given.namespace
+    return check_namespace(space) if space else ""
 
 
 def description_there(

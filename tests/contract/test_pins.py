@@ -15,7 +15,8 @@ EXTRAS = {
     "base": {""},
     "server": {"", "server"},
     "viewer": {"", "viewer"},
-    "dev": {"", "server", "viewer", "dev"},
+    "xacro": {"", "xacro"},
+    "dev": {"", "server", "viewer", "xacro", "dev"},
 }
 PYTHONS = ("3.10", "3.11")
 HASH = re.compile(r" *--hash=sha256:[0-9a-f]{64}")
