@@ -31,7 +31,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "inspect": ("spawner.cli.entities", "Show one entity."),
     "delete": ("spawner.cli.entities", "Take entities out of the world."),
     "view": ("spawner.cli.view", "Show the world on a 3D page."),
-    "model": ("sim_server.cli", "Show what a description says, without any server."),
+    "model": ("deploy.cli.model", "Show what a description says, without any server."),
 }
 """Verb to the module of its typer app, and the line that help shows without importing it."""
 

@@ -1,0 +1,80 @@
+"""`zensim model`: what a description says, read as the server would, without any server."""
+
+import json
+from dataclasses import dataclass
+from typing import Annotated
+
+import typer
+
+from proto.exits import one_line_failures
+from proto.model import Model
+from sim_server.cli import MissingExtra
+from sim_server.errors import ModelError, SimError
+from spawner.cli.fields import takes
+from spawner.cli.options import Reading
+from spawner.cli.session import AsJson
+from spawner.cli.wishes import Source, compat_of, description_here, paths_of
+from spawner.launch import Cargo, cargo_of
+
+SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ModelOptions(Reading):
+    """All options of `zensim model`."""
+
+    file: Annotated[
+        str, typer.Argument(help="URDF, xacro or SDF file, or the name of a shipped model.")
+    ]
+    as_json: AsJson = False
+
+
+@app.command()
+@takes(ModelOptions)
+def model(given: ModelOptions) -> None:
+    """Show what a description says, without any server."""
+    with one_line_failures("model", SimError, MissingExtra):
+        found = _read(given)
+        if given.strict:
+            _refuse_suspicious(found)
+        from sim_server.description.show import model_json, model_tree
+
+        typer.echo(json.dumps(model_json(found)) if given.as_json else model_tree(found))
+
+
+def _read(given: ModelOptions) -> Model:
+    compat, paths = compat_of(given), paths_of(given)
+    description = description_here(Source("FILE", given.file), given, paths)
+    # What lacks a mesh is refused by the reader, in the words of the server.
+    cargo = cargo_of(description, paths, allow_missing=True)
+    try:
+        from sim_server.description.describing import describe
+        from sim_server.description.library import model_text
+    except ModuleNotFoundError as error:
+        if error.name not in SERVER_EXTRA:
+            raise
+        raise MissingExtra(
+            f"{error.name} is not installed; use pip install 'zensim[server]'"
+        ) from error
+    text = cargo.text or model_text(given.file)
+    return describe(
+        text, assets=_files(cargo), allow_missing=given.allow_missing, compat=compat
+    ).model
+
+
+def _files(cargo: Cargo) -> dict[str, tuple[str, bytes | None]]:
+    paths = {file.sha256: file.path for file in cargo.bundle.files}
+    return {ref.uri: (ref.sha256, paths[ref.sha256].read_bytes()) for ref in cargo.bundle.refs}
+
+
+def _refuse_suspicious(found: Model) -> None:
+    entries = [entry for entry in found.report if entry.status == "suspicious"]
+    if entries:
+        first = entries[0]
+        raise ModelError(
+            f"{len(entries)} suspicious, first {first.subject}: {first.reason}; "
+            "mend it, or leave --strict out",
+            slug="report.suspicious",
+        )

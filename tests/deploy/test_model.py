@@ -1,0 +1,108 @@
+"""`zensim model`: the reader of the server, its meshes and its macros, without any server."""
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from deploy.cli.model import app
+from proto.exits import Exit
+from tests.spawner.packages import a_package, robot_of
+
+RUNNER = CliRunner()
+BASE, GONE = "package://my_robot/meshes/base.stl", "package://my_robot/meshes/gone.stl"
+XACRO = (
+    '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    '<xacro:arg name="link" default="a"/><link name="$(arg link)"/></robot>'
+)
+
+
+def a_file(folder: Path, text: str, name: str = "r.urdf") -> str:
+    file = a_package(folder) / "urdf" / name
+    file.write_text(text, encoding="utf-8")
+    return str(file)
+
+
+def test_model_shows_a_tree_of_links() -> None:
+    done = RUNNER.invoke(app, ["box_bot"])
+
+    assert done.exit_code == Exit.OK
+    for name in ("base_link", "left_wheel", "right_wheel_joint"):
+        assert name in done.stdout
+
+
+def test_model_prints_json_for_programs() -> None:
+    found = json.loads(RUNNER.invoke(app, ["box_bot", "--json"]).stdout)
+
+    assert {"links", "joints", "mass_kg", "drive", "report"} <= set(found)
+    assert found["name"] == "box_bot"
+
+
+def test_model_reads_meshes_of_the_package_around(tmp_path: Path) -> None:
+    done = RUNNER.invoke(app, [a_file(tmp_path, robot_of(BASE)), "--json"])
+
+    assert json.loads(done.stdout)["report"] == []
+
+
+def test_model_reports_a_missing_visual_once(tmp_path: Path) -> None:
+    done = RUNNER.invoke(app, [a_file(tmp_path, robot_of(BASE, GONE)), "--json"])
+
+    report = json.loads(done.stdout)["report"]
+    assert [entry["status"] for entry in report] == ["suspicious"]
+    assert "gone.stl" in report[0]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("text", "flags", "status", "message"),
+    [
+        (robot_of(GONE), (), Exit.FAILED, "mesh.missing: "),
+        (robot_of(GONE), ("--allow-missing",), Exit.OK, ""),
+        (robot_of(BASE, GONE), ("--strict",), Exit.FAILED, "report.suspicious: "),
+        (robot_of(BASE), ("--strict",), Exit.OK, ""),
+        (robot_of(BASE), ("--compat", "ignition"), Exit.USAGE, "use fixed or gazebo11"),
+        ("<robot", (), Exit.FAILED, "xml.syntax: "),
+        ('<robot name="r"/>', (), Exit.FAILED, "urdf.no_links: "),
+    ],
+)
+def test_model_refuses_what_a_server_would(
+    tmp_path: Path, text: str, flags: tuple[str, ...], status: Exit, message: str
+) -> None:
+    done = RUNNER.invoke(app, [a_file(tmp_path, text), *flags])
+
+    assert done.exit_code == status, done.stderr
+    assert message in done.stderr
+    assert done.stderr.count("\n") == bool(message)
+
+
+def test_model_expands_xacro_with_arguments(tmp_path: Path) -> None:
+    file = a_file(tmp_path, XACRO, "r.xacro")
+
+    done = RUNNER.invoke(app, [file, "--xacro-arg", "link:=b", "--json"])
+
+    assert [link["name"] for link in json.loads(done.stdout)["links"]] == ["b"]
+
+
+def test_model_reads_sdf(tmp_path: Path) -> None:
+    sdf = '<sdf version="1.6"><model name="m"><link name="l"/></model></sdf>'
+
+    done = RUNNER.invoke(app, [a_file(tmp_path, sdf, "model.sdf"), "--json"])
+
+    assert json.loads(done.stdout)["name"] == "m"
+
+
+def test_model_says_so_when_a_file_is_no_text(tmp_path: Path) -> None:
+    file = tmp_path / "broken.urdf"
+    file.write_bytes(b"\xff\xfe\x00")
+
+    done = RUNNER.invoke(app, [str(file)])
+
+    assert done.exit_code == Exit.USAGE
+    assert done.stderr.startswith("zensim model: USAGE (2): ")
+
+
+def test_model_says_so_when_there_is_no_such_file() -> None:
+    done = RUNNER.invoke(app, ["nowhere.urdf"])
+
+    assert done.exit_code == Exit.NOT_FOUND
+    assert done.stderr.startswith("zensim model: NOT_FOUND (3): nowhere.urdf: ")
