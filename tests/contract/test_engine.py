@@ -280,7 +280,37 @@ def test_engine_refuses_a_joint_that_one_number_cannot_tell(
     assert_same_state(state_of(engine, body), a_state((0.0, 0.0, 0.1)))
 
 
-def a_drive_about(make: MakeEngine, *, with_a_visitor: bool = False) -> bytes:
+def test_engine_names_the_bodies_that_a_body_reaches_into(engine: Engine) -> None:
+    first, second, far = (
+        engine.add(a_box(), a_state(place))
+        for place in ((0.0, 0.0, 0.1), (0.05, 0.0, 0.1), (5.0, 0.0, 0.1))
+    )
+
+    assert list(engine.overlapping(first)) == [second]
+    assert list(engine.overlapping(second)) == [first]
+    assert list(engine.overlapping(far)) == []
+
+
+def test_engine_overlaps_nothing_when_it_stands_on_the_ground(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    advance(engine, 10)
+
+    assert list(engine.overlapping(body)) == []
+
+
+def test_engine_overlaps_nobody_who_was_removed_or_moved_away(engine: Engine) -> None:
+    body, removed, moved = (engine.add(a_box(), a_state((0.0, 0.0, 0.1))) for _ in range(3))
+
+    engine.remove(removed)
+    engine.place(moved, a_state((3.0, 0.0, 0.1)))
+    engine.step()
+
+    assert list(engine.overlapping(body)) == []
+
+
+def a_drive_about(
+    make: MakeEngine, *, with_a_visitor: bool = False, is_asked_often: bool = False
+) -> bytes:
     """Drive two carts and a box for 500 steps; a visitor comes and goes far away."""
     with running(make) as engine:
         bodies = [
@@ -291,7 +321,11 @@ def a_drive_about(make: MakeEngine, *, with_a_visitor: bool = False) -> bytes:
         engine.command(bodies[:2], np.array([4.0, 4.5, -4.0, -4.0]))
         advance(engine, 100)
         visitor = engine.add(a_cart(), on_ground(500.0)) if with_a_visitor else None
-        advance(engine, 200)
+        for _ in range(200):
+            engine.step()
+            if is_asked_often:
+                engine.read(bodies)
+                engine.overlapping(bodies[0])
         if visitor is not None:
             engine.remove(visitor)
         advance(engine, 200)
@@ -316,6 +350,13 @@ def test_engine_gives_the_same_bits_when_a_visitor_came_and_went_far_away(
     alone, visited = a_drive_about(make), a_drive_about(make, with_a_visitor=True)
 
     assert alone == visited
+
+
+@every_engine
+def test_engine_gives_the_same_bits_when_it_is_asked_often(make: MakeEngine) -> None:
+    alone, asked = a_drive_about(make), a_drive_about(make, is_asked_often=True)
+
+    assert alone == asked
 
 
 @pytest.mark.parametrize("model", [a_box(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)

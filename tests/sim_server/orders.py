@@ -20,6 +20,7 @@ def an_order(
     orientation: Quaternion | None = None,
     frame_id: str = "",
     is_snapped: bool = False,
+    bond: str = "",
 ) -> services.SpawnEntityOrder:
     pose = Pose(Point(*place), orientation or Quaternion())
     return services.SpawnEntityOrder(
@@ -27,6 +28,7 @@ def an_order(
         entity_resource=BOX_BOT,
         initial_pose=PoseStamped(Header(frame_id=frame_id), pose),
         snap_to_ground=is_snapped,
+        bond=bond,
     )
 
 

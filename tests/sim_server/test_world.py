@@ -262,3 +262,33 @@ def test_world_closes_its_engine() -> None:
     a_world(engine=engine).close()
 
     assert engine.is_closed
+
+
+def test_world_rehearses_a_spawn_and_leaves_nothing() -> None:
+    engine = ObedientEngine(EngineConfig(STEP_NS))
+    world = a_world("r0", "r1", engine=engine)
+    before = (world.roster_number, world.reading().base.tobytes(), engine.bodies)
+
+    overlapped = world.rehearse(a_birth("r9", base=on_ground(1.02)))
+
+    assert overlapped == ["r1"]
+    assert (world.roster_number, world.reading().base.tobytes(), engine.bodies) == before
+    assert (names_in(world), world.take_events()) == (["r0", "r1"], [])
+
+
+def test_world_refuses_in_a_rehearsal_what_it_refuses_to_spawn() -> None:
+    world = a_world("r0")
+
+    with pytest.raises(NameNotUnique):
+        world.rehearse(a_birth("r0", base=on_ground(5.0)))
+    with pytest.raises(EngineRefused):
+        world.rehearse(a_birth("r1", model=an_arm("planar")))
+
+    assert names_in(world) == ["r0"]
+
+
+def test_world_names_the_entities_that_an_entity_overlaps() -> None:
+    world = a_world("r0", "r1")
+    world.spawn(a_birth("r2", base=on_ground(0.02)))
+
+    assert (world.overlapped("r0"), world.overlapped("r1")) == (["r2"], [])
