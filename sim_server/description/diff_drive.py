@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from proto.model import DiffDrive, WheelPair
-from proto.names import InvalidName, check_frame
+from proto.drives import DiffDrive, WheelPair
+from sim_server.description import drive_tags
+from sim_server.description.drive_tags import joint_fault, with_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from proto.model import Joint
+    from sim_server.description.lumping import Lumped
     from sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("gazebo_ros_diff_drive", "gazebo_ros_skid_steer_drive")
-ALIASES = {
+ALIASES = drive_tags.ALIASES | {
     "leftJoint": "left_joint",
     "leftFrontJoint": "left_joint",
     "leftRearJoint": "left_joint",
@@ -26,44 +28,17 @@ ALIASES = {
     "wheelTorque": "max_wheel_torque",
     "torque": "max_wheel_torque",
     "wheelAcceleration": "max_wheel_acceleration",
-    "updateRate": "update_rate",
-    "odometryFrame": "odometry_frame",
-    "odometrySource": "odometry_source",
-    "robotBaseFrame": "robot_base_frame",
-    "publishWheelTF": "publish_wheel_tf",
-    "publishOdomTF": "publish_odom_tf",
-    "broadcastTF": "publish_odom_tf",
 }
 """Spellings of the ROS 1 plug-ins."""
-_BY_REMAPPING = "Gazebo does not read it; use <remapping> in <ros>"
-UNUSED = {
-    "command_topic": _BY_REMAPPING,
-    "odometry_topic": _BY_REMAPPING,
-    "commandTopic": _BY_REMAPPING,
-    "odometryTopic": _BY_REMAPPING,
-    "alwaysOn": "drives are always on",
-    "always_on": "drives are always on",
-    "legacyMode": "left is left: +y",
-    "robotNamespace": "the namespace is that of the spawn request",
-    "publishWheelJointState": "add the joint_state_publisher plug-in",
-    "publishTf": "use <publish_odom_tf>",
-    "rosDebugLevel": "of ROS 1",
-}
-SOURCES: dict[str, Literal["encoder", "world"]] = {
-    "0": "encoder",
-    "encoder": "encoder",
-    "1": "world",
-    "world": "world",
-}
-TURNING = ("continuous", "revolute")
+UNUSED = drive_tags.UNUSED | {"legacyMode": "left is left: +y"}
 
 
-def read_diff_drive(tags: PluginTags, joints: Mapping[str, Joint]) -> DiffDrive | None:
+def read_diff_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:
     """Read the plug-in; None, with the reason noted, where Gazebo's would not work.
 
     Args:
         tags: Of the plug-in.
-        joints: Of the robot once lumped, by name.
+        lumped: The robot.
 
     Raises:
         ModelError: A number is none, is negative, or a separation or diameter is not positive.
@@ -71,23 +46,15 @@ def read_diff_drive(tags: PluginTags, joints: Mapping[str, Joint]) -> DiffDrive 
     is_ros1 = tags.is_renamed("left_joint")  # ROS 1 published odometry without being asked
     if is_ros1:
         tags.report.suspicious(tags.subject, "written for ROS 1: odom and its tf are published")
-    pairs = _pairs(tags, joints)
+    pairs = _pairs(tags, {joint.name: joint for joint in lumped.joints})
     drive = DiffDrive(
         pairs=pairs or (),
         max_torque_nm=tags.number("max_wheel_torque", 5.0),
         max_acceleration=tags.number("max_wheel_acceleration", 0.0),
-        update_rate_hz=tags.number("update_rate", 100.0),
-        odometry_source=_source(tags),
-        odometry_frame=_frame(tags, "odometry_frame", "odom"),
-        robot_base_frame=_frame(tags, "robot_base_frame", "base_footprint"),
-        publish_odom=tags.flag("publish_odom", default=is_ros1),
-        publish_odom_tf=tags.flag("publish_odom_tf", default=is_ros1),
-        publish_wheel_tf=tags.flag("publish_wheel_tf", default=False),
-        covariance_x=tags.number("covariance_x", 1e-5),
-        covariance_y=tags.number("covariance_y", 1e-5),
-        covariance_yaw=tags.number("covariance_yaw", 1e-3),
-        ros=tags.ros(),
+        publish_odom=is_ros1,
+        publish_odom_tf=is_ros1,
     )
+    drive = with_settings(drive, tags)
     tags.report_unread(UNUSED)
     return drive if pairs else None
 
@@ -126,13 +93,7 @@ def _fault(
 ) -> str:
     if not len(left) == len(right) == count:
         return f"{len(left)} left and {len(right)} right joints for {count} wheel pair(s)"
-    for name in (*left, *right):
-        if name not in joints:
-            known = ", ".join(list(joints)[:10]) or "none"
-            return f"joint {name[:80]!r} does not exist or is fixed; moving joints: {known}"
-        if joints[name].kind not in TURNING:
-            return f"joint {name!r} is {joints[name].kind}; a wheel's is continuous"
-    return "a joint is named twice" if len({*left, *right}) < 2 * count else ""
+    return joint_fault((*left, *right), joints)
 
 
 def _per_pair(
@@ -149,21 +110,3 @@ def _per_pair(
             f"{tags.subject}: <{tag}>", f"not given for every pair; Gazebo's {default} m is used"
         )
     return [*lengths, *[default] * count][:count]
-
-
-def _source(tags: PluginTags) -> Literal["encoder", "world"]:
-    text = tags.text("odometry_source", "1")
-    if text.lower() not in SOURCES:
-        tags.report.suspicious(
-            f"{tags.subject}: <odometry_source>", f"{text[:40]!r} is neither 0 nor 1; taken as 1"
-        )
-    return SOURCES.get(text.lower(), "world")
-
-
-def _frame(tags: PluginTags, tag: str, default: str) -> str:
-    text = tags.text(tag, default)
-    try:
-        return check_frame(text.lstrip("/"))
-    except InvalidName as error:
-        tags.report.suspicious(f"{tags.subject}: <{tag}>", f"{error}; {default!r} is used")
-        return default

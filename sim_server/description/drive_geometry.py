@@ -1,10 +1,11 @@
 """Whether a drive's numbers agree with the robot's shape; they are used as written all the same."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from proto.model import DiffDrive, Joint, Link, Origin, Shape, Vec3, WheelPair
+from proto.drives import DiffDrive, Drive, WheelPair
+from proto.model import Joint, Link, Origin, Shape, Vec3
 from sim_server.description.lumping import Lumped
 from sim_server.description.report import Report
 from sim_server.description.transforms import link_poses, placed, turned
@@ -26,17 +27,22 @@ class Wheel(msgspec.Struct, frozen=True):
     """0 where no collision is round."""
 
 
-def check_drive(drive: DiffDrive, lumped: Lumped, *, subject: str, report: Report) -> None:
+def check_drive(drive: Drive, lumped: Lumped, *, subject: str, report: Report) -> None:
     """Note diameters, separations, sides, axes and frames that the robot's links contradict."""
+    if isinstance(drive, DiffDrive):
+        for pair in drive.pairs:
+            left, right = wheels_of((pair.left_joint, pair.right_joint), lumped)
+            for fault in _faults(pair, left, right):
+                report.suspicious(subject, fault)
+    _check_base_frame(drive.robot_base_frame, lumped, subject, report)
+
+
+def wheels_of(names: Iterable[str], lumped: Lumped) -> list[Wheel]:
+    """Find the wheels that joints move."""
     joints = {joint.name: joint for joint in lumped.joints}
     links = {link.name: link for link in lumped.links}
     poses = link_poses(lumped.links[0].name, lumped.joints)
-    for pair in drive.pairs:
-        left = _wheel(joints[pair.left_joint], links, poses)
-        right = _wheel(joints[pair.right_joint], links, poses)
-        for fault in _faults(pair, left, right):
-            report.suspicious(subject, fault)
-    _check_base_frame(drive.robot_base_frame, lumped, subject, report)
+    return [_wheel(joints[name], links, poses) for name in names]
 
 
 def _wheel(joint: Joint, links: Mapping[str, Link], poses: Mapping[str, Origin]) -> Wheel:

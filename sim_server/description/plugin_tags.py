@@ -78,6 +78,23 @@ class PluginTags:
             raise self._refusal(tag, f"{number:g} is negative; write a number >= 0")
         return number
 
+    def signed(self, tag: str) -> float | None:
+        """Read a number of either sign; None when it is not there.
+
+        Raises:
+            ModelError: It is none.
+        """
+        text = self.text(tag, "")
+        return self._number(tag, text) if text else None
+
+    def length(self, tag: str, default: float) -> float:
+        """Read a length [m].
+
+        Raises:
+            ModelError: It is no number, or not positive.
+        """
+        return (self.positive_numbers(tag) or [default])[0]
+
     def positive_numbers(self, tag: str) -> list[float]:
         """Read a repeated number.
 

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from proto.model import DiffDrive, JointStatePublisher
-from sim_server.description import diff_drive, joint_state
+from proto.drives import Drive
+from proto.model import JointStatePublisher
+from sim_server.description import (
+    ackermann,
+    diff_drive,
+    gz_diff_drive,
+    joint_state,
+    planar_move,
+    tricycle,
+)
 from sim_server.description.drive_geometry import check_drive
+from sim_server.description.drive_words import in_words
 from sim_server.description.plugin_tags import PluginTags
+from sim_server.description.rolling import contact_notes
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from lxml.etree import _Element as Element
 
@@ -27,12 +37,8 @@ NOT_USED = {
     "gz_ros2_control": _ROS_CONTROL,
     "ign_ros2_control": _ROS_CONTROL,
     "gazebo_ros_p3d": "true poses are on the snapshot",
-    "gazebo_ros_planar_move": _NOT_SIMULATED,
-    "gazebo_ros_ackermann_drive": _NOT_SIMULATED,
-    "gazebo_ros_tricycle_drive": _NOT_SIMULATED,
     "gazebo_ros_ft_sensor": _NOT_SIMULATED,
     "gazebo_ros_joint_pose_trajectory": _NOT_SIMULATED,
-    "gz-sim-diff-drive-system": "of Gazebo Sim; write libgazebo_ros_diff_drive.so",
     "gz-sim-joint-state-publisher-system": "of Gazebo Sim; write libgazebo_ros_joint_state_...",
 }
 """Plug-ins that are known, by part of their file name, and why they have no effect."""
@@ -41,8 +47,25 @@ NOT_USED = {
 class Plugins(msgspec.Struct, frozen=True):
     """What the plug-ins of a robot come to."""
 
-    drive: DiffDrive | None = None
+    drive: Drive | None = None
     joint_state: JointStatePublisher | None = None
+
+
+class DriveReader(NamedTuple):
+    """How one kind of drive is read."""
+
+    filenames: tuple[str, ...]
+    aliases: Mapping[str, str]
+    read: Callable[[PluginTags, Lumped], Drive | None]
+
+
+DRIVES = (
+    DriveReader(diff_drive.FILENAMES, diff_drive.ALIASES, diff_drive.read_diff_drive),
+    DriveReader(planar_move.FILENAMES, planar_move.ALIASES, planar_move.read_planar_move),
+    DriveReader(ackermann.FILENAMES, ackermann.ALIASES, ackermann.read_ackermann),
+    DriveReader(tricycle.FILENAMES, tricycle.ALIASES, tricycle.read_tricycle),
+    DriveReader(gz_diff_drive.FILENAMES, gz_diff_drive.ALIASES, gz_diff_drive.read_gz_diff_drive),
+)
 
 
 def read_plugins(plugins: Iterable[Element], lumped: Lumped, report: Report) -> Plugins:
@@ -54,8 +77,9 @@ def read_plugins(plugins: Iterable[Element], lumped: Lumped, report: Report) -> 
     found = Plugins()
     for plugin in plugins:
         filename = plugin.get("filename") or ""
-        if _is_one_of(filename, diff_drive.FILENAMES):
-            found = _with_drive(found, plugin, lumped, report)
+        reader = next((one for one in DRIVES if _is_one_of(filename, one.filenames)), None)
+        if reader is not None:
+            found = _with_drive(found, plugin, reader, lumped=lumped, report=report)
         elif _is_one_of(filename, joint_state.FILENAMES):
             found = _with_joint_state(found, plugin, lumped, report)
         else:
@@ -63,19 +87,20 @@ def read_plugins(plugins: Iterable[Element], lumped: Lumped, report: Report) -> 
     return found
 
 
-def _with_drive(found: Plugins, plugin: Element, lumped: Lumped, report: Report) -> Plugins:
-    tags = PluginTags(plugin, slug="drive", aliases=diff_drive.ALIASES, report=report)
-    drive = diff_drive.read_diff_drive(tags, {joint.name: joint for joint in lumped.joints})
+def _with_drive(
+    found: Plugins, plugin: Element, reader: DriveReader, *, lumped: Lumped, report: Report
+) -> Plugins:
+    tags = PluginTags(plugin, slug="drive", aliases=reader.aliases, report=report)
+    drive = reader.read(tags, lumped)
     if drive is None:
         return found
     if found.drive is not None:
         report.suspicious(tags.subject, "a second drive; the first counts")
         return found
-    pair = drive.pairs[0]
-    report.applied(
-        tags.subject, f"drive: separation {pair.separation_m:g} m, diameter {pair.diameter_m:g} m"
-    )
+    report.applied(tags.subject, f"drive: {in_words(drive)}")
     check_drive(drive, lumped, subject=tags.subject, report=report)
+    for note in contact_notes(drive, lumped.links, lumped.joints):
+        report.applied(tags.subject, note)
     return msgspec.structs.replace(found, drive=drive)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
+from proto.drives import Drive
 from proto.model import Joint, Link, Model, Origin, Shape
 from sim_server.description.transforms import matrix_of
 
@@ -25,12 +26,27 @@ def touching_links(model: Model) -> tuple[Link, ...]:
     drive = model.drive
     if drive is None:
         return model.links
-    if any(actuator.mode == "twist" for actuator in drive.actuators):
+    if _moves_the_body(drive):
         return tuple(_without_friction(link) for link in model.links)
-    axles = {joint.child: joint for joint in model.joints if joint.name in drive.wheel_joints}
+    axles = _axles(drive, model.joints)
     return tuple(
         _rolling(link, axles[link.name]) if link.name in axles else link for link in model.links
     )
+
+
+def contact_notes(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
+    """Say what `touching_links` does to the links of a robot with this drive."""
+    if _moves_the_body(drive):
+        return ["friction of its collisions is not used: the twist moves the body"]
+    axles = _axles(drive, joints)
+    rolling = [
+        repr(link.name)
+        for link in links
+        if link.name in axles and any(is_tyre(one, axles[link.name]) for one in link.collisions)
+    ]
+    if not rolling:
+        return []
+    return [f"cylinders of {', '.join(rolling)} touch the ground as spheres of their radius"]
 
 
 def is_tyre(shape: Shape, axle: Joint) -> bool:
@@ -43,6 +59,14 @@ def is_tyre(shape: Shape, axle: Joint) -> bool:
         return False
     centre = np.array(shape.origin.position)
     return float(np.linalg.norm(centre - axis * (centre @ axis))) <= MAX_OFFSET * radius
+
+
+def _moves_the_body(drive: Drive) -> bool:
+    return any(actuator.mode == "twist" for actuator in drive.actuators)
+
+
+def _axles(drive: Drive, joints: Iterable[Joint]) -> dict[str, Joint]:
+    return {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
 
 
 def _rolling(link: Link, axle: Joint) -> Link:

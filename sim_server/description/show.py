@@ -4,7 +4,9 @@ from typing import Any
 
 import msgspec
 
+from proto.drives import DiffDrive
 from proto.model import Joint, Model
+from sim_server.description.drive_words import in_words
 
 
 def model_json(model: Model) -> dict[str, Any]:
@@ -60,6 +62,8 @@ def _branch(model: Model) -> list[str]:
 def _drive_lines(model: Model) -> list[str]:
     if model.drive is None:
         return ["no drive"]
+    if not isinstance(model.drive, DiffDrive):
+        return [f"drive: {in_words(model.drive)}"]
     return [
         f"drive: {pair.left_joint} and {pair.right_joint}, separation {pair.separation_m:g} m, "
         f"diameter {pair.diameter_m:g} m"

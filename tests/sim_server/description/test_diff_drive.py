@@ -191,9 +191,10 @@ def test_drive_notes_defaults_when_lengths_are_missing() -> None:
 def test_drive_notes_topics_that_gazebo_does_not_read() -> None:
     entries = report_of(a_cart(a_drive("<command_topic>c</command_topic><zebra/>")))
 
-    assert reasons(entries, "ignored") == [
-        "plugin 'p': <command_topic>: Gazebo does not read it; use <remapping> in <ros>"
-    ]
+    assert (
+        "plugin 'p': <command_topic>: cmd_vel is on <namespace>/c; Gazebo does not read it, nor is "
+        "it read with compat gazebo11"
+    ) in reasons(entries, "applied")
     assert reasons(entries, "unknown") == ["plugin 'p': <zebra>: not read"]
 
 

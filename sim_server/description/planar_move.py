@@ -1,0 +1,32 @@
+"""The plug-in of a body that takes the twist itself."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from proto.drives import PlanarMove
+from sim_server.description import drive_tags
+from sim_server.description.drive_tags import with_settings
+
+if TYPE_CHECKING:
+    from sim_server.description.lumping import Lumped
+    from sim_server.description.plugin_tags import PluginTags
+
+FILENAMES = ("gazebo_ros_planar_move",)
+ALIASES = drive_tags.ALIASES | {"odometryRate": "publish_rate"}
+UNUSED = drive_tags.UNUSED | {"cmdTimeout": "the agent has a timeout of its own"}
+RATE_HZ = 20.0
+
+
+def read_planar_move(tags: PluginTags, lumped: Lumped) -> PlanarMove:  # noqa: ARG001 - as for all
+    """Read the plug-in.
+
+    Raises:
+        ModelError: A number is none, or is negative.
+    """
+    drive = with_settings(PlanarMove(), tags)
+    rate = tags.number("publish_rate", RATE_HZ)
+    tags.report_unread(UNUSED)
+    return msgspec.structs.replace(drive, odometry_rate_hz=rate)
