@@ -74,7 +74,7 @@ class SearchPaths(msgspec.Struct, frozen=True):
 
     def package_folders(self, name: str) -> Iterator[Path]:
         """List the folders that may be the package or model of this name, best first."""
-        if name in ("", ".", ".."):
+        if name in ("", ".", "..") or "/" in name:
             return
         yield from (folder for folder in self.own if name in (folder.name, package_name(folder)))
         for root in self.roots:
