@@ -7,7 +7,8 @@ import msgspec
 from proto.result import Result
 from proto.widths import UInt64
 
-MAX_CHUNK_BYTES = 4 << 20
+MAX_CHUNK_BYTES = 1 << 20
+"""Of a file: hashing and keeping a longer one would make physics late."""
 MAX_FILE_BYTES = 64 << 20
 MAX_BUNDLE_BYTES = 256 << 20
 MAX_BUNDLE_FILES = 512

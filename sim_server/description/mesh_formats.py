@@ -159,7 +159,7 @@ def _by_trimesh(name: str, data: bytes, kind: str) -> Triangles:
 
 
 def _unit(scene: trimesh.Scene) -> float:
-    written = str(scene.metadata.get("units", "")).partition(" * meters")
+    written = str(scene.units).partition(" * meters")
     try:
         return float(written[0]) if written[1] else 1.0
     except ValueError:

@@ -34,7 +34,10 @@ MAX_SOUP = 20_000
 """Triangles of a static collision."""
 MAX_DRAWN = 60_000
 """Triangles of a visual: 3 MB."""
-MIN_CORNERS = 4
+MANY_POINTS = 128
+"""Above, a hull is made of the outstanding ones only."""
+FLAT = 1e-4
+"""Thickness over width."""
 GRIDS = (512, 256, 128, 64, 32, 16)
 
 
@@ -111,22 +114,23 @@ def _converted(shape: Shape, purpose: str, made: _Made) -> Shape:
 
 def convex_hull(triangles: Triangles) -> Triangles:
     """Wrap the corners; of many, those that stand out most in directions spread over a sphere."""
-    points = np.unique(triangles.vertices[triangles.faces].reshape(-1, 3), axis=0)
-    points = _thickened(points)
-    hull = _hull(points)
-    if len(np.unique(hull.faces)) > MAX_HULL_CORNERS:
-        hull = _hull(_outstanding(hull.vertices))
+    is_used = np.zeros(len(triangles.vertices), dtype=bool)
+    is_used[triangles.faces] = True
+    points = triangles.vertices[is_used]
+    if len(points) > MANY_POINTS:
+        points = _outstanding(points, MANY_POINTS)
+    hull = _hull(_thickened(points))
+    if len(hull.vertices) > MAX_HULL_CORNERS:
+        hull = _hull(_outstanding(hull.vertices, MAX_HULL_CORNERS))
     return hull
 
 
 def _thickened(points: Points) -> Points:
+    """Give a flat or thin mesh, which has no hull, a thousandth of its reach on all sides."""
     spread = points - points.mean(axis=0)
-    _, sizes, axes = np.linalg.svd(spread, full_matrices=False)
-    largest = max(float(sizes[0]), 1e-9) if len(sizes) else 1e-9
-    flat = [axis for size, axis in zip(sizes, axes, strict=True) if size < 1e-6 * largest]
-    if len(points) >= MIN_CORNERS and not flat:
+    thinnest, _, widest = np.sqrt(np.maximum(np.linalg.eigvalsh(spread.T @ spread), 0.0)).tolist()
+    if thinnest > FLAT * widest:
         return points
-    # A flat or thin mesh has no hull; a sheet of a thousandth of its length has.
     reach = max(float(np.abs(spread).max()), 1e-6) * 1e-3
     corners = np.array(np.meshgrid(*[[-reach, reach]] * 3)).T.reshape(-1, 3)
     thick: Points = (points[:, None, :] + corners[None, :, :]).reshape(-1, 3)
@@ -138,8 +142,8 @@ def _hull(points: Points) -> Triangles:
         hull = ConvexHull(points)
     except QhullError:
         hull = ConvexHull(points, qhull_options="QJ")
-    used, faces = np.unique(hull.simplices, return_inverse=True)
-    vertices, faces = points[used], faces.reshape(-1, 3)
+    used, places = np.unique(hull.simplices, return_inverse=True)
+    vertices, faces = points[used], places.reshape(-1, 3)
     # Qhull leaves the winding open: turn outwards what looks inwards.
     first, second, third = (vertices[faces[:, i]] for i in range(3))
     normals = np.cross(second - first, third - first)
@@ -148,14 +152,15 @@ def _hull(points: Points) -> Triangles:
     return Triangles(vertices, faces)
 
 
-def _outstanding(points: Points) -> Points:
-    count = MAX_HULL_CORNERS
+def _outstanding(points: Points, count: int) -> Points:
     turns = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
     z = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
     ring = np.sqrt(1.0 - z * z)
     directions = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
-    scale = np.maximum(np.ptp(points, axis=0), 1e-9)
-    found: Points = points[np.unique(np.argmax((points / scale) @ directions.T, axis=0))]
+    even = (points / np.maximum(np.ptp(points, axis=0), 1e-9)).astype(np.float32).T.copy()
+    # One at a time: all at once would take a gigabyte for a large mesh.
+    chosen = [int(np.argmax(direction @ even)) for direction in directions.astype(np.float32)]
+    found: Points = points[np.unique(chosen)]
     return found
 
 
@@ -177,8 +182,7 @@ def _on_grid(triangles: Triangles, cells: int) -> Triangles:
     _, first, merged = np.unique(number, return_index=True, return_inverse=True)
     faces = merged.reshape(-1)[triangles.faces]
     a, b, c = faces.T
-    kept = faces[(a != b) & (b != c) & (a != c)]
-    return Triangles(triangles.vertices[first], np.unique(kept, axis=0))
+    return Triangles(triangles.vertices[first], faces[(a != b) & (b != c) & (a != c)])
 
 
 CONVERSIONS: dict[str, Callable[[Triangles], Triangles]] = {
