@@ -6,6 +6,8 @@ import msgspec
 
 OdometrySource = Literal["encoder", "world"]
 ActuatorMode = Literal["velocity", "position", "twist"]
+Compat = Literal["fixed", "gazebo11"]
+"""Whether drives behave sanely, or with the documented quirks of Gazebo 11."""
 
 
 class RosBlock(msgspec.Struct, frozen=True):
@@ -75,6 +77,8 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
     odometry_topic: str = ""
     """In the robot's namespace; empty = odom."""
     ros: RosBlock = RosBlock()
+    compat: Compat = "fixed"
+    """gazebo11: speed by encoders is never negative, and the two topics are not read."""
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:

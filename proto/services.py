@@ -5,10 +5,11 @@ MessagePack and JSON only.
 """
 
 from enum import IntEnum
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import msgspec
 
+from proto import drives
 from proto.assets import AssetRef
 from proto.geometry import Accel, Pose, PoseStamped, Twist, Vector3
 from proto.header import Header
@@ -16,7 +17,7 @@ from proto.model import ReportEntry
 from proto.result import Result
 from proto.widths import UInt8, UInt16, UInt64
 
-Compat = Literal["fixed", "gazebo11"]
+Compat = drives.Compat
 
 
 class Resource(msgspec.Struct, frozen=True):

@@ -22,7 +22,7 @@ def drive_of(model: Model) -> Drive:
 class DrivenBase:
     """Keeps a drive and its odometry at the drive's own rates."""
 
-    def __init__(self, model: Model, *, is_encoder_speed_unsigned: bool) -> None:
+    def __init__(self, model: Model) -> None:
         drive = drive_of(model)
         self._standing = (0.0,) * model.target_count
         self.targets: tuple[float, ...] = self._standing
@@ -40,7 +40,7 @@ class DrivenBase:
         self._encoder: EncoderOdometry | None = None
         self._encoder_wheels = (0, 0)
         if (pair := drive.encoder) is not None:
-            self._encoder = EncoderOdometry(pair, is_speed_unsigned=is_encoder_speed_unsigned)
+            self._encoder = EncoderOdometry(pair, is_speed_unsigned=drive.compat == "gazebo11")
             self._encoder_wheels = (index[pair.left_joint], index[pair.right_joint])
 
     def reset(self) -> None:

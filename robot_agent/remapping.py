@@ -1,7 +1,7 @@
 """Where a topic is, once the description's remappings have had their say."""
 
 from proto import keys
-from proto.model import RosBlock
+from proto.drives import DriveSettings, RosBlock
 from proto.names import InvalidName, check_namespace
 
 ABSOLUTE = frozenset({keys.TF})
@@ -26,6 +26,24 @@ def topic_key(namespace: str, topic: str, ros: RosBlock) -> str:
         except InvalidName:
             continue
     return keys.robot(namespace, topic)
+
+
+def command_key(namespace: str, drive: DriveSettings) -> str:
+    """Find where a drive hears commands."""
+    return _key_of(namespace, keys.CMD_VEL, drive.command_topic, drive)
+
+
+def odometry_key(namespace: str, drive: DriveSettings) -> str:
+    """Find where a drive's odometry is told."""
+    return _key_of(namespace, keys.ODOM, drive.odometry_topic, drive)
+
+
+def _key_of(namespace: str, usual: str, written: str, drive: DriveSettings) -> str:
+    key = topic_key(namespace, usual, drive.ros)
+    is_remapped = key != keys.robot(namespace, usual)
+    if is_remapped or not written or drive.compat == "gazebo11":
+        return key
+    return topic_key(namespace, written, drive.ros)
 
 
 def _resolved(name: str, namespace: str) -> str:

@@ -1,13 +1,12 @@
 """One claimed robot: what it hears, how it is driven, what it tells."""
 
-from proto import keys
 from proto.claims import Claim
 from robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
 from robot_agent.driven_base import DrivenBase, drive_of
 from robot_agent.network import Network
 from robot_agent.outlet import Outlet
 from robot_agent.reading import Reading
-from robot_agent.remapping import topic_key
+from robot_agent.remapping import command_key
 from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
 
 
@@ -19,14 +18,14 @@ class Robot:
         self.joint_count = len(claim.model.joints)
         self.commanded: CommandedTwist | None = None
         """None without a drive: there is nothing to command."""
-        self._base = DrivenBase(claim.model, is_encoder_speed_unsigned=False)
+        self._base = DrivenBase(claim.model)
         self._motion = MotionTelemetry(network, claim)
         self._joints = JointTelemetry(network, claim)
         self._constant = constant_outlets(network, claim)
         self._reading: Reading | None = None
         self._is_motion_new = False
         if claim.model.drive is not None:
-            key = topic_key(claim.namespace, keys.CMD_VEL, drive_of(claim.model).ros)
+            key = command_key(claim.namespace, drive_of(claim.model))
             self.commanded = CommandedTwist(network.subscribe(key, DEPTH), cmd_vel_timeout_ns)
 
     def reset(self) -> None:

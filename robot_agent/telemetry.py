@@ -23,7 +23,7 @@ from robot_agent.odometry import Motion, OdometryFrames, covariance_of
 from robot_agent.outlet import Outlet
 from robot_agent.rate_gate import RateGate
 from robot_agent.reading import Reading
-from robot_agent.remapping import topic_key
+from robot_agent.remapping import odometry_key, topic_key
 
 ALL_JOINTS = JointStatePublisher(update_rate_hz=30.0)
 """Stands in where a description has no publisher for them."""
@@ -43,7 +43,7 @@ class MotionTelemetry:
         )
         self.outlets: list[Outlet] = []
         if drive.publish_odom:
-            key = topic_key(claim.namespace, keys.ODOM, drive.ros)
+            key = odometry_key(claim.namespace, drive)
             self.outlets.append(Outlet(network, key, Odometry, self._odometry))
         if self._moving or self._has_odom_tf:
             key = topic_key(claim.namespace, keys.TF, drive.ros)

@@ -6,6 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 import trimesh
 
@@ -45,9 +46,22 @@ def describe(text: str, *, assets: Files, allow_missing: bool, compat: Compat) -
         ModelError: The text or a mesh cannot be used.
     """
     present = {uri: (sha, data) for uri, (sha, data) in assets.items() if data is not None}
-    model = read_robot(text, has_mesh=present.__contains__, allow_missing=allow_missing)
-    del compat
-    return Described(*with_meshes(model, present))
+
+    def included(uri: str) -> str | None:
+        found = present.get(uri)
+        return found[1].decode("utf-8", "replace") if found else None
+
+    model = read_robot(
+        text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
+    )
+    return Described(*with_meshes(_with_compat(model, compat), present))
+
+
+def _with_compat(model: Model, compat: Compat) -> Model:
+    if model.drive is None or model.drive.compat == compat:
+        return model
+    drive = msgspec.structs.replace(model.drive, compat=compat)
+    return msgspec.structs.replace(model, drive=drive)
 
 
 def warm_up() -> None:

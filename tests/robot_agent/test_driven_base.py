@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from proto.drives import PlanarMove
+from proto.drives import Compat, PlanarMove
 from proto.geometry import Twist, Vector3
 from robot_agent.driven_base import DrivenBase
 from robot_agent.odometry import Motion
@@ -25,7 +25,7 @@ def reading(
 
 
 def test_base_finds_wheel_speeds_and_true_motion() -> None:
-    base = DrivenBase(two_wheeler(), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler())
 
     assert base.update(reading(0), FORWARD)
 
@@ -34,14 +34,14 @@ def test_base_finds_wheel_speeds_and_true_motion() -> None:
 
 
 def test_base_stands_before_its_first_reading() -> None:
-    base = DrivenBase(two_wheeler(), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler())
 
     assert base.targets == (0.0, 0.0)
 
 
 def test_base_keeps_targets_and_motion_until_the_drive_is_due() -> None:
     slow = msgspec.structs.replace(DRIVE, update_rate_hz=10.0)
-    base = DrivenBase(two_wheeler(slow), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(slow))
     base.update(reading(0), FORWARD)
 
     assert not base.update(reading(50), Twist())
@@ -51,7 +51,7 @@ def test_base_keeps_targets_and_motion_until_the_drive_is_due() -> None:
 
 
 def test_base_gives_the_drive_the_time_between_its_updates() -> None:
-    base = DrivenBase(two_wheeler(LIMITED), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(LIMITED))
     base.update(reading(0), FORWARD)
 
     base.update(reading(20), FORWARD)
@@ -60,7 +60,7 @@ def test_base_gives_the_drive_the_time_between_its_updates() -> None:
 
 
 def test_base_finds_its_wheels_among_other_joints() -> None:
-    turned = DrivenBase(two_wheeler(LIMITED, joints=WHEELS[::-1]), is_encoder_speed_unsigned=False)
+    turned = DrivenBase(two_wheeler(LIMITED, joints=WHEELS[::-1]))
 
     turned.update(reading(0, velocities=(0.0, 5.0)), FORWARD)
     turned.update(reading(20, velocities=(0.0, 5.0)), FORWARD)
@@ -70,7 +70,7 @@ def test_base_finds_its_wheels_among_other_joints() -> None:
 
 def test_base_counts_wheel_turns_of_readings_between_updates_too() -> None:
     slow = msgspec.structs.replace(ENCODER, update_rate_hz=10.0)
-    base = DrivenBase(two_wheeler(slow), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(slow))
     base.update(reading(0), FORWARD)
     base.update(reading(50, positions=(1.0, 1.0)), FORWARD)
 
@@ -81,7 +81,7 @@ def test_base_counts_wheel_turns_of_readings_between_updates_too() -> None:
 
 
 def test_base_starts_again_when_it_is_reset() -> None:
-    base = DrivenBase(two_wheeler(ENCODER), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(ENCODER))
     base.update(reading(1000), FORWARD)
     base.update(reading(1010, positions=(1.0, 1.0)), FORWARD)
 
@@ -94,7 +94,7 @@ def test_base_starts_again_when_it_is_reset() -> None:
 
 
 def test_base_without_a_drive_is_only_watched() -> None:
-    base = DrivenBase(two_wheeler(None), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(None))
 
     assert base.update(reading(0), FORWARD)
     assert base.targets == ()
@@ -104,7 +104,7 @@ def test_base_without_a_drive_is_only_watched() -> None:
 
 def test_base_tells_motion_at_the_rate_of_its_odometry_when_that_has_one() -> None:
     drive = msgspec.structs.replace(DRIVE, odometry_rate_hz=10.0)
-    base = DrivenBase(two_wheeler(drive), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(drive))
 
     assert base.update(reading(0), FORWARD)
     assert not base.update(reading(50), Twist())
@@ -115,9 +115,23 @@ def test_base_tells_motion_at_the_rate_of_its_odometry_when_that_has_one() -> No
 
 
 def test_base_that_is_moved_itself_has_three_targets() -> None:
-    base = DrivenBase(two_wheeler(PlanarMove()), is_encoder_speed_unsigned=False)
+    base = DrivenBase(two_wheeler(PlanarMove()))
     assert base.targets == (0.0, 0.0, 0.0)
 
     base.update(reading(0), Twist(Vector3(0.5, 0.2)))
 
     assert base.targets == (0.5, 0.2, 0.0)
+
+
+@pytest.mark.parametrize(("compat", "speed"), [("fixed", -10.0), ("gazebo11", 10.0)])
+def test_speed_by_encoders_in_reverse_is_negative_unless_it_is_gazebos(
+    compat: Compat, speed: float
+) -> None:
+    drive = msgspec.structs.replace(ENCODER, compat=compat)
+    base = DrivenBase(two_wheeler(drive))
+    base.update(reading(0), Twist())
+
+    base.update(reading(10, positions=(-1.0, -1.0)), Twist())
+
+    assert base.motion.position == pytest.approx((-0.1, 0.0, 0.0))
+    assert base.motion.linear_x == pytest.approx(speed)

@@ -2,8 +2,8 @@
 
 import pytest
 
-from proto.model import RosBlock
-from robot_agent.remapping import topic_key
+from proto.drives import Compat, DiffDrive, RosBlock
+from robot_agent.remapping import command_key, odometry_key, topic_key
 
 
 @pytest.mark.parametrize(
@@ -32,3 +32,27 @@ def test_topic_is_where_its_first_fitting_rule_leads(
 @pytest.mark.parametrize("target", ["/sim/default/clock", "a*", "**", "~/odom", "/", "a//b", "$x"])
 def test_topic_stays_where_it_is_when_a_rule_leads_to_no_key(target: str) -> None:
     assert topic_key("r1", "odom", RosBlock("", (f"odom:={target}",))) == "r1/odom"
+
+
+@pytest.mark.parametrize(
+    ("written", "rules", "compat", "expected"),
+    [
+        ("", (), "fixed", "r1/cmd_vel"),
+        ("go", (), "fixed", "r1/go"),
+        ("go", (), "gazebo11", "r1/cmd_vel"),
+        ("go", ("cmd_vel:=away",), "fixed", "r1/away"),
+        ("go", ("go:=away",), "fixed", "r1/away"),
+        ("go", ("odom:=away",), "fixed", "r1/go"),
+    ],
+)
+def test_commands_are_heard_where_the_drive_says_unless_it_is_gazebos(
+    written: str, rules: tuple[str, ...], compat: Compat, expected: str
+) -> None:
+    drive = DiffDrive(command_topic=written, ros=RosBlock("", rules), compat=compat)
+
+    assert command_key("r1", drive) == expected
+
+
+def test_odometry_is_told_where_the_drive_says() -> None:
+    assert odometry_key("r1", DiffDrive(odometry_topic="o")) == "r1/o"
+    assert odometry_key("r1", DiffDrive()) == "r1/odom"
