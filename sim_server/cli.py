@@ -26,21 +26,44 @@ class MissingExtra(Exception):
     """The server's packages are not installed."""
 
 
+Connect = Annotated[
+    str, typer.Option(help="Join this router instead of being one.", envvar="ZENSIM_CONNECT")
+]
+WorldName = Annotated[
+    str, typer.Option(help="What the world is called on the network.", envvar="ZENSIM_WORLD")
+]
+StepHz = Annotated[
+    float | None,
+    typer.Option(help="Physics steps a simulated second.", show_default="the world's, or 240"),
+]
+Factor = Annotated[
+    float | None,
+    typer.Option(help="Real-time factor to hold; 0 = flat out.", show_default="the world's, or 1"),
+]
+ModelPath = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="Folder to look for a world's included models in.", envvar="GAZEBO_MODEL_PATH"
+    ),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
+]
+
+
 @app.command()
 def serve(
     *,
     listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = "",
-    connect: Annotated[
-        str, typer.Option(help="Join this router instead of being one.", envvar="ZENSIM_CONNECT")
-    ] = "",
+    connect: Connect = "",
     world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty",
-    world_name: Annotated[
-        str, typer.Option(help="What the world is called on the network.", envvar="ZENSIM_WORLD")
-    ] = "default",
-    step_hz: Annotated[float, typer.Option(help="Physics steps a simulated second.")] = 240.0,
-    rtf: Annotated[float, typer.Option(help="Real-time factor to hold; 0 = flat out.")] = 1.0,
+    world_name: WorldName = "default",
+    step_hz: StepHz = None,
+    rtf: Factor = None,
     paused: Annotated[bool, typer.Option("--paused", help="Start with time standing.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0,
+    model_path: ModelPath = None,
+    strict: Strict = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False,
 ) -> None:
     """Run a world and serve it on the network."""
@@ -60,12 +83,14 @@ def serve(
         real_time_factor=rtf,
         is_paused=paused,
         seed=seed,
+        model_paths=tuple(map(str, model_path or ())),
+        is_strict=strict,
     )
     _serve(config, stop)
 
 
 def _serve(config: ServerConfig, stop: StopFlag) -> None:
-    def announce(bus: Bus) -> None:
+    def announce(bus: Bus, config: ServerConfig) -> None:
         typer.echo(
             f"zensim serve: world '{config.world}' at {bus.endpoint} "
             f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g})",

@@ -8,6 +8,8 @@ from proto.names import check_name
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most, as often as a Gazebo drive updates by default."""
+STEP_HZ = 240.0
+REAL_TIME_FACTOR = 1.0
 MAX_STEP_HZ = 10_000.0
 MAX_REAL_TIME_FACTOR = 1000.0
 
@@ -26,21 +28,26 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     bus: BusConfig
     world: str = "default"
     world_file: str = "empty"
-    step_hz: float = 240.0
-    real_time_factor: float = 1.0
-    """0 = as fast as it can."""
+    step_hz: float | None = None
+    """None = as the world file says, else 240."""
+    real_time_factor: float | None = None
+    """0 = as fast as it can; None = as the world file says, else 1."""
+    model_paths: tuple[str, ...] = ()
+    """Folders where the world file's includes are looked for."""
+    is_strict: bool = False
+    """Refuse a world of which something is suspicious."""
     is_paused: bool = False
     seed: int = 0
 
     @property
     def step_ns(self) -> int:
         """Length of a step; an integer, so that time never drifts."""
-        return round(NANOSECONDS / self.step_hz)
+        return round(NANOSECONDS / (self.step_hz or STEP_HZ))
 
     @property
     def control_steps(self) -> int:
         """Steps between two drive states."""
-        return max(1, -int(-self.step_hz // CONTROL_HZ))
+        return max(1, -int(-(self.step_hz or STEP_HZ) // CONTROL_HZ))
 
 
 def checked(config: ServerConfig) -> ServerConfig:
@@ -53,16 +60,27 @@ def checked(config: ServerConfig) -> ServerConfig:
         check_name(config.world, "world")
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    if not 1.0 <= config.step_hz <= MAX_STEP_HZ:
+    if config.step_hz is not None and not 1.0 <= config.step_hz <= MAX_STEP_HZ:
         raise ConfigError(f"--step-hz {config.step_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
-    if not 0.0 <= config.real_time_factor <= MAX_REAL_TIME_FACTOR:
+    factor = config.real_time_factor
+    if factor is not None and not 0.0 <= factor <= MAX_REAL_TIME_FACTOR:
         raise ConfigError(
-            f"--rtf {config.real_time_factor:g} is out of range; use 0 (flat out) or up to "
-            f"{MAX_REAL_TIME_FACTOR:g}"
+            f"--rtf {factor:g} is out of range; use 0 (flat out) or up to {MAX_REAL_TIME_FACTOR:g}"
         )
     if config.seed < 0:
         raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")
     return config
+
+
+def paced(
+    config: ServerConfig, *, step_s: float | None, real_time_factor: float | None
+) -> ServerConfig:
+    """Fill in what was not asked for with what the world file says [s per step], else the usual."""
+    step_hz = config.step_hz or (1.0 / step_s if step_s else STEP_HZ)
+    factor = REAL_TIME_FACTOR if real_time_factor is None else real_time_factor
+    if config.real_time_factor is not None:
+        factor = config.real_time_factor
+    return msgspec.structs.replace(config, step_hz=step_hz, real_time_factor=factor)
 
 
 def server_bus(listen: str, connect: str) -> BusConfig:

@@ -30,6 +30,8 @@ class Entity:
     description: str
     born_ns: int
     """Wall time at spawn, for time-to-ready."""
+    belongs_to_world: bool = False
+    """Came with the world: a reset puts it back, and does not take it out."""
 
 
 @dataclass(frozen=True)

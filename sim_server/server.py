@@ -4,19 +4,16 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
-from pathlib import Path
 
 from proto import keys
 from proto.bus import Bus, NoServer, open_bus
 from proto.catalog import INFO
 from proto.telemetry import InfoRequest
 from sim_server.assets import AssetStore
-from sim_server.config import AlreadyServed, ConfigError, ServerConfig, checked
-from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import WorldModel, read_world
+from sim_server.config import AlreadyServed, ServerConfig, checked, paced
+from sim_server.description.sdf import WorldModel
 from sim_server.descriptions import ReadElsewhere
 from sim_server.desk import Desk
-from sim_server.errors import ModelError
 from sim_server.inbox import BusInbox
 from sim_server.loop import Loop
 from sim_server.meter import Meter
@@ -25,6 +22,7 @@ from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.reader import Reader
 from sim_server.world import World
+from sim_server.world_files import furnish, load_world
 
 ASK_TIMEOUT_S = 2.0
 LOG = logging.getLogger(__name__)
@@ -45,7 +43,7 @@ class WallClock:
 def serve(
     config: ServerConfig,
     should_stop: Callable[[], bool],
-    on_ready: Callable[[Bus], None],
+    on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
     """Run a server until told to stop.
 
@@ -55,7 +53,9 @@ def serve(
         BusError: The network cannot be joined.
     """
     checked(config)
-    world_model = load_world(config.world_file)
+    world_model = load_world(config.world_file, config.model_paths, is_strict=config.is_strict)
+    pace = world_model.pace
+    config = paced(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
     with open_bus(config.bus) as bus:
         if _is_served(bus, config.world):
             raise AlreadyServed(
@@ -78,29 +78,12 @@ def _is_served(bus: Bus, world: str) -> bool:
     return True
 
 
-def load_world(name: str) -> WorldModel:
-    """Read a shipped world by name, or a world file by path.
-
-    Raises:
-        ConfigError: There is none, or it cannot be read.
-    """
-    try:
-        if name in shipped_worlds():
-            return read_world(world_text(name))
-        return read_world(Path(name).read_text(encoding="utf-8"))
-    except ModelError as error:
-        raise ConfigError(f"world '{name}': {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        shipped = ", ".join(shipped_worlds())
-        raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
-
-
 def _run(
     config: ServerConfig,
     world_model: WorldModel,
     bus: Bus,
     should_stop: Callable[[], bool],
-    on_ready: Callable[[Bus], None],
+    on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
     clock = WallClock()
     with ExitStack() as ending:
@@ -117,13 +100,13 @@ def _run(
             ReadElsewhere(reader, store),
             store,
             world_model.name,
-            config.real_time_factor,
+            config.real_time_factor or 0.0,
             config.seed,
         )
         loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
-        on_ready(bus)
+        on_ready(bus, config)
         loop.run(should_stop)
 
 
@@ -133,12 +116,14 @@ def _world(config: ServerConfig, world_model: WorldModel, store: AssetStore) -> 
             config.step_ns,
             world_model.gravity,
             world_model.ground_plane,
+            world_model.ground_friction,
             mesh_folder=store.folder,
         )
     )
     world = World(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
+    furnish(world, world_model)
     if config.is_paused:
         world.pause()
     return world

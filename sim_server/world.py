@@ -32,6 +32,7 @@ class Birth:
     description: str = ""
     allow_renaming: bool = False
     born_ns: int = 0
+    belongs_to_world: bool = False
 
 
 class World:
@@ -117,7 +118,9 @@ class World:
         name, namespace = self.names_for(birth)
         body = self._engine.add(birth.model, birth.base)
         entity = Entity(
-            name, namespace, birth.model, body, birth.base.copy(), birth.description, birth.born_ns
+            *(name, namespace, birth.model, body, birth.base.copy(), birth.description),
+            born_ns=birth.born_ns,
+            belongs_to_world=birth.belongs_to_world,
         )
         self._entities[name] = entity
         self._changed()
@@ -127,6 +130,8 @@ class World:
     def names_for(self, birth: Birth) -> tuple[str, str]:
         """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
         name = free_name(birth.name, self._entities, allow_renaming=birth.allow_renaming)
+        if birth.belongs_to_world and birth.model.drive is None:
+            return name, ""
         return name, free_namespace(birth.namespace or name, self._entities.values())
 
     def rehearse(self, birth: Birth) -> list[str]:
@@ -261,8 +266,9 @@ class World:
         """Go back to the start: time, states, spawned entities, by the bits of `ResetScope`."""
         bits = scope or ResetScope.ALL
         if bits & ResetScope.SPAWNED:
-            for name in list(self._entities):
-                self.delete(name)
+            for entity in self.entities:
+                if not entity.belongs_to_world:
+                    self.delete(entity.name)
         if bits & ResetScope.STATE:
             for entity in self._entities.values():
                 self._engine.rest(entity.body, entity.initial)

@@ -35,6 +35,10 @@ class Report:
         """Note what is probably not meant as written."""
         self._add("suspicious", subject, reason)
 
+    def repeat(self, entry: ReportEntry, *, of: str) -> None:
+        """Note what the report of a part of this description notes."""
+        self._add(entry.status, f"{of}: {entry.subject}", entry.reason)
+
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
         """Note a tag that nothing reads; one that looks misspelt is suspicious."""
         shown = f"{subject}: <{tag[:80]}>"

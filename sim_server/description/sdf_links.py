@@ -17,6 +17,8 @@ from sim_server.description.sdf_shapes import (
     moved,
     read_solid,
     seen_through,
+    sheet_of,
+    slab_of,
 )
 from sim_server.description.sdf_values import read_pose, read_scalar
 from sim_server.description.transforms import compose, matrix_of
@@ -96,6 +98,7 @@ class LinkReader:
             if shape.kind == "plane" and not self.is_static:
                 self.report.suspicious(where, "a plane collides in static models only; left out")
                 continue
+            shape = slab_of(shape) if shape.kind == "plane" else shape
             if is_here(shape, where, rule=self.rule, report=self.report, collides=True):
                 friction = friction_of(element, where, self.report)
                 kept.append(msgspec.structs.replace(shape, friction=friction))
@@ -109,6 +112,7 @@ class LinkReader:
             if shape is not None and is_here(
                 shape, where, rule=self.rule, report=self.report, collides=False
             ):
+                shape = sheet_of(shape) if shape.kind == "plane" else shape
                 colour = colour_of(element, where, self.report)
                 through = read_scalar(element, "transparency", 0.0, where)
                 kept.append(msgspec.structs.replace(shape, rgba=seen_through(colour, through)))

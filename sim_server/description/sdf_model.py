@@ -16,7 +16,7 @@ from sim_server.description.lumping import Lumped, lump
 from sim_server.description.parts import Parts
 from sim_server.description.plugins import read_plugins
 from sim_server.description.report import Report
-from sim_server.description.sdf_frames import MODEL
+from sim_server.description.sdf_frames import MODEL, inverse
 from sim_server.description.sdf_gather import WORLD, Gathered, canonical_link, gather
 from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
 from sim_server.description.sdf_joints import JointReader
@@ -25,6 +25,7 @@ from sim_server.description.sdf_values import read_flag, read_name, read_pose
 from sim_server.description.sensors import read_sensors
 from sim_server.description.shapes import MeshRule
 from sim_server.description.strict_xml import parse_xml
+from sim_server.description.transforms import compose
 from sim_server.description.tree import in_tree_order
 from sim_server.description.values import check_links, check_moving, with_unit_axes
 from sim_server.description.wording import listed, shown
@@ -111,7 +112,8 @@ def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
         found = gather(element, report)
         parts = _parts(name, found, is_static=is_static, rule=rule, report=report)
         check_links(parts.links, report)
-        lumped = _lumped(parts, report)
+        is_static = is_static or parts.links[0].name == WORLD
+        lumped = _lumped(parts, is_static=is_static, report=report)
         plugins = read_plugins(found.plugins, lumped, report)
         return Model(
             name=name,
@@ -121,7 +123,7 @@ def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
             drive=plugins.drive,
             joint_state=plugins.joint_state,
             sensors=read_sensors(found.sensors, lumped, report),
-            is_static=is_static or parts.links[0].name == WORLD,
+            is_static=is_static,
         )
 
 
@@ -182,9 +184,10 @@ def _rooted(parts: Parts, found: Gathered, *, is_static: bool, report: Report) -
     return Parts(parts.name, (Link(MODEL), *parts.links), (*held, *parts.joints))
 
 
-def _lumped(parts: Parts, report: Report) -> Lumped:
+def _lumped(parts: Parts, *, is_static: bool, report: Report) -> Lumped:
     lumped = lump(parts.links, with_unit_axes(parts.joints), kept=frozenset())
-    check_moving(lumped.links, lumped.joints, report)
+    if not is_static:
+        check_moving(lumped.links, lumped.joints, report)
     joints = with_true_mimics(lumped.joints, report)
     lumped = with_chains(Lumped(lumped.links, joints, lumped.frames), report)
     if len(lumped.joints) > MAX_JOINTS:
@@ -194,3 +197,16 @@ def _lumped(parts: Parts, report: Report) -> Lumped:
             slug="sdf.joints",
         )
     return lumped
+
+
+def placement_of(element: Element, pose: Origin) -> Origin:
+    """Find where a model stands whose <pose> may place one of its frames rather than itself.
+
+    Raises:
+        ModelError: That frame does not exist.
+    """
+    frame = (element.get("placement_frame") or "").strip()
+    if not frame:
+        return pose
+    frames = gather(element, Report()).frames
+    return compose(pose, inverse(frames.pose(frames.full_name("", frame))))

@@ -36,6 +36,10 @@ UNSUPPORTED = {
 BOX_SIZE: Vec3 = (1.0, 1.0, 1.0)
 UP: Vec3 = (0.0, 0.0, 1.0)
 RGB = 3
+SLAB_M: Vec3 = (1000.0, 1000.0, 1.0)
+LOWERED = Origin((0.0, 0.0, -0.5))
+"""Where the middle of a slab is below its plane."""
+SHEET_M = 0.002
 FRICTION = ("surface/friction/ode/mu", "surface/friction/bullet/friction")
 """Where a collision says how rough it is; the first counts."""
 
@@ -141,11 +145,27 @@ def moved(shape: Shape, origin: Origin) -> Shape:
     return msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
 
 
+def slab_of(plane: Shape) -> Shape:
+    """Make the solid that a plane is to others: a wide slab below it, endless in Gazebo."""
+    return msgspec.structs.replace(
+        plane, kind="box", size=SLAB_M, origin=compose(plane.origin, LOWERED)
+    )
+
+
+def sheet_of(plane: Shape) -> Shape:
+    """Make the solid that a plane looks like: a sheet of its size."""
+    return msgspec.structs.replace(plane, kind="box", size=(*plane.size[:2], SHEET_M))
+
+
 def _solid(solid: Element, where: str) -> Shape:
     if solid.tag == "box":
         return _checked(Shape("box", read_vector(solid, "size", BOX_SIZE, where)), 3, where)
     if solid.tag == "plane":
-        return Shape("plane", origin=Origin(orientation=_up_to(solid, where)))
+        size = read_numbers(
+            read_text(solid, "size", "1 1"), counts=(2,), where=f"{where}, size", slug="sdf.number"
+        )
+        up = Origin(orientation=_up_to(solid, where))
+        return _checked(Shape("plane", (*size, 0.0), up), 2, where)  # type: ignore[arg-type]
     if solid.tag == "mesh":
         uri, scale = read_text(solid, "uri"), read_vector(solid, "scale", BOX_SIZE, where)
         if not uri:

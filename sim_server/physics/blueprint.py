@@ -13,6 +13,8 @@ from proto.rotation import from_matrix
 from sim_server.description.rolling import touching_links
 
 DEFAULT_FRICTION = 1.0
+MAX_SHAPES = 16
+"""Of one part: Bullet passes over all further ones without a word."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,11 @@ def _by_friction(link: Link) -> list[tuple[Shape, ...]]:
     groups: dict[float, list[Shape]] = {}
     for shape in link.collisions:
         groups.setdefault(shape.friction, []).append(shape)
-    return [tuple(group) for group in groups.values()] or [()]
+    return [part for group in groups.values() for part in _of_few_shapes(group)] or [()]
+
+
+def _of_few_shapes(group: list[Shape]) -> list[tuple[Shape, ...]]:
+    return [tuple(group[at : at + MAX_SHAPES]) for at in range(0, len(group), MAX_SHAPES)]
 
 
 def _part(inertial: Inertial, shapes: tuple[Shape, ...], parent: int, joint: Joint | None) -> Part:

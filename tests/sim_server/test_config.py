@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from proto.bus import DEFAULT_ENDPOINT, BusConfig
 from proto.header import NANOSECONDS
-from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, server_bus
+from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, paced, server_bus
 
 DEFAULTS = ServerConfig(bus=BusConfig())
 
@@ -77,3 +77,24 @@ def test_server_is_a_router_where_it_is_told_to_listen() -> None:
 
 def test_server_is_a_client_when_it_is_told_to_connect() -> None:
     assert server_bus("", "tcp/h:1") == BusConfig(mode="client", connect=("tcp/h:1",))
+
+
+@pytest.mark.parametrize(
+    ("asked", "written", "expected"),
+    [
+        ((None, None), (None, None), (240.0, 1.0)),
+        ((None, None), (0.001, 0.5), (1000.0, 0.5)),
+        ((None, None), (None, 0.0), (240.0, 0.0)),
+        ((100.0, 0.0), (0.001, 0.5), (100.0, 0.0)),
+    ],
+)
+def test_pace_is_that_asked_for_else_that_of_the_world_file_else_the_usual(
+    asked: tuple[float | None, float | None],
+    written: tuple[float | None, float | None],
+    expected: tuple[float, float],
+) -> None:
+    config = replace(DEFAULTS, step_hz=asked[0], real_time_factor=asked[1])
+
+    found = paced(config, step_s=written[0], real_time_factor=written[1])
+
+    assert (found.step_hz, found.real_time_factor) == expected

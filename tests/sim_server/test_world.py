@@ -1,5 +1,7 @@
 """World: who is in it, its time, and what a reset touches."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from sim_server.errors import (
     NamespaceRefused,
 )
 from sim_server.physics.engine import EngineConfig, EngineRefused
-from sim_server.world import World
+from sim_server.world import Birth, World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_state, an_arm, on_ground
 from tests.sim_server.fakes import (
@@ -292,3 +294,24 @@ def test_world_names_the_entities_that_an_entity_overlaps() -> None:
     world.spawn(a_birth("r2", base=on_ground(0.02)))
 
     assert (world.overlapped("r0"), world.overlapped("r1")) == (["r2"], [])
+
+
+def test_what_belongs_to_the_world_has_no_namespace_and_outlives_a_reset() -> None:
+    world = a_world("r1")
+    shelf = Birth("shelf", "", a_box(is_static=True), a_state((1.0, 0.0, 0.1)))
+    world.spawn(replace(shelf, belongs_to_world=True))
+    world.place("shelf", a_state((5.0, 0.0, 0.1)))
+
+    world.reset(ResetScope.ALL)
+
+    assert names_in(world) == ["shelf"]
+    assert world.entity("shelf").namespace == ""
+    assert world.state_of("shelf")[0] == 1.0
+
+
+def test_robot_of_a_world_has_a_namespace_so_that_it_can_be_driven() -> None:
+    world = a_world()
+
+    robot = world.spawn(replace(a_birth("r1"), belongs_to_world=True))
+
+    assert robot.namespace == "r1"

@@ -3,9 +3,16 @@
 import pytest
 from lxml import etree
 
-from proto.model import Shape
+from proto.model import Origin, Shape
 from sim_server.description.report import Report
-from sim_server.description.sdf_shapes import colour_of, friction_of, read_solid, seen_through
+from sim_server.description.sdf_shapes import (
+    colour_of,
+    friction_of,
+    read_solid,
+    seen_through,
+    sheet_of,
+    slab_of,
+)
 from sim_server.description.transforms import turned
 from sim_server.errors import ModelError
 from tests.sim_server.description.robots import reasons
@@ -32,7 +39,7 @@ def solid(inside: str) -> Shape | None:
             "<capsule><radius>2</radius><length>3</length></capsule>",
             Shape("capsule", (2.0, 3.0, 0.0)),
         ),
-        ("<plane><normal>0 0 1</normal><size>9 9</size></plane>", Shape("plane")),
+        ("<plane><normal>0 0 1</normal><size>9 8</size></plane>", Shape("plane", (9.0, 8.0, 0.0))),
         ("<mesh><uri>m.dae</uri></mesh>", Shape("mesh", (1.0, 1.0, 1.0), mesh="m.dae")),
         ("<empty/>", None),
     ],
@@ -66,6 +73,8 @@ def test_other_solid_is_listed(tag: str) -> None:
         ("<box><size>1 2</size></box>", "sdf.number"),
         ("<sphere><radius>-1</radius></sphere>", "sdf.size"),
         ("<plane><normal>0 0 0</normal></plane>", "sdf.size"),
+        ("<plane><size>1 0</size></plane>", "sdf.size"),
+        ("<plane><size>1</size></plane>", "sdf.number"),
         ("<mesh/>", "sdf.uri"),
         ("<mesh><uri>a</uri><scale>1 0 1</scale></mesh>", "sdf.size"),
         ("", "sdf.geometry"),
@@ -121,3 +130,13 @@ def test_transparent_visual_is_seen_through() -> None:
     assert seen_through((1.0, 0.0, 0.0, 1.0), 0.25) == (1.0, 0.0, 0.0, 0.75)
     assert seen_through(None, 0.0) is None
     assert seen_through(None, 1.0) == (1.0, 1.0, 1.0, 0.0)
+
+
+def test_plane_is_a_slab_to_others_and_looks_like_a_sheet() -> None:
+    plane = Shape("plane", (3.0, 2.0, 0.0), Origin((0.0, 0.0, 5.0)))
+
+    slab, sheet = slab_of(plane), sheet_of(plane)
+
+    assert slab.kind == sheet.kind == "box"
+    assert slab.origin.position[2] + slab.size[2] / 2.0 == 5.0
+    assert sheet.size[:2] == (3.0, 2.0)

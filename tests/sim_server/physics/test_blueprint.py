@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import IDENTITY, Inertial, Joint, Link, Model, Shape
+from proto.model import IDENTITY, Inertial, Joint, Link, Model, Origin, Shape
 from proto.rotation import from_rpy, rotate
 from sim_server.physics.blueprint import DEFAULT_FRICTION, blueprint_of, principal_axes
 from sim_server.physics.engine import FloatArray
@@ -120,3 +120,12 @@ def test_blueprint_keeps_mass_centre_and_inertia() -> None:
     (root,) = blueprint_of(Model("m", (Link("base", inertial),))).parts
 
     assert (root.mass_kg, root.com, root.inertia) == (3.0, (0.1, 0.2, 0.3), (1.0, 2.0, 2.5))
+
+
+def test_link_of_many_shapes_is_split_so_that_none_is_passed_over() -> None:
+    boxes = tuple(Shape("box", (1.0, 1.0, 1.0), Origin((float(i), 0.0, 0.0))) for i in range(40))
+
+    parts = blueprint_of(Model("m", (Link("base", collisions=boxes),))).parts
+
+    assert [len(part.shapes) for part in parts] == [16, 16, 8]
+    assert [part.parent for part in parts] == [-1, 0, 0]

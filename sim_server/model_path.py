@@ -1,0 +1,77 @@
+"""Models on the server's own host, for its own world files. Never asked because of a request."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from sim_server.description.strict_xml import MAX_BYTES, parse_xml
+from sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from sim_server.description.sdf_includes import Resolve
+
+SCHEMES = ("model://", "package://", "file://")
+CONFIG = "model.config"
+USUAL = "model.sdf"
+
+
+def models_in(folders: Sequence[Path]) -> Resolve:
+    """Look for models below these folders, the first that has one counts.
+
+    `model://NAME` is the folder NAME, whose model.config says which file; `model://NAME/FILE` is
+    that file; a relative path is below a folder. Nothing outside the folders is read.
+    """
+    roots = [folder.resolve() for folder in folders]
+
+    def resolve(uri: str) -> str | None:
+        part = _part(uri)
+        places = [place for root in roots if part and (place := _below(root, part)) is not None]
+        return next((text for place in places if (text := _text(place)) is not None), None)
+
+    return resolve
+
+
+def _part(uri: str) -> str:
+    for scheme in SCHEMES:
+        if uri.startswith(scheme):
+            return uri.removeprefix(scheme)
+    return "" if "://" in uri else uri
+
+
+def _below(root: Path, part: str) -> Path | None:
+    try:
+        place = (root / part).resolve()
+        return place if place.is_relative_to(root) and place.exists() else None
+    except (OSError, ValueError):  # a name too long, or one that no file can have
+        return None
+
+
+def _text(place: Path) -> str | None:
+    if place.is_dir():
+        named = _below(place, _configured(place))
+        return _text(named) if named is not None and named.is_file() else None
+    try:
+        return place.read_text(encoding="utf-8") if place.stat().st_size <= MAX_BYTES else None
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _configured(folder: Path) -> str:
+    """Name the SDF file of a model's folder: the newest version that its model.config lists."""
+    config = _below(folder, CONFIG)
+    text = _text(config) if config is not None and config.is_file() else None
+    if text is None:
+        return USUAL
+    try:
+        listed = parse_xml(text, root_tag="model", slug="sdf").findall("sdf")
+    except ModelError:
+        return USUAL
+    versions = {(e.text or "").strip(): _version(e.get("version") or "") for e in listed}
+    return max(versions, key=lambda name: versions[name], default=USUAL) or USUAL
+
+
+def _version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(".") if part.isdecimal())
