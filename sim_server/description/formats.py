@@ -4,6 +4,7 @@ import re
 
 from proto.model import Model
 from sim_server.description.assets import HasMesh, no_meshes
+from sim_server.description.sdf_includes import Resolve, no_includes
 from sim_server.description.sdf_model import read_sdf_model
 from sim_server.description.urdf import read_urdf
 
@@ -11,14 +12,20 @@ _BEFORE_ROOT = re.compile(r"(?:[\ufeff\s]+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
 _SDF_ROOT = re.compile(r"<sdf[\s/>]")
 
 
-def read_robot(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool = False) -> Model:
+def read_robot(
+    text: str,
+    *,
+    has_mesh: HasMesh = no_meshes,
+    allow_missing: bool = False,
+    resolve: Resolve = no_includes,
+) -> Model:
     """Read a robot; as `read_urdf` and `read_sdf_model`, which one the root tag tells.
 
     Raises:
         ModelError: The text is neither, or describes what cannot be.
     """
     if is_sdf(text):
-        return read_sdf_model(text, has_mesh=has_mesh, allow_missing=allow_missing)
+        return read_sdf_model(text, has_mesh=has_mesh, allow_missing=allow_missing, resolve=resolve)
     return read_urdf(text, has_mesh=has_mesh, allow_missing=allow_missing)
 
 
