@@ -65,10 +65,13 @@ def is_gone(pid: int) -> bool:
 def test_supervisor_starts_zensim_in_a_session_of_its_own(supervisor: Supervisor) -> None:
     program = supervisor.start("waiting", WAITING)
 
-    command = psutil.Process(pid_of(program)).cmdline()
-    assert command == [sys.executable, "-m", "deploy", *WAITING]
-    assert os.getsid(pid_of(program)) == pid_of(program)
-    assert psutil.Process(pid_of(program)).environ()[PARENT] == str(os.getpid())
+    process = psutil.Process(pid_of(program))
+    # The kernel tells both a moment after the process is there.
+    eventually(lambda: process.cmdline() or None, ENDS_S, "a command line")
+    eventually(lambda: process.environ() or None, ENDS_S, "an environment")
+    assert process.cmdline() == [sys.executable, "-m", "deploy", *WAITING]
+    assert process.environ()[PARENT] == str(os.getpid())
+    assert os.getsid(process.pid) == process.pid
     assert supervisor.programs == [program]
 
 
