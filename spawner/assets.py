@@ -3,6 +3,7 @@
 import hashlib
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 import msgspec
@@ -10,7 +11,7 @@ import msgspec
 from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
 from proto.model import ReportEntry
 from proto.result import SpawnCode
-from spawner.markup import parsed, refused
+from spawner.markup import MAX_TEXT_BYTES, DescriptionError, parsed, refused
 from spawner.search_paths import Place, SearchPaths
 
 MESH_ENDINGS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
@@ -59,8 +60,11 @@ def meshes_named(text: str) -> tuple[Mesh, ...]:
     Raises:
         DescriptionError: It is neither.
     """
-    root = parsed(text)
-    solid = {uri: True for part in root.iter("collision") for uri in _uris(part)}
+    return _meshes_in(parsed(text))
+
+
+def _meshes_in(root: ET.Element) -> tuple[Mesh, ...]:
+    solid = {uri for part in root.iter("collision") for uri in _uris(part)}
     return tuple(Mesh(uri, uri in solid) for uri in dict.fromkeys(_uris(root)))
 
 
@@ -71,6 +75,34 @@ def _uris(element: ET.Element) -> Iterable[str]:
             yield uri
 
 
+class _Named:
+    """All that a description names, and what the models that it includes name."""
+
+    def __init__(self) -> None:
+        self.meshes: dict[Mesh, Place] = {}
+        self.models: dict[str, Path] = {}
+        self._waiting: list[tuple[Path, SearchPaths]] = []
+
+    def read(self, text: str, paths: SearchPaths) -> None:
+        self._add(parsed(text), paths)
+        while self._waiting and len(self.models) <= MAX_BUNDLE_FILES:
+            file, around = self._waiting.pop()
+            # What is wrong with an included model is for the server to say.
+            with suppress(DescriptionError, UnicodeDecodeError):
+                self._add(parsed(file.read_text(encoding="utf-8")), around)
+
+    def _add(self, root: ET.Element, paths: SearchPaths) -> None:
+        for mesh in _meshes_in(root):
+            self.meshes.setdefault(mesh, _place(mesh, paths))
+        for include in root.iter("include"):
+            uri = (include.findtext("uri") or "").strip()
+            if uri in self.models or (file := paths.find_model(uri)) is None:
+                continue
+            self.models[uri] = file
+            if file.stat().st_size <= MAX_TEXT_BYTES:
+                self._waiting.append((file, paths.beside(file)))
+
+
 def bundle_of(text: str, paths: SearchPaths) -> Bundle:
     """Find the files of a description and name each by its content.
 
@@ -78,18 +110,22 @@ def bundle_of(text: str, paths: SearchPaths) -> Bundle:
         DescriptionError: The text is neither URDF nor SDF.
         ServiceError: The files are too many or too large.
     """
-    places = {mesh: _place(mesh, paths) for mesh in meshes_named(text)}
-    found = {mesh: place.path for mesh, place in places.items() if place.path}
-    paths_once = tuple(dict.fromkeys(found.values()))
+    named = _Named()
+    named.read(text, paths)
+    meshes = {mesh: place.path for mesh, place in named.meshes.items() if place.path}
+    by_uri = {**named.models, **{mesh.uri: path for mesh, path in meshes.items()}}
+    paths_once = tuple(dict.fromkeys(by_uri.values()))
     _check_sizes(paths_once)
     by_path = {path: _asset(path) for path in paths_once}
     return Bundle(
-        refs=tuple(AssetRef(mesh.uri, by_path[path].sha256) for mesh, path in found.items()),
+        refs=tuple(AssetRef(uri, by_path[path].sha256) for uri, path in by_uri.items()),
         files=tuple({file.sha256: file for file in by_path.values()}.values()),
         missing=tuple(
-            MissingFile(mesh, place.reason) for mesh, place in places.items() if not place.path
+            MissingFile(mesh, place.reason)
+            for mesh, place in named.meshes.items()
+            if not place.path
         ),
-        notes=tuple(_notes(found)),
+        notes=tuple(_notes(meshes)),
     )
 
 

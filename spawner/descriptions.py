@@ -14,12 +14,10 @@ from proto.names import NAME
 from proto.result import SpawnCode
 from proto.topics import String
 from spawner.expansion import expanded, needs_expansion
-from spawner.markup import DescriptionError, refused
-from spawner.search_paths import SearchPaths
+from spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused
+from spawner.search_paths import SearchPaths, model_file
 
-MAX_TEXT_BYTES = 8 << 20
 KEY = re.compile(r"[^/?#*$\s]+(?:/[^/?#*$\s]+)*")
-MODEL_FILE = re.compile(r"<sdf[^>]*>\s*([^<\s]+)\s*</sdf>")
 PACKAGE_URI = re.compile(r"(<mesh\b[^>]*?\bfilename\s*=\s*[\"']\s*)package://")
 POLL_S = 0.02
 GET_TIMEOUT_S = 1.0
@@ -90,7 +88,7 @@ def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -
         FileNotFoundError: There is none.
     """
     for folder in paths.package_folders(name):
-        if (file := _model_file(folder)) is not None:
+        if (file := model_file(folder)) is not None:
             return from_file(file, arguments, paths)
     if NAME.fullmatch(name) and (found := _shipped(name)):
         return found
@@ -100,17 +98,6 @@ def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -
 def _shipped(name: str) -> Description | None:
     shipped = resources.files("sim_server") / "models" / f"{name}.urdf"
     return Description(shipped.read_text(encoding="utf-8"), name) if shipped.is_file() else None
-
-
-def _model_file(folder: Path) -> Path | None:
-    """Find the newest file that model.config names, or model.sdf."""
-    config = folder / "model.config"
-    names = MODEL_FILE.findall(config.read_text(errors="replace")) if config.is_file() else []
-    for name in (*reversed(names), "model.sdf", "model.urdf"):
-        file: Path = (folder / name).resolve()
-        if file.is_file() and file.is_relative_to(folder.resolve()):
-            return file
-    return None
 
 
 def from_topic(bus: Bus, key: str, timeout_s: float) -> Description:

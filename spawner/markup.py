@@ -5,6 +5,7 @@ import xml.etree.ElementTree as ET
 from proto.result import ServiceError, SpawnCode
 
 MAX_DEPTH = 64
+MAX_TEXT_BYTES = 8 << 20
 ROOTS = ("robot", "sdf")
 
 

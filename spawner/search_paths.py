@@ -21,6 +21,7 @@ PATH_VARIABLES = (
 """Lists of folders, and which folder inside each holds packages."""
 PACKAGE_FILES = ("package.xml", "manifest.xml", "model.config")
 PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
+MODEL_FILE = re.compile(r"<sdf[^>]*>\s*([^<\s]+)\s*</sdf>")
 PACKAGE_SCHEMES = ("package://", "model://")
 FILE_SCHEME = "file://"
 MAX_PACKAGE_FILE = 65536
@@ -72,6 +73,17 @@ class SearchPaths(msgspec.Struct, frozen=True):
             return Place(reason=f"is outside the search paths; {hint}")
         return Place(reason="no such file in the search paths; name its folder by --package-path")
 
+    def find_model(self, uri: str) -> Path | None:
+        """Look for the SDF of a model that another includes: `model://NAME`, or the file itself."""
+        if uri.endswith(".sdf"):
+            return self.find(uri).path
+        scheme = next((known for known in PACKAGE_SCHEMES if uri.startswith(known)), "")
+        for folder in self.package_folders(uri.removeprefix(scheme)) if scheme else ():
+            file = model_file(folder)
+            if file and any(file.is_relative_to(r) for r in (folder, *self.own, *self.roots)):
+                return file
+        return None
+
     def package_folders(self, name: str) -> Iterator[Path]:
         """List the folders that may be the package or model of this name, best first."""
         if name in ("", ".", "..") or "/" in name:
@@ -118,6 +130,17 @@ def package_name(folder: Path) -> str:
     except OSError:
         return ""
     return match[1] if match else ""
+
+
+def model_file(folder: Path) -> Path | None:
+    """Find the newest file that a model's model.config names, or model.sdf; inside the folder."""
+    config = folder / "model.config"
+    names = MODEL_FILE.findall(config.read_text(errors="replace")) if config.is_file() else []
+    for name in (*reversed(names), "model.sdf", "model.urdf"):
+        file = _real_file(folder / name)
+        if file and file.is_relative_to(folder.resolve()):
+            return file
+    return None
 
 
 def _package_below(root: Path, name: str) -> Iterator[Path]:

@@ -14,6 +14,7 @@ from proto import keys
 from proto.codec import Format, encode, encoding_of
 from proto.services import ResetScope, State
 from proto.topics import String
+from spawner.launch import read_cargo
 from tests.integration.processes import (
     Server,
     command_line,
@@ -255,6 +256,36 @@ def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout
     shapes = server.client.models(("m1",)).models[0].links[0].collisions
     assert [shape.kind for shape in shapes] == ["mesh"]
+
+
+def test_second_spawn_sends_nothing(server: Server, tmp_path: Path) -> None:
+    file = a_package(tmp_path) / "urdf" / "r.urdf"
+    file.write_text(robot_of(BASE, DRAWN))
+    digests = tuple(ref.sha256 for ref in read_cargo(str(file)).bundle.refs)
+
+    spawned(server, str(file), "--name", "m1")
+
+    assert len(digests) == 2
+    assert server.client.missing_assets(digests).missing == ()
+
+
+def test_sdf_is_spawned_with_the_models_that_it_includes(server: Server, tmp_path: Path) -> None:
+    crate = a_package(tmp_path, "crate")
+    (crate / "model.sdf").write_text(
+        "<sdf version='1.6'><model name='crate'><link name='box'><inertial><mass>3</mass>"
+        "</inertial><collision name='c'><geometry><mesh><uri>model://crate/meshes/base.stl</uri>"
+        "</mesh></geometry></collision></link></model></sdf>"
+    )
+    file = tmp_path / "two.sdf"
+    file.write_text(
+        "<sdf version='1.6'><model name='two'><link name='base'><inertial><mass>1</mass></inertial>"
+        "</link><include><uri>model://crate</uri></include><joint name='j' type='fixed'>"
+        "<parent>base</parent><child>crate::box</child></joint></model></sdf>"
+    )
+
+    spawned(server, str(file), "--name", "s1", "--package-path", str(tmp_path))
+
+    assert mass_of(server, "s1") == pytest.approx(4.0)
 
 
 def test_missing_visual_is_one_warning(server: Server, tmp_path: Path) -> None:

@@ -113,3 +113,21 @@ def test_materials_of_a_mesh_are_reported_as_left_out(tmp_path: Path) -> None:
     bundle = bundle_in(tmp_path, robot_of("a.obj", "a.obj").replace("collision", "visual"))
 
     assert [(note.status, note.subject) for note in bundle.notes] == [("ignored", "a.obj")]
+
+
+def test_included_models_go_along_with_their_meshes(tmp_path: Path) -> None:
+    model = tmp_path / "crate"
+    model.mkdir()
+    (model / "model.config").write_text("<model><sdf version='1.6'>crate.sdf</sdf></model>")
+    (model / "box.stl").write_bytes(tetrahedron())
+    (model / "crate.sdf").write_text(
+        "<sdf version='1.6'><model name='crate'><link name='l'><visual name='v'><geometry><mesh>"
+        "<uri>box.stl</uri></mesh></geometry></visual></link>"
+        "<include><uri>model://crate</uri></include></model></sdf>"
+    )
+    text = "<sdf version='1.6'><model name='m'><include><uri>{0}</uri></include></model></sdf>"
+
+    bundle = bundle_in(tmp_path, text.format("model://crate"))
+
+    assert [ref.uri for ref in bundle.refs] == ["model://crate", "box.stl"]
+    assert bundle_in(tmp_path, text.format("model://nothing")) == Bundle()

@@ -9,7 +9,6 @@ from proto.codec import Format
 from proto.result import ServiceError
 from proto.topics import String
 from spawner.descriptions import (
-    MAX_TEXT_BYTES,
     Description,
     from_database,
     from_file,
@@ -17,7 +16,7 @@ from spawner.descriptions import (
     from_word,
     with_model_uris,
 )
-from spawner.markup import DescriptionError
+from spawner.markup import MAX_TEXT_BYTES, DescriptionError
 from spawner.search_paths import SearchPaths, search_paths
 from tests.fakes import MemoryBus
 
