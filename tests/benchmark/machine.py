@@ -3,11 +3,13 @@
 import os
 import platform
 import subprocess
+import time
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from importlib.metadata import version
 from pathlib import Path
 
+import msgspec
 import psutil
 
 ROOT = Path(__file__).parents[2]
@@ -30,6 +32,31 @@ def description(load_before: str) -> Iterator[tuple[str, str]]:
     yield "Python", platform.python_version()
     yield "libraries", ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
     yield "load average before", f"{load_before} (1, 5, 15 min)"
+
+
+class Work(msgspec.Struct, frozen=True):
+    """CPU time [s] that was used on this machine so far, and how much of it by this program."""
+
+    wall_s: float
+    all_s: float
+    own_s: float
+    """With the processes that it started and that have ended."""
+
+
+def work() -> Work:
+    """Look at the counters of now."""
+    all_, own, wall_s = psutil.cpu_times(), os.times(), time.monotonic()
+    # Without iowait, in which a core is free, and guests, which user time has already.
+    kinds = ("user", "nice", "system", "irq", "softirq", "steal")
+    busy_s = sum(float(getattr(all_, kind, 0.0)) for kind in kinds)
+    own_s = own.user + own.system + own.children_user + own.children_system
+    return Work(wall_s, busy_s, own_s)
+
+
+def others_cores(before: Work, after: Work) -> float:
+    """Find how many cores others kept busy in between."""
+    others_s = (after.all_s - after.own_s) - (before.all_s - before.own_s)
+    return max(0.0, others_s / (after.wall_s - before.wall_s))
 
 
 def _cpu_model() -> str:

@@ -35,11 +35,14 @@ class Section(msgspec.Struct, frozen=True):
 def measure(name: str, *, is_short: bool) -> Section:
     """Run one benchmark."""
     module = import_module(f"tests.benchmark.bench_{name}")
+    before = machine.work()
     rows = list(module.rows(is_short=is_short))
+    others = machine.others_cores(before, machine.work())
     title, _, method = str(module.__doc__).partition("\n")
     command = f"`.venv/bin/python -m tests.benchmark {name}`"
     return Section(
-        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}",
+        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}\n"
+        f"Other programs kept {others:.2f} cores busy meanwhile.\n",
         tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
     )
 

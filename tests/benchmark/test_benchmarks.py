@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from tests.benchmark.__main__ import PAGE
-from tests.benchmark.machine import ROOT
+from tests.benchmark.machine import ROOT, Work, others_cores
 from tests.benchmark.report import NAMES, Section, measure, page
 
 
@@ -60,3 +60,10 @@ def test_page_names_the_machine_and_what_was_missed() -> None:
 
 def test_page_says_that_nothing_was_missed() -> None:
     assert "## Missed\n\nNothing.\n" in page([Section("## One\n", ())], "")
+
+
+def test_others_cores_are_what_was_used_and_not_by_this_program() -> None:
+    before = Work(wall_s=100.0, all_s=50.0, own_s=5.0)
+
+    assert others_cores(before, Work(wall_s=110.0, all_s=65.0, own_s=15.0)) == pytest.approx(0.5)
+    assert others_cores(before, Work(wall_s=110.0, all_s=59.9, own_s=15.0)) == 0.0
