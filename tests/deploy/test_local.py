@@ -17,7 +17,7 @@ WAITING = ("spawn", "box_bot", "--wait", "600", "--connect", NOWHERE)
 """Does nothing for ten minutes."""
 QUICK = ("model", "box_bot")
 MISTYPED = ("model", "nowhere.urdf")
-ENDS_S = 20.0
+ENDS_S = 40.0
 
 
 class Notes:
