@@ -81,6 +81,8 @@ def _faults(pair: WheelPair, left: Wheel, right: Wheel) -> list[str]:
         )
     if across[1] < 0.0:
         faults.append(f"left_joint {left.joint!r} is on the right side: turns are reversed")
+    elif "right" in left.joint.lower() and "left" in right.joint.lower():
+        faults.append(f"left_joint is {left.joint!r}, right_joint {right.joint!r}: names swapped?")
     return faults
 
 

@@ -40,6 +40,9 @@ JOINT_UNUSED = dict.fromkeys(
     ),
     _NO_EFFECT,
 )  # fmt: skip
+STIFF = ("kp", "kd")
+STIFFEST = 1e15
+"""Contact stiffness [N/m] or damping beyond which nothing is meant."""
 MODEL_TAGS = ("plugin", "static")
 MODEL_UNUSED = {
     "self_collide": _NO_EFFECT,
@@ -138,6 +141,10 @@ def _read_link_tag(link: str, child: Element, blocks: GazeboBlocks, report: Repo
         report.suspicious(
             f"{subject}: <plugin>", "not read in a block with a reference; remove the reference"
         )
+    elif child.tag in STIFF and _is_absurd(_text(child)):
+        report.suspicious(
+            f"{subject}: <{child.tag}>", f"{_text(child)[:40]} is stiffer than anything; not used"
+        )
     elif child.tag in LINK_UNUSED:
         report.ignored(f"{subject}: <{child.tag}>", LINK_UNUSED[child.tag])
     else:
@@ -174,6 +181,13 @@ def _friction(child: Element, subject: str) -> float:
             slug="gazebo.mu1",
         )
     return friction
+
+
+def _is_absurd(text: str) -> bool:
+    try:
+        return float(text) > STIFFEST
+    except ValueError:
+        return False
 
 
 def _text(child: Element) -> str:

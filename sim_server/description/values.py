@@ -1,13 +1,14 @@
 """Masses, sizes, inertias and axes must be such as matter can have."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import msgspec
 import numpy as np
 
 from proto.model import Inertial, Joint, Link, Shape, Vec3
 from sim_server.description.report import Report
+from sim_server.description.wording import listed
 from sim_server.errors import ModelError
 
 TURNING_OR_SLIDING = ("revolute", "continuous", "prismatic", "planar")
@@ -19,7 +20,7 @@ SLACK = 1e-3
 """Share by which rounded moments may break the triangle rule."""
 
 
-def check_links(links: Iterable[Link], report: Report) -> None:
+def check_links(links: Sequence[Link], report: Report) -> None:
     """Check mass, inertia and sizes of links that nothing merged yet.
 
     Raises:
@@ -32,6 +33,9 @@ def check_links(links: Iterable[Link], report: Report) -> None:
         for shape in (*link.collisions, *link.visuals):
             _check_most(link.name, (*shape.size, *shape.origin.position))
             _check_size(link.name, shape)
+    without = [link.name for link in links if link.inertial == Inertial()]
+    if without:
+        report.applied(f"links {listed(without)}", "no <inertial>: they weigh nothing")
 
 
 def with_unit_axes(joints: Iterable[Joint]) -> tuple[Joint, ...]:
@@ -103,7 +107,8 @@ def _check_size(link: str, shape: Shape) -> None:
 
 
 def _checked(joint: Joint) -> Joint:
-    _check_most(joint.name, joint.origin.position)
+    mimic = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else ()
+    _check_most(joint.name, (*joint.origin.position, *mimic))
     if joint.damping < 0.0 or joint.friction < 0.0:
         raise ModelError(
             f"joint {joint.name!r} has damping {joint.damping:g} and friction {joint.friction:g}; "

