@@ -118,14 +118,19 @@ def _gather_links(model: Element, scope: str, found: Gathered) -> None:
 
 
 def _gather_frames(model: Element, scope: str, found: Gathered) -> None:
-    own = Frames.full_name(scope, MODEL)
-    for element in model.findall("frame"):
+    frames, joints = model.findall("frame"), model.findall("joint")
+    if len(found.carriers) + len(frames) + len(joints) > MAX_FRAMES:
+        raise ModelError(
+            f"the model has more than {MAX_FRAMES} frames and joints; at most so many are read",
+            slug="sdf.size",
+        )
+    for element in frames:
         where = f"frame {shown(element.get('name'))}"
         name = read_name(element, where)
         holder = (element.get("attached_to") or "").strip() or MODEL
         found.frames.add(name, read_pose(element, where), scope=scope, implied=holder)
         found.carriers.setdefault(scoped(scope, name), Frames.full_name(scope, holder))
-    for element in model.findall("joint"):
+    for element in joints:
         where = f"joint {shown(element.get('name'))}"
         name, child = read_name(element, where), read_text(element, "child")
         pose = read_pose(element, where)
@@ -135,10 +140,6 @@ def _gather_frames(model: Element, scope: str, found: Gathered) -> None:
         found.carriers.setdefault(scoped(scope, name), scoped(scope, child))
         found.joints.append(
             JointTag(element, scope, scoped(scope, name), scoped(scope, frame), "", "")
-        )
-    if len(found.carriers) > MAX_FRAMES:
-        raise ModelError(
-            f"{own} has more than {MAX_FRAMES} frames; at most so many are read", slug="sdf.size"
         )
 
 

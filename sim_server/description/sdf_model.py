@@ -110,10 +110,13 @@ def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
     is_static = read_flag(element, "static", default=False, where="model")
     with _faults_of_sdf():
         found = gather(element, report)
-        parts = _parts(name, found, is_static=is_static, rule=rule, report=report)
+        parts, pivots = _parts(name, found, is_static=is_static, rule=rule, report=report)
         check_links(parts.links, report)
         is_static = is_static or parts.links[0].name == WORLD
-        lumped = _lumped(parts, is_static=is_static, report=report)
+        lumped = _lumped(parts, report)
+        if not is_static:
+            moving = [joint for joint in lumped.joints if joint.child not in pivots]
+            check_moving(lumped.links, moving, report)
         plugins = read_plugins(found.plugins, lumped, report)
         return Model(
             name=name,
@@ -138,7 +141,9 @@ def _faults_of_sdf() -> Iterator[None]:
         raise ModelError(message, code=error.code, slug=SHARED[error.slug]) from error
 
 
-def _parts(name: str, found: Gathered, *, is_static: bool, rule: MeshRule, report: Report) -> Parts:
+def _parts(
+    name: str, found: Gathered, *, is_static: bool, rule: MeshRule, report: Report
+) -> tuple[Parts, frozenset[str]]:
     reader = LinkReader(found.frames, rule, report, is_static)
     links = [reader.read(tag) for tag in found.links]
     links = links if is_static else _weighed(links, report)
@@ -147,7 +152,8 @@ def _parts(name: str, found: Gathered, *, is_static: bool, rule: MeshRule, repor
     # Nothing of a static model moves, whatever its joints say.
     chains = [] if is_static else [joint for tag in found.joints for joint in joints.read(tag)]
     parts = Parts(name, (*links, *joints.pivots), tuple(chains))
-    return in_tree_order(_rooted(parts, found, is_static=is_static, report=report))
+    rooted = in_tree_order(_rooted(parts, found, is_static=is_static, report=report))
+    return rooted, frozenset(pivot.name for pivot in joints.pivots)
 
 
 def _weighed(links: list[Link], report: Report) -> list[Link]:
@@ -184,10 +190,8 @@ def _rooted(parts: Parts, found: Gathered, *, is_static: bool, report: Report) -
     return Parts(parts.name, (Link(MODEL), *parts.links), (*held, *parts.joints))
 
 
-def _lumped(parts: Parts, *, is_static: bool, report: Report) -> Lumped:
+def _lumped(parts: Parts, report: Report) -> Lumped:
     lumped = lump(parts.links, with_unit_axes(parts.joints), kept=frozenset())
-    if not is_static:
-        check_moving(lumped.links, lumped.joints, report)
     joints = with_true_mimics(lumped.joints, report)
     lumped = with_chains(Lumped(lumped.links, joints, lumped.frames), report)
     if len(lumped.joints) > MAX_JOINTS:

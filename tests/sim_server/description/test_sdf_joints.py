@@ -138,6 +138,12 @@ def test_ball_is_three_turns_and_rolling_comes_first() -> None:
     assert joints[-1].child == "b"
 
 
+def test_links_between_the_turns_of_a_ball_are_not_doubted() -> None:
+    model = read(a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "ball"))
+
+    assert reasons(model.report, "suspicious") == []
+
+
 def test_universal_joint_is_two_turns() -> None:
     axes = an_axis("1 0 0") + an_axis("0 1 0").replace("axis>", "axis2>")
 
