@@ -68,7 +68,7 @@ def _readable(value: object, depth: int = 0) -> object:
     if isinstance(value, (list, tuple)):
         return [_readable(inner, depth + 1) for inner in value]
     if isinstance(value, msgspec.msgpack.Ext):
-        return {"extension": value.code, "data": list(value.data)}
+        return {"extension": value.code, "data": list(bytes(value.data))}
     return list(value) if isinstance(value, bytes) else value
 
 
