@@ -1,0 +1,50 @@
+"""What SDF describes behaves as it should in the engine."""
+
+import numpy as np
+
+from proto.model import Inertial, Link, Model, Shape
+from sim_server.description.clearance import ground_clearance
+from sim_server.description.library import world_text
+from sim_server.description.sdf import read_world
+from sim_server.description.sdf_model import read_sdf_model
+from sim_server.physics.engine import EngineConfig
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from tests.engines import STEP_NS
+from tests.models import a_state
+from tests.sim_server.description.sdf_robots import PIONEER
+
+RACK_TOP_M = 2.2
+
+
+def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn() -> None:
+    model = read_sdf_model(PIONEER)
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    body = engine.add(model, a_state((0.0, 0.0, -ground_clearance(model))))
+    engine.command([body], np.array([2.0, 2.0]))
+
+    for _ in range(round(3e9 / STEP_NS)):
+        engine.step()
+
+    x, y = engine.read([body]).base[0, :2]
+    engine.close()
+    assert 0.8 * 0.66 < x < 0.67
+    assert abs(y) < 0.01
+
+
+def test_every_shelf_of_the_warehouse_holds_what_is_dropped_on_it() -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    racks = next(p.model for p in read_world(world_text("warehouse")).models if "east" in p.name)
+    engine.add(racks, a_state())
+    ball = Shape("sphere", (0.1, 0.0, 0.0))
+    inertial = Inertial(1.0, inertia=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))
+    dropped = Model("ball", (Link("ball", inertial, (ball,)),))
+    places = [shape.origin.position for shape in racks.links[0].collisions]
+    bodies = [engine.add(dropped, a_state((x, y, RACK_TOP_M + 0.12))) for x, y, _ in places]
+
+    for _ in range(round(5e8 / STEP_NS)):
+        engine.step()
+
+    heights = engine.read(bodies).base[:, 2]
+    engine.close()
+    assert len(places) > 16
+    np.testing.assert_allclose(heights, RACK_TOP_M + 0.1, atol=0.01)
