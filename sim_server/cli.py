@@ -1,6 +1,5 @@
-"""`zensim serve` and `zensim model`."""
+"""`zensim serve`."""
 
-import json
 import logging
 import sys
 from collections.abc import Callable, Iterator
@@ -12,12 +11,10 @@ import typer
 
 from proto.bus import Bus
 from proto.exits import one_line_failures
-from proto.model import Model
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
-from sim_server.errors import SimError
 
-SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml")
+SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -102,13 +99,18 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
 
 
 def _import_server() -> Callable[..., None]:
-    with _server_extra():
+    with server_extra():
         from sim_server.server import serve as run_server
     return run_server
 
 
 @contextmanager
-def _server_extra() -> Iterator[None]:
+def server_extra() -> Iterator[None]:
+    """Import what only the server's extra brings.
+
+    Raises:
+        MissingExtra: It is not installed.
+    """
     try:
         yield
     except ModuleNotFoundError as error:
@@ -117,33 +119,3 @@ def _server_extra() -> Iterator[None]:
         raise MissingExtra(
             f"{error.name} is not installed; use pip install 'zensim[server]'"
         ) from error
-
-
-@app.command()
-def model(
-    file: Annotated[str, typer.Argument(help="URDF file, or the name of a shipped model.")],
-    *,
-    package_path: Annotated[
-        list[Path] | None, typer.Option(help="Folder to look for package:// meshes in.")
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-) -> None:
-    """Show what a description says, without any server."""
-    with one_line_failures("model", SimError, MissingExtra):
-        from sim_server.description.show import model_json, model_tree
-
-        found = _read_model(file, package_path or [])
-        typer.echo(json.dumps(model_json(found)) if as_json else model_tree(found))
-
-
-def _read_model(file: str, package_paths: list[Path]) -> Model:
-    from sim_server.description.assets import meshes_in
-    from sim_server.description.library import model_text, shipped_models
-
-    with _server_extra():
-        from sim_server.description.formats import read_robot
-    if file in shipped_models():
-        return read_robot(model_text(file))
-    path = Path(file)
-    text = path.read_text(encoding="utf-8")
-    return read_robot(text, has_mesh=meshes_in([path.resolve().parent, *package_paths]))

@@ -8,15 +8,13 @@ import typer
 
 from proto.exits import one_line_failures
 from proto.model import Model
-from sim_server.cli import MissingExtra
+from sim_server.cli import MissingExtra, server_extra
 from sim_server.errors import ModelError, SimError
 from spawner.cli.fields import takes
 from spawner.cli.options import Reading
 from spawner.cli.session import AsJson
 from spawner.cli.wishes import Source, compat_of, description_here, paths_of
 from spawner.launch import Cargo, cargo_of
-
-SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -49,15 +47,9 @@ def _read(given: ModelOptions) -> Model:
     description = description_here(Source("FILE", given.file), given, paths)
     # What lacks a mesh is refused by the reader, in the words of the server.
     cargo = cargo_of(description, paths, allow_missing=True)
-    try:
+    with server_extra():
         from sim_server.description.describing import describe
         from sim_server.description.library import model_text
-    except ModuleNotFoundError as error:
-        if error.name not in SERVER_EXTRA:
-            raise
-        raise MissingExtra(
-            f"{error.name} is not installed; use pip install 'zensim[server]'"
-        ) from error
     text = cargo.text or model_text(given.file)
     return describe(
         text, assets=_files(cargo), allow_missing=given.allow_missing, compat=compat
