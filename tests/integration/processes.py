@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import psutil
 
+from deploy.parent import PARENT
 from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus, with_free_port
 from spawner.client import SimClient
 
@@ -66,6 +67,7 @@ def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        env={**os.environ, PARENT: str(os.getpid())},
     )
     try:
         yield process

@@ -23,7 +23,7 @@ PAIR = WheelPair("left_joint", "right_joint", 0.4, 0.2)
 
 def drive_of(*parts: str) -> DiffDrive:
     drive = read_urdf(a_cart(*parts)).drive
-    assert drive is not None
+    assert isinstance(drive, DiffDrive)
     return drive
 
 
@@ -173,7 +173,7 @@ def test_drive_is_refused_when_a_number_cannot_be(tag: str, value: str) -> None:
 def test_drive_is_used_and_the_oddity_noted(inside: str, noted: str) -> None:
     model = read_urdf(a_cart(a_drive(inside)))
 
-    assert model.drive is not None
+    assert isinstance(model.drive, DiffDrive)
     assert model.drive.pairs == (PAIR,)
     assert model.drive.odometry_source == "world"
     assert any(noted in reason for reason in reasons(model.report, "suspicious"))

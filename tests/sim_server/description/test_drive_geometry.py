@@ -2,6 +2,7 @@
 
 import pytest
 
+from proto.model import DiffDrive
 from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import (
     FRAME,
@@ -34,7 +35,7 @@ def test_nothing_is_noted_when_drive_and_links_agree() -> None:
 def test_diameter_is_noted_and_used_when_it_is_not_the_wheels() -> None:
     model = read_urdf(a_cart(a_drive(sizes=SIZES.replace("0.2", "0.1"))))
 
-    assert model.drive is not None
+    assert isinstance(model.drive, DiffDrive)
     assert model.drive.pairs[0].diameter_m == 0.1
     assert reasons(model.report, "suspicious") == [
         f"plugin 'p': wheel_diameter 0.1 m, but the wheel of '{side}_joint' has 0.2 m; "

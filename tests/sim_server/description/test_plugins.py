@@ -1,5 +1,6 @@
 """Every plug-in is read, or its entry says why not."""
 
+from proto.model import DiffDrive
 from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import a_cart, a_drive, a_plugin, reasons, report_of
 
@@ -49,7 +50,7 @@ def test_first_drive_and_publisher_count_when_there_are_two() -> None:
         )
     )
 
-    assert model.drive is not None
+    assert isinstance(model.drive, DiffDrive)
     assert model.drive.max_torque_nm == 1.0
     assert model.joint_state is not None
     assert model.joint_state.joints == ("left_joint",)

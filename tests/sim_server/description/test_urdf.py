@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import Frame, Model, Origin, WheelPair
+from proto.model import DiffDrive, Frame, Model, Origin, WheelPair
 from sim_server.description.clearance import ground_clearance
 from sim_server.description.library import model_text
 from sim_server.description.urdf import read_urdf
@@ -56,7 +56,7 @@ def test_box_bot_drives_with_left_on_the_left(box_bot: Model) -> None:
     places = {joint.name: joint.origin.position for joint in box_bot.joints}
     drive = box_bot.drive
 
-    assert drive is not None
+    assert isinstance(drive, DiffDrive)
     assert drive.pairs == (WheelPair("left_wheel_joint", "right_wheel_joint", 0.11, 0.07),)
     assert places["left_wheel_joint"] == (0.0, 0.055, -0.025)
     assert (drive.max_torque_nm, drive.max_acceleration) == (0.1, 5.0)
