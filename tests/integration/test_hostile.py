@@ -17,6 +17,7 @@ EVERY = 6
 LONGEST_ANSWER_S = 10.0
 CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]
 """Lone surrogates cannot be sent at all."""
+GOOD = SpawnEntityOrder("good", entity_resource=Resource(uri="box_bot"))
 DEEP = 100_000
 MANY = b"\xff\xff\xff\xff"
 BOMBS = {
@@ -40,6 +41,8 @@ BOMBS = {
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
     with serving() as found:
+        # The reader needs a while to start where cores are shared.
+        eventually(lambda: answer_to(found, GOOD) == "", 60.0, "a first spawn")
         yield found
 
 
