@@ -1,0 +1,92 @@
+"""Robots driven in one process: real physics, real drives, no network."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from proto.geometry import Twist, Vector3
+from proto.model import Model
+from proto.rotation import yaw_of
+from robot_agent.driven_base import DrivenBase
+from robot_agent.odometry import Motion
+from robot_agent.reading import Reading
+from sim_server.physics.engine import EngineConfig, FloatArray
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from tests.engines import STEP_NS
+
+CONTROL_STEPS = 3
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a robot did while it was driven.
+
+    Attributes:
+        ahead_m: Displacement along the heading at the start.
+        left_m: To the left of it.
+        length_m: Of the way.
+        turned_rad: Summed up.
+        motion: As odometry tells it at the end.
+        row: State at the end.
+    """
+
+    ahead_m: float
+    left_m: float
+    length_m: float
+    turned_rad: float
+    motion: Motion
+    row: FloatArray
+
+
+class Track:
+    """One robot on a plane, and its drive."""
+
+    def __init__(self, model: Model, start: FloatArray) -> None:
+        self._engine = PyBulletEngine(EngineConfig(STEP_NS))
+        self._body = self._engine.add(model, start)
+        self._base = DrivenBase(model)
+        self._steps = 0
+
+    def close(self) -> None:
+        self._engine.close()
+
+    def drive(self, seconds: float, *, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Course:
+        """Command one twist for some simulation time."""
+        twist = Twist(Vector3(x, y), Vector3(0.0, 0.0, yaw))
+        start = before = self._row()
+        length = turned = 0.0
+        for _ in range(round(seconds * 1e9 / STEP_NS / CONTROL_STEPS)):
+            self._control(twist)
+            row = self._row()
+            length += float(np.hypot(*(row[:2] - before[:2])))
+            change = float(yaw_of(row[3:7]) - yaw_of(before[3:7]))
+            turned += (change + math.pi) % (2.0 * math.pi) - math.pi
+            before = row
+        heading = float(yaw_of(start[3:7]))
+        dx, dy = (before - start)[:2].tolist()
+        return Course(
+            dx * math.cos(heading) + dy * math.sin(heading),
+            dy * math.cos(heading) - dx * math.sin(heading),
+            length,
+            turned,
+            self._base.motion,
+            before,
+        )
+
+    def _control(self, twist: Twist) -> None:
+        state = self._engine.read([self._body])
+        reading = Reading(
+            self._steps * STEP_NS,
+            tuple(state.base[0].tolist()),
+            tuple(state.joint_positions.tolist()),
+            tuple(state.joint_velocities.tolist()),
+        )
+        self._base.update(reading, twist)
+        self._engine.command([self._body], np.array(self._base.targets))
+        for _ in range(CONTROL_STEPS):
+            self._engine.step()
+        self._steps += CONTROL_STEPS
+
+    def _row(self) -> FloatArray:
+        return np.asarray(self._engine.read([self._body]).base[0])
