@@ -367,6 +367,8 @@ def _zenoh_config(config: BusConfig) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
+        # Its pools cost every process 20 MB; only payloads above 3 KiB would ever use them.
+        "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/rx/max_message_size": config.max_message_bytes,
     }
