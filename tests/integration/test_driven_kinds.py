@@ -1,0 +1,33 @@
+"""Robots of other drives hear twists over the network as box_bots do."""
+
+from proto.codec import Format, encode
+from proto.geometry import Twist, Vector3
+from tests.integration.processes import driven, serving
+from tests.integration.robots import Robot, place, robot, stamp_s, yaw
+
+HEIGHT_M = "0.05"
+STRAFE = Twist(Vector3(0.0, 0.3))
+CURVE = Twist(Vector3(0.3), Vector3(z=0.4))
+
+
+def test_robots_of_two_drives_hear_twists_over_the_network() -> None:
+    with serving() as server:
+        for name, y in (("omni_bot", "0"), ("car_bot", "3")):
+            where = ("-x", "0", "-y", y, "-z", HEIGHT_M)
+            assert server.zensim("spawn", name, "--name", name, *where).returncode == 0
+        with driven(server, "omni_bot", "car_bot"):
+            omni, car = robot(server.bus, "omni_bot"), robot(server.bus, "car_bot")
+
+            _drive(omni, car)
+
+            x, y = place(omni.now())
+            assert y > 0.5
+            assert abs(x) < 0.05
+            assert abs(yaw(car.now())) > 0.3
+
+
+def _drive(omni: Robot, car: Robot) -> None:
+    begin_s = stamp_s(omni.now())
+    while stamp_s(omni.now()) < begin_s + 3.0:
+        omni.cmd_vel.send(encode(STRAFE, Format.CDR))
+        car.cmd_vel.send(encode(CURVE, Format.CDR))
