@@ -20,9 +20,9 @@ def test_robots_of_two_drives_hear_twists_over_the_network() -> None:
 
             _drive(omni, car)
 
-            x, y = place(omni.now())
-            assert y > 0.5
-            assert abs(x) < 0.05
+            ahead, left = place(omni.now())
+            assert left > 0.5
+            assert abs(ahead) < 0.05
             assert abs(yaw(car.now())) > 0.3
 
 
