@@ -72,6 +72,11 @@ class Reader:
         """Of the reader that is up."""
         return self._process.pid
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether the process has started and reads nothing now."""
+        return self._is_ready and self._current is None
+
     def submit(self, request: ReadRequest) -> None:
         """Hand a request over; it is read after those before it."""
         self._queue.append((request, self._now_ns() + round(DEADLINE_S * NANOSECONDS)))

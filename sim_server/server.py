@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from proto import keys
 from proto.bus import Bus, NoServer, open_bus
 from proto.catalog import INFO
+from proto.header import NANOSECONDS
 from proto.telemetry import InfoRequest
 from sim_server.assets import AssetStore
 from sim_server.config import AlreadyServed, ServerConfig, checked, paced
@@ -25,6 +26,7 @@ from sim_server.world import World
 from sim_server.world_files import furnish, load_world
 
 ASK_TIMEOUT_S = 2.0
+READER_START_S, READER_POLL_S = 30.0, 0.005
 LOG = logging.getLogger(__name__)
 
 
@@ -103,11 +105,20 @@ def _run(
             config.real_time_factor or 0.0,
             config.seed,
         )
+        _wait_for_reader(reader, clock, should_stop)
         loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
+
+
+def _wait_for_reader(reader: Reader, clock: WallClock, should_stop: Callable[[], bool]) -> None:
+    """Serve only once descriptions can be read, so that no spawn pays for the reader's start."""
+    give_up_ns = clock.now_ns() + round(READER_START_S * NANOSECONDS)
+    while not (reader.is_ready or should_stop() or clock.now_ns() > give_up_ns):
+        reader.poll()
+        clock.sleep(READER_POLL_S)
 
 
 def _world(config: ServerConfig, world_model: WorldModel, store: AssetStore) -> World:

@@ -51,7 +51,7 @@ def _is_prefix(call: ast.Call) -> bool:
 
 def _written(value: ast.expr, *, as_prefix: bool) -> Iterator[str]:
     if isinstance(value, ast.Constant) and as_prefix:
-        yield f"{value.value}.<tag>"
+        yield f"{value.value!s}.<tag>"
     elif isinstance(value, ast.Constant) and "." in str(value.value):
         yield str(value.value)
     elif isinstance(value, ast.JoinedStr):
