@@ -4,8 +4,10 @@ The page is written only when everything was measured at full length.
 """
 
 import argparse
+import os
 import sys
 
+from deploy.parent import PARENT
 from tests.benchmark import machine
 from tests.benchmark.report import NAMES, measure, page
 
@@ -20,6 +22,8 @@ def main() -> None:
     wish = parser.parse_args()
     if unknown := set(wish.names) - set(NAMES):
         parser.error(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(NAMES)}")
+    # What it starts ends with it, even when it is killed.
+    os.environ[PARENT] = str(os.getpid())
     load_before, sections = machine.load(), []
     for name in wish.names or NAMES:
         sections.append(measure(name, is_short=wish.short))

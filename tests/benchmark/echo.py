@@ -3,6 +3,7 @@
 `python -m tests.benchmark.echo ENDPOINT` joins there.
 """
 
+import os
 import subprocess
 import sys
 import time
@@ -10,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
+from deploy.parent import die_with_parent
 from proto.bus import Bus, BusConfig, open_bus
 from tests.benchmark.fleet import POLL_S, soon
 from tests.benchmark.machine import ROOT
@@ -67,4 +69,5 @@ def _serve(endpoint: str) -> NoReturn:
 
 
 if __name__ == "__main__":
+    die_with_parent(os.environ)
     _serve(sys.argv[1])
