@@ -114,7 +114,7 @@ def test_up_brings_ten_robots_and_leaves_nothing_when_interrupted() -> None:
 
         assert up.wait(3.0) == 0
         assert '"robots":10' in ready
-        assert len(family) == 11
+        assert len(family) == 12  # ten agents, the server, and its reader
         assert not [process for process in family if process.is_running()]
         assert '"real_time_factor"' in up.stdout.readline()
 
