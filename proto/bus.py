@@ -26,10 +26,7 @@ ENDPOINT = re.compile(r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 MAX_PORT: Final = 65535
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
-"""Right after a reconnect a query may end empty though a server is there: ask again, same id.
-
-Source: eclipse-zenoh/zenoh#2767.
-"""
+"""After a reconnect a query may end empty at first (zenoh#2767): ask again with the same id."""
 MAX_ANSWERS: Final = 16384
 """To one question, kept in a queue: a ring loses what is left in it when the last has come."""
 LATEST: Final = 1
@@ -367,7 +364,7 @@ def _zenoh_config(config: BusConfig) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
-        # Its pools cost every process 20 MB; only payloads above 3 KiB would ever use them.
+        # Its pools cost every process 20 MB.
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/rx/max_message_size": config.max_message_bytes,
