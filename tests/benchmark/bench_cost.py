@@ -73,10 +73,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _groups(up: psutil.Process) -> Groups:
+    """Sort the processes by what they were started for; theirs are with them."""
     groups: dict[str, list[psutil.Process]] = {group: [] for group in VERBS.values()}
-    for process in (up, *up.children(recursive=True)):
-        words = process.cmdline()
-        groups[next(group for verb, group in VERBS.items() if verb in words)].append(process)
+    groups["up"].append(up)
+    for child in up.children():
+        words = child.cmdline()
+        group = next(group for verb, group in VERBS.items() if verb in words)
+        groups[group] += [child, *child.children(recursive=True)]
     return groups
 
 
