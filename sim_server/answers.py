@@ -21,17 +21,17 @@ class Answers:
     """The newest answers of services that change something."""
 
     def __init__(self) -> None:
-        self._answers: OrderedDict[bytes, Answer] = OrderedDict()
+        self._answers: OrderedDict[tuple[str, bytes], Answer] = OrderedDict()
 
     def known(self, call: Call) -> Answer | None:
         """Find the answer that this very request has had."""
-        return self._answers.get(call.request_id) if call.request_id else None
+        return self._answers.get((call.name, call.request_id)) if call.request_id else None
 
     def keep(self, call: Call, answer: Answer) -> None:
         """Remember an answer, and forget the oldest when there are many."""
         service = SERVICES.get(call.name)
         if not call.request_id or service is None or not service.is_mutating:
             return
-        self._answers[call.request_id] = answer
+        self._answers[call.name, call.request_id] = answer
         if len(self._answers) > KEPT:
             self._answers.popitem(last=False)
