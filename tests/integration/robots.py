@@ -97,7 +97,8 @@ def drive_for(robots: list[Robot], linear: float, angular: float, sim_s: float) 
     """Drive robots all at once for some simulation time, then let them stop."""
     starts = [found.now() for found in robots]
     turns = [found.turned_rad for found in robots]
-    begin_s = now_s = stamp_s(starts[0])
+    # From now: waiting for all of the starts took some time.
+    begin_s = now_s = stamp_s(robots[0].now())
     sent_s = -math.inf
     while now_s < begin_s + sim_s + STOP_S:
         if now_s >= sent_s + SEND_EVERY_S:
