@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 import msgspec
@@ -68,13 +69,12 @@ def start(config: DemoConfig, supervisor: Supervisor, steps: Steps, began_s: flo
         ProgramDied: A process ended.
     """
     _start_programs(config, supervisor)
-    bus = _join(config, supervisor)
-    try:
+    with ExitStack() as ending:
+        bus = ending.enter_context(_join(config, supervisor))
         demo = Demo(config, supervisor, bus, SimClient(bus, config.world_name))
         _bring_up(demo, steps, began_s)
-    except BaseException:
-        bus.close()
-        raise
+        # From here on the bus is the caller's to close.
+        ending.pop_all()
     return demo
 
 
