@@ -193,7 +193,7 @@ def _get_models(desk: Desk, request: telemetry.GetModelsRequest) -> telemetry.Ge
                 entity.name,
                 entity.namespace,
                 number[entity.model],
-                desk.world.agent_of(entity.name),
+                desk.world.claims.agent_of(entity.name),
                 pose_of(entity.initial),
             )
             for entity in entities
@@ -235,8 +235,8 @@ def _info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:
         real_time_factor=desk.meter.real_time_factor if is_playing else 0.0,
         target_real_time_factor=desk.target_real_time_factor,
         entities=len(world.entities),
-        agents=len(world.agents),
-        claimed=world.claimed,
+        agents=len(world.claims.agents),
+        claimed=len(world.claims),
         state=world.state_name,
         engine=world.engine_name,
         world_model=desk.world_model,

@@ -187,7 +187,7 @@ class Loop:
         try:
             command = decode(DriveCommand, payload, encoding)
         except MalformedPayload as error:
-            self._world.dropped += 1
+            self._world.claims.dropped += 1
             LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
             return
         if self._world.command(agent, command):

@@ -10,7 +10,8 @@ from proto.model import Model
 from proto.result import ClaimCode
 from proto.services import ResetScope, State
 from proto.telemetry import Event, EventKind, Snapshot, StateName
-from sim_server.entity import Entity, Fleet, Hold, Roster, fleet_of, roster_of
+from sim_server.claims import Claims
+from sim_server.entity import Entity, Fleet, Roster, roster_of
 from sim_server.errors import (
     EntityNotFound,
     IncorrectState,
@@ -47,18 +48,12 @@ class World:
         self.steps = 0
         self.roster_number = 0
         self.placed = 0
-        self.dropped = 0
-        self.commands = 0
         self.ready_s: dict[str, float] = {}
         self._engine = engine
         self._entities: dict[str, Entity] = {}
-        self._holds: dict[str, Hold] = {}
-        self._next_claim = 1
-        self._targets: dict[str, FloatArray] = {}
-        self._emptied: set[str] = set()
+        self.claims = Claims()
         self._events: list[Event] = []
         self._roster: Roster | None = None
-        self._fleets: dict[str, Fleet] | None = None
         self._reading: Reading | None = None
 
     @property
@@ -77,16 +72,6 @@ class World:
         return tuple(self._entities.values())
 
     @property
-    def agents(self) -> tuple[str, ...]:
-        """Agents that hold claims."""
-        return tuple(dict.fromkeys(hold.agent for hold in self._holds.values()))
-
-    @property
-    def claimed(self) -> int:
-        """How many entities are driven."""
-        return len(self._holds)
-
-    @property
     def is_control_step(self) -> bool:
         """Whether agents are told at this step."""
         return self.steps % self.control_steps == 0
@@ -100,11 +85,6 @@ class World:
         if (found := self._entities.get(name)) is None:
             raise EntityNotFound(name)
         return found
-
-    def agent_of(self, name: str) -> str:
-        """Who drives an entity; empty when nobody does."""
-        hold = self._holds.get(name)
-        return hold.agent if hold else ""
 
     def spawn(self, birth: Birth) -> Entity:
         """Put an entity into the world.
@@ -161,7 +141,7 @@ class World:
             EntityNotFound: There is none of this name.
         """
         entity = self.entity(name)
-        self._drop_hold(name)
+        self.claims.drop(name)
         self._engine.remove(entity.body)
         del self._entities[name]
         self.ready_s.pop(name, None)
@@ -191,7 +171,7 @@ class World:
         """
         wanted = [self.entity(name) for name in dict.fromkeys(names)]
         for entity in wanted:
-            if (holder := self.agent_of(entity.name)) not in ("", agent):
+            if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
                 raise Refused(
                     ClaimCode.ALREADY_CLAIMED,
                     f"entity '{entity.name}' is driven by agent '{holder}'; stop that agent first",
@@ -200,19 +180,16 @@ class World:
 
     def release(self, agent: str) -> None:
         """End all claims of an agent, as each of them said it should end."""
-        for name, hold in list(self._holds.items()):
-            if hold.agent != agent:
-                continue
+        for name, hold in self.claims.held_by(agent):
             entity = self._entities[name]
-            self._drop_hold(name)
+            self.claims.drop(name)
             self._tell("released", entity=name, agent=agent)
             if hold.on_release == "stop":
                 positions = self._engine.read([entity.body]).joint_positions
                 self._engine.command([entity.body], standing(entity.model, positions))
             elif hold.on_release == "delete":
                 self.delete(name)
-        # It has gone: nobody is left to be told.
-        self._emptied.discard(agent)
+        self.claims.forget_agent(agent)
 
     def command(self, agent: str, command: DriveCommand) -> bool:
         """Take an agent's targets for the next step; one that does not fit is dropped and counted.
@@ -220,25 +197,20 @@ class World:
         Returns:
             Whether it was taken.
         """
-        if (targets := self._targets_of(agent, command)) is None:
-            self.dropped += 1
-            return False
-        self._targets[agent] = targets
-        self.commands += 1
-        return True
+        is_of_now = command.epoch == self.epoch
+        return self.claims.command(agent, self.fleets().get(agent) if is_of_now else None, command)
 
     def note_ready(self, agent: str, now_ns: int) -> None:
         """Remember how long each entity of an agent took from spawn to its first command."""
-        for name, hold in self._holds.items():
-            if hold.agent == agent and name not in self.ready_s:
+        for name, _ in self.claims.held_by(agent):
+            if name not in self.ready_s:
                 self.ready_s[name] = (now_ns - self._entities[name].born_ns) * 1e-9
 
     def step(self) -> None:
         """Advance by one step: commands, then physics."""
-        for agent, targets in self._targets.items():
+        for agent, targets in self.claims.take_targets():
             if (fleet := self.fleets().get(agent)) is not None:
                 self._engine.command(fleet.bodies, targets)
-        self._targets.clear()
         self._engine.step()
         self.steps += 1
         self._reading = None
@@ -275,7 +247,7 @@ class World:
         if bits & ResetScope.TIME:
             self.steps = 0
         self.epoch += 1
-        self._targets.clear()
+        self.claims.forget_targets()
         self._reading = None
         self._tell("reset", message=f"scope={scope}")
 
@@ -293,13 +265,7 @@ class World:
 
     def fleets(self) -> dict[str, Fleet]:
         """What each agent drives."""
-        if self._fleets is None:
-            members: dict[str, list[tuple[Entity, Hold]]] = {}
-            for name, hold in self._holds.items():
-                members.setdefault(hold.agent, []).append((self._entities[name], hold))
-            roster = self.roster()
-            self._fleets = {agent: fleet_of(roster, held) for agent, held in members.items()}
-        return self._fleets
+        return self.claims.fleets(self.roster(), self._entities)
 
     def drive_states(self) -> Iterator[tuple[str, DriveState]]:
         """Tell each agent where its entities are; an agent that lost its last is told once."""
@@ -317,9 +283,8 @@ class World:
                     reading.joint_velocities[fleet.joints].tobytes(),
                 ),
             )
-        for agent in sorted(self._emptied):
+        for agent in self.claims.take_emptied():
             yield agent, DriveState(self.epoch, self.steps, self.time_ns, b"", b"", b"", b"")
-        self._emptied.clear()
 
     def snapshot(self, real_time_factor: float) -> Snapshot:
         """Tell everybody where every entity is."""
@@ -355,22 +320,8 @@ class World:
         """Free the engine."""
         self._engine.close()
 
-    def _targets_of(self, agent: str, command: DriveCommand) -> FloatArray | None:
-        fleet = self.fleets().get(agent)
-        if fleet is None or (command.epoch, command.claims) != (self.epoch, fleet.claims):
-            return None
-        if len(command.targets) != 8 * fleet.target_count:
-            return None
-        targets = np.frombuffer(command.targets, dtype="<f8")
-        return targets if np.isfinite(targets).all() else None
-
     def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:
-        hold = Hold(self._next_claim, agent, on_release)
-        self._next_claim += 1
-        self._holds[entity.name] = hold
-        self._fleets = None
-        self._targets.pop(agent, None)
-        self._emptied.discard(agent)
+        hold = self.claims.grant(agent, entity.name, on_release)
         self._tell("claimed", entity=entity.name, agent=agent)
         return Claim(
             hold.claim,
@@ -381,17 +332,10 @@ class World:
             tuple(entity.initial.tolist()),
         )
 
-    def _drop_hold(self, name: str) -> None:
-        if (hold := self._holds.pop(name, None)) is None:
-            return
-        self._fleets = None
-        self._targets.pop(hold.agent, None)
-        if all(other.agent != hold.agent for other in self._holds.values()):
-            self._emptied.add(hold.agent)
-
     def _changed(self) -> None:
         self.roster_number += 1
-        self._roster = self._fleets = self._reading = None
+        self.claims.forget_rows()
+        self._roster = self._reading = None
 
     def _tell(
         self, kind: EventKind, *, entity: str = "", agent: str = "", message: str = ""

@@ -233,7 +233,7 @@ def test_request_is_refused_with_code_and_reason(
     assert "\n" not in str(refused.value)
     assert names_in(desk.world) == ["r0", "r1"]
     assert desk.world.reading().base.tobytes() == before
-    assert desk.world.agent_of("r0") == ""
+    assert desk.world.claims.agent_of("r0") == ""
 
 
 @pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])

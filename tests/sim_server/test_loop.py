@@ -297,4 +297,4 @@ def test_loop_grants_a_claim_that_comes_with_the_token() -> None:
     response = answer_of(call, ClaimEntityResponse)
     assert isinstance(response, ClaimEntityResponse)
     assert response.result == Result()
-    assert stage.world.agent_of("r0") == "a"
+    assert stage.world.claims.agent_of("r0") == "a"

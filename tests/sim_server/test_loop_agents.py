@@ -41,7 +41,7 @@ def test_loop_stops_wheels_and_releases_claims_in_the_turn_that_an_agent_goes() 
 
     assert rolling == [3.0] * 4
     assert wheel_speeds(stage.world) == [0.0] * 4
-    assert stage.world.agents == ()
+    assert stage.world.claims.agents == ()
     assert stage.events()[-2:] == [("released", "r0"), ("released", "r1")]
 
 
@@ -52,7 +52,7 @@ def test_loop_lets_wheels_turn_when_an_agent_goes_that_said_keep() -> None:
     stage.loop.turn()
 
     assert wheel_speeds(stage.world) == [3.0, 3.0]
-    assert stage.world.agents == ()
+    assert stage.world.claims.agents == ()
 
 
 def test_loop_deletes_robots_when_an_agent_goes_that_said_delete() -> None:
@@ -85,7 +85,7 @@ def test_loop_drops_the_last_command_of_an_agent_that_has_gone() -> None:
     stage.loop.turn()
 
     assert wheel_speeds(stage.world) == [0.0, 0.0]
-    assert stage.world.dropped == 1
+    assert stage.world.claims.dropped == 1
 
 
 def test_loop_refuses_a_claim_when_its_token_goes_in_the_same_turn() -> None:
@@ -96,7 +96,7 @@ def test_loop_refuses_a_claim_when_its_token_goes_in_the_same_turn() -> None:
     stage.loop.turn()
 
     assert claim_of(call).result.result == ResultCode.INCORRECT_STATE
-    assert stage.world.agent_of("r0") == ""
+    assert stage.world.claims.agent_of("r0") == ""
 
 
 def test_loop_grants_a_claim_anew_when_an_agent_goes_and_comes_in_one_turn() -> None:
@@ -119,7 +119,7 @@ def test_loop_lets_another_agent_claim_what_was_left() -> None:
     stage.loop.turn()
 
     assert claim_of(call).result.result == ResultCode.OK
-    assert stage.world.agent_of("r0") == "b"
+    assert stage.world.claims.agent_of("r0") == "b"
 
 
 def test_loop_takes_agents_that_nobody_has_heard_of() -> None:
@@ -128,7 +128,7 @@ def test_loop_takes_agents_that_nobody_has_heard_of() -> None:
     stage.inbox.agents += [("", True), ("ghost", False), ("no name!", False)]
     stage.loop.turn()
 
-    assert stage.world.agents == ()
+    assert stage.world.claims.agents == ()
 
 
 def test_loop_tells_agents_of_every_control_step() -> None:
@@ -174,7 +174,7 @@ def test_loop_takes_no_robot_for_driven_when_its_command_was_dropped() -> None:
     stage.loop.turn()
 
     assert stage.world.ready_s == {}
-    assert stage.world.dropped == 1
+    assert stage.world.claims.dropped == 1
 
 
 @given(
@@ -190,7 +190,7 @@ def test_loop_drops_and_counts_any_bytes_for_a_command(
     stage.inbox.commands.append(Sample(drive_command("default", agent), payload, encoding))
     stage.loop.turn()
 
-    assert stage.world.dropped == 1
+    assert stage.world.claims.dropped == 1
     assert wheel_speeds(stage.world) == [3.0, 3.0]
 
 
@@ -213,7 +213,7 @@ def test_loop_drops_and_counts_any_command_that_does_not_fit(
     )
     stage.loop.turn()
 
-    assert stage.world.dropped == (not is_fitting)
+    assert stage.world.claims.dropped == (not is_fitting)
     assert np.isfinite(wheel_speeds(stage.world)).all()
 
 
@@ -225,7 +225,7 @@ def test_loop_drops_a_command_on_a_key_of_nobody(key: str) -> None:
     stage.inbox.commands.append(Sample(key, good, ""))
     stage.loop.turn()
 
-    assert stage.world.dropped == 1
+    assert stage.world.claims.dropped == 1
     assert wheel_speeds(stage.world) == [3.0, 3.0]
 
 
@@ -236,4 +236,4 @@ def test_loop_tells_who_drives_a_robot() -> None:
     stage.loop.turn()
 
     assert call.is_over
-    assert stage.world.agent_of("r0") == "a"
+    assert stage.world.claims.agent_of("r0") == "a"

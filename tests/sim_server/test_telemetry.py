@@ -120,7 +120,7 @@ def test_clock_tells_time_step_and_epoch() -> None:
 def test_stats_tell_how_the_loop_is_doing() -> None:
     world, meter = a_world("r0", "r1"), Meter(0)
     world.claim("a", ("r0",), "stop")
-    world.dropped, world.commands, meter.requests = 3, 4, 5
+    world.claims.dropped, world.claims.taken, meter.requests = 3, 4, 5
     meter.note_step(simulated_ns=SECOND // 2, took_ns=2 * MILLISECOND, late_ns=MILLISECOND)
     meter.slipped_ns = SECOND
     meter.close_window(SECOND)

@@ -191,7 +191,7 @@ def test_world_keeps_entities_and_states_when_time_is_reset() -> None:
 
     assert (world.steps, world.time_ns) == (0, 0)
     assert world.state_of("r0") == pytest.approx(moved)
-    assert world.agent_of("r0") == "a"
+    assert world.claims.agent_of("r0") == "a"
 
 
 def test_world_puts_entities_back_when_states_are_reset() -> None:
@@ -210,7 +210,7 @@ def test_world_keeps_time_when_spawned_entities_are_reset() -> None:
 
     world.reset(ResetScope.SPAWNED)
 
-    assert (names_in(world), world.steps, world.claimed) == ([], 100, 0)
+    assert (names_in(world), world.steps, len(world.claims)) == ([], 100, 0)
 
 
 def a_moved_world() -> World:

@@ -35,7 +35,7 @@ def test_world_drives_an_entity_as_its_agent_commands() -> None:
 
     # The joints of a cart come right before left.
     assert wheel_speeds(world) == [5.0, 3.0]
-    assert (world.commands, world.dropped) == (1, 0)
+    assert (world.claims.taken, world.claims.dropped) == (1, 0)
 
 
 def test_world_takes_the_newest_command_when_several_come_in_one_step() -> None:
@@ -83,7 +83,7 @@ def test_world_drops_and_counts_a_command_that_does_not_fit(spoiled: dict[str, o
     world.step()
 
     assert not is_taken
-    assert (world.commands, world.dropped) == (0, 1)
+    assert (world.claims.taken, world.claims.dropped) == (0, 1)
     assert wheel_speeds(world) == [0.0, 0.0]
 
 
@@ -94,7 +94,7 @@ def test_world_drops_a_command_of_an_agent_that_drives_nothing() -> None:
     world.command("b", a_command(world, "a", 1.0, 2.0))
     world.step()
 
-    assert (world.commands, world.dropped) == (0, 1)
+    assert (world.claims.taken, world.claims.dropped) == (0, 1)
     assert wheel_speeds(world) == [0.0, 0.0]
 
 
@@ -106,7 +106,7 @@ def test_world_drops_a_command_under_a_claim_that_was_renewed() -> None:
     world.claim("a", ("r0",), "stop")
     world.command("a", stale)
 
-    assert (world.commands, world.dropped) == (0, 1)
+    assert (world.claims.taken, world.claims.dropped) == (0, 1)
 
 
 def test_world_drops_a_command_of_before_a_reset() -> None:
@@ -117,7 +117,7 @@ def test_world_drops_a_command_of_before_a_reset() -> None:
     world.reset(ResetScope.TIME)
     world.command("a", stale)
 
-    assert world.dropped == 1
+    assert world.claims.dropped == 1
 
 
 def test_world_forgets_a_command_when_the_fleet_changes_before_the_step() -> None:
@@ -158,7 +158,7 @@ def test_world_grants_an_entity_once_when_it_is_named_twice() -> None:
     claims = world.claim("a", ("r0", "r0"), "stop")
 
     assert len(claims) == 1
-    assert world.claimed == 1
+    assert len(world.claims) == 1
 
 
 def test_world_refuses_all_of_a_claim_when_another_agent_drives_one() -> None:
@@ -169,7 +169,7 @@ def test_world_refuses_all_of_a_claim_when_another_agent_drives_one() -> None:
         world.claim("b", ("r0", "r1"), "stop")
 
     assert refused.value.code == ClaimCode.ALREADY_CLAIMED
-    assert (world.agent_of("r0"), world.agent_of("r1")) == ("", "a")
+    assert (world.claims.agent_of("r0"), world.claims.agent_of("r1")) == ("", "a")
 
 
 def test_world_refuses_all_of_a_claim_when_one_does_not_exist() -> None:
@@ -178,7 +178,7 @@ def test_world_refuses_all_of_a_claim_when_one_does_not_exist() -> None:
     with pytest.raises(EntityNotFound):
         world.claim("b", ("r0", "r9"), "stop")
 
-    assert world.claimed == 0
+    assert len(world.claims) == 0
 
 
 def test_world_stops_wheels_when_an_agent_goes_that_said_stop() -> None:
@@ -192,7 +192,7 @@ def test_world_stops_wheels_when_an_agent_goes_that_said_stop() -> None:
 
     world.step()
     assert wheel_speeds(world) == [0.0, 0.0]
-    assert world.agent_of("r0") == ""
+    assert world.claims.agent_of("r0") == ""
     assert kinds_of_events(world) == ["released"]
 
 
@@ -226,7 +226,7 @@ def test_world_releases_nobody_when_an_unknown_agent_goes() -> None:
 
     world.release("b")
 
-    assert world.agents == ("a",)
+    assert world.claims.agents == ("a",)
     assert world.take_events() == []
 
 

@@ -62,20 +62,20 @@ class AnySequence(RuleBasedStateMachine):
             assert self.holders() == before
         else:
             self.claims += [claim.claim for claim in granted]
-            assert all(self.world.agent_of(name) == agent for name in names)
+            assert all(self.world.claims.agent_of(name) == agent for name in names)
 
     @rule(agent=AGENTS)
     def release(self, agent: str) -> None:
         self.world.release(agent)
 
-        assert agent not in self.world.agents
+        assert agent not in self.world.claims.agents
 
     @rule(agent=AGENTS, speed=st.floats(-5.0, 5.0))
     def command(self, agent: str, speed: float) -> None:
         fleet = self.world.fleets().get(agent)
         count = fleet.target_count if fleet else 0
         command = a_command(self.world, agent, *[speed] * count)
-        taken, dropped = self.world.commands, self.world.dropped
+        taken, dropped = self.world.claims.taken, self.world.claims.dropped
 
         is_taken = self.world.command(agent, command)
 
@@ -97,7 +97,7 @@ class AnySequence(RuleBasedStateMachine):
         if change == "agent":
             agent = "b" if agent == "a" else "a"
         command = msgspec.structs.replace(command, **spoiled.get(change, {}))
-        taken, dropped = self.world.commands, self.world.dropped
+        taken, dropped = self.world.claims.taken, self.world.claims.dropped
 
         is_taken = self.world.command(agent, command)
 
@@ -135,7 +135,7 @@ class AnySequence(RuleBasedStateMachine):
 
         agents = [agent for agent, _ in told]
         assert len(set(agents)) == len(agents)
-        assert set(self.world.agents) <= set(agents)
+        assert set(self.world.claims.agents) <= set(agents)
 
     @invariant()
     def entities_are_the_bodies_of_the_engine(self) -> None:
@@ -171,7 +171,7 @@ class AnySequence(RuleBasedStateMachine):
     def holds_are_of_entities_that_exist(self) -> None:
         driven = [entity.name for entity in self.world.entities if self.holder(entity.name)]
 
-        assert len(driven) == self.world.claimed
+        assert len(driven) == len(self.world.claims)
         assert len(set(self.claims)) == len(self.claims)
 
     @invariant()
@@ -179,8 +179,8 @@ class AnySequence(RuleBasedStateMachine):
         fleets = self.world.fleets()
         rows = [row for fleet in fleets.values() for row in fleet.rows.tolist()]
 
-        assert set(fleets) == set(self.world.agents)
-        assert len(set(rows)) == len(rows) == self.world.claimed
+        assert set(fleets) == set(self.world.claims.agents)
+        assert len(set(rows)) == len(rows) == len(self.world.claims)
         for fleet in fleets.values():
             assert len(fleet.claims) == 4 * len(fleet.rows)
 
@@ -189,7 +189,7 @@ class AnySequence(RuleBasedStateMachine):
         assert np.isfinite(self.world.reading().base).all()
 
     def holder(self, name: str) -> str:
-        return self.world.agent_of(name)
+        return self.world.claims.agent_of(name)
 
     def holders(self) -> dict[str, str]:
         return {name: self.holder(name) for name in names_in(self.world)}
@@ -203,7 +203,7 @@ class AnySequence(RuleBasedStateMachine):
         )
 
     def assert_counted(self, taken: int, dropped: int, *, is_taken: bool) -> None:
-        found = (self.world.commands - taken, self.world.dropped - dropped)
+        found = (self.world.claims.taken - taken, self.world.claims.dropped - dropped)
 
         assert found == ((1, 0) if is_taken else (0, 1))
 

@@ -64,7 +64,7 @@ def drive(world: World, linear: float, angular: float, steps: int = STEPS_OF_10_
     heading, turned = yaw_of(start[:, 3:7]), np.zeros(len(start))
     for step in range(steps):
         if step % CONTROL_STEPS == 0:
-            for agent in world.agents:
+            for agent in world.claims.agents:
                 world.command(agent, a_command(world, agent, *targets))
         world.step()
         now = yaw_of(world.reading().base[:, 3:7])
