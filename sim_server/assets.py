@@ -39,11 +39,13 @@ class AssetStore:
         self._folder = Path(tempfile.mkdtemp(prefix="zensim-assets-"))
         self._budget_bytes = budget_bytes
         self._sizes: OrderedDict[str, int] = OrderedDict()
+        self._pinned: dict[str, int] = {}
+        self._loose_bytes = 0
         self._unfinished: OrderedDict[str, _Unfinished] = OrderedDict()
 
     def __contains__(self, sha256: str) -> bool:
         """Whether the whole file is here."""
-        return sha256 in self._sizes
+        return sha256 in self._sizes or sha256 in self._pinned
 
     def missing(self, sha256s: Iterable[str]) -> list[tuple[str, int]]:
         """List the files that are not here, each with how many of its bytes are.
@@ -57,7 +59,7 @@ class AssetStore:
                 f"{len(wanted)} files are too many; use {MAX_BUNDLE_FILES} or less",
                 slug="bundle.files",
             )
-        absent = [_checked(sha256) for sha256 in wanted if sha256 not in self._sizes]
+        absent = [_checked(sha256) for sha256 in wanted if sha256 not in self]
         partial = self._unfinished
         return [(name, partial[name].received if name in partial else 0) for name in absent]
 
@@ -71,8 +73,8 @@ class AssetStore:
             AssetRefused: The piece does not fit, or the whole file has another sha256.
         """
         _checked(sha256)
-        if sha256 in self._sizes:
-            return self._sizes[sha256]
+        if sha256 in self:
+            return self.size(sha256)
         self._check_piece(sha256, offset, total, len(data))
         file = self._unfinished.setdefault(sha256, _Unfinished(total))
         if offset + len(data) <= file.received and data:
@@ -84,9 +86,16 @@ class AssetStore:
 
     def keep(self, sha256: str, data: bytes) -> None:
         """Keep a file that the server itself made."""
-        if sha256 not in self._sizes:
+        if sha256 not in self:
             self._path(sha256).write_bytes(data)
             self._add(sha256, len(data))
+
+    def pin(self, sha256: str, data: bytes) -> None:
+        """Keep a file for as long as the server runs; it is no part of the budget."""
+        if sha256 in self._sizes:
+            self._loose_bytes -= self._sizes.pop(sha256)
+        self._path(sha256).write_bytes(data)
+        self._pinned[sha256] = len(data)
 
     def size(self, sha256: str) -> int:
         """Length of a file.
@@ -94,6 +103,8 @@ class AssetStore:
         Raises:
             AssetRefused: It is not here.
         """
+        if sha256 in self._pinned:
+            return self._pinned[sha256]
         if (size := self._sizes.get(sha256)) is None:
             raise AssetRefused(
                 f"no file {sha256[:80]!r} is here; send it by put_asset",
@@ -178,8 +189,10 @@ class AssetStore:
 
     def _add(self, sha256: str, size: int) -> None:
         self._sizes[sha256] = size
-        while sum(self._sizes.values()) > self._budget_bytes and len(self._sizes) > 1:
-            oldest, _ = self._sizes.popitem(last=False)
+        self._loose_bytes += size
+        while self._loose_bytes > self._budget_bytes and len(self._sizes) > 1:
+            oldest, freed = self._sizes.popitem(last=False)
+            self._loose_bytes -= freed
             self._path(oldest).unlink(missing_ok=True)
 
 

@@ -31,6 +31,13 @@ class Reading(NamedTuple):
     assets: tuple[AssetRef, ...]
 
 
+class Read(NamedTuple):
+    """A model, and the files that it names by sha256."""
+
+    model: Model
+    meshes: frozenset[str]
+
+
 class Descriptions(Protocol):
     """Gives the model that a spawn asks for."""
 
@@ -54,7 +61,7 @@ class ReadElsewhere:
     def __init__(self, reader: Reader, store: AssetStore) -> None:
         self._reader = reader
         self._store = store
-        self._read: OrderedDict[Reading, Model | ModelError] = OrderedDict()
+        self._read: OrderedDict[Reading, Read | ModelError] = OrderedDict()
         self._under_way: dict[int, Reading] = {}
         self._numbers: dict[Reading, int] = {}
         self._transient: list[Reading] = []
@@ -66,7 +73,7 @@ class ReadElsewhere:
             reading = self._reading_of(order)
         except ModelError:
             return True
-        if reading in self._read:
+        if self._is_usable(reading):
             return True
         if reading not in self._numbers:
             self._submit(reading)
@@ -79,7 +86,9 @@ class ReadElsewhere:
         if isinstance(found, ModelError):
             raise found
         self._read.move_to_end(reading)
-        return found, reading.text
+        for mesh in found.meshes:
+            self._store.size(mesh)  # so that it is not the first to go
+        return found.model, reading.text
 
     def poll(self) -> bool:
         """See `Descriptions`."""
@@ -94,6 +103,13 @@ class ReadElsewhere:
             else:
                 self._note(message)
         return bool(messages)
+
+    def _is_usable(self, reading: Reading) -> bool:
+        """Whether something is read, and the meshes of it are still here; else forget it."""
+        found = self._read.get(reading)
+        if isinstance(found, Read) and not all(mesh in self._store for mesh in found.meshes):
+            del self._read[reading]
+        return reading in self._read
 
     def _submit(self, reading: Reading) -> None:
         try:
@@ -121,13 +137,13 @@ class ReadElsewhere:
         reading = self._under_way.pop(answer.number)
         del self._numbers[reading]
         if answer.model is not None:
-            self._keep(reading, answer.model)
+            self._keep(reading, Read(answer.model, meshes_of(answer.model)))
         else:
             self._keep(reading, ModelError(answer.message, code=answer.code, slug=answer.slug))
         if answer.slug in TRANSIENT:
             self._transient.append(reading)
 
-    def _keep(self, reading: Reading, found: Model | ModelError) -> None:
+    def _keep(self, reading: Reading, found: Read | ModelError) -> None:
         self._read[reading] = found
         while len(self._read) > KEPT or self._characters() > KEPT_CHARACTERS:
             self._read.popitem(last=False)
@@ -140,3 +156,9 @@ class ReadElsewhere:
         present = tuple(ref for ref in order.assets if ref.sha256 in self._store)
         text = text_of(order.entity_resource)
         return Reading(text, order.compat, order.allow_missing, present)
+
+
+def meshes_of(model: Model) -> frozenset[str]:
+    """List the sha256 of all meshes that a model names."""
+    shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
+    return frozenset(shape.mesh for shape in shapes if shape.mesh)

@@ -95,6 +95,19 @@ def test_store_forgets_what_was_not_used_for_longest() -> None:
     store.close()
 
 
+def test_store_keeps_what_is_pinned_beside_its_budget() -> None:
+    store = AssetStore(budget_bytes=10)
+    pinned = put(store, b"pppp")
+    store.pin(pinned, b"pppp")
+
+    kept = [put(store, data) for data in (b"aaaa", b"bbbb", b"cccc")][1:]
+
+    assert [name in store for name in (pinned, *kept)] == [True, True, True]
+    assert (put(store, b"pppp"), store.missing([pinned])) == (pinned, [])
+    assert store.piece(pinned, 1, 9) == b"ppp"
+    store.close()
+
+
 def test_store_refuses_to_look_for_more_files_than_a_bundle_has(store: AssetStore) -> None:
     with pytest.raises(AssetRefused, match=r"^bundle\.files: "):
         store.missing(f"{i:064x}" for i in range(MAX_BUNDLE_FILES + 1))

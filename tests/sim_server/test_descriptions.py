@@ -1,0 +1,104 @@
+"""Descriptions that the reader process reads: each once, for as long as its meshes are here."""
+
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from proto.assets import AssetRef
+from proto.model import Model
+from proto.services import Resource, SpawnEntityOrder
+from sim_server.assets import AssetStore
+from sim_server.descriptions import ReadElsewhere
+from sim_server.errors import ModelError
+from sim_server.reader import Reader
+from tests.integration.processes import eventually
+from tests.sim_server.description.test_meshes import BOX, exported
+from tests.sim_server.test_assets import put
+from tests.sim_server.test_reader import MESH_ROBOT
+
+WITHIN_S = 30.0
+STL = exported(BOX, "stl")
+ROOMY, TIGHT = 3 * len(STL), len(STL)
+
+
+class Reading:
+    """A store of so many bytes, and the descriptions that are read with it."""
+
+    def __init__(self, budget_bytes: int) -> None:
+        self.store = AssetStore(budget_bytes)
+        self.reader = Reader(self.store, time.monotonic_ns)
+        self.descriptions = ReadElsewhere(self.reader, self.store)
+
+    def order(self) -> SpawnEntityOrder:
+        """Send the mesh, and ask for the robot that names it."""
+        refs = (AssetRef("a.stl", put(self.store, STL)),)
+        return SpawnEntityOrder(entity_resource=Resource(resource_string=MESH_ROBOT), assets=refs)
+
+    def model(self, order: SpawnEntityOrder) -> Model:
+        """Wait until a description is read."""
+
+        def is_read() -> bool:
+            self.descriptions.poll()
+            return self.descriptions.is_read(order)
+
+        eventually(is_read, WITHIN_S, "a model")
+        return self.descriptions.model(order)[0]
+
+    def close(self) -> None:
+        """End the reader."""
+        self.reader.close()
+        self.store.close()
+
+
+@pytest.fixture
+def roomy() -> Iterator[Reading]:
+    found = Reading(ROOMY)
+    yield found
+    found.close()
+
+
+def fill(store: AssetStore) -> None:
+    for number in range(3):
+        put(store, bytes([number]) * len(STL))
+
+
+def mesh_of(model: Model) -> str:
+    return model.links[0].collisions[0].mesh
+
+
+def test_description_is_read_once_for_all_that_ask(roomy: Reading) -> None:
+    first = roomy.model(roomy.order())
+
+    assert roomy.descriptions.is_read(roomy.order())
+    assert roomy.model(roomy.order()) is first
+
+
+def test_description_is_read_again_when_a_mesh_of_it_has_gone(roomy: Reading) -> None:
+    mesh = mesh_of(roomy.model(roomy.order()))
+    fill(roomy.store)
+    assert mesh not in roomy.store
+
+    again = roomy.model(roomy.order())
+
+    assert mesh_of(again) == mesh
+    assert mesh in roomy.store
+
+
+def test_mesh_stays_while_its_description_is_asked_for(roomy: Reading) -> None:
+    mesh = mesh_of(roomy.model(roomy.order()))
+
+    for number in range(5):
+        put(roomy.store, bytes([number]) * len(STL))
+        roomy.model(roomy.order())
+
+    assert mesh in roomy.store
+
+
+def test_description_whose_meshes_have_no_room_is_refused() -> None:
+    reading = Reading(TIGHT)
+
+    with pytest.raises(ModelError, match=r"^mesh\.missing: "):
+        reading.model(reading.order())
+
+    reading.close()
