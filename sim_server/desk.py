@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from sim_server.assets import AssetStore
 from sim_server.descriptions import Descriptions
 from sim_server.meter import Meter
+from sim_server.stepping import Stepping
 from sim_server.world import World
 
 
@@ -23,6 +24,9 @@ class Desk:
     seed: int = 0
     alive_agents: set[str] = field(default_factory=set)
     alive_bonds: set[str] = field(default_factory=set)
+    stepping: Stepping = field(default_factory=Stepping)
+    has_read: bool = False
+    """Whether descriptions have been read since the last turn."""
     bonded: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     """By bond: names of entities, and when they were born."""
 

@@ -6,26 +6,17 @@ that a request between steps is answered at once.
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Protocol
 
-import msgspec
-
-from proto.bus import Call
-from proto.catalog import SERVICES
 from proto.claims import DriveCommand
-from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, format_of
+from proto.codec import MalformedPayload, decode
 from proto.keys import agent_of
-from proto.keys import service as service_key
-from proto.result import ResultCode
-from proto.services import SpawnEntityOrder, State, StepSimulationRequest
-from sim_server.answers import Answer, Answers
+from proto.services import State
 from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers import handle, refusal
 from sim_server.inbox import Inbox
 from sim_server.outlets import Outlet
-from sim_server.telemetry import TOPICS, Telemetry
+from sim_server.requests import Requests
+from sim_server.telemetry import Telemetry
 
 LOG = logging.getLogger(__name__)
 
@@ -45,23 +36,6 @@ class Clock(Protocol):
         """Wait."""
 
 
-@dataclass
-class _Waiting:
-    """A spawn whose description is being read."""
-
-    call: Call
-    order: SpawnEntityOrder
-
-
-@dataclass
-class _Stepping:
-    """A request whose steps are being made; a reset sets time back, not what is left."""
-
-    left: int
-    call: Call
-    response: msgspec.Struct
-
-
 class Loop:
     """Drives one world."""
 
@@ -74,9 +48,7 @@ class Loop:
         self._clock = clock
         self._telemetry = Telemetry(desk.world, desk.meter)
         self._deadline_ns = clock.now_ns()
-        self._answers = Answers()
-        self._stepping: list[_Stepping] = []
-        self._waiting: list[_Waiting] = []
+        self._requests = Requests(desk, self._telemetry)
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Go on until told to stop."""
@@ -87,7 +59,7 @@ class Loop:
         """Serve what has come, then step if it is time, else wait a little."""
         self.serve()
         now_ns = self._clock.now_ns()
-        if self._stepping:
+        if self._desk.stepping:
             self._requested_step(now_ns)
         elif self._world.state != State.PLAYING:
             self._deadline_ns = now_ns
@@ -109,10 +81,9 @@ class Loop:
         for sample in self._inbox.take_commands():
             self._command(agent_of(sample.key), sample.payload, sample.encoding)
         for call in calls:
-            self._meter.requests += 1
-            self._answer(call)
-        if self._desk.descriptions.poll():
-            self._carry_on()
+            self._requests.take(call)
+        self._desk.has_read = self._desk.descriptions.poll()
+        self._requests.carry_on()
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step and tell the agents."""
@@ -162,11 +133,8 @@ class Loop:
     def _requested_step(self, now_ns: int) -> None:
         self._deadline_ns = now_ns
         self.tick(now_ns)
-        first = self._stepping[0]
-        first.left -= 1
-        if first.left == 0:
-            self._stepping.pop(0)
-            self._reply(first.call, first.response)
+        self._desk.stepping.note_step()
+        self._requests.carry_on()
 
     def _note_agent(self, agent: str, *, is_alive: bool) -> None:
         if is_alive:
@@ -192,94 +160,3 @@ class Loop:
             return
         if self._world.command(agent, command):
             self._world.note_ready(agent, self._clock.now_ns())
-
-    def _answer(self, call: Call) -> None:
-        if call.name in TOPICS:
-            self._reply(call, self._telemetry.message(call.name))
-        elif (answer := self._answers.known(call)) is not None:
-            self._send(call, answer)
-        elif not self._joins_waiting(call):
-            self._carry_out(call)
-
-    def _joins_waiting(self, call: Call) -> bool:
-        """Let a retry take the place of a request that is still being carried out."""
-        everybody: list[_Stepping | _Waiting] = [*self._stepping, *self._waiting]
-        for waiting in everybody:
-            if call.request_id and waiting.call.request_id == call.request_id:
-                waiting.call = call
-                return True
-        return False
-
-    def _carry_out(self, call: Call) -> None:
-        try:
-            request = decode(_request_type(call.name), call.payload, call.encoding)
-            if self._must_wait(call, request):
-                return
-            response = handle(self._desk, request)
-        except SimError as error:
-            response = refusal(call.name, error.code, str(error))
-        except MalformedPayload as error:
-            response = refusal(
-                call.name, ResultCode.OPERATION_FAILED, f"malformed request: {error}"
-            )
-        else:
-            if isinstance(request, StepSimulationRequest):
-                self._stepping.append(_Stepping(request.steps, call, response))
-                return
-        self._reply(call, response)
-
-    def _must_wait(self, call: Call, request: msgspec.Struct) -> bool:
-        if not isinstance(request, SpawnEntityOrder) or self._desk.descriptions.is_read(request):
-            return False
-        self._waiting.append(_Waiting(call, request))
-        return True
-
-    def _carry_on(self) -> None:
-        """Spawn what has been read meanwhile, in the order of asking."""
-        for waiting in self._waiting[:]:
-            if self._desk.descriptions.is_read(waiting.order):
-                self._waiting.remove(waiting)
-                self._reply(waiting.call, self._outcome(waiting.call.name, waiting.order))
-
-    def _outcome(self, name: str, request: msgspec.Struct) -> msgspec.Struct:
-        try:
-            return handle(self._desk, request)
-        except SimError as error:
-            return refusal(name, error.code, str(error))
-
-    def _reply(self, call: Call, response: msgspec.Struct) -> None:
-        wanted = _reply_format(call)
-        try:
-            payload = encode(response, wanted)
-        except TypeError:
-            # A response that CDR cannot express, such as a claim with its model.
-            wanted = Format.MSGPACK
-            payload = encode(response, wanted)
-        answer = Answer(payload, encoding_of(response, wanted))
-        self._answers.keep(call, answer)
-        self._send(call, answer)
-
-    def _send(self, call: Call, answer: Answer) -> None:
-        call.reply(answer.payload, answer.encoding, service_key(self._world.name, call.name))
-
-
-def _request_type(name: str) -> type[msgspec.Struct]:
-    if (service := SERVICES.get(name)) is None:
-        raise SimUnknown(name)
-    return service.request
-
-
-class SimUnknown(SimError):
-    """A service that no server offers."""
-
-    code = ResultCode.FEATURE_UNSUPPORTED
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"service {name[:80]!r} is unknown; there are {', '.join(SERVICES)}")
-
-
-def _reply_format(call: Call) -> Format:
-    try:
-        return format_of(call.payload, call.encoding)
-    except MalformedPayload:
-        return Format.JSON if "json" in call.encoding else Format.MSGPACK

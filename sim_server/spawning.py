@@ -8,6 +8,7 @@ from proto.services import SpawnEntityOrder, SpawnEntityReport
 from sim_server.description.clearance import ground_clearance
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, ModelError
+from sim_server.later import Later
 from sim_server.physics.engine import FloatArray
 from sim_server.poses import WORLD_FRAMES, compose, is_zero, pose_row
 from sim_server.world import Birth, World
@@ -40,6 +41,15 @@ def spawn(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport:
         desk.world.warn(entity.name, f"{note.subject}: {note.reason}")
     report = (*notes, *birth.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
+
+
+def spawn_when_read(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport | Later:
+    """Spawn now, or once the description has been read; raises as `spawn` does."""
+    if desk.descriptions.is_read(order):
+        return spawn(desk, order)
+    return Later(
+        lambda: desk.has_read and desk.descriptions.is_read(order), lambda: spawn(desk, order)
+    )
 
 
 def _planned(desk: Desk, order: SpawnEntityOrder) -> tuple[Birth, list[ReportEntry]]:

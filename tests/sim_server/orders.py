@@ -7,7 +7,7 @@ from proto.geometry import Point, Pose, PoseStamped, Quaternion
 from proto.header import Header
 from proto.services import Resource
 from sim_server.desk import Desk
-from sim_server.handlers import handle
+from sim_server.handlers.table import handle
 
 BOX_BOT = Resource(uri="box_bot")
 LYING = Quaternion(math.sin(math.pi / 4.0), 0.0, 0.0, math.cos(math.pi / 4.0))

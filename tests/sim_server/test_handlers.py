@@ -16,7 +16,9 @@ from proto.header import Header, Time
 from proto.result import ResultCode
 from proto.services import Feature, ResetScope, State
 from sim_server.errors import SimError
-from sim_server.handlers import FEATURES, HANDLERS, handle, refusal
+from sim_server.handlers.info import FEATURES
+from sim_server.handlers.table import HANDLERS, handle, refusal
+from sim_server.later import Later
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.proto.strategies import messages_of
 from tests.sim_server.fakes import (
@@ -280,6 +282,8 @@ def test_service_answers_any_request_or_refuses_it(
         response = handle(desk, request)
     except SimError as error:
         response = refusal(service.name, error.code, str(error))
+    if isinstance(response, Later):
+        response = response.outcome()
 
     for wanted in (one for one in Format if offers(type(response), one)):
         assert encode(response, wanted)

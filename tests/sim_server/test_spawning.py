@@ -5,7 +5,7 @@ import pytest
 from proto.geometry import Point, Pose, PoseStamped
 from proto.services import SpawnEntityOrder, SpawnEntityReport
 from sim_server.errors import IncorrectState, ModelError, NameNotUnique
-from sim_server.handlers import handle
+from sim_server.handlers.table import handle
 from tests.sim_server.fakes import ReadHere, a_desk, a_stage, a_world, names_in
 from tests.sim_server.orders import BOX_BOT
 

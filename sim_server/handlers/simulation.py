@@ -1,0 +1,57 @@
+"""Time: play, pause, step, reset."""
+
+from proto import services
+from proto.result import ResultCode, SetSimulationStateCode
+from proto.services import State
+from sim_server.desk import Desk
+from sim_server.errors import Refused, Unsupported
+from sim_server.later import Later
+
+MAX_STEPS = 10_000_000
+
+
+def get_simulation_state(
+    desk: Desk, _: services.GetSimulationStateRequest
+) -> services.GetSimulationStateResponse:
+    """Tell whether time runs."""
+    return services.GetSimulationStateResponse(services.SimulationState(desk.world.state))
+
+
+def set_simulation_state(
+    desk: Desk, request: services.SetSimulationStateRequest
+) -> services.SetSimulationStateResponse:
+    """Play or pause."""
+    wanted = request.state.state
+    if wanted == desk.world.state:
+        raise Refused(
+            SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
+            f"the simulation is {desk.world.state_name} already",
+        )
+    if wanted == State.PLAYING:
+        desk.world.play()
+    elif wanted == State.PAUSED:
+        desk.world.pause()
+    else:
+        raise Unsupported(f"state {wanted} cannot be set; use 1 (playing) or 2 (paused)")
+    return services.SetSimulationStateResponse()
+
+
+def step(desk: Desk, request: services.StepSimulationRequest) -> Later:
+    """Make steps of a paused world, and answer after the last."""
+    desk.world.require_paused()
+    if not 1 <= request.steps <= MAX_STEPS:
+        raise Refused(
+            ResultCode.OPERATION_FAILED,
+            f"steps={request.steps} is out of range; use 1 to {MAX_STEPS}",
+        )
+    goal = desk.stepping.add(request.steps)
+    return Later(lambda: goal.is_reached, services.StepSimulationResponse)
+
+
+def reset(desk: Desk, request: services.ResetSimulationRequest) -> services.ResetSimulationResponse:
+    """Go back to the start."""
+    known = services.ResetScope.TIME | services.ResetScope.STATE | services.ResetScope.SPAWNED
+    if request.scope not in (services.ResetScope.ALL, request.scope & known):
+        raise Unsupported(f"scope {request.scope} has unknown bits; use 0, 255 or a sum of 1, 2, 4")
+    desk.world.reset(request.scope)
+    return services.ResetSimulationResponse()
