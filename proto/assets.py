@@ -18,7 +18,7 @@ class AssetRef(msgspec.Struct, frozen=True):
     """A file that a description names."""
 
     uri: str
-    """As the description writes it, such as `package://robot/meshes/base.stl`."""
+    """As the description writes it, such as `package://robot/meshes/base.stl`; see `joined`."""
     sha256: str
     """Of the file's bytes; 64 lower-case hex digits."""
 
@@ -83,3 +83,14 @@ class GetAssetResponse(msgspec.Struct, frozen=True):
     result: Result = Result()
     data: bytes = b""
     total: UInt64 = 0
+
+
+def joined(include: str, uri: str) -> str:
+    """Say what a URI means in an SDF model that was included as `include`.
+
+    A relative one is beside the included file: `meshes/a.stl` in `model://crate`, or in
+    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`. Any other is itself.
+    """
+    folder = include.rpartition("/")[0] if include.endswith(".sdf") else include.rstrip("/")
+    is_relative = uri and not uri.startswith("/") and "://" not in uri
+    return f"{folder}/{uri}" if folder and is_relative else uri

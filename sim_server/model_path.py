@@ -1,21 +1,23 @@
-"""Models on the server's own host, for its own world files. Never asked because of a request."""
+"""Models and meshes on the server's own host, for its own world files, never for a request."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from sim_server.description.strict_xml import MAX_BYTES, parse_xml
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
     from sim_server.description.sdf_includes import Resolve
 
 SCHEMES = ("model://", "package://", "file://")
 CONFIG = "model.config"
 USUAL = "model.sdf"
+
+FindFile = Callable[[str], Path | None]
+"""The file that a URI stands for; None when it is not here."""
 
 
 def models_in(folders: Sequence[Path]) -> Resolve:
@@ -32,6 +34,28 @@ def models_in(folders: Sequence[Path]) -> Resolve:
         return next((text for place in places if (text := _text(place)) is not None), None)
 
     return resolve
+
+
+def files_in(folders: Sequence[Path]) -> FindFile:
+    """Look for files below these folders, the first that has one counts.
+
+    `model://NAME/FILE` and `package://NAME/FILE` are NAME/FILE below a folder, or FILE below a
+    folder called NAME; a relative path is below a folder. Nothing outside the folders is there.
+    """
+    roots = [folder.resolve() for folder in folders]
+
+    def find(uri: str) -> Path | None:
+        part = _part(uri)
+        name, _, inside = part.partition("/")
+        places = (
+            _below(root, path)
+            for root in roots
+            for path in (part, inside if name == root.name and part != uri else "")
+            if path
+        )
+        return next((place for place in places if place is not None and place.is_file()), None)
+
+    return find
 
 
 def _part(uri: str) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
+from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef, joined
 from proto.model import ReportEntry
 from proto.result import SpawnCode
 from spawner.markup import MAX_TEXT_BYTES, DescriptionError, parsed, refused
@@ -81,26 +81,28 @@ class _Named:
     def __init__(self) -> None:
         self.meshes: dict[Mesh, Place] = {}
         self.models: dict[str, Path] = {}
-        self._waiting: list[tuple[Path, SearchPaths]] = []
+        self._waiting: list[tuple[Path, SearchPaths, str]] = []
 
     def read(self, text: str, paths: SearchPaths) -> None:
-        self._add(parsed(text), paths)
+        self._add(parsed(text), paths, include="")
         while self._waiting and len(self.models) <= MAX_BUNDLE_FILES:
-            file, around = self._waiting.pop()
+            file, around, uri = self._waiting.pop()
             # What is wrong with an included model is for the server to say.
             with suppress(DescriptionError, UnicodeDecodeError):
-                self._add(parsed(file.read_text(encoding="utf-8")), around)
+                self._add(parsed(file.read_text(encoding="utf-8")), around, include=uri)
 
-    def _add(self, root: ET.Element, paths: SearchPaths) -> None:
+    def _add(self, root: ET.Element, paths: SearchPaths, *, include: str) -> None:
         for mesh in _meshes_in(root):
-            self.meshes.setdefault(mesh, _place(mesh, paths))
-        for include in root.iter("include"):
-            uri = (include.findtext("uri") or "").strip()
-            if uri in self.models or (file := paths.find_model(uri)) is None:
+            whole = Mesh(joined(include, mesh.uri), mesh.is_collision)
+            self.meshes.setdefault(whole, _place(mesh, paths))
+        for tag in root.iter("include"):
+            uri = (tag.findtext("uri") or "").strip()
+            whole_uri = joined(include, uri)
+            if whole_uri in self.models or (file := paths.find_model(uri)) is None:
                 continue
-            self.models[uri] = file
+            self.models[whole_uri] = file
             if file.stat().st_size <= MAX_TEXT_BYTES:
-                self._waiting.append((file, paths.beside(file)))
+                self._waiting.append((file, paths.beside(file), whole_uri))
 
 
 def bundle_of(text: str, paths: SearchPaths) -> Bundle:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from typing import TYPE_CHECKING
 
+from proto.assets import joined
 from proto.result import SpawnCode
 from sim_server.description.sdf_values import read_text
 from sim_server.description.strict_xml import parse_xml
@@ -121,8 +122,20 @@ class Includes:
                 code=SpawnCode.UNSUPPORTED_FORMAT,
                 slug="sdf.model",
             )
+        self._join(models[0], uri)
         self._read[uri] = models[0]
         return models[0]
+
+    def _join(self, model: Element, uri: str) -> None:
+        """Write relative URIs out, so that those of two models are not mistaken for one another."""
+        for tag in model.iter("mesh", "include"):
+            written = tag.find("uri")
+            if written is None:
+                continue
+            whole = joined(uri, (written.text or "").strip())
+            # Includes have always been looked for below every folder, too.
+            if tag.tag == "mesh" or self._resolve(whole) is not None:
+                written.text = whole
 
     def _override(self, model: Element, include: Element, uri: str) -> None:
         for tag in ("name", "placement_frame"):

@@ -65,6 +65,8 @@ def read_solid(part: Element, where: str, report: Report) -> Shape | None:
         raise ModelError(
             f"{where} has no geometry; write one of {', '.join(SOLIDS)}", slug="sdf.geometry"
         )
+    if solids[0].find("submesh") is not None:
+        report.suspicious(f"{where}: <submesh>", "not supported; the whole mesh is used")
     return _solid(solids[0], where)
 
 

@@ -1,10 +1,10 @@
-"""Models are found below the folders given, and nowhere else."""
+"""Models and meshes are found below the folders given, and nowhere else."""
 
 from pathlib import Path
 
 import pytest
 
-from sim_server.model_path import models_in
+from sim_server.model_path import files_in, models_in
 
 CRATE = '<sdf version="1.6"><model name="crate"/></sdf>'
 
@@ -84,3 +84,49 @@ def test_file_that_is_no_text_is_not_there(folder: Path) -> None:
     (folder / "crate" / "model.sdf").write_bytes(b"\xff\xfe\x00")
 
     assert models_in([folder])("model://crate") is None
+
+
+@pytest.fixture
+def workspace(tmp_path: Path) -> Path:
+    """A package with one mesh, and a secret beside it."""
+    mesh = tmp_path / "src" / "my_robot" / "meshes" / "body.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_text("solid", encoding="utf-8")
+    (tmp_path / "secret.stl").write_text("solid", encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize("folder", ["src", "src/my_robot"])
+@pytest.mark.parametrize("scheme", ["package", "model"])
+def test_mesh_is_found_when_its_package_is(workspace: Path, folder: str, scheme: str) -> None:
+    find = files_in([workspace / "elsewhere", workspace / folder])
+
+    found = find(f"{scheme}://my_robot/meshes/body.stl")
+
+    assert found == (workspace / "src/my_robot/meshes/body.stl").resolve()
+
+
+def test_mesh_is_found_when_its_path_is_relative_to_a_folder(workspace: Path) -> None:
+    assert files_in([workspace / "src/my_robot"])("meshes/body.stl") is not None
+
+
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "",
+        "package://my_robot",
+        "package://my_robot/meshes",
+        "package://my_robot/meshes/arm.stl",
+        "package://my_robot/../../secret.stl",
+        "package://../secret.stl",
+        "../secret.stl",
+        "file:///etc/passwd",
+        "http://example.org/body.stl",
+        "/etc/passwd",
+        "meshes/body.stl\0",
+        "m" * 5_000,
+    ],
+)
+def test_mesh_is_not_found_when_it_is_missing_or_outside(workspace: Path, uri: str) -> None:
+    assert files_in([workspace / "src"])(uri) is None
+    assert files_in([])(uri) is None

@@ -129,5 +129,23 @@ def test_included_models_go_along_with_their_meshes(tmp_path: Path) -> None:
 
     bundle = bundle_in(tmp_path, text.format("model://crate"))
 
-    assert [ref.uri for ref in bundle.refs] == ["model://crate", "box.stl"]
+    assert [ref.uri for ref in bundle.refs] == ["model://crate", "model://crate/box.stl"]
     assert bundle_in(tmp_path, text.format("model://nothing")) == Bundle()
+
+
+def test_relative_meshes_of_two_models_are_each_their_own(tmp_path: Path) -> None:
+    for number, name in enumerate(("one", "two"), start=1):
+        (tmp_path / name / "meshes").mkdir(parents=True)
+        (tmp_path / name / "meshes" / "a.stl").write_bytes(tetrahedron(number))
+        (tmp_path / name / "model.sdf").write_text(
+            "<sdf version='1.6'><model name='m'><link name='l'><visual name='v'><geometry><mesh>"
+            "<uri>meshes/a.stl</uri></mesh></geometry></visual></link></model></sdf>"
+        )
+    uris = ("model://one", "model://two/model.sdf")
+    includes = "".join(f"<include><uri>{uri}</uri></include>" for uri in uris)
+
+    bundle = bundle_in(tmp_path, f"<sdf version='1.6'><model name='m'>{includes}</model></sdf>")
+
+    digests = {ref.uri: ref.sha256 for ref in bundle.refs}
+    assert digests["model://one/meshes/a.stl"] == hashlib.sha256(tetrahedron(1)).hexdigest()
+    assert digests["model://two/meshes/a.stl"] == hashlib.sha256(tetrahedron(2)).hexdigest()

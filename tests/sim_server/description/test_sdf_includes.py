@@ -10,6 +10,8 @@ from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_
 
 HAND = a_model(a_pose("0 0 5 0 0 0"), a_link("palm"), attributes='name="hand"')
 
+A_MESH = '<visual name="v"><geometry><mesh><uri>meshes/a.stl</uri></mesh></geometry></visual>'
+
 
 def an_include(uri: str, inside: str = "") -> str:
     return f"<include><uri>{uri}</uri>{inside}</include>"
@@ -57,6 +59,39 @@ def test_axes_of_an_included_file_are_those_of_its_version() -> None:
     model = read({"model://old": old}, *parts)
 
     assert model.joints[0].axis == pytest.approx((-1.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_relative_meshes_of_two_included_models_are_two() -> None:
+    parts = []
+    for name in ("left", "right"):
+        hand = a_model(a_link("palm", A_MESH), attributes=f'name="{name}"')
+        parts.append((f"model://{name}", hand, a_joint(f"j_{name}", ("a", f"{name}::palm"))))
+    files = {uri: text for uri, text, _ in parts}
+    here = {"model://left/meshes/a.stl"}
+
+    model = read_sdf_model(
+        a_model(a_link("a"), *map(an_include, files), *(joint for _, _, joint in parts)),
+        resolve=files.get,
+        has_mesh=here.__contains__,
+    )
+
+    assert [shape.mesh for shape in model.links[0].visuals] == list(here)
+    assert reasons(model.report, "suspicious") == [
+        "link 'right::palm', visual 'v': visual mesh 'model://right/meshes/a.stl' is not on the "
+        "server; not drawn"
+    ]
+
+
+def test_relative_include_is_looked_for_beside_the_model_first() -> None:
+    arm = a_model(a_link("arm"), an_include("hand.sdf"), a_joint("j", ("arm", "hand::palm")))
+    parts = (a_link("a"), an_include("model://arm/arm.sdf"), a_joint("k", ("a", "m::arm")))
+    other = a_model(a_link("claw"), attributes='name="hand"')
+    files = {"model://arm/arm.sdf": arm, "hand.sdf": other, "model://arm/hand.sdf": HAND}
+
+    assert "m::hand::palm" in [frame.name for frame in read(files, *parts).frames]
+    files.pop("model://arm/hand.sdf")
+    files["hand.sdf"] = HAND
+    assert "m::hand::palm" in [frame.name for frame in read(files, *parts).frames]
 
 
 def test_model_that_includes_itself_is_refused() -> None:
