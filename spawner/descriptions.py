@@ -19,6 +19,10 @@ from spawner.search_paths import SearchPaths, model_file
 
 KEY = re.compile(r"[^/?#*$\s]+(?:/[^/?#*$\s]+)*")
 PACKAGE_URI = re.compile(r"(<mesh\b[^>]*?\bfilename\s*=\s*[\"']\s*)package://")
+LATIN = re.compile(
+    rb"""<\?xml\b[^>]{0,200}?\bencoding\s*=\s*["'](iso-8859-15?|latin-?1|windows-1252)["']""", re.I
+)
+COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 POLL_S = 0.02
 GET_TIMEOUT_S = 1.0
 
@@ -68,17 +72,29 @@ def from_file(file: Path, arguments: Mapping[str, str], paths: SearchPaths) -> D
 
 
 def text_of(data: bytes, where: str) -> str:
-    """Read bytes as XML says how: UTF-16 with its mark, or UTF-8.
+    """Read bytes as XML says how: UTF-16 with its mark, a Latin that is declared, or UTF-8.
+
+    Bytes of another encoding do no harm in comments.
 
     Raises:
-        DescriptionError: They are neither.
+        DescriptionError: They are none of these.
     """
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encoding = "utf-16"
+    else:
+        declared = LATIN.match(data)
+        encoding = declared[1].decode().lower() if declared else "utf-8-sig"
+        data = data if declared else COMMENT.sub(_as_utf8, data)
     try:
-        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+        return data.decode(encoding)
     except UnicodeDecodeError as error:
         raise DescriptionError(
             f"{where} cannot be decoded: byte {error.start} is no {error.encoding}; use UTF-8"
         ) from error
+
+
+def _as_utf8(comment: re.Match[bytes]) -> bytes:
+    return comment[0].decode(errors="replace").encode()
 
 
 def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -> Description:

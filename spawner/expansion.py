@@ -6,7 +6,7 @@ from pathlib import Path
 from types import ModuleType
 from xml.parsers.expat import ExpatError
 
-from spawner.markup import DescriptionError
+from spawner.markup import DescriptionError, without_comments
 from spawner.search_paths import SearchPaths, is_package, package_name
 
 ENDING = ".xacro"
@@ -15,8 +15,8 @@ XACRO_PACKAGES = ("xacrodoc", "xacro", "rospkg")
 
 
 def needs_expansion(text: str, path: Path) -> bool:
-    """Whether a file is xacro: by its ending, or by the tags in it."""
-    return path.suffix == ENDING or MARK in text
+    """Whether a file is xacro: by its ending, or by the tags in it, comments apart."""
+    return path.suffix == ENDING or MARK in without_comments(text)
 
 
 def arguments_of(words: Sequence[str]) -> dict[str, str]:

@@ -1,5 +1,6 @@
 """A description as the operator's side reads it: no DOCTYPE, bounded depth; how it refuses one."""
 
+import re
 import xml.etree.ElementTree as ET
 
 from proto.result import ServiceError, SpawnCode
@@ -7,6 +8,8 @@ from proto.result import ServiceError, SpawnCode
 MAX_DEPTH = 64
 MAX_TEXT_BYTES = 8 << 20
 ROOTS = ("robot", "sdf")
+BLANKS = "\ufeff \t\r\n"
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 class DescriptionError(ValueError):
@@ -24,15 +27,22 @@ def refused(code: SpawnCode, slug: str, fault: str) -> ServiceError:
     return ServiceError("spawn_entity", code, code.name, f"{slug}: {fault}")
 
 
+def without_comments(text: str) -> str:
+    """Blank comments out, all but their line ends, so that lines keep their numbers.
+
+    Gazebo takes comments with two hyphens inside, which XML parsers refuse.
+    """
+    return _COMMENT.sub(lambda comment: "\n" * comment[0].count("\n"), text)
+
+
 def parsed(text: str) -> ET.Element:
     """Read a URDF or an SDF into elements.
 
     Raises:
         DescriptionError: It is no XML, has a DOCTYPE, is too deep, or begins otherwise.
     """
-    parser = ET.XMLParser(target=_NoDoctype())
     try:
-        root = ET.fromstring(text.lstrip("\ufeff \t\r\n"), parser=parser)
+        root = _elements(text)
     except (ET.ParseError, UnicodeEncodeError) as error:
         raise DescriptionError(f"the description is not well-formed XML: {error}") from error
     if root.tag not in ROOTS:
@@ -42,6 +52,14 @@ def parsed(text: str) -> ET.Element:
         )
     _check_depth(root)
     return root
+
+
+def _elements(text: str) -> ET.Element:
+    try:
+        return ET.fromstring(text.lstrip(BLANKS), parser=ET.XMLParser(target=_NoDoctype()))
+    except ET.ParseError:
+        bare = without_comments(text).lstrip(BLANKS)
+        return ET.fromstring(bare, parser=ET.XMLParser(target=_NoDoctype()))
 
 
 def _check_depth(root: ET.Element) -> None:

@@ -23,6 +23,9 @@ MAX_ATTRIBUTES = 64
 _UNKNOWN_PREFIX = 201
 """XML_NS_ERR_UNDEFINED_NAMESPACE of libxml2; readers of URDF know nothing of prefixes."""
 _SPACES = re.compile(rb"[ \t\r\n]+")
+_HYPHENS_IN_COMMENT = 80
+"""XML_ERR_HYPHEN_IN_COMMENT of libxml2; Gazebo takes them."""
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
 
 
@@ -78,6 +81,11 @@ def _bounded(text: str, slug: str) -> bytes:
     return data
 
 
+def _without_comments(data: bytes) -> bytes:
+    # Their line ends stay, so that lines keep their numbers.
+    return _COMMENT.sub(lambda comment: b"\n" * comment[0].count(b"\n"), data)
+
+
 def _without_declaration(data: bytes) -> bytes:
     # Readers of URDF pass over it, be it after comments or of version 0.0.
     at = 0
@@ -120,8 +128,11 @@ def _parsed(data: bytes) -> Element:
     try:
         return etree.fromstring(text, parser)
     except etree.XMLSyntaxError as error:
-        if {entry.type for entry in parser.error_log} == {_UNKNOWN_PREFIX}:
+        faults = {entry.type for entry in parser.error_log}
+        if faults == {_UNKNOWN_PREFIX}:
             return etree.fromstring(text, _parser(recover=True))
+        if faults - {_UNKNOWN_PREFIX} == {_HYPHENS_IN_COMMENT} and _COMMENT.search(text):
+            return _parsed(_without_comments(text))
         raise ModelError(
             f"the description is not well-formed XML: {in_line(str(error))}", slug="xml.syntax"
         ) from error

@@ -44,6 +44,29 @@ def test_file_is_read_whatever_unicode_it_is(tmp_path: Path, encoding: str) -> N
     assert from_file(file, {}, SearchPaths()).text == '<robot name="räder"/>'
 
 
+@pytest.mark.parametrize(
+    ("head", "encoding"),
+    [
+        ('<?xml version="1.0" encoding="ISO-8859-1"?>', "latin-1"),
+        ("<?xml version='1.0' encoding='windows-1252' ?>", "cp1252"),
+    ],
+)
+def test_file_is_read_in_the_latin_that_it_declares(
+    tmp_path: Path, head: str, encoding: str
+) -> None:
+    file = tmp_path / "r.urdf"
+    file.write_bytes(f'{head}<robot name="räder"/>'.encode(encoding))
+
+    assert from_file(file, {}, SearchPaths()).text == f'{head}<robot name="räder"/>'
+
+
+def test_file_is_read_when_only_a_comment_is_no_unicode(tmp_path: Path) -> None:
+    file = tmp_path / "r.urdf"
+    file.write_bytes(b'<!-- 30\xb0 --><robot name="r"/>')
+
+    assert from_file(file, {}, SearchPaths()).text == '<!-- 30\ufffd --><robot name="r"/>'
+
+
 def test_file_is_refused_unread_when_it_is_too_large(tmp_path: Path) -> None:
     file = tmp_path / "r.urdf"
     with file.open("wb") as large:

@@ -27,6 +27,7 @@ def a_xacro(folder: Path, text: str) -> Path:
         ("r.urdf.xacro", "<robot/>", True),
         ("r.urdf", HEAD + "</robot>", False),
         ("r.urdf", HEAD + '<xacro:arg name="a"/></robot>', True),
+        ("r.urdf", "<robot><!--><xacro:imu/><--></robot>", False),
     ],
 )
 def test_file_is_expanded_when_it_is_xacro(name: str, text: str, needed: bool) -> None:  # noqa: FBT001

@@ -52,6 +52,21 @@ def test_parser_takes_a_prefix_that_nothing_declares_as_part_of_the_name() -> No
     assert [child.tag for child in root] == ["a:b"]
 
 
+def test_parser_takes_two_hyphens_in_a_comment_as_gazebo_does() -> None:
+    text = "<!-- -- a -- -->\n<robot><!--\n--\n--><link/><a:b/></robot>"
+
+    root = parse_xml(text, root_tag="robot", slug="urdf")
+
+    assert [(child.tag, child.sourceline) for child in root] == [("link", 4), ("a:b", 4)]
+
+
+def test_parser_mends_nothing_else_when_a_comment_has_two_hyphens() -> None:
+    with pytest.raises(ModelError) as caught:
+        parse_xml("<robot><!-- -- --></robt>", root_tag="robot", slug="urdf")
+
+    assert caught.value.slug == "xml.syntax"
+
+
 def test_parser_mends_nothing_else_when_a_prefix_is_undeclared() -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml("<robot><a:b/></robt>", root_tag="robot", slug="urdf")
