@@ -54,7 +54,7 @@ def spawn_when_read(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport | 
 
 def _planned(desk: Desk, order: SpawnEntityOrder) -> tuple[Birth, list[ReportEntry]]:
     model, text = desk.descriptions.model(order)
-    pose, notes = _birth_pose(desk.world, order, model)
+    pose, notes = _birth_pose(desk, order, model)
     birth = Birth(
         name=order.name or model.name,
         namespace=order.entity_namespace,
@@ -100,7 +100,7 @@ def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
 
 
 def _birth_pose(
-    world: World, request: SpawnEntityOrder, model: Model
+    desk: Desk, request: SpawnEntityOrder, model: Model
 ) -> tuple[FloatArray, list[ReportEntry]]:
     wish = request.initial_pose
     notes = []
@@ -108,10 +108,10 @@ def _birth_pose(
         notes.append(
             ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
         )
-    pose = in_world(world, wish.header.frame_id, pose_row(wish.pose))
+    pose = in_world(desk.world, wish.header.frame_id, pose_row(wish.pose))
     qx, qy, qz, qw = pose[3:7].tolist()
     # Not -clearance, which is -0 for a model without collisions.
-    standing = 0.0 - ground_clearance(model, (qx, qy, qz, qw))
+    standing = 0.0 - ground_clearance(model, (qx, qy, qz, qw), desk.store.corners)
     if request.snap_to_ground:
         pose[2] = standing
     depth = standing - float(pose[2])

@@ -12,7 +12,7 @@ import trimesh
 
 from sim_server.description.formats import read_robot
 from sim_server.description.library import model_text
-from sim_server.description.meshes import Files, with_meshes
+from sim_server.description.meshes import Conversions, Files, with_meshes
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -54,7 +54,8 @@ def describe(text: str, *, assets: Files, allow_missing: bool, compat: Compat) -
     model = read_robot(
         text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
     )
-    return Described(*with_meshes(_with_compat(model, compat), present))
+    made = Conversions()
+    return Described(with_meshes(_with_compat(model, compat), present, made), made.meshes)
 
 
 def _with_compat(model: Model, compat: Compat) -> Model:

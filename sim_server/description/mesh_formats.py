@@ -12,6 +12,7 @@ import numpy as np
 import trimesh
 
 from proto.result import SpawnCode
+from sim_server.description.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
 
@@ -23,8 +24,6 @@ if TYPE_CHECKING:
 MAX_TRIANGLES = 2_000_000
 MAX_EXTENT = 1e6
 """Of a coordinate, in the file's own unit."""
-STL_HEAD = 84
-STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE | re.MULTILINE)
 
 
@@ -55,9 +54,7 @@ def read_mesh(name: str, data: bytes) -> Triangles:
 
 def write_stl(triangles: Triangles) -> bytes:
     """Write triangles as binary STL."""
-    records = np.zeros(len(triangles.faces), STL_RECORD)
-    records["corners"] = triangles.vertices[triangles.faces]
-    return b"zensim".ljust(80, b"\0") + len(records).to_bytes(4, "little") + records.tobytes()
+    return write_corners(triangles.vertices[triangles.faces])
 
 
 def _checked(name: str, found: Triangles) -> Triangles:
@@ -80,7 +77,7 @@ def _stl(name: str, data: bytes) -> Triangles:
     if count >= 0 and len(data) == STL_HEAD + count * STL_RECORD.itemsize:
         if count > MAX_TRIANGLES:
             raise _too_many(name, count)
-        return _soup(np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"].reshape(-1, 3))
+        return _soup(read_corners(data, count))
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]:
         try:
             return _soup(np.array(VERTEX.findall(data), dtype=np.float64).reshape(-1, 3))
@@ -88,7 +85,7 @@ def _stl(name: str, data: bytes) -> Triangles:
             raise _bad(name, "has a corner that is no three numbers", slug="mesh.number") from error
     # Some exporters pad the end: more bytes than the count says are harmless, fewer are not.
     if 0 < count <= MAX_TRIANGLES and len(data) > STL_HEAD + count * STL_RECORD.itemsize:
-        return _soup(np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"].reshape(-1, 3))
+        return _soup(read_corners(data, count))
     raise _bad(
         name,
         f"promises {max(count, 0)} triangles, but its {len(data)} bytes do not hold them",

@@ -42,36 +42,46 @@ GRIDS = (512, 256, 128, 64, 32, 16)
 
 
 @dataclass
+class Conversions:
+    """What was made of files so far; models that share files share it.
+
+    Attributes:
+        meshes: Bytes by sha256.
+        known: Name of what was made, by the file's sha256 and the purpose.
+    """
+
+    meshes: dict[str, bytes] = field(default_factory=dict)
+    known: dict[tuple[str, str], str] = field(default_factory=dict)
+
+
+@dataclass
 class _Made:
     files: dict[str, tuple[str, bytes]]
     is_static: bool
-    meshes: dict[str, bytes] = field(default_factory=dict)
+    conversions: Conversions
     notes: list[ReportEntry] = field(default_factory=list)
-    known: dict[tuple[str, str], str] = field(default_factory=dict)
     read: dict[str, Triangles] = field(default_factory=dict)
 
 
 def with_meshes(
-    model: Model, files: dict[str, tuple[str, bytes]]
-) -> tuple[Model, dict[str, bytes]]:
-    """Replace each mesh's URI by the sha256 of what was made of it.
-
-    Returns:
-        The model, and the meshes by sha256.
+    model: Model, files: dict[str, tuple[str, bytes]], conversions: Conversions
+) -> Model:
+    """Replace each mesh's URI by the sha256 of what was made of it, which is in `conversions`.
 
     Raises:
         ModelError: A collision's mesh cannot be read.
     """
-    if not any(shape.kind == "mesh" for link in model.links for shape in _shapes(link)):
-        return model, {}
-    made = _Made(files, model.is_static)
+    if not mesh_uris(model):
+        return model
+    made = _Made(files, model.is_static, conversions)
     links = tuple(_with_meshes(link, made) for link in model.links)
-    changed = msgspec.structs.replace(model, links=links, report=(*model.report, *made.notes))
-    return changed, made.meshes
+    return msgspec.structs.replace(model, links=links, report=(*model.report, *made.notes))
 
 
-def _shapes(link: Link) -> tuple[Shape, ...]:
-    return (*link.collisions, *link.visuals)
+def mesh_uris(model: Model) -> tuple[str, ...]:
+    """List the files that a model names, each once."""
+    shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
+    return tuple(dict.fromkeys(shape.mesh for shape in shapes if shape.kind == "mesh"))
 
 
 def _with_meshes(link: Link, made: _Made) -> Link:
@@ -103,12 +113,13 @@ def _visual(link: str, shape: Shape, made: _Made) -> Shape | None:
 
 def _converted(shape: Shape, purpose: str, made: _Made) -> Shape:
     source, data = made.files[shape.mesh]
-    if (name := made.known.get((source, purpose))) is None:
+    known = made.conversions.known
+    if (name := known.get((source, purpose))) is None:
         if source not in made.read:
             made.read[source] = read_mesh(shape.mesh, data)
         stl = write_stl(CONVERSIONS[purpose](made.read[source]))
-        name = made.known[source, purpose] = sha256(stl).hexdigest()
-        made.meshes[name] = stl
+        name = known[source, purpose] = sha256(stl).hexdigest()
+        made.conversions.meshes[name] = stl
     return msgspec.structs.replace(shape, mesh=name)
 
 

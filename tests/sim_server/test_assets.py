@@ -4,10 +4,12 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
 from sim_server.assets import AssetStore
+from sim_server.description.stl import write_corners
 from sim_server.errors import AssetRefused
 
 DATA = b"solid zensim\nendsolid\n" * 10
@@ -106,6 +108,16 @@ def test_store_keeps_what_is_pinned_beside_its_budget() -> None:
     assert (put(store, b"pppp"), store.missing([pinned])) == (pinned, [])
     assert store.piece(pinned, 1, 9) == b"ppp"
     store.close()
+
+
+def test_store_tells_the_corners_of_a_mesh(store: AssetStore) -> None:
+    corners = np.arange(18.0).reshape(2, 3, 3)
+    name = put(store, write_corners(corners))
+
+    found = store.corners(name)
+
+    assert found.tolist() == corners.reshape(6, 3).tolist()
+    assert store.corners(name) is found
 
 
 def test_store_refuses_to_look_for_more_files_than_a_bundle_has(store: AssetStore) -> None:

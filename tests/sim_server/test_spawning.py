@@ -1,9 +1,13 @@
 """Spawning: what is checked before anything is made, dry runs, strictness, bonds, waiting."""
 
+import numpy as np
 import pytest
 
 from proto.geometry import Point, Pose, PoseStamped
+from proto.model import Inertial, Link, Model, Shape
 from proto.services import SpawnEntityOrder, SpawnEntityReport
+from sim_server.description.stl import write_corners
+from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, ModelError, NameNotUnique
 from sim_server.handlers.table import handle
 from tests.sim_server.fakes import ReadHere, a_desk, a_stage, a_world, names_in
@@ -21,6 +25,11 @@ def an_order(name: str = "new", **wishes: object) -> SpawnEntityOrder:
 
 def suspicions(report: SpawnEntityReport) -> list[str]:
     return [entry.reason for entry in report.report if entry.status == "suspicious"]
+
+
+def descriptions_of(desk: Desk) -> ReadHere:
+    assert isinstance(desk.descriptions, ReadHere)
+    return desk.descriptions
 
 
 def spawned(world_names: list[str], order: SpawnEntityOrder) -> tuple[SpawnEntityReport, list[str]]:
@@ -74,6 +83,23 @@ def test_strict_spawn_is_made_when_nothing_is_suspicious() -> None:
 
     assert suspicions(report) == []
     assert names == ["new"]
+
+
+def test_robot_stands_on_the_lowest_corner_of_its_meshes() -> None:
+    desk = a_desk(a_world())
+    corners = np.array([[[0.0, 0.0, -0.25], [1.0, 0.0, 0.0], [0.0, 1.0, 0.5]]])
+    desk.store.pin("a" * 64, write_corners(corners))
+    shape = Shape("mesh", (1.0, 1.0, 2.0), mesh="a" * 64)
+    descriptions_of(desk).given = Model("m", (Link("base", Inertial(1.0), (shape,)),))
+
+    snapped = handle(desk, an_order("high", snap_to_ground=True))
+    sunk = handle(desk, an_order("low", initial_pose=FAR))
+
+    assert isinstance(snapped, SpawnEntityReport)
+    assert isinstance(sunk, SpawnEntityReport)
+    assert suspicions(snapped) == []
+    assert desk.world.state_of("high")[2] == pytest.approx(0.5)
+    assert any("44.0 cm below ground" in reason for reason in suspicions(sunk))
 
 
 def test_bond_without_a_token_is_refused() -> None:

@@ -2,13 +2,21 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from proto.model import Joint, Link, Model, Origin, Shape
-from sim_server.description.clearance import ground_clearance
+from proto.model import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
+from sim_server.description import clearance
 
 HALF = math.sqrt(0.5)
 ON_ITS_SIDE = (HALF, 0.0, 0.0, HALF)
+
+
+WEDGE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -2.0]])
+
+
+def ground_clearance(model: Model, turn: Quat = IDENTITY) -> float:
+    return clearance.ground_clearance(model, turn, {"wedge": WEDGE}.__getitem__)
 
 
 def a_model(*shapes: Shape) -> Model:
@@ -24,6 +32,8 @@ def a_model(*shapes: Shape) -> Model:
         (Shape("cylinder", (0.5, 4.0, 0.0)), -2.0),
         (Shape("cylinder", (0.5, 4.0, 0.0), Origin(orientation=ON_ITS_SIDE)), -0.5),
         (Shape("capsule", (0.5, 4.0, 0.0)), -2.5),
+        (Shape("mesh", (1.0, 1.0, 0.5), Origin((0.0, 0.0, 3.0)), mesh="wedge"), 2.0),
+        (Shape("mesh", (1.0, -2.0, 1.0), Origin(orientation=ON_ITS_SIDE), mesh="wedge"), -2.0),
         (Shape("capsule", (0.5, 4.0, 0.0), Origin(orientation=ON_ITS_SIDE)), -0.5),
     ],
 )
@@ -48,9 +58,7 @@ def test_clearance_counts_links_where_their_joints_put_them() -> None:
 
 
 def test_clearance_is_zero_when_nothing_can_be_measured() -> None:
-    mesh = Shape("mesh", (1.0, 1.0, 1.0), Origin((0.0, 0.0, -9.0)), mesh="m.stl")
-
-    assert ground_clearance(a_model(mesh, Shape("plane"))) == 0.0
+    assert ground_clearance(a_model(Shape("plane"))) == 0.0
 
 
 def test_clearance_is_that_of_the_robot_as_it_is_turned() -> None:

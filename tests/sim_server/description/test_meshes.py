@@ -11,6 +11,7 @@ from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
 from sim_server.description.meshes import (
     MAX_DRAWN,
     MAX_HULL_CORNERS,
+    Conversions,
     convex_hull,
     fewer,
     with_meshes,
@@ -45,6 +46,11 @@ def extents(triangles: Triangles) -> list[float]:
 
 def a_model(*, is_static: bool = False, **shapes: tuple[Shape, ...]) -> Model:
     return Model("m", (Link("base", Inertial(1.0), **shapes),), is_static=is_static)
+
+
+def converted(model: Model, files: dict[str, tuple[str, bytes]]) -> tuple[Model, dict[str, bytes]]:
+    conversions = Conversions()
+    return with_meshes(model, files, conversions), conversions.meshes
 
 
 @pytest.mark.parametrize("ending", ["stl", "obj", "dae", "glb"])
@@ -129,7 +135,7 @@ def test_meshes_become_a_hull_to_collide_and_triangles_to_draw() -> None:
     shape = Shape("mesh", (1.0, -1.0, 1.0), mesh="a.stl")
     data = exported(trimesh.creation.torus(1.0, 0.3), "stl")
 
-    model, meshes = with_meshes(
+    model, meshes = converted(
         a_model(collisions=(shape,), visuals=(shape,)), {"a.stl": ("sha", data)}
     )
 
@@ -143,7 +149,7 @@ def test_static_mesh_collides_as_it_is() -> None:
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a.stl")
     data = exported(trimesh.creation.torus(1.0, 0.3), "stl")
 
-    model, meshes = with_meshes(
+    model, meshes = converted(
         a_model(collisions=(shape,), is_static=True), {"a.stl": ("sha", data)}
     )
 
@@ -153,7 +159,7 @@ def test_static_mesh_collides_as_it_is() -> None:
 def test_bad_visual_mesh_is_left_out_and_reported_once() -> None:
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a.stl")
 
-    model, meshes = with_meshes(a_model(visuals=(shape,)), {"a.stl": ("sha", b"garbage")})
+    model, meshes = converted(a_model(visuals=(shape,)), {"a.stl": ("sha", b"garbage")})
 
     assert (model.links[0].visuals, meshes) == ((), {})
     assert [entry.status for entry in model.report] == ["suspicious"]
@@ -163,7 +169,18 @@ def test_bad_collision_mesh_refuses_the_model() -> None:
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a.stl")
 
     with pytest.raises(ModelError, match=r"^mesh\.length"):
-        with_meshes(a_model(collisions=(shape,)), {"a.stl": ("sha", b"garbage")})
+        converted(a_model(collisions=(shape,)), {"a.stl": ("sha", b"garbage")})
+
+
+def test_models_share_what_was_made_of_a_file() -> None:
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a.stl")
+    files, conversions = {"a.stl": ("sha", exported(BOX, "stl"))}, Conversions()
+    first = with_meshes(a_model(collisions=(shape,)), files, conversions)
+
+    again = with_meshes(a_model(collisions=(shape,)), {"a.stl": ("sha", b"")}, conversions)
+
+    assert first == again
+    assert len(conversions.meshes) == 1
 
 
 def test_written_stl_is_read_back() -> None:

@@ -1,0 +1,26 @@
+"""Binary STL, in which the server keeps every mesh that it made. NumPy only."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+STL_HEAD = 84
+STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
+
+def write_corners(corners: NDArray[np.floating]) -> bytes:
+    """Write triangles (f, 3, 3)."""
+    records = np.zeros(len(corners), STL_RECORD)
+    records["corners"] = corners
+    return b"zensim".ljust(80, b"\0") + len(records).to_bytes(4, "little") + records.tobytes()
+
+
+def read_corners(data: bytes, count: int = -1) -> NDArray[np.float32]:
+    """Read the corners (3 f, 3) of the first `count` triangles; of all by default."""
+    corners = np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"]
+    return corners.reshape(-1, 3)
