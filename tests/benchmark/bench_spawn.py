@@ -8,12 +8,9 @@ and put into PyBullet in this process, among as many bodies.
 
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 
-from proto import keys
-from proto.bus import Subscription
-from proto.codec import decode
 from proto.geometry import Point, Pose, PoseStamped
 from proto.services import SpawnEntityOrder
 from proto.telemetry import Stats
@@ -23,7 +20,16 @@ from spawner.client import SimClient
 from spawner.launch import read_description, resource_for
 from tests.benchmark.bodies import Bodies, standing_at
 from tests.benchmark.figures import Asked, Figure, table
-from tests.benchmark.fleet import MILLISECONDS, ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds, soon
+from tests.benchmark.fleet import (
+    MILLISECONDS,
+    ROBOTS,
+    ROBOTS_WHEN_SHORT,
+    fleet,
+    latest_steps,
+    milliseconds,
+    observed,
+    stats_of,
+)
 
 __all__ = ["rows", "table"]
 
@@ -76,9 +82,9 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     with fleet(robots) as found:
         found.circle()
         spawner = Spawner(found.server.client)
-        stats = found.server.bus.subscribe(keys.stats("default"), 4096)
-        quiet = _observed(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
-        busy = _observed(stats, lambda: spawner.work(count))
+        stats = stats_of(found)
+        quiet = observed(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
+        busy = observed(stats, lambda: spawner.work(count))
     yield Figure(
         what="spawn request to reply",
         unit="ms",
@@ -91,24 +97,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     yield from _steps("with spawns", busy, Asked("max", "<=", 20.0))
 
 
-def _observed(stats: Subscription, act: Callable[[], object]) -> list[Stats]:
-    """Act, and return the statistics of the seconds that it took."""
-    # From the end of a window of the server on, to the end of the one in which it ends.
-    stats.take()
-    soon(stats.newest)
-    act()
-    seen = stats.take()
-    seen += soon(lambda: stats.take() or None)
-    return [decode(Stats, sample.payload, sample.encoding) for sample in seen]
-
-
 def _steps(when: str, seen: list[Stats], asked: Asked | None) -> Iterator[Figure]:
-    yield Figure(
-        what=f"latest step of each second, {when}",
-        unit="ms",
-        samples=tuple(stats.late_max_s * MILLISECONDS for stats in seen),
-        asked=asked,
-    )
+    yield latest_steps(when, seen, asked)
     yield Figure(
         what=f"longest step of each second, {when}",
         unit="ms",

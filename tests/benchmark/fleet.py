@@ -6,6 +6,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
+from proto import keys
+from proto.bus import Subscription
+from proto.codec import decode
+from proto.telemetry import Stats
+from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
 
@@ -46,6 +51,30 @@ def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
             stack.enter_context(running("agent", name, *joined))
         wait_for_agents(server, names)
         yield Fleet(server, [robot(server.bus, name) for name in names])
+
+
+def stats_of(found: Fleet) -> Subscription:
+    """Listen to what the server says of itself each second."""
+    return found.server.bus.subscribe(keys.stats("default"), 4096)
+
+
+def observed(stats: Subscription, act: Callable[[], object]) -> list[Stats]:
+    """Act, and return the statistics of the seconds that it took."""
+    # From the end of a window of the server on, to the end of the one in which it ends.
+    stats.take()
+    soon(stats.newest)
+    act()
+    seen = stats.take()
+    seen += soon(lambda: stats.take() or None)
+    return [decode(Stats, sample.payload, sample.encoding) for sample in seen]
+
+
+def latest_steps(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
+    """Say how late the latest step of each second was."""
+    samples = tuple(stats.late_max_s * MILLISECONDS for stats in seen)
+    return Figure(
+        what=f"latest step of each second, {when}", unit="ms", samples=samples, asked=asked
+    )
 
 
 def soon(ask: Callable[[], T | None], within_s: float = 10.0) -> T:
