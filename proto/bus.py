@@ -5,8 +5,6 @@ Python callback runs on a network thread and no open session can hang the interp
 """
 
 import json
-import re
-import socket
 import time
 import uuid
 from collections.abc import Iterator
@@ -19,12 +17,10 @@ from zenoh.handlers import FifoChannel, Handler, RingChannel
 from proto import keys
 from proto.catalog import Request, Response, Service
 from proto.codec import Format, decode, encode, encoding_of
+from proto.endpoint import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from proto.result import Result, ResultCode, ServiceError
 
-DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
-ENDPOINT = re.compile(r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?P<port>\d{1,5})\S*")
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
-MAX_PORT: Final = 65535
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """After a reconnect a query may end empty at first (zenoh#2767): ask again with the same id."""
 MAX_ANSWERS: Final = 16384
@@ -67,33 +63,6 @@ class Sample(msgspec.Struct, frozen=True):
     key: str
     payload: bytes
     encoding: str
-
-
-def check_endpoint(endpoint: str) -> str:
-    """Return the endpoint if Zenoh can use it.
-
-    Raises:
-        ValueError: Not `protocol/host:port`.
-    """
-    match = ENDPOINT.fullmatch(endpoint)
-    if match and int(match["port"]) <= MAX_PORT:
-        return endpoint
-    raise ValueError(
-        f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, as {DEFAULT_ENDPOINT}"
-    )
-
-
-def with_free_port(endpoint: str) -> str:
-    """Replace port 0 by one that is free on that host now."""
-    match = ENDPOINT.fullmatch(check_endpoint(endpoint))
-    if match is None or int(match["port"]) != 0:
-        return endpoint
-    host = match["host"].strip("[]")
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family) as probe:
-        probe.bind((host, 0))
-        port = probe.getsockname()[1]
-    return endpoint[: match.start("port")] + str(port) + endpoint[match.end("port") :]
 
 
 class Publisher:
@@ -343,6 +312,11 @@ def open_bus(config: BusConfig) -> Bus:
         return Bus(zenoh.open(_zenoh_config(settled)), settled)
     except zenoh.ZError as error:
         raise _open_error(settled, str(error)) from error
+
+
+def settings_of(config: BusConfig) -> str:
+    """Write a configuration as JSON, as Zenoh's own router takes it."""
+    return str(_zenoh_config(config))
 
 
 def _expression(key: str) -> zenoh.KeyExpr:

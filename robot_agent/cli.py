@@ -5,22 +5,21 @@ import signal
 import sys
 import time
 import uuid
-from itertools import cycle
 from types import FrameType
 from typing import Annotated, NoReturn, get_args
 
 import msgspec
 import typer
 
-from proto.bus import DEFAULT_ENDPOINT, Bus, BusConfig, Unreachable, open_bus
+from proto.bus import BusConfig
 from proto.claims import OnRelease
+from proto.endpoint import DEFAULT_ENDPOINT
 from proto.exits import one_line_failures
+from proto.joining import join
 from proto.names import check_name
 from robot_agent.agent import AgentConfig, run_agent
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
-"""Short, so that a server is found as soon as it is up; now and then long, for a far one."""
 CHARACTERS_OF_ENTITY = 48
 """Of its name, in a made-up name of an agent."""
 
@@ -80,24 +79,13 @@ def _run(endpoint: str, config: AgentConfig) -> None:
     # Opening does not return to Python; until there is a token to withdraw, a signal just ends it.
     _on_stop(signal.SIG_DFL)
     deadline_s = time.monotonic() + config.wait_s
-    with _join(endpoint, deadline_s) as bus:
+    with join(BusConfig(connect=(endpoint,)), config.wait_s) as bus:
         left_s = max(0.0, deadline_s - time.monotonic())
         try:
             _on_stop(_interrupt)
             run_agent(bus, msgspec.structs.replace(config, wait_s=left_s))
         except KeyboardInterrupt:
             _on_stop(signal.SIG_IGN)
-
-
-def _join(endpoint: str, deadline_s: float) -> Bus:
-    timeouts = cycle(OPEN_TIMEOUTS_S)
-    while True:
-        config = BusConfig(connect=(endpoint,), open_timeout_s=next(timeouts))
-        try:
-            return open_bus(config)
-        except Unreachable:
-            if time.monotonic() >= deadline_s:
-                raise
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:

@@ -43,6 +43,7 @@ ModelPath = Annotated[
         help="Folder to look for a world's included models in.", envvar="GAZEBO_MODEL_PATH"
     ),
 ]
+Wait = Annotated[float, typer.Option(min=0.0, help="Seconds to wait for the router to join.")]
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
 ]
@@ -53,6 +54,7 @@ def serve(
     *,
     listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = "",
     connect: Connect = "",
+    wait: Wait = 30.0,
     world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty",
     world_name: WorldName = "default",
     step_hz: StepHz = None,
@@ -82,6 +84,7 @@ def serve(
         seed=seed,
         model_paths=tuple(map(str, model_path or ())),
         is_strict=strict,
+        wait_s=wait,
     )
     _serve(config, stop)
 

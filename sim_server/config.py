@@ -2,7 +2,8 @@
 
 import msgspec
 
-from proto.bus import DEFAULT_ENDPOINT, BusConfig
+from proto.bus import BusConfig
+from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from proto.names import check_name
 
@@ -38,6 +39,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Refuse a world of which something is suspicious."""
     is_paused: bool = False
     seed: int = 0
+    wait_s: float = 30.0
+    """How long to wait for the router to join."""
 
     @property
     def step_ns(self) -> int:

@@ -21,6 +21,7 @@ VERBS: dict[str, tuple[str, str]] = {
         "Run a world, its robots, their agents and the page, all on this machine.",
     ),
     "serve": ("sim_server.cli", "Run a world and serve it on the network."),
+    "router": ("deploy.cli.router", "Run the router alone, for servers and agents to join."),
     "spawn": ("spawner.cli.spawn", "Put one robot into the world."),
     "fleet": ("spawner.cli.spawn", "Put many robots into the world."),
     "agent": ("robot_agent.cli", "Drive robots: cmd_vel in, odom and tf out."),

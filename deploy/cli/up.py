@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from deploy.demo import Demo, DemoConfig, DemoFailed, Steps, run, start, summary
 from deploy.local import Program, ProgramDied, Supervisor
-from proto.bus import DEFAULT_ENDPOINT, with_free_port
+from proto.endpoint import DEFAULT_ENDPOINT, with_free_port
 from proto.exits import one_line_failures
 from proto.names import check_name
 from proto.stop import StopFlag

@@ -7,7 +7,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from proto.bus import BusConfig, open_bus
+from proto.endpoint import DEFAULT_ENDPOINT
 from proto.exits import one_line_failures
 from proto.names import check_name
 from spawner.client import SimClient

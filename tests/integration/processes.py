@@ -14,7 +14,8 @@ from typing import TypeVar
 import psutil
 
 from deploy.parent import PARENT
-from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus, with_free_port
+from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from proto.endpoint import with_free_port
 from spawner.client import SimClient
 
 T = TypeVar("T")

@@ -10,9 +10,9 @@ import msgspec
 import pytest
 import zenoh
 
-from proto.bus import DEFAULT_ENDPOINT
 from proto.catalog import SERVICES
 from proto.codec import decode
+from proto.endpoint import DEFAULT_ENDPOINT
 from proto.result import ResultCode
 from proto.services import DeleteEntityResponse
 from tests.integration.processes import (

@@ -6,19 +6,10 @@ from collections.abc import Iterator
 import pytest
 
 from proto import keys
-from proto.bus import (
-    Bus,
-    BusConfig,
-    EndpointTaken,
-    NoServer,
-    Sample,
-    Unreachable,
-    check_endpoint,
-    open_bus,
-    with_free_port,
-)
+from proto.bus import Bus, BusConfig, EndpointTaken, NoServer, Sample, Unreachable, open_bus
 from proto.catalog import DELETE_ENTITY, INFO
 from proto.codec import Format, encode, encoding_of
+from proto.endpoint import check_endpoint, with_free_port
 from proto.result import Result, ResultCode, ServiceError
 from proto.services import DeleteEntityRequest, DeleteEntityResponse
 from proto.telemetry import Info, InfoRequest

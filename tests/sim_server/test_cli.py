@@ -40,7 +40,7 @@ def test_serve_is_refused_when_it_is_to_listen_and_to_connect() -> None:
 def test_serve_says_so_when_nobody_listens_where_it_is_to_connect() -> None:
     endpoint = free_endpoint()
 
-    done = zensim("serve", "--connect", endpoint)
+    done = zensim("serve", "--connect", endpoint, "--wait", "0")
 
     assert done.returncode == Exit.UNREACHABLE
     assert done.stderr.startswith("zensim serve: UNREACHABLE (4): nobody listens at ")

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from proto.bus import DEFAULT_ENDPOINT, BusConfig
+from proto.bus import BusConfig
+from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, paced, server_bus
 

@@ -1,0 +1,43 @@
+"""`zensim router`: the router alone, of the same settings as the one inside `zensim serve`."""
+
+import time
+from typing import Annotated
+
+import typer
+
+from proto.bus import BusConfig, open_bus, settings_of
+from proto.endpoint import DEFAULT_ENDPOINT
+from proto.exits import one_line_failures
+from proto.stop import StopFlag
+
+POLL_S = 0.05
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def router(
+    *,
+    listen: Annotated[
+        list[str] | None, typer.Option(help="Endpoint to listen at; may be repeated.")
+    ] = None,
+    connect: Annotated[
+        list[str] | None, typer.Option(help="Another router to join; may be repeated.")
+    ] = None,
+    print_config: Annotated[
+        bool, typer.Option("--print-config", help="Print the settings as zenohd -c takes them.")
+    ] = False,
+) -> None:
+    """Run the router alone: servers and agents join it with --connect, in any order."""
+    config = BusConfig(
+        mode="router", listen=tuple(listen or (DEFAULT_ENDPOINT,)), connect=tuple(connect or ())
+    )
+    with one_line_failures("router"):
+        if print_config:
+            typer.echo(settings_of(config))
+            return
+        stop = StopFlag()
+        with open_bus(config) as bus:
+            typer.echo(f"zensim router: at {', '.join(bus.config.listen)}", err=True)
+            while not stop():
+                time.sleep(POLL_S)
