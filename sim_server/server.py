@@ -6,13 +6,13 @@ from collections.abc import Callable
 from contextlib import ExitStack
 
 from proto import keys
-from proto.bus import Bus, NoServer, open_bus
+from proto.bus import Bus, NoServer
 from proto.catalog import INFO
 from proto.header import NANOSECONDS
+from proto.joining import join
 from proto.telemetry import InfoRequest
 from sim_server.assets import AssetStore
 from sim_server.config import AlreadyServed, ServerConfig, checked, paced
-from sim_server.description.sdf import WorldModel
 from sim_server.descriptions import ReadElsewhere
 from sim_server.desk import Desk
 from sim_server.inbox import BusInbox
@@ -23,7 +23,7 @@ from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.reader import Reader
 from sim_server.world import World
-from sim_server.world_files import furnish, load_world
+from sim_server.world_files import LoadedWorld, doubts, furnish, load_world
 
 ASK_TIMEOUT_S = 2.0
 READER_START_S, READER_POLL_S = 30.0, 0.005
@@ -55,16 +55,18 @@ def serve(
         BusError: The network cannot be joined.
     """
     checked(config)
-    world_model = load_world(config.world_file, config.model_paths, is_strict=config.is_strict)
-    pace = world_model.pace
+    loaded = load_world(config.world_file, config.model_paths, is_strict=config.is_strict)
+    for fault in doubts(loaded.model.report):
+        LOG.warning("world=%s %s", config.world_file, fault)
+    pace = loaded.model.pace
     config = paced(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
-    with open_bus(config.bus) as bus:
+    with join(config.bus, config.wait_s) as bus:
         if _is_served(bus, config.world):
             raise AlreadyServed(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
                 "stop it, or use --world-name with another"
             )
-        _run(config, world_model, bus, should_stop, on_ready)
+        _run(config, loaded, bus, should_stop, on_ready)
 
 
 def _is_served(bus: Bus, world: str) -> bool:
@@ -82,7 +84,7 @@ def _is_served(bus: Bus, world: str) -> bool:
 
 def _run(
     config: ServerConfig,
-    world_model: WorldModel,
+    loaded: LoadedWorld,
     bus: Bus,
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
@@ -93,7 +95,7 @@ def _run(
         ending.callback(store.close)
         reader = Reader(store, clock.now_ns)
         ending.callback(reader.close)
-        world = _world(config, world_model, store)
+        world = _world(config, loaded, store)
         ending.callback(world.close)
         desk = Desk(
             world,
@@ -101,7 +103,7 @@ def _run(
             clock.now_ns,
             ReadElsewhere(reader, store),
             store,
-            world_model.name,
+            loaded.model.name,
             config.real_time_factor or 0.0,
             config.seed,
         )
@@ -121,7 +123,10 @@ def _wait_for_reader(reader: Reader, clock: WallClock, should_stop: Callable[[],
         clock.sleep(READER_POLL_S)
 
 
-def _world(config: ServerConfig, world_model: WorldModel, store: AssetStore) -> World:
+def _world(config: ServerConfig, loaded: LoadedWorld, store: AssetStore) -> World:
+    world_model = loaded.model
+    for name, data in loaded.meshes.items():
+        store.pin(name, data)
     engine = PyBulletEngine(
         EngineConfig(
             config.step_ns,

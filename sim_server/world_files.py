@@ -2,35 +2,48 @@
 
 from __future__ import annotations
 
+import os
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 
+from proto.assets import MAX_FILE_BYTES
+from proto.model import ReportEntry
 from sim_server.config import ConfigError
 from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import WorldModel, read_world
-from sim_server.errors import SimError
-from sim_server.model_path import models_in
+from sim_server.description.meshes import Conversions, mesh_uris, with_meshes
+from sim_server.description.sdf import Placed, WorldModel, read_world
+from sim_server.errors import ModelError, SimError
+from sim_server.model_path import files_in, models_in
 from sim_server.world import Birth, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
-    from proto.model import ReportEntry
+    from sim_server.model_path import FindFile
 
 SHOWN = 5
 """Entries of the report that a refusal repeats."""
 
 
+class LoadedWorld(msgspec.Struct, frozen=True):
+    """A world, and the meshes that its models name, by sha256."""
+
+    model: WorldModel
+    meshes: dict[str, bytes] = {}
+
+
 def load_world(
     name: str, model_paths: Iterable[str] = (), *, is_strict: bool = False
-) -> WorldModel:
-    """Read a shipped world by name, or a world file by path.
+) -> LoadedWorld:
+    """Read a shipped world by name, or a world file by path, and the files that it names.
 
     Args:
         name: Of the world.
-        model_paths: Folders to look for included models in, beside that of the world file.
+        model_paths: Folders to look for models and meshes in, beside that of the world file.
         is_strict: Refuse a world of which something was left out or is suspicious.
 
     Raises:
@@ -39,22 +52,56 @@ def load_world(
     folders = [Path(path) for path in model_paths]
     try:
         if name in shipped_worlds():
-            world = read_world(world_text(name), resolve=models_in(folders))
+            loaded = _loaded(world_text(name), folders)
         else:
             file = Path(name)
             text = file.read_text(encoding="utf-8")
-            world = read_world(text, resolve=models_in([file.resolve().parent, *folders]))
+            loaded = _loaded(text, [file.resolve().parent, *folders])
     except SimError as error:
         raise ConfigError(f"world '{name}': {error}") from error
     except (OSError, UnicodeDecodeError) as error:
         shipped = ", ".join(shipped_worlds())
         raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
-    if is_strict and (faults := doubts(world.report)):
+    if is_strict and (faults := doubts(loaded.model.report)):
         raise ConfigError(
             f"world '{name}' is refused by --strict: {'; '.join(faults[:SHOWN])}"
             + (f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else "")
         )
-    return world
+    return loaded
+
+
+def _loaded(text: str, folders: Sequence[Path]) -> LoadedWorld:
+    find = files_in(folders)
+
+    def has_mesh(uri: str) -> bool:
+        file = find(uri)
+        if file is None or not os.access(file, os.R_OK):
+            return False
+        return file.stat().st_size <= MAX_FILE_BYTES
+
+    world = read_world(text, resolve=models_in(folders), has_mesh=has_mesh)
+    conversions = Conversions()
+    models, notes = [], list(world.report)
+    for placed in world.models:
+        try:
+            model = with_meshes(placed.model, _files(placed, find), conversions)
+        except ModelError as error:
+            notes.append(ReportEntry("suspicious", f"model '{placed.name}'", f"left out: {error}"))
+            continue
+        notes += [
+            msgspec.structs.replace(note, subject=f"{placed.name}: {note.subject}")
+            for note in model.report[len(placed.model.report) :]
+        ]
+        models.append(msgspec.structs.replace(placed, model=model))
+    world = msgspec.structs.replace(world, models=tuple(models), report=tuple(notes))
+    return LoadedWorld(world, conversions.meshes)
+
+
+def _files(placed: Placed, find: FindFile) -> dict[str, tuple[str, bytes]]:
+    """Read the meshes that a model names, by URI: sha256 and bytes."""
+    files = {uri: find(uri) for uri in mesh_uris(placed.model)}
+    read = {uri: file.read_bytes() for uri, file in files.items() if file is not None}
+    return {uri: (sha256(data).hexdigest(), data) for uri, data in read.items()}
 
 
 def doubts(report: Iterable[ReportEntry]) -> list[str]:

@@ -1,0 +1,89 @@
+"""Worlds and robots of meshes, in a real server: what is hollow is hollow, and nothing sinks."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from proto.assets import GetAssetRequest
+from proto.catalog import GET_ASSET
+from tests.integration.processes import Server, serving
+
+STEPS = 400
+RING = trimesh.creation.annulus(r_min=0.4, r_max=0.6, height=0.3)
+WEDGE = trimesh.convex.convex_hull(
+    np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)] + [[0.0, 0.0, -0.5]])
+)
+WORLD = """<sdf version="1.6"><world name="w">
+<include><uri>model://ground_plane</uri></include>
+<include><uri>model://ring</uri><pose>0 0 0.15 0 0 0</pose></include>
+<model name="tile"><pose>3 0 1 0 0 0</pose><link name="l"><inertial><mass>1</mass><inertia>
+<ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia></inertial><collision name="c"><geometry>
+<mesh><uri>tile.obj</uri><scale>0.5 0.5 0.5</scale></mesh></geometry></collision></link></model>
+</world></sdf>"""
+RING_SDF = """<sdf version="1.6"><model name="ring"><static>true</static><link name="l">
+<collision name="c"><geometry><mesh><uri>meshes/ring.dae</uri></mesh></geometry></collision>
+<visual name="v"><geometry><mesh><uri>meshes/ring.dae</uri></mesh></geometry></visual>
+</link></model></sdf>"""
+ROBOT = """<robot name="wedge"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
+<collision><geometry><mesh filename="wedge.stl"/></geometry></collision></link></robot>"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a world with a ring from the path and a tile beside it, and a robot."""
+    made = tmp_path_factory.mktemp("world")
+    (made / "models" / "ring" / "meshes").mkdir(parents=True)
+    (made / "models" / "ring" / "model.sdf").write_text(RING_SDF)
+    RING.export(str(made / "models" / "ring" / "meshes" / "ring.dae"))
+    trimesh.creation.box((1.0, 1.0, 0.2)).export(str(made / "tile.obj"))
+    WEDGE.export(str(made / "wedge.stl"))
+    (made / "w.world").write_text(WORLD)
+    (made / "wedge.urdf").write_text(ROBOT)
+    return made
+
+
+@pytest.fixture(scope="module")
+def server(folder: Path) -> Iterator[Server]:
+    path = ("--model-path", str(folder / "models"), "--rtf", "0", "--strict", "--paused")
+    with serving("--world", str(folder / "w.world"), *path) as found:
+        yield found
+
+
+def height(server: Server, name: str) -> float:
+    return server.client.entity_state(name).pose.position.z
+
+
+def test_robot_stands_in_the_hole_of_a_static_mesh(server: Server) -> None:
+    assert server.zensim("spawn", "box_bot", "-n", "inside", "--strict").returncode == 0
+
+    server.client.step(STEPS)
+
+    assert height(server, "inside") == pytest.approx(0.06, abs=0.005)
+
+
+def test_moving_mesh_of_a_world_falls_and_lies(server: Server) -> None:
+    server.client.step(STEPS)
+
+    assert height(server, "tile") == pytest.approx(0.05, abs=0.005)
+
+
+def test_drawn_mesh_of_a_world_is_there_to_be_fetched(server: Server) -> None:
+    (model,) = server.client.models(("ring",)).models
+    mesh = model.links[0].visuals[0].mesh
+
+    answer = server.bus.call(GET_ASSET, GetAssetRequest(mesh), world="default")
+
+    assert len(answer.data) == answer.total == 84 + 50 * len(RING.faces)
+
+
+def test_robot_of_a_mesh_is_put_on_its_lowest_corner(server: Server, folder: Path) -> None:
+    wish = ("spawn", str(folder / "wedge.urdf"), "-n", "wedge", "-x", "-3")
+
+    done = server.zensim(*wish, "--strict")
+
+    assert done.returncode == 0, done.stderr
+    assert height(server, "wedge") == pytest.approx(0.5)
