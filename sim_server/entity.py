@@ -53,6 +53,11 @@ class Roster:
     joint_start: IntArray
     joint_count: IntArray
 
+    def joints_of(self, name: str) -> slice:
+        """Where the joints of an entity stand."""
+        start = int(self.joint_start[self.row[name]])
+        return slice(start, start + int(self.joint_count[self.row[name]]))
+
 
 @dataclass(frozen=True)
 class Fleet:

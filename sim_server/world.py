@@ -1,7 +1,7 @@
 """The World: entities and simulation time, over an engine. No network, no clock, no files."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from sim_server.errors import (
     IncorrectState,
     Refused,
 )
+from sim_server.frozen import FROZEN, SET_BACK, Stand, Watch, still
 from sim_server.naming import free_name, free_namespace
 from sim_server.physics.actuation import standing
 from sim_server.physics.engine import Engine, FloatArray, Reading
@@ -55,6 +56,7 @@ class World:
         self._events: list[Event] = []
         self._roster: Roster | None = None
         self._reading: Reading | None = None
+        self._watch = Watch()
 
     @property
     def time_ns(self) -> int:
@@ -142,6 +144,7 @@ class World:
         """
         entity = self.entity(name)
         self.claims.drop(name)
+        self._watch.forget(name)
         self._engine.remove(entity.body)
         del self._entities[name]
         self.ready_s.pop(name, None)
@@ -153,12 +156,13 @@ class World:
         return np.asarray(self.reading().base[self.roster().row[self.entity(name).name]])
 
     def place(self, name: str, base: FloatArray) -> None:
-        """Put an entity's root link at a state row (13,).
+        """Put an entity's root link at a state row (13,); a frozen one lives again.
 
         Raises:
             EntityNotFound: There is none of this name.
         """
-        self._engine.place(self.entity(name).body, base)
+        self._thaw(self.entity(name))
+        self._engine.place(self._entities[name].body, base)
         self.placed += 1
         self._reading = None
 
@@ -167,10 +171,13 @@ class World:
 
         Raises:
             EntityNotFound: One does not exist.
+            IncorrectState: One is frozen.
             Refused: Another agent drives one.
         """
         wanted = [self.entity(name) for name in dict.fromkeys(names)]
         for entity in wanted:
+            if self._watch.is_frozen(entity.name):
+                raise IncorrectState(f"entity '{entity.name}' is {FROZEN}")
             if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
                 raise Refused(
                     ClaimCode.ALREADY_CLAIMED,
@@ -211,9 +218,11 @@ class World:
         for agent, targets in self.claims.take_targets():
             if (fleet := self.fleets().get(agent)) is not None:
                 self._engine.command(fleet.bodies, targets)
-        self._engine.step()
+        is_well = self._engine.step()
         self.steps += 1
         self._reading = None
+        if not is_well:
+            self.reading()
 
     def play(self) -> None:
         """Let time run."""
@@ -242,8 +251,11 @@ class World:
                 if not entity.belongs_to_world:
                     self.delete(entity.name)
         if bits & ResetScope.STATE:
-            for entity in self._entities.values():
-                self._engine.rest(entity.body, entity.initial)
+            self.reading()  # so that what has gone bad is mended before
+            for entity in self.entities:
+                self._thaw(entity)
+                self._engine.rest(self._entities[entity.name].body, entity.initial)
+            self._watch.forget_all()
         if bits & ResetScope.TIME:
             self.steps = 0
         self.epoch += 1
@@ -258,9 +270,13 @@ class World:
         return self._roster
 
     def reading(self) -> Reading:
-        """Read every entity back, once a step at most."""
+        """Read every entity back, once a step at most; those that have gone bad are mended."""
         if self._reading is None:
-            self._reading = self._engine.read(self.roster().bodies)
+            reading = self._engine.read(self.roster().bodies)
+            if bad := self._watch.bad(self.roster(), reading):
+                self._mend(bad)
+                reading = self._engine.read(self.roster().bodies)
+            self._reading = self._watch.remember(self.roster(), reading)
         return self._reading
 
     def fleets(self) -> dict[str, Fleet]:
@@ -319,6 +335,39 @@ class World:
     def close(self) -> None:
         """Free the engine."""
         self._engine.close()
+
+    def _mend(self, bad: list[str]) -> None:
+        entities = [self._entities[name] for name in bad]
+        culprits = self._watch.culprits(entities, self.time_ns)
+        for entity in entities:
+            if entity.name in culprits:
+                self._freeze(entity)
+            else:
+                self._stand_up(entity, self._watch.last_good(entity))
+                self.warn(entity.name, SET_BACK)
+
+    def _freeze(self, entity: Entity) -> None:
+        stand = self._watch.freeze(entity)
+        self._make_anew(entity, still(entity.model, stand.positions), stand.base)
+        if agent := self.claims.agent_of(entity.name):
+            self.claims.drop(entity.name)
+            self._tell("released", entity=entity.name, agent=agent)
+        self.warn(entity.name, FROZEN)
+
+    def _thaw(self, entity: Entity) -> None:
+        if (stand := self._watch.thaw(entity.name)) is not None:
+            self._stand_up(entity, stand)
+
+    def _stand_up(self, entity: Entity, stand: Stand) -> None:
+        self._make_anew(entity, entity.model, stand.base)
+        self._engine.rest(self._entities[entity.name].body, stand.base, stand.positions)
+
+    def _make_anew(self, entity: Entity, model: Model, base: FloatArray) -> None:
+        """Give an entity another body: an engine may never let go of numbers that went bad."""
+        self._engine.remove(entity.body)
+        self._entities[entity.name] = replace(entity, body=self._engine.add(model, base))
+        self.claims.forget_rows()
+        self._roster = self._reading = None
 
     def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:
         hold = self.claims.grant(agent, entity.name, on_release)

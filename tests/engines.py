@@ -74,9 +74,9 @@ class ObedientEngine:
     def place(self, body: int, base: FloatArray) -> None:
         self._bodies[body].base = base.copy()
 
-    def rest(self, body: int, base: FloatArray) -> None:
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         self.place(body, base)
-        self._bodies[body].positions[:] = 0.0
+        self._bodies[body].positions[:] = 0.0 if positions is None else positions
         self._bodies[body].velocities[:] = 0.0
         self._bodies[body].targets = None
 
@@ -88,9 +88,10 @@ class ObedientEngine:
             body.targets = targets[at : at + width] if width else None
             at += width
 
-    def step(self) -> None:
+    def step(self) -> bool:
         for body in self._bodies.values():
             self._advance(body)
+        return True
 
     def close(self) -> None:
         self.is_closed = True

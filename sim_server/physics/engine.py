@@ -79,8 +79,8 @@ class Engine(Protocol):
     def place(self, body: int, base: FloatArray) -> None:
         """Put the root link at `base` (13,) and keep the joints."""
 
-    def rest(self, body: int, base: FloatArray) -> None:
-        """Put the root link at `base` (13,), joints at zero and still, targets at zero.
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """Put the root link at `base` (13,), joints still at `positions` or zero, targets at zero.
 
         A twist is imposed no more, until it is commanded again.
         """
@@ -92,8 +92,13 @@ class Engine(Protocol):
         each step on what the body does in the plane: heights and tilts remain the engine's.
         """
 
-    def step(self) -> None:
-        """Advance by one step."""
+    def step(self) -> bool:
+        """Advance by one step.
+
+        Returns:
+            Whether all is well as far as a glance tells; if not, a body has gone bad, and is to be
+            read and removed before the next step.
+        """
 
     def close(self) -> None:
         """Free the engine."""

@@ -1,12 +1,11 @@
 """The Engine over PyBullet. The only file that imports pybullet."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
 from proto.model import ZERO, Model, Origin, Shape, Vec3
-from proto.rotation import conjugate, multiply, rotate
 from sim_server.physics.acceptance import check_blueprint, check_meshes
 from sim_server.physics.actuation import Actuation, actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
@@ -18,6 +17,7 @@ from sim_server.physics.engine import (
     FloatArray,
     Reading,
 )
+from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
 
 with silenced():
@@ -32,6 +32,8 @@ GEAR_ERP = 0.2
 """Share of a follower's error that one step mends."""
 MAX_PARTS = 128
 """Bullet reads the states of a body's first 127 joints back and no more."""
+
+AT_ORIGIN: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
 OVERLAP_M = 0.001
 """Bodies that only touch do not overlap."""
@@ -69,8 +71,7 @@ class PyBulletEngine:
         self._twists: dict[int, list[float]] = {}
         self._gears: dict[int, list[int]] = {}
         self._dt_s = config.step_ns * 1e-9
-        self._com_in_root: FloatArray = np.zeros((64, 3))
-        self._root_from_com: FloatArray = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
+        self._roots = Roots()
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=config.step_ns * 1e-9,
             numSubSteps=1,
@@ -83,8 +84,7 @@ class PyBulletEngine:
         self._visual = pybullet.createVisualShape(
             pybullet.GEOM_BOX, halfExtents=[0.01] * 3, physicsClientId=self._client
         )
-        if config.has_ground:
-            self._add_ground(config.ground_friction)
+        self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
@@ -97,12 +97,13 @@ class PyBulletEngine:
             raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
         self._joints[body] = list(range(len(model.joints)))
         self._actuations[body] = actuation_of(model)
-        self._remember_root(body, blueprint)
+        self._roots.remember(body, blueprint.parts[0])
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
         self._set_gears(body, model)
         # Made at its place, with joints at zero: placing it again would cost as much as making it.
-        self._set_twist(body, base)
+        state = self._roots.com_state(body, base).tolist()
+        pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=self._client)
         self._let_go(body)
         return body
 
@@ -138,25 +139,26 @@ class PyBulletEngine:
                     positions.append(state[0])
                     velocities.append(state[1])
         return Reading(
-            self._root_states(np.asarray(bodies, dtype=np.intp), self._com_states(bodies)),
+            self._roots.states(bodies, self._com_states(bodies)),
             np.array(positions, dtype=np.float64),
             np.array(velocities, dtype=np.float64),
         )
 
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
-        arm = rotate(base[3:7], self._com_in_root[body])
-        turn = multiply(base[3:7], conjugate(self._root_from_com[body]))
+        state = self._roots.com_state(body, base).tolist()
         pybullet.resetBasePositionAndOrientation(
-            body, (base[:3] + arm).tolist(), turn.tolist(), physicsClientId=self._client
+            body, state[:3], state[3:7], physicsClientId=self._client
         )
-        self._set_twist(body, base)
+        pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=self._client)
 
-    def rest(self, body: int, base: FloatArray) -> None:
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
         self.place(body, base)
-        for joint in self._joints[body]:
-            pybullet.resetJointState(body, joint, 0.0, 0.0, physicsClientId=self._client)
+        joints = self._joints[body]
+        angles = [0.0] * len(joints) if positions is None else positions.tolist()
+        for joint, angle in zip(joints, angles, strict=True):
+            pybullet.resetJointState(body, joint, angle, 0.0, physicsClientId=self._client)
         self._let_go(body)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
@@ -169,11 +171,12 @@ class PyBulletEngine:
                 self._actuate(body, numbers[at : at + width])
                 at += width
 
-    def step(self) -> None:
-        """See `Engine.step`."""
+    def step(self) -> bool:
+        """See `Engine.step`; a body gone bad that touches the ground takes the ground with it."""
         if self._twists:
             self._impose_twists()
         pybullet.stepSimulation(physicsClientId=self._client)
+        return self._ground is None or self._is_ground_good(self._ground)
 
     def close(self) -> None:
         """See `Engine.close`."""
@@ -210,8 +213,7 @@ class PyBulletEngine:
     def _impose_twists(self) -> None:
         bodies = list(self._twists)
         com = self._com_states(bodies)
-        turns = multiply(com[:, 3:7], self._root_from_com[bodies])
-        arms = rotate(turns, self._com_in_root[bodies])
+        turns, arms = self._roots.turns_and_arms(bodies, com)
         twists = np.array(list(self._twists.values()))
         for body, row in zip(bodies, imposed(com[:, 7:], turns, arms, twists), strict=True):
             pybullet.resetBaseVelocity(
@@ -227,11 +229,19 @@ class PyBulletEngine:
             rows.append((*place, *turn, *linear, *angular))
         return np.array(rows, dtype=np.float64).reshape(len(rows), 13)
 
-    def _add_ground(self, friction: float) -> None:
+    def _is_ground_good(self, ground: int) -> bool:
+        linear, _ = pybullet.getBaseVelocity(ground, physicsClientId=self._client)
+        if math.isfinite(linear[0]):
+            return True
+        self.place(ground, AT_ORIGIN)
+        return False
+
+    def _add_ground(self, friction: float) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         ground = pybullet.createMultiBody(0.0, plane, physicsClientId=self._client)
         # Bullet multiplies the frictions of a pair: 1 leaves the robot's own, as Gazebo's min does.
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
+        return ground
 
     def _collision(self, shapes: tuple[Shape, ...], *, is_static: bool) -> int:
         if not shapes:
@@ -328,13 +338,6 @@ class PyBulletEngine:
             physicsClientId=client,
         )
 
-    def _set_twist(self, body: int, base: FloatArray) -> None:
-        arm = rotate(base[3:7], self._com_in_root[body])
-        linear = base[7:10] + np.cross(base[10:13], arm)
-        pybullet.resetBaseVelocity(
-            body, linear.tolist(), base[10:13].tolist(), physicsClientId=self._client
-        )
-
     def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
         """Damp joints as an implicit step would: Bullet's own step blows up when d dt > I."""
         moving = [
@@ -377,23 +380,6 @@ class PyBulletEngine:
                 physicsClientId=self._client,
             )
             self._gears.setdefault(body, []).append(gear)
-
-    def _remember_root(self, body: int, blueprint: Blueprint) -> None:
-        while body >= len(self._com_in_root):
-            self._com_in_root = np.concatenate([self._com_in_root, self._com_in_root * 0.0])
-            self._root_from_com = np.concatenate([self._root_from_com, self._root_from_com])
-        root = blueprint.parts[0]
-        self._com_in_root[body] = root.com
-        self._root_from_com[body] = conjugate(np.array(root.principal))
-
-    def _root_states(self, bodies: npt.NDArray[np.intp], com: FloatArray) -> FloatArray:
-        """Turn states of the root's centre of mass into states of its link frame."""
-        turn = multiply(com[:, 3:7], self._root_from_com[bodies])
-        arm = rotate(turn, self._com_in_root[bodies])
-        return np.concatenate(
-            [com[:, :3] - arm, turn, com[:, 7:10] - np.cross(com[:, 10:13], arm), com[:, 10:13]],
-            axis=1,
-        )
 
 
 def _link_mass(part: Part) -> float:

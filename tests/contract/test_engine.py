@@ -161,6 +161,24 @@ def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) ->
     assert state_of(engine, body)[:3] == pytest.approx(on_ground(5.0, 1.0)[:3], abs=2e-3)
 
 
+def test_engine_rests_a_robot_with_joints_where_it_is_told(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([6.0, 2.0]))
+    advance(engine, 120)
+
+    engine.rest(body, on_ground(5.0), np.array([0.5, -2.0]))
+
+    reading = engine.read([body])
+    assert reading.joint_positions == pytest.approx([0.5, -2.0], abs=1e-12)
+    assert not reading.joint_velocities.any()
+
+
+def test_engine_says_that_all_is_well(engine: Engine) -> None:
+    engine.add(a_cart(), on_ground())
+
+    assert engine.step()
+
+
 def test_engine_reads_joints_in_the_order_of_the_model(engine: Engine) -> None:
     model = a_cart()
     body = engine.add(model, on_ground())

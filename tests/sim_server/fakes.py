@@ -52,10 +52,10 @@ class TimedEngine(ObedientEngine):
         self.began_ns: list[int] = []
         self._wall = wall
 
-    def step(self) -> None:
+    def step(self) -> bool:
         self.began_ns.append(self._wall.ns)
         self._wall.ns += self.cost_ns
-        super().step()
+        return super().step()
 
 
 class ReadHere:

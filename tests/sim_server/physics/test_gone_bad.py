@@ -1,0 +1,225 @@
+"""A robot whose physics fails is frozen; the others, over real Bullet, drive on."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from proto.model import Model
+from proto.services import ResetScope
+from sim_server.description.urdf import read_urdf
+from sim_server.errors import IncorrectState
+from sim_server.physics.engine import EngineConfig, FloatArray
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.world import World
+from tests.engines import STEP_NS
+from tests.models import a_box, a_box_bot, a_state, box_bot_at
+from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
+from tests.sim_server.fakes import a_birth, a_command
+
+SPEED_RAD_S = 4.0
+CONTROL_STEPS = 5
+NAMES = ("a", "b", "c")
+
+
+@pytest.fixture
+def engine() -> Iterator[PyBulletEngine]:
+    made = PyBulletEngine(EngineConfig(STEP_NS))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def world(engine: PyBulletEngine) -> World:
+    """Three box_bots 1 m apart; each has an agent of its own, and all drive."""
+    made = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
+    for i, name in enumerate(NAMES):
+        made.spawn(a_birth(name, model=a_box_bot(), base=box_bot_at(0.0, float(i))))
+        made.claim(f"agent_{name}", (name,), "stop")
+    drive(made, 60)
+    made.take_events()
+    return made
+
+
+def drive(world: World, steps: int) -> None:
+    """Step, read and command as a loop does; everything that leaves must be finite."""
+    for _ in range(steps):
+        world.step()
+        if world.is_control_step:
+            for _, state in world.drive_states():
+                assert_finite(state.base, state.joint_positions, state.joint_velocities)
+            for agent in world.claims.agents:
+                world.command(agent, a_command(world, agent, SPEED_RAD_S, SPEED_RAD_S))
+    shown = world.snapshot(1.0)
+    assert_finite(shown.base, shown.joint_positions)
+
+
+def assert_finite(*packed: bytes) -> None:
+    for numbers in packed:
+        assert np.isfinite(np.frombuffer(numbers)).all()
+
+
+def spoil(world: World, name: str, column: int, value: float) -> None:
+    row = world.state_of(name).copy()
+    row[column] = value
+    world.place(name, row)
+
+
+def where(world: World, name: str) -> FloatArray:
+    return np.array(world.state_of(name)[:3])
+
+
+def a_mismatched_arm() -> Model:
+    """1e16 between neighbouring masses, geared by 1e6: Bullet cannot solve it."""
+    parts = [a_link("l0", an_inertial("1e-4", "1e-8") + a_collision())]
+    gear = ""
+    for i, (mass, moment) in enumerate((("1e12", "1e12"), ("1e-4", "1e-8")), start=1):
+        tip = '<origin xyz="0.3 0 0"/>'
+        parts.append(a_link(f"l{i}", an_inertial(mass, moment, tip) + a_collision(origin=tip)))
+        place = f'<origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>{gear}'
+        parts.append(a_joint(f"j{i}", (f"l{i - 1}", f"l{i}"), "continuous", place))
+        gear = '<mimic joint="j1" multiplier="1e6"/>'
+    return read_urdf(a_robot(*parts))
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [(0, np.nan), (2, np.inf), (5, np.nan), (7, 1e300), (7, np.nan), (12, -np.inf), (1, -2e6)],
+)
+def test_robot_gone_bad_stands_where_it_was_and_the_others_drive_on(
+    world: World, column: int, value: float
+) -> None:
+    stood = {name: where(world, name) for name in NAMES}
+
+    spoil(world, "b", column, value)
+    drive(world, 240)
+
+    assert where(world, "b") == pytest.approx(stood["b"], abs=1e-9)
+    assert not world.state_of("b")[7:].any()
+    for name in ("a", "c"):
+        went = where(world, name)[0] - stood[name][0]
+        assert went == pytest.approx(SPEED_RAD_S * 0.035 * 240 * STEP_NS * 1e-9, rel=0.5)
+
+
+def test_robot_gone_bad_is_told_of_once_and_loses_its_driver(world: World) -> None:
+    spoil(world, "b", 7, np.nan)
+    drive(world, 60)
+
+    events = [(event.kind, event.entity) for event in world.take_events()]
+    assert events == [("released", "b"), ("warning", "b")]
+    assert world.claims.agents == ("agent_a", "agent_c")
+    assert [entity.name for entity in world.entities] == list(NAMES)
+    with pytest.raises(IncorrectState, match=r"'b' is frozen.*set its state, reset.*or delete"):
+        world.claim("agent_b", ("b",), "stop")
+
+
+def test_robot_gone_bad_keeps_the_turns_of_its_wheels(world: World) -> None:
+    joints = slice(2, 4)
+    turned = world.reading().joint_positions[joints].copy()
+
+    spoil(world, "b", 7, np.nan)
+    drive(world, 60)
+
+    assert turned.min() > 0.1
+    assert world.reading().joint_positions[joints] == pytest.approx(turned)
+    assert not world.reading().joint_velocities[joints].any()
+
+
+def test_frozen_robot_drives_again_once_its_state_is_set(world: World) -> None:
+    spoil(world, "b", 7, np.nan)
+    drive(world, 30)
+
+    world.place("b", box_bot_at(0.0, 1.0))
+    world.claim("agent_b", ("b",), "stop")
+    drive(world, 240)
+
+    assert where(world, "b")[0] > 0.05
+    assert where(world, "b")[1:] == pytest.approx([1.0, 0.06], abs=2e-3)
+
+
+def test_frozen_robot_drives_again_after_a_reset(world: World) -> None:
+    spoil(world, "b", 7, np.nan)
+    drive(world, 30)
+
+    world.reset(ResetScope.STATE)
+    assert where(world, "b") == pytest.approx([0.0, 1.0, 0.06], abs=1e-9)
+    world.claim("agent_b", ("b",), "stop")
+    drive(world, 240)
+
+    assert where(world, "b")[0] == pytest.approx(where(world, "a")[0], rel=0.02)
+
+
+def test_reset_heals_a_robot_that_went_bad_just_before(world: World) -> None:
+    spoil(world, "b", 7, np.nan)
+    world.step()
+
+    world.reset(ResetScope.STATE)
+    world.claim("agent_b", ("b",), "stop")
+    drive(world, 240)
+
+    assert where(world, "b")[0] == pytest.approx(where(world, "a")[0], rel=0.02)
+
+
+def test_frozen_robot_can_be_deleted_and_its_name_used_again(world: World) -> None:
+    spoil(world, "b", 7, np.nan)
+    drive(world, 30)
+
+    world.delete("b")
+    world.spawn(a_birth("b", model=a_box_bot(), base=box_bot_at(3.0, 1.0)))
+    world.claim("agent_b", ("b",), "stop")
+    drive(world, 240)
+
+    assert where(world, "b")[0] > 3.05
+
+
+def test_frozen_robot_is_an_obstacle(world: World) -> None:
+    stood = where(world, "b")
+    spoil(world, "b", 7, np.nan)
+    drive(world, 30)
+
+    world.place("a", box_bot_at(stood[0] - 0.3, stood[1]))
+    drive(world, 960)
+
+    assert where(world, "a")[0] < stood[0] - 0.05
+    assert where(world, "b") == pytest.approx(stood, abs=1e-9)
+
+
+def test_robot_that_touched_the_one_gone_bad_goes_on(world: World) -> None:
+    world.place("a", box_bot_at(5.0, 0.0))
+    world.place("b", box_bot_at(5.101, 0.0))
+    drive(world, 30)
+    world.take_events()
+
+    spoil(world, "b", 7, 1e300)
+    drive(world, 30)
+
+    events = [(event.kind, event.entity) for event in world.take_events()]
+    assert ("released", "a") not in events
+    assert events.count(("released", "b")) == 1
+
+
+def test_robots_drive_beside_one_that_no_solver_can_carry(world: World) -> None:
+    before = where(world, "a")
+
+    world.spawn(a_birth("arm", model=a_mismatched_arm(), base=a_state((0.0, 0.5, 1.0))))
+    drive(world, 480)
+
+    told = [event.entity for event in world.take_events() if event.kind == "warning"]
+    assert told == ["arm"]
+    assert where(world, "a")[0] > before[0] + 0.1
+
+
+def test_wall_stands_where_it_stood_when_a_robot_goes_bad_against_it(world: World) -> None:
+    wall, place = a_box("wall", 1.0, is_static=True), a_state((6.0, 0.0, 0.5))
+    world.spawn(a_birth("wall", model=wall, base=place))
+    world.place("b", box_bot_at(5.449, 0.0))
+    drive(world, 30)
+    world.take_events()
+
+    spoil(world, "b", 7, np.nan)
+    world.place("a", box_bot_at(5.3, 0.3))
+    drive(world, 480)
+
+    assert [event.entity for event in world.take_events() if event.kind == "released"] == ["b"]
+    assert world.state_of("wall") == pytest.approx(place, abs=1e-9)
+    assert 5.4 < where(world, "a")[0] < 5.46
