@@ -2,6 +2,8 @@
 
 import re
 import xml.etree.ElementTree as ET
+from typing import NamedTuple
+from xml.parsers import expat
 
 from proto.result import ServiceError, SpawnCode
 
@@ -16,8 +18,15 @@ class DescriptionError(ValueError):
     """A text that is no robot description."""
 
 
+class Written(NamedTuple):
+    """How many links and joints a description has, before any are merged."""
+
+    links: int
+    joints: int
+
+
 class _NoDoctype(ET.TreeBuilder):
-    def doctype(self, name: str, *_: str | None) -> None:
+    def doctype(self, name: str, *_: object) -> None:
         """Refuse a DOCTYPE before its entities are read."""
         raise DescriptionError(f"the description has a DOCTYPE {name[:80]!r}; remove it")
 
@@ -43,7 +52,7 @@ def parsed(text: str) -> ET.Element:
     """
     try:
         root = _elements(text)
-    except (ET.ParseError, UnicodeEncodeError) as error:
+    except (expat.ExpatError, UnicodeEncodeError) as error:
         raise DescriptionError(f"the description is not well-formed XML: {error}") from error
     if root.tag not in ROOTS:
         raise DescriptionError(
@@ -58,8 +67,18 @@ def _elements(text: str) -> ET.Element:
     try:
         return ET.fromstring(text.lstrip(BLANKS), parser=ET.XMLParser(target=_NoDoctype()))
     except ET.ParseError:
-        bare = without_comments(text).lstrip(BLANKS)
-        return ET.fromstring(bare, parser=ET.XMLParser(target=_NoDoctype()))
+        return _as_gazebo_does(without_comments(text).lstrip(BLANKS))
+
+
+def _as_gazebo_does(text: str) -> ET.Element:
+    # Prefixes need not be declared: they are part of the name.
+    parser, tree = expat.ParserCreate(), _NoDoctype()
+    parser.StartDoctypeDeclHandler = tree.doctype
+    parser.StartElementHandler = tree.start
+    parser.EndElementHandler = tree.end
+    parser.CharacterDataHandler = tree.data
+    parser.Parse(text, True)  # noqa: FBT003 - expat knows it by place only
+    return tree.close()
 
 
 def _check_depth(root: ET.Element) -> None:
@@ -69,3 +88,9 @@ def _check_depth(root: ET.Element) -> None:
         if not level:
             return
     raise DescriptionError(f"the description nests tags more than {MAX_DEPTH} deep")
+
+
+def counted(root: ET.Element) -> Written:
+    """Count the links and joints of a URDF or SDF; what it includes is left out."""
+    owners = [root] if root.tag == "robot" else list(root.iter("model"))
+    return Written(*(sum(len(owner.findall(tag)) for owner in owners) for tag in ("link", "joint")))

@@ -15,6 +15,7 @@ from spawner.cli.options import Reading
 from spawner.cli.session import AsJson
 from spawner.cli.wishes import Source, compat_of, description_here, paths_of
 from spawner.launch import Cargo, cargo_of
+from spawner.markup import counted, parsed
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -34,15 +35,20 @@ class ModelOptions(Reading):
 def model(given: ModelOptions) -> None:
     """Show what a description says, without any server."""
     with one_line_failures("model", SimError, MissingExtra):
-        found = _read(given)
+        text, found = _read(given)
         if given.strict:
             _refuse_suspicious(found)
         from sim_server.description.show import model_json, model_tree
 
-        typer.echo(json.dumps(model_json(found)) if given.as_json else model_tree(found))
+        written = counted(parsed(text))
+        if given.as_json:
+            typer.echo(json.dumps({"written": written._asdict(), **model_json(found)}))
+        else:
+            typer.echo(model_tree(found))
+            typer.echo(f"written: {written.links} links, {written.joints} joints")
 
 
-def _read(given: ModelOptions) -> Model:
+def _read(given: ModelOptions) -> tuple[str, Model]:
     compat, paths = compat_of(given), paths_of(given)
     description = description_here(Source("FILE", given.file), given, paths)
     # What lacks a mesh is refused by the reader, in the words of the server.
@@ -51,9 +57,10 @@ def _read(given: ModelOptions) -> Model:
         from sim_server.description.describing import describe
         from sim_server.description.library import model_text
     text = cargo.text or model_text(given.file)
-    return describe(
+    described = describe(
         text, assets=_files(cargo), allow_missing=given.allow_missing, compat=compat
-    ).model
+    )
+    return text, described.model
 
 
 def _files(cargo: Cargo) -> dict[str, tuple[str, bytes | None]]:

@@ -62,6 +62,8 @@ class JointTag:
     frame: str
     parent: str
     child: str
+    is_turned: bool = False
+    """The file has parent and child the other way round."""
 
 
 @dataclass
@@ -126,7 +128,8 @@ class JointReader:
             # Rolling, about y, comes first: a chain sticks when its middle turns by a quarter.
             return [_step("continuous", axis) for axis in (Y, Z, X)]
         tags = ("axis", "axis2") if kind in DOUBLE else ("axis",)
-        return [self._step(tag, name, kind, child) for name in tags]
+        steps = [self._step(tag, name, kind, child) for name in tags]
+        return steps[::-1] if tag.is_turned else steps
 
     def _step(self, tag: JointTag, name: str, kind: str, child: Origin) -> Joint:
         where = f"joint {shown(tag.name)}, {name}"
@@ -160,7 +163,9 @@ class JointReader:
             frame = MODEL
         name = self.frames.full_name(tag.scope, frame) if frame else tag.frame
         in_model = turned(self.frames.pose(name), direction)
-        return turned(Origin(orientation=inverse(child).orientation), in_model)
+        x, y, z = turned(Origin(orientation=inverse(child).orientation), in_model)
+        # The joint turns the other body by as much the other way.
+        return (-x, -y, -z) if tag.is_turned else (x, y, z)
 
     @staticmethod
     def _is_in_model(tag: JointTag, axis: Element, where: str) -> bool:

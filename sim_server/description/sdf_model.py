@@ -21,6 +21,7 @@ from sim_server.description.sdf_gather import WORLD, Gathered, canonical_link, g
 from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
 from sim_server.description.sdf_joints import JointReader
 from sim_server.description.sdf_links import DEFAULT, LinkReader
+from sim_server.description.sdf_tree import as_tree
 from sim_server.description.sdf_values import read_flag, read_name, read_pose
 from sim_server.description.sensors import read_sensors
 from sim_server.description.shapes import MeshRule
@@ -83,21 +84,28 @@ def read_sdf_model(
         ModelError: The text is no SDF, or describes what cannot be.
     """
     report = Report()
-    sdf = marked(parse_xml(text, root_tag="sdf", slug="sdf"), report)
-    models = sdf.findall("model")
-    if len(models) != 1 or len(sdf) != 1:
-        held = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
+    element = _only_model(marked(parse_xml(text, root_tag="sdf", slug="sdf"), report), report)
+    Includes(resolve, report).expand(element)
+    if read_pose(element, "model").origin != Origin():
+        report.ignored("model: <pose>", "the pose is that of the spawn request")
+    model = model_of(element, MeshRule(has_mesh, allow_missing), report)
+    return msgspec.structs.replace(model, report=report.entries())
+
+
+def _only_model(sdf: Element, report: Report) -> Element:
+    owner = sdf[0] if len(sdf) == 1 and sdf[0].tag == "world" else sdf
+    models = owner.findall("model")
+    if len(models) != 1 or (len(owner) != 1 and owner is sdf):
+        held = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
         raise ModelError(
-            f"the <sdf> holds {held}; a robot's holds one <model> and nothing else; "
+            f"the <{owner.tag}> holds {held}; a robot's holds one <model> and nothing else; "
             "a world is for zensim serve --world",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.model",
         )
-    Includes(resolve, report).expand(models[0])
-    if read_pose(models[0], "model").origin != Origin():
-        report.ignored("model: <pose>", "the pose is that of the spawn request")
-    model = model_of(models[0], MeshRule(has_mesh, allow_missing), report)
-    return msgspec.structs.replace(model, report=report.entries())
+    if owner is not sdf:
+        report.suspicious("world", "a robot is spawned without its world: only its model is read")
+    return models[0]
 
 
 def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
@@ -150,7 +158,8 @@ def _parts(
     taken = {link.name for link in links} | {tag.name for tag in found.joints}
     joints = JointReader(found.frames, report, taken)
     # Nothing of a static model moves, whatever its joints say.
-    chains = [] if is_static else [joint for tag in found.joints for joint in joints.read(tag)]
+    tags = () if is_static else as_tree(found.joints, [link.name for link in links], report)
+    chains = [joint for tag in tags for joint in joints.read(tag)]
     parts = Parts(name, (*links, *joints.pivots), tuple(chains))
     rooted = in_tree_order(_rooted(parts, found, is_static=is_static, report=report))
     return rooted, frozenset(pivot.name for pivot in joints.pivots)

@@ -16,6 +16,8 @@ SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
 """How many numbers of `Shape.size` must be positive, by kind."""
 MOST = 1e12
 """Of a distance [m], mass or moment: far beyond use, and its square still finite."""
+ROUNDED = 1e-12
+"""Moments [kg m^2] that exporters write below 0 where they mean 0."""
 SLACK = 1e-3
 """Share by which rounded moments may break the triangle rule."""
 
@@ -72,7 +74,7 @@ def _check_most(name: str, numbers: Iterable[float]) -> None:
 
 def _check_inertial(link: str, inertial: Inertial, report: Report) -> None:
     ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
-    if inertial.mass_kg < 0.0 or min(ixx, iyy, izz) < 0.0:
+    if inertial.mass_kg < 0.0 or min(ixx, iyy, izz) < -ROUNDED:
         raise ModelError(
             f"link {link!r} has mass {inertial.mass_kg:g} kg and moments "
             f"{ixx:g}, {iyy:g}, {izz:g}; none may be negative",
@@ -83,7 +85,7 @@ def _check_inertial(link: str, inertial: Inertial, report: Report) -> None:
     least, middle, most = np.linalg.eigvalsh(
         [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
     ).tolist()
-    if most <= 0.0:
+    if most <= ROUNDED:
         report.suspicious(f"link {link!r}", "has a mass but no inertia")
     elif least < -SLACK * most or least + middle < (1.0 - SLACK) * most:
         report.suspicious(

@@ -37,6 +37,7 @@ def test_model_prints_json_for_programs() -> None:
 
     assert {"links", "joints", "mass_kg", "drive", "report"} <= set(found)
     assert found["name"] == "box_bot"
+    assert found["written"] == {"links": 9, "joints": 8}
 
 
 def test_model_reads_meshes_of_the_package_around(tmp_path: Path) -> None:

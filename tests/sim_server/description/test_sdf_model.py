@@ -149,6 +149,9 @@ def test_collision_keeps_its_place_size_and_friction() -> None:
     )
 
 
+AB, BA = ("a", "b"), ("b", "a")
+
+
 def a_deep_model(depth: int) -> str:
     return '<model name="n">' * depth + a_link("x") + "</model>" * depth
 
@@ -168,7 +171,10 @@ def a_deep_model(depth: int) -> str:
         (a_model(a_link("a"), a_link("a")), "sdf.duplicate_link"),
         (a_model(TWO), "sdf.two_roots"),
         (a_model(TWO, a_joint("j", ("a", "b")), a_joint("j", ("a", "b"))), "sdf.duplicate_joint"),
-        (a_model(TWO, a_joint("j", ("a", "b")), a_joint("k", ("a", "b"))), "sdf.two_parents"),
+        (
+            a_model(TWO, *(a_joint(n, e) for n, e in zip("jkl", (AB, BA, AB), strict=True))),
+            "sdf.two_parents",
+        ),
         (a_model(TWO, a_joint("j", ("a", "b")), a_joint("k", ("b", "a"))), "sdf.cycle"),
         (a_model(TWO, a_joint("j", ("a", "c"))), "sdf.unknown_child"),
         (a_model(TWO, a_joint("j", ("a", "world"))), "sdf.unknown_child"),
@@ -231,6 +237,17 @@ def test_visual_mesh_that_is_not_here_is_noted_once() -> None:
     model = read(a_link("a", f'<visual name="v">{mesh}</visual>'))
 
     assert len(reasons(model.report, "suspicious")) == 1
+
+
+def test_only_model_of_a_world_is_read_as_gazebo_spawns_it() -> None:
+    model = a_model(a_link("a"))
+    inside = "<gravity>0 0 -1</gravity>" + model[model.index("<model") : -len("</sdf>")]
+
+    found = read_sdf_model(f'<sdf version="1.9"><world name="w">{inside}</world></sdf>')
+
+    assert [link.name for link in found.links] == ["a"]
+    assert len(reasons(found.report, "suspicious")) == 1
+    assert slug_of(f'<sdf version="1.9"><world name="w">{inside * 2}</world></sdf>') == "sdf.model"
 
 
 def test_unsupported_code_is_that_of_the_vocabulary() -> None:

@@ -47,6 +47,12 @@ def test_link_is_refused_when_a_value_cannot_be(inside: str, slug: str) -> None:
     assert slug_of(a_robot(a_link("a", inside))) == slug
 
 
+def test_moment_that_rounding_left_below_zero_is_zero() -> None:
+    text = a_robot(a_link("a", moments(-5.4e-20, -5.4e-20, 0.0)))
+
+    assert reasons(report_of(text), "suspicious") == ["link 'a': has a mass but no inertia"]
+
+
 def test_mesh_is_refused_when_its_scale_is_zero() -> None:
     mesh = '<geometry><mesh filename="m.stl" scale="1 0 1"/></geometry>'
 
