@@ -33,7 +33,10 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     world: str
     world_name: str
     endpoint: str
-    real_time_factor: float
+    real_time_factor: float | None = None
+    """None = as the world file says."""
+    model_paths: tuple[str, ...] = ()
+    is_strict: bool = False
     has_viewer: bool
     viewer_port: int
 
@@ -78,14 +81,20 @@ def start(config: DemoConfig, supervisor: Supervisor, steps: Steps, began_s: flo
     return demo
 
 
-def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:
-    supervisor.start(
-        "server",
-        (
-            *("serve", "--listen", config.endpoint, "--world", config.world),
-            *("--world-name", config.world_name, "--rtf", str(config.real_time_factor)),
-        ),
+def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
+    """Write the command line of the server; what was not asked for is left to the world file."""
+    factor = config.real_time_factor
+    return (
+        *("serve", "--listen", config.endpoint, "--world", config.world),
+        *("--world-name", config.world_name),
+        *(("--rtf", str(factor)) if factor is not None else ()),
+        *(word for path in config.model_paths for word in ("--model-path", path)),
+        *(("--strict",) if config.is_strict else ()),
     )
+
+
+def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:
+    supervisor.start("server", serve_arguments(config))
     joined = ("--connect", config.endpoint, "--world-name", config.world_name)
     for place in config.places:
         arguments = ("agent", place.name, *joined, "--quiet", "--wait", str(START_TIMEOUT_S))

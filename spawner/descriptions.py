@@ -5,13 +5,14 @@ import time
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 
 from proto.bus import Bus, Sample
 from proto.codec import MalformedPayload, decode
 from proto.names import NAME
-from proto.result import SpawnCode
+from proto.result import ServiceError, SpawnCode
 from proto.topics import String
 from spawner.expansion import expanded, needs_expansion
 from spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused
@@ -25,6 +26,8 @@ LATIN = re.compile(
 COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 POLL_S = 0.02
 GET_TIMEOUT_S = 1.0
+STREAM = Path("standard input")
+"""Stands for it in errors; what it includes is relative to the working folder."""
 
 
 class Description(msgspec.Struct, frozen=True):
@@ -60,15 +63,35 @@ def from_file(file: Path, arguments: Mapping[str, str], paths: SearchPaths) -> D
         ServiceError: It is too large.
     """
     if (size := file.stat().st_size) > MAX_TEXT_BYTES:
-        raise refused(
-            SpawnCode.RESOURCE_PARSE_ERROR,
-            "xml.size",
-            f"{file} has {size} bytes; a description has at most {MAX_TEXT_BYTES}",
-        )
+        raise _too_large(f"{file} has {size} bytes")
     text = text_of(file.read_bytes(), str(file))
     if needs_expansion(text, file):
-        text = expanded(file, arguments, paths.beside(file))
+        text = expanded(text, file, arguments, paths.beside(file))
     return Description(text, path=file)
+
+
+def from_stream(stream: BinaryIO, arguments: Mapping[str, str], paths: SearchPaths) -> Description:
+    """Read a URDF, SDF or xacro from standard input.
+
+    Raises:
+        DescriptionError: It is no text, or cannot be expanded.
+        ServiceError: It is too large.
+    """
+    data = stream.read(MAX_TEXT_BYTES + 1)
+    if len(data) > MAX_TEXT_BYTES:
+        raise _too_large(f"{STREAM} has more than {MAX_TEXT_BYTES} bytes")
+    text = text_of(data, str(STREAM))
+    if needs_expansion(text, STREAM):
+        text = expanded(text, STREAM, arguments, paths)
+    return Description(text)
+
+
+def _too_large(fault: str) -> ServiceError:
+    return refused(
+        SpawnCode.RESOURCE_PARSE_ERROR,
+        "xml.size",
+        f"{fault}; a description has at most {MAX_TEXT_BYTES}",
+    )
 
 
 def text_of(data: bytes, where: str) -> str:

@@ -32,11 +32,12 @@ def arguments_of(words: Sequence[str]) -> dict[str, str]:
     return {key: value for key, _, value in pairs}
 
 
-def expanded(path: Path, arguments: Mapping[str, str], paths: SearchPaths) -> str:
-    """Expand a xacro file.
+def expanded(text: str, path: Path, arguments: Mapping[str, str], paths: SearchPaths) -> str:
+    """Expand xacro.
 
     Args:
-        path: The file.
+        text: What is in the file.
+        path: The file; includes are relative to its folder.
         arguments: Values of its `<xacro:arg>`s.
         paths: Where `$(find PACKAGE)` looks, besides ROS's own places.
 
@@ -49,7 +50,9 @@ def expanded(path: Path, arguments: Mapping[str, str], paths: SearchPaths) -> st
     packages.walk_up_from(path)
     packages.update_package_cache(_packages_known(paths))
     try:
-        document = xacro.process_file(str(path), mappings=dict(arguments))
+        xacro.init_stacks(str(path))
+        document = xacro.parse(text, str(path))
+        xacro.process_doc(document, mappings=dict(arguments))
     except (
         xacro.XacroException,
         packages.PackageNotFoundError,
@@ -63,8 +66,8 @@ def expanded(path: Path, arguments: Mapping[str, str], paths: SearchPaths) -> st
             f"{path} cannot be expanded: {reason[:300]}; give arguments by --xacro-arg key:=value "
             "and packages by --package-path"
         ) from error
-    text: str = document.documentElement.toxml()
-    return text
+    found: str = document.documentElement.toxml()
+    return found
 
 
 def _xacro(path: Path) -> tuple[ModuleType, ModuleType]:

@@ -6,6 +6,7 @@ import time
 import webbrowser
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -36,7 +37,21 @@ WorldName = Annotated[
     typer.Option("--world-name", help="What it is called on the network.", envvar="ZENSIM_WORLD"),
 ]
 Listen = Annotated[str, typer.Option("--listen", help="Endpoint to serve at.")]
-Factor = Annotated[float, typer.Option("--rtf", help="Real-time factor to hold; 0 = flat out.")]
+Factor = Annotated[
+    float | None,
+    typer.Option(
+        "--rtf", help="Real-time factor to hold; 0 = flat out.", show_default="the world's, or 1"
+    ),
+]
+ModelPath = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--model-path", help="Folder to look for a world's models in.", envvar="GAZEBO_MODEL_PATH"
+    ),
+]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
+]
 HasViewer = Annotated[bool, typer.Option("--viewer/--no-viewer", help="Serve the 3D page.")]
 ViewerPort = Annotated[int, typer.Option("--viewer-port", help="Port of the page.")]
 OpenPage = Annotated[
@@ -58,7 +73,9 @@ def up(
     world: WorldFile = "empty",
     world_name: WorldName = "default",
     listen: Listen = DEFAULT_ENDPOINT,
-    rtf: Factor = 1.0,
+    rtf: Factor = None,
+    model_path: ModelPath = None,
+    strict: Strict = False,
     viewer: HasViewer = True,
     viewer_port: ViewerPort = 8080,
     open_page: OpenPage = None,
@@ -75,6 +92,8 @@ def up(
             world_name=check_name(world_name, "world name"),
             endpoint=with_free_port(listen),
             real_time_factor=rtf,
+            model_paths=tuple(map(str, model_path or ())),
+            is_strict=strict,
             has_viewer=viewer,
             viewer_port=viewer_port,
         )

@@ -8,7 +8,9 @@ import typer
 
 from spawner.cli.session import AsJson, Connect, Timeout, WorldName
 
-Model = Annotated[str, typer.Argument(help="Shipped model, or path of a URDF, xacro or SDF file.")]
+Model = Annotated[
+    str, typer.Argument(help="Shipped model, path of a URDF, xacro or SDF file, or - for stdin.")
+]
 Wait = Annotated[float, typer.Option("--wait", help="Seconds to wait for a server.")]
 
 

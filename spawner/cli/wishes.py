@@ -17,9 +17,9 @@ from spawner.descriptions import (
     Description,
     from_database,
     from_file,
+    from_stream,
     from_topic,
     from_word,
-    text_of,
     with_model_uris,
 )
 from spawner.expansion import arguments_of
@@ -27,6 +27,7 @@ from spawner.launch import pose_at
 from spawner.search_paths import SearchPaths, search_paths
 
 COMPATS: tuple[Compat, ...] = get_args(Compat)
+STDIN = "-"
 TRUE_WORDS, FALSE_WORDS = {"true", "1", "yes", "on"}, {"false", "0", "no", "off"}
 
 
@@ -49,7 +50,7 @@ def source_of(given: SpawnOptions) -> Source:
         "-file": given.file,
         "-topic": given.topic,
         "-database": given.database,
-        "-stdin": "-" if given.stdin else "",
+        "-stdin": STDIN if given.stdin else "",
     }
     sources = [Source(kind, word) for kind, word in named.items() if word]
     if len(sources) == 1:
@@ -86,8 +87,8 @@ def description_here(source: Source, given: Reading, paths: SearchPaths) -> Desc
     arguments = arguments_of(given.xacro_arg or ())
     if source.kind == "-topic":
         return Description()
-    if source.kind == "-stdin":
-        found = Description(text_of(sys.stdin.buffer.read(), "standard input"))
+    if source.word == STDIN and source.kind in ("-stdin", "MODEL", "FILE"):
+        found = from_stream(sys.stdin.buffer, arguments, paths)
     elif source.kind == "-database":
         found = from_database(source.word, arguments, paths)
     elif source.kind == "-file":

@@ -9,7 +9,9 @@ import trimesh
 
 from proto.assets import GetAssetRequest
 from proto.catalog import GET_ASSET
-from tests.integration.processes import Server, serving
+from proto.exits import Exit
+from spawner.client import SimClient
+from tests.integration.processes import START_S, Server, joined, read_json_line, running, serving
 
 STEPS = 400
 RING = trimesh.creation.annulus(r_min=0.4, r_max=0.6, height=0.3)
@@ -87,3 +89,19 @@ def test_robot_of_a_mesh_is_put_on_its_lowest_corner(server: Server, folder: Pat
 
     assert done.returncode == 0, done.stderr
     assert height(server, "wedge") == pytest.approx(0.5)
+
+
+def test_up_finds_the_models_of_its_world_and_keeps_its_pace(folder: Path) -> None:
+    pace = "<physics type='ode'><real_time_factor>0.5</real_time_factor></physics></world>"
+    (folder / "slow.world").write_text(WORLD.replace("</world>", pace))
+    wish = ("up", "--robots", "0", "--no-viewer", "--listen", "tcp/127.0.0.1:0", "--strict")
+
+    with running(*wish, "--world", str(folder / "slow.world"), "--json") as lost:
+        assert lost.wait(START_S) == Exit.FAILED
+    path = ("--model-path", str(folder / "models"))
+    with running(*wish, "--world", str(folder / "slow.world"), "--json", *path) as up:
+        endpoint = str(read_json_line(up)["endpoint"])
+        with joined(endpoint) as bus:
+            info = SimClient(bus).info()
+
+    assert (info.target_real_time_factor, info.entities) == (0.5, 2)

@@ -30,6 +30,11 @@ BOX = (
     '<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'
     '<collision><geometry><box size="0.2 0.2 0.2"/></geometry></collision></link></robot>'
 )
+SMALL_XACRO = BOX.replace(
+    '<robot name="box">',
+    '<robot name="box" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    '<xacro:property name="mass" value="2"/>',
+).replace('value="2"/><inertia', 'value="${mass}"/><inertia')
 BASE, DRAWN = "package://my_robot/meshes/base.stl", "package://my_robot/meshes/drawn.stl"
 XACRO = (
     '<robot name="made" xmlns:xacro="http://www.ros.org/wiki/xacro">'
@@ -129,10 +134,12 @@ def test_database_names_a_shipped_model(server: Server) -> None:
     assert server.client.entities() == ("d1",)
 
 
-def test_description_is_read_from_standard_input(server: Server) -> None:
+@pytest.mark.parametrize("source", ["-stdin", "-"])
+@pytest.mark.parametrize("text", [BOX, SMALL_XACRO])
+def test_description_is_read_from_standard_input(server: Server, source: str, text: str) -> None:
     done = subprocess.run(
-        command_line(["spawn", "-stdin", "-entity", "s1", "--connect", server.endpoint]),
-        input=BOX,
+        command_line(["spawn", source, "-entity", "s1", "--connect", server.endpoint]),
+        input=text,
         capture_output=True,
         text=True,
         timeout=30,

@@ -1,5 +1,6 @@
 """Descriptions: where they come from, and what is no description."""
 
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -12,6 +13,7 @@ from spawner.descriptions import (
     Description,
     from_database,
     from_file,
+    from_stream,
     from_topic,
     from_word,
     with_model_uris,
@@ -34,6 +36,23 @@ def a_model(folder: Path, config: str = "", **files: str) -> SearchPaths:
     for name, text in files.items():
         (model / f"{name}.sdf").write_text(text)
     return search_paths([folder], {})
+
+
+def test_stream_is_expanded_when_it_is_xacro() -> None:
+    text = (
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="n" '
+        'default="1"/><link name="l$(arg n)"/></robot>'
+    )
+
+    found = from_stream(BytesIO(text.encode()), {"n": "7"}, search_paths((), {}))
+
+    assert '<link name="l7"/>' in found.text
+    assert found.path is None
+
+
+def test_stream_that_is_too_long_is_refused() -> None:
+    with pytest.raises(ServiceError, match=r"xml.size: standard input has more than"):
+        from_stream(BytesIO(b" " * (MAX_TEXT_BYTES + 9)), {}, search_paths((), {}))
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])

@@ -49,7 +49,7 @@ def test_package_beside_is_found(tmp_path: Path) -> None:
     (a_package(tmp_path, "parts") / "urdf" / "part.xacro").write_text(PART)
     file = a_xacro(package / "urdf", INCLUDE)
 
-    assert 'name="found"' in expanded(file, {}, search_paths((), {}).beside(file))
+    assert 'name="found"' in expanded(file.read_text(), file, {}, search_paths((), {}).beside(file))
 
 
 @pytest.mark.parametrize("below", ["", "src"])
@@ -57,13 +57,15 @@ def test_package_in_the_search_paths_is_found(tmp_path: Path, below: str) -> Non
     (a_package(tmp_path / "ws" / below, "parts") / "urdf" / "part.xacro").write_text(PART)
     file = a_xacro(tmp_path, INCLUDE)
 
-    assert 'name="found"' in expanded(file, {}, search_paths([tmp_path / "ws"], {}))
+    assert 'name="found"' in expanded(
+        file.read_text(), file, {}, search_paths([tmp_path / "ws"], {})
+    )
 
 
 def test_expansion_says_nothing_about_this_host(tmp_path: Path) -> None:
     file = a_xacro(tmp_path, HEAD + '<link name="${1 + 1}"/></robot>')
 
-    text = expanded(file, {}, search_paths((), {}))
+    text = expanded(file.read_text(), file, {}, search_paths((), {}))
 
     assert str(tmp_path) not in text
     assert '<link name="2"/>' in text
@@ -87,6 +89,6 @@ def test_file_that_cannot_be_expanded_is_refused_in_one_line(tmp_path: Path, tex
     file = a_xacro(tmp_path, text)
 
     with pytest.raises(DescriptionError, match=r"r\.xacro cannot be expanded: ") as caught:
-        expanded(file, {}, search_paths((), {}))
+        expanded(file.read_text(), file, {}, search_paths((), {}))
 
     assert "\n" not in str(caught.value)
