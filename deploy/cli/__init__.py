@@ -6,7 +6,7 @@ An agent's host has neither pybullet nor viser: nothing here may import them.
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version as installed_version
 from typing import Annotated
 
@@ -31,6 +31,11 @@ VERBS: dict[str, tuple[str, str]] = {
     "list": ("spawner.cli.entities", "List the entities of the world."),
     "inspect": ("spawner.cli.entities", "Show one entity."),
     "delete": ("spawner.cli.entities", "Take entities out of the world."),
+    "pause": ("spawner.cli.simulation", "Let time stand."),
+    "play": ("spawner.cli.simulation", "Let time run."),
+    "reset": ("spawner.cli.simulation", "Go back to the start."),
+    "features": ("spawner.cli.simulation", "List what the server can do."),
+    "doctor": ("spawner.cli.doctor", "Say what is wrong when nothing answers."),
     "view": ("spawner.cli.view", "Show the world on a 3D page."),
     "model": ("deploy.cli.model", "Show what a description says, without any server."),
 }
@@ -40,7 +45,7 @@ VERBS: dict[str, tuple[str, str]] = {
 def build(called: str) -> typer.Typer:
     """Make the command line with one verb loaded; of the others only the help line is there."""
     app = typer.Typer(
-        add_completion=False,
+        add_completion=True,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         help="Many robots in one simulated world, over Zenoh, without ROS or Gazebo.",
@@ -75,11 +80,15 @@ def _options(
         raise typer.Exit
 
 
-def _called(arguments: Sequence[str]) -> str:
+def _called(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
+    """Find the verb among the arguments, or on the line that a shell wants completed."""
+    line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS")
+    if "_ZENSIM_COMPLETE" in environment and line:
+        arguments = line.split()[1:]
     return next((word for word in arguments if not word.startswith("-")), "")
 
 
 def main() -> None:
     """Run the command line."""
     die_with_parent(os.environ)
-    build(_called(sys.argv[1:]))(prog_name="zensim")
+    build(_called(sys.argv[1:], os.environ))(prog_name="zensim")

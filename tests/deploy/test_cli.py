@@ -1,5 +1,6 @@
 """`zensim`: one command over all programs, and `zensim up` when it is mistyped."""
 
+import os
 import re
 import subprocess
 import sys
@@ -98,3 +99,21 @@ def test_up_says_why_when_its_server_does_not_come_up() -> None:
     assert done.returncode == Exit.FAILED
     assert "world 'nowhere.sdf' is neither a file nor one of empty" in done.stderr
     assert "zensim up: FAILED (1): server ended with status 2" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "word", "offered"),
+    [("zensim p", 1, "pause\nplay\n"), ("zensim spawn --str", 2, "--strict\n")],
+)
+def test_shell_completes_verbs_and_their_options(line: str, word: int, offered: str) -> None:
+    asked = {"_ZENSIM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(word)}
+    done = subprocess.run(
+        [sys.executable, "-c", "from deploy.cli import main; main()"],
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=False,
+        env={**os.environ, **asked},
+    )
+
+    assert done.stdout == offered

@@ -1,0 +1,187 @@
+"""What is wrong when nothing answers: from the endpoint up to the robots, one finding a step."""
+
+import re
+import socket
+from collections.abc import Iterator
+from typing import Literal
+
+import msgspec
+
+from proto import catalog, keys
+from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from proto.endpoint import ENDPOINT, check_endpoint
+from proto.exits import Exit
+from proto.telemetry import EntityModel, GetModelsRequest, Info, InfoRequest
+
+Mark = Literal["ok", "note", "wrong"]
+REACH_S = 2.0
+ANSWER_S = 1.0
+"""Less than the lease, after which a process that is stopped counts as gone."""
+SHOWN = 5
+STREAMS = frozenset({"tcp", "tls", "ws"})
+"""Protocols whose listener a plain connection can find."""
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """What one step of the examination found."""
+
+    mark: Mark
+    what: str
+    """What was looked at."""
+    found: str
+    advice: str = ""
+    status: Exit = Exit.OK
+    """How a command ends because of it."""
+
+
+def examine(endpoint: str, world: str, version: str) -> Iterator[Finding]:
+    """Look from the endpoint up to the robots; after the first step that is wrong there is no next.
+
+    Args:
+        endpoint: Where the router or server should be.
+        world: The world's name on the network.
+        version: Of this command.
+    """
+    listener = _listener(endpoint)
+    yield listener
+    if listener.mark == "wrong":
+        return
+    try:
+        bus = open_bus(BusConfig(connect=(endpoint,), open_timeout_s=REACH_S))
+    except BusError:
+        yield _no_session(endpoint)
+        return
+    with bus:
+        yield Finding("ok", "session", f"joined the Zenoh network at {endpoint}")
+        yield from _server(bus, world, version)
+
+
+def worst(findings: list[Finding]) -> Exit:
+    """Choose the exit status of an examination."""
+    return next((one.status for one in findings if one.mark == "wrong"), Exit.OK)
+
+
+def _listener(endpoint: str) -> Finding:
+    match = ENDPOINT.fullmatch(check_endpoint(endpoint))
+    if match is None or match[1] not in STREAMS:
+        return Finding("note", "endpoint", f"{endpoint} cannot be looked at before joining")
+    host, port = match["host"].strip("[]"), int(match["port"])
+    try:
+        socket.create_connection((host, port), REACH_S).close()
+    except socket.gaierror as error:
+        return _unreached(endpoint, f"host {host!r} has no address ({error.strerror})", "the name")
+    except TimeoutError:
+        return _unreached(
+            endpoint, f"{host} does not answer within {REACH_S:g} s", "the address and the firewall"
+        )
+    except OSError as error:
+        advice = f"start 'zensim serve' or 'zensim router' there, with --listen {endpoint}"
+        found = f"nobody listens at {endpoint} ({error.strerror})"
+        return Finding("wrong", "endpoint", found, advice, Exit.UNREACHABLE)
+    return Finding("ok", "endpoint", f"somebody listens at {endpoint}")
+
+
+def _unreached(endpoint: str, found: str, check: str) -> Finding:
+    advice = f"check {check} in --connect {endpoint}"
+    return Finding("wrong", "endpoint", found, advice, Exit.UNREACHABLE)
+
+
+def _no_session(endpoint: str) -> Finding:
+    return Finding(
+        "wrong",
+        "session",
+        f"what listens at {endpoint} does not let us in: it is no Zenoh router, or refuses us",
+        "check the port, and the router's credentials and certificates",
+        Exit.UNREACHABLE,
+    )
+
+
+def _server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
+    worlds = sorted(filter(None, map(_world_of, bus.alive(keys.alive_server("*")))))
+    try:
+        info = bus.call(catalog.INFO, InfoRequest(), world=world, timeout_s=ANSWER_S)
+    except TimeoutError:
+        yield _silent(world)
+        return
+    except NoServer:
+        has_gone = world in worlds and not bus.alive(keys.alive_server(world))
+        yield _silent(world) if has_gone else _no_server(world, worlds)
+        return
+    yield Finding("ok", "server", f"world '{world}' is served by zensim {info.version}")
+    yield _versions(info, version)
+    yield _time(info)
+    yield _robots(bus, world)
+
+
+def _world_of(key: str) -> str:
+    match = re.fullmatch(r"sim/([^/]+)/alive/server", key)
+    return match[1] if match else ""
+
+
+def _silent(world: str) -> Finding:
+    return Finding(
+        "wrong",
+        "server",
+        f"the server of world '{world}' is there and does not answer within {ANSWER_S:g} s",
+        "it is stopped or overloaded: look at its process, or start it again",
+        Exit.TIMEOUT,
+    )
+
+
+def _no_server(world: str, worlds: list[str]) -> Finding:
+    if world in worlds:
+        return Finding(
+            "wrong",
+            "server",
+            f"the server of world '{world}' is alive, and asking it is denied",
+            "let the router's access control permit queries on sim/*",
+            Exit.UNREACHABLE,
+        )
+    if worlds:
+        named = ", ".join(f"'{name}'" for name in worlds[:SHOWN])
+        found = f"no server of world '{world}'; there is {named}"
+        return Finding("wrong", "server", found, f"use --world-name {worlds[0]}", Exit.UNREACHABLE)
+    return Finding(
+        "wrong",
+        "server",
+        "a router is there, and no server has joined it",
+        "start one with 'zensim serve --connect' and the router's endpoint",
+        Exit.UNREACHABLE,
+    )
+
+
+def _versions(info: Info, version: str) -> Finding:
+    if info.version == version:
+        return Finding("ok", "version", f"server and command are both {version}")
+    ours, theirs = (text.split(".")[:2] for text in (version, info.version))
+    found = f"the server is {info.version}, this command {version}"
+    if ours == theirs:
+        return Finding("note", "version", found)
+    return Finding("wrong", "version", found, f"install zensim {info.version}", Exit.FAILED)
+
+
+def _time(info: Info) -> Finding:
+    if info.state != "playing":
+        return Finding(
+            "note", "time", f"the simulation is {info.state}", "'zensim play' lets time run"
+        )
+    target, factor = info.target_real_time_factor, info.real_time_factor
+    running = f"time runs at {factor:.2f} of real time"
+    if target > 0.0 and factor < 0.9 * target:
+        advice = "the host is too slow for this world: fewer robots, or a smaller --rtf"
+        return Finding("note", "time", f"{running}, and should at {target:g}", advice)
+    return Finding("ok", "time", running)
+
+
+def _robots(bus: Bus, world: str) -> Finding:
+    models = bus.call(catalog.GET_MODELS, GetModelsRequest(), world=world)
+
+    def is_driven_by_nobody(one: EntityModel) -> bool:
+        return models.models[one.model].drive is not None and not one.agent
+
+    idle = [one.entity for one in models.entities if is_driven_by_nobody(one)]
+    found = f"{len(models.entities)} entities, {len(idle)} of them robots that no agent drives"
+    if not idle:
+        return Finding("ok", "robots", found)
+    named = " ".join(idle[:SHOWN])
+    return Finding("note", "robots", found, f"'zensim agent {named}' drives them")

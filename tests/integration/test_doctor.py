@@ -1,0 +1,111 @@
+"""`zensim doctor` on networks that are broken in every way it tells apart."""
+
+import json
+import signal
+import socket
+
+import zenoh
+
+from proto.exits import Exit
+from tests.integration.processes import (
+    Server,
+    eventually,
+    free_endpoint,
+    joined,
+    kill,
+    running,
+    serving,
+    zensim,
+)
+
+DENY_QUERIES = {
+    "enabled": True,
+    "default_permission": "allow",
+    "rules": [
+        {
+            "id": "no_queries",
+            "permission": "deny",
+            "messages": ["query"],
+            "flows": ["ingress"],
+            "key_exprs": ["sim/**"],
+        }
+    ],
+    "subjects": [{"id": "all"}],
+    "policies": [{"rules": ["no_queries"], "subjects": ["all"]}],
+}
+
+
+def examined(endpoint: str, *arguments: str) -> tuple[Exit, list[dict[str, str]]]:
+    """Run the doctor, and read its findings."""
+    done = zensim("doctor", "--json", "--connect", endpoint, *arguments)
+    assert done.stderr == ""
+    return Exit(done.returncode), json.loads(done.stdout)
+
+
+def wrong(endpoint: str, *arguments: str) -> tuple[Exit, str, str]:
+    """Run the doctor where something is wrong; that is always the last finding."""
+    status, found = examined(endpoint, *arguments)
+    assert [one["mark"] for one in found].count("wrong") == 1
+    assert found[-1]["mark"] == "wrong"
+    assert found[-1]["advice"]
+    return status, found[-1]["what"], found[-1]["found"]
+
+
+def advice_of(server: Server, what: str) -> str:
+    status, found = examined(server.endpoint)
+    assert status is Exit.OK
+    return next(one["advice"] for one in found if one["what"] == what)
+
+
+def test_doctor_finds_that_nobody_listens() -> None:
+    status, what, found = wrong(free_endpoint())
+
+    assert (status, what) == (Exit.UNREACHABLE, "endpoint")
+    assert "nobody listens" in found
+
+
+def test_doctor_finds_a_listener_that_is_no_router() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        status, what, found = wrong(f"tcp/127.0.0.1:{other.getsockname()[1]}")
+
+    assert (status, what) == (Exit.UNREACHABLE, "session")
+    assert "no Zenoh router" in found
+
+
+def test_doctor_finds_a_router_without_a_server_and_with_another_world() -> None:
+    endpoint = free_endpoint()
+    with running("router", "--listen", endpoint), joined(endpoint):
+        status, what, found = wrong(endpoint)
+        assert (status, what) == (Exit.UNREACHABLE, "server")
+        assert "no server has joined" in found
+
+        with running("serve", "--connect", endpoint, "--world-name", "other"):
+            eventually(lambda: "'other'" in wrong(endpoint)[2], 20.0, "serving another world")
+
+
+def test_doctor_finds_that_asking_is_denied() -> None:
+    endpoint = free_endpoint()
+    settings = json.loads(zensim("router", "--listen", endpoint, "--print-config").stdout)
+    settings["access_control"] = DENY_QUERIES
+    with (
+        zenoh.open(zenoh.Config.from_json5(json.dumps(settings))),
+        running("serve", "--connect", endpoint),
+    ):
+        eventually(lambda: "is denied" in wrong(endpoint)[2], 20.0, "serving behind the control")
+
+
+def test_doctor_finds_what_keeps_robots_from_moving_and_a_server_that_is_stopped() -> None:
+    with serving("--paused") as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+
+        assert "'zensim play'" in advice_of(server, "time")
+        assert "'zensim agent r1'" in advice_of(server, "robots")
+        assert server.zensim("play").returncode == 0
+        eventually(lambda: advice_of(server, "time") == "", 20.0, "running in real time")
+
+        kill(server.process.pid, signal.SIGSTOP)
+        try:
+            status, what, _ = wrong(server.endpoint)
+        finally:
+            kill(server.process.pid, signal.SIGCONT)
+        assert (status, what) == (Exit.UNREACHABLE, "session")
