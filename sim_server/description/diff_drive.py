@@ -15,12 +15,22 @@ if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
     from sim_server.description.plugin_tags import PluginTags
 
-FILENAMES = ("gazebo_ros_diff_drive", "gazebo_ros_skid_steer_drive")
+FILENAMES = (
+    "gazebo_ros_diff_drive",
+    "gazebo_ros_skid_steer_drive",
+    "gazebo_ros_kobuki",
+    "gazebo_ros_create",
+)
+"""The last two are those of the first two TurtleBots."""
 ALIASES = drive_tags.ALIASES | {
     "leftJoint": "left_joint",
+    "left_wheel_joint": "left_joint",
+    "left_wheel_joint_name": "left_joint",
     "leftFrontJoint": "left_joint",
     "leftRearJoint": "left_joint",
     "rightJoint": "right_joint",
+    "right_wheel_joint": "right_joint",
+    "right_wheel_joint_name": "right_joint",
     "rightFrontJoint": "right_joint",
     "rightRearJoint": "right_joint",
     "wheelSeparation": "wheel_separation",
@@ -28,9 +38,25 @@ ALIASES = drive_tags.ALIASES | {
     "wheelTorque": "max_wheel_torque",
     "torque": "max_wheel_torque",
     "wheelAcceleration": "max_wheel_acceleration",
+    "publish_tf": "publish_odom_tf",
 }
 """Spellings of the ROS 1 plug-ins."""
-UNUSED = drive_tags.UNUSED | {"legacyMode": "left is left: +y"}
+_NO_SUCH_SENSOR = "its sensors are not simulated"
+UNUSED = drive_tags.UNUSED | {
+    "legacyMode": "left is left: +y",
+    "legacy_mode": "left is left: +y",
+    "node_namespace": "the namespace is that of the spawn request",
+    "velocity_command_timeout": "the agent has a timeout of its own",
+    "front_castor_joint": "its castors roll by themselves",
+    "rear_castor_joint": "its castors roll by themselves",
+    **dict.fromkeys(
+        (
+            "base_geom", "bumper_name", "cliff_detection_threshold", "cliff_sensor_center_name",
+            "cliff_sensor_left_name", "cliff_sensor_right_name", "imu_name",
+        ),
+        _NO_SUCH_SENSOR,
+    ),
+}  # fmt: skip
 
 
 def read_diff_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:

@@ -45,6 +45,12 @@ def wheels_of(names: Iterable[str], lumped: Lumped) -> list[Wheel]:
     return [_wheel(joints[name], links, poses) for name in names]
 
 
+def apart_m(left: Wheel, right: Wheel) -> float:
+    """Measure how far two wheels are apart along the axis of the first."""
+    across = [a - b for a, b in zip(left.centre, right.centre, strict=True)]
+    return abs(sum(part * axis for part, axis in zip(across, left.axis, strict=True)))
+
+
 def _wheel(joint: Joint, links: Mapping[str, Link], poses: Mapping[str, Origin]) -> Wheel:
     pose = poses[joint.child]
     tyre = _tyre(links[joint.child])
@@ -73,7 +79,7 @@ def _faults(pair: WheelPair, left: Wheel, right: Wheel) -> list[str]:
         if wheel.axis[1] < BACKWARD:
             faults.append(f"the axis of {wheel.joint!r} points to -y: it rolls backward")
     across = [a - b for a, b in zip(left.centre, right.centre, strict=True)]
-    apart = abs(sum(part * axis for part, axis in zip(across, left.axis, strict=True)))
+    apart = apart_m(left, right)
     if _differ(pair.separation_m, apart):
         faults.append(
             f"wheel_separation {pair.separation_m:g} m, but {left.joint!r} and {right.joint!r} "

@@ -20,6 +20,7 @@ DriveKind = TypeVar("DriveKind", bound=DriveSettings)
 
 ALIASES = {
     "commandTopic": "command_topic",
+    "topicName": "command_topic",
     "odometryTopic": "odometry_topic",
     "updateRate": "update_rate",
     "odometryFrame": "odometry_frame",

@@ -12,12 +12,15 @@ if TYPE_CHECKING:
     from proto.model import Joint
     from sim_server.description.plugin_tags import PluginTags
 
-FILENAMES = ("gazebo_ros_joint_state_publisher",)
+GZ = "joint-state-publisher-system"
+"""Of Gazebo Sim: it publishes all joints when it names none."""
+FILENAMES = ("gazebo_ros_joint_state_publisher", GZ)
 ALIASES = {"jointName": "joint_name", "updateRate": "update_rate"}
 """Spellings of the ROS 1 plug-in."""
 UNUSED = {
     "robotNamespace": "the namespace is that of the spawn request",
     "alwaysOn": "joint states are always on",
+    "topic": "joint states are on <namespace>/joint_states",
 }
 
 
@@ -32,6 +35,8 @@ def read_joint_state(tags: PluginTags, joints: Mapping[str, Joint]) -> JointStat
         ModelError: The update rate is no number, or negative.
     """
     named = [name.strip() for text in tags.texts("joint_name") for name in text.split(",")]
+    if not named and GZ in tags.filename:
+        named = list(joints)
     found = tuple(dict.fromkeys(name for name in named if name in joints))
     for name in named:
         if name not in joints:

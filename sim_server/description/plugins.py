@@ -10,7 +10,9 @@ from proto.drives import Drive
 from proto.model import JointStatePublisher
 from sim_server.description import (
     ackermann,
+    classic_drive,
     diff_drive,
+    gz_body,
     gz_diff_drive,
     joint_state,
     planar_move,
@@ -39,7 +41,12 @@ NOT_USED = {
     "gazebo_ros_p3d": "true poses are on the snapshot",
     "gazebo_ros_ft_sensor": _NOT_SIMULATED,
     "gazebo_ros_joint_pose_trajectory": _NOT_SIMULATED,
-    "gz-sim-joint-state-publisher-system": "of Gazebo Sim; write libgazebo_ros_joint_state_...",
+    "ackermann-steering-system": _NOT_SIMULATED,
+    "odometry-publisher-system": "odometry is that of the drive",
+    "pose-publisher-system": "true poses are on the snapshot",
+    "sensors-system": "sensors need no plug-in of their own",
+    "imu-system": "sensors need no plug-in of their own",
+    "contact-system": "sensors need no plug-in of their own",
 }
 """Plug-ins that are known, by part of their file name, and why they have no effect."""
 
@@ -64,7 +71,9 @@ DRIVES = (
     DriveReader(planar_move.FILENAMES, planar_move.ALIASES, planar_move.read_planar_move),
     DriveReader(ackermann.FILENAMES, ackermann.ALIASES, ackermann.read_ackermann),
     DriveReader(tricycle.FILENAMES, tricycle.ALIASES, tricycle.read_tricycle),
+    DriveReader(classic_drive.FILENAMES, classic_drive.ALIASES, classic_drive.read_classic_drive),
     DriveReader(gz_diff_drive.FILENAMES, gz_diff_drive.ALIASES, gz_diff_drive.read_gz_diff_drive),
+    DriveReader(gz_body.FILENAMES, gz_body.ALIASES, gz_body.read_gz_body),
 )
 
 

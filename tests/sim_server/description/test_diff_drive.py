@@ -238,3 +238,32 @@ def test_drive_has_two_pairs_when_it_is_the_skid_steer_of_ros_1() -> None:
 
     assert drive.pairs == (PAIR, WheelPair("left2_joint", "right2_joint", 0.4, 0.2))
     assert drive.max_torque_nm == 9.0
+
+
+@pytest.mark.parametrize(
+    ("filename", "tags", "unused"),
+    [
+        (
+            "libgazebo_ros_kobuki.so",
+            ("left_wheel_joint_name", "right_wheel_joint_name"),
+            "<velocity_command_timeout>0.6</velocity_command_timeout><imu_name>imu</imu_name>",
+        ),
+        (
+            "libgazebo_ros_create.so",
+            ("left_wheel_joint", "right_wheel_joint"),
+            "<node_namespace>turtlebot_node</node_namespace><base_geom>base_collision</base_geom>",
+        ),
+    ],
+)
+def test_drive_is_read_when_it_is_that_of_an_old_turtlebot(
+    filename: str, tags: tuple[str, str], unused: str
+) -> None:
+    left, right = tags
+    inside = f"<{left}>left_joint</{left}><{right}>right_joint</{right}>{SIZES}<torque>1</torque>"
+
+    model = read_urdf(a_cart(a_plugin(filename, inside + unused)))
+
+    assert isinstance(model.drive, DiffDrive)
+    assert (model.drive.pairs, model.drive.max_torque_nm) == ((PAIR,), 1.0)
+    assert model.drive.publish_odom
+    assert len(reasons(model.report, "ignored")) == 2

@@ -1,5 +1,7 @@
 """The joint state plug-in publishes the joints that exist."""
 
+import pytest
+
 from proto.model import JointStatePublisher, RosBlock
 from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
@@ -45,3 +47,21 @@ def test_joint_states_are_read_when_spelt_as_in_ros_1() -> None:
     model = read_urdf(a_cart(a_plugin(FILE, inside)))
 
     assert model.joint_state == JointStatePublisher(("left_joint", "right_joint"), 50.0)
+
+
+@pytest.mark.parametrize(
+    ("inside", "joints"),
+    [
+        ("", ("left_joint", "right_joint")),
+        ("<joint_name>right_joint</joint_name>", ("right_joint",)),
+    ],
+)
+def test_joint_states_of_gazebo_sim_are_of_all_joints_or_those_named(
+    inside: str, joints: tuple[str, ...]
+) -> None:
+    plugin = a_plugin("gz-sim-joint-state-publisher-system", f"<topic>js</topic>{inside}")
+
+    model = read_urdf(a_cart(plugin))
+
+    assert model.joint_state == JointStatePublisher(joints, 100.0)
+    assert len(reasons(model.report, "ignored")) == 1
