@@ -23,6 +23,10 @@ from proto.result import Result, ResultCode, ServiceError
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """After a reconnect a query may end empty at first (zenoh#2767): ask again with the same id."""
+TAKEN_BYTES: Final = 1 << 20
+"""Of requests at once, so that who takes them can do something else in between."""
+CALL_BYTES: Final = TAKEN_BYTES // 32
+"""What a request counts for beside its payload."""
 MAX_ANSWERS: Final = 16384
 """To one question, kept in a queue: a ring loses what is left in it when the last has come."""
 LATEST: Final = 1
@@ -144,10 +148,12 @@ class CallQueue:
         self._queryable = queryable
 
     def take(self) -> list[Call]:
-        """Take all that have come, oldest first."""
-        calls = []
-        while (query := self._queryable.try_recv()) is not None:
+        """Take what has come, oldest first; of very much, the beginning."""
+        calls: list[Call] = []
+        room = TAKEN_BYTES
+        while room > 0 and (query := self._queryable.try_recv()) is not None:
             calls.append(Call(query))
+            room -= CALL_BYTES + len(calls[-1].payload)
         return calls
 
     def close(self) -> None:

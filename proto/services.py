@@ -19,6 +19,9 @@ from proto.widths import UInt8, UInt16, UInt64
 
 Compat = drives.Compat
 
+MAX_REQUEST_BYTES = 3 << 20
+"""Of any request as it is sent: decoding a longer one would make physics late."""
+
 
 class Resource(msgspec.Struct, frozen=True):
     """A description by shipped name or as text. Source: simulation_interfaces/msg/Resource."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 from collections import deque
@@ -26,6 +27,7 @@ from sim_server.reader_messages import (
     TextRead,
     framed,
 )
+from sim_server.reader_time import ReaderTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,12 +36,12 @@ LOG = logging.getLogger(__name__)
 
 COMMAND = (sys.executable, "-m", "sim_server.reader_process")
 DEADLINE_S = 9.0
-"""From handing a request over to its answer: callers wait for 10 s."""
+"""From handing a request over to its answer, in the reader's own time: callers wait for 10 s."""
 START_S = 60.0
 TOO_LONG = f"reading took more than {DEADLINE_S:g} s; make the description smaller, or try again"
 PIECE_BYTES = 1 << 20
 """Written or read in one turn of the loop, at most."""
-NICENESS = 5
+NICENESS = 10
 """Physics comes first when cores are few."""
 DECODER = msgspec.msgpack.Decoder(ReaderMessage)
 
@@ -61,7 +63,7 @@ class Reader:
         self, files: Files, now_ns: Callable[[], int], command: Sequence[str] = COMMAND
     ) -> None:
         self._files = files
-        self._now_ns = now_ns
+        self._time = ReaderTime(now_ns)
         self._command = command
         self._queue: deque[tuple[ReadRequest, int]] = deque()
         self._ended: list[subprocess.Popen[bytes]] = []
@@ -79,15 +81,16 @@ class Reader:
 
     def submit(self, request: ReadRequest) -> None:
         """Hand a request over; it is read after those before it."""
-        self._queue.append((request, self._now_ns() + round(DEADLINE_S * NANOSECONDS)))
+        self._queue.append((request, self._time.now_ns + round(DEADLINE_S * NANOSECONDS)))
 
     def poll(self) -> list[MeshMade | TextRead]:
         """Move some bytes each way, and take what is read."""
         self._ended = [process for process in self._ended if process.poll() is None]
+        self._time.look()
         answers = self._received()
         if self._process.poll() is not None:
-            return answers + self._replaced(self._ending(), slug="reader.crashed")
-        if self._now_ns() > self._deadline_ns:
+            return answers + self._ended_itself()
+        if self._time.now_ns > self._deadline_ns:
             return answers + self._replaced(TOO_LONG, slug="reader.timeout")
         answers += self._overdue()
         self._next()
@@ -112,6 +115,7 @@ class Reader:
         )
         assert self._process.stdin is not None
         assert self._process.stdout is not None
+        self._time.watch(self._process.pid)
         os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
         for stream in (self._in, self._out):
@@ -121,7 +125,7 @@ class Reader:
         self._outgoing = memoryview(b"")
         self._to_send: deque[tuple[str, int]] = deque()
         self._incoming = bytearray()
-        self._deadline_ns = self._now_ns() + round(START_S * NANOSECONDS)
+        self._deadline_ns = self._time.now_ns + round(START_S * NANOSECONDS)
 
     def _end(self) -> None:
         for stream in (self._process.stdin, self._process.stdout):
@@ -130,8 +134,12 @@ class Reader:
         self._process.kill()
         self._ended.append(self._process)
 
-    def _ending(self) -> str:
-        return f"the reader ended (status {self._process.returncode}) over it; make it simpler"
+    def _ended_itself(self) -> list[MeshMade | TextRead]:
+        status = self._process.returncode
+        if status == -signal.SIGXCPU:
+            return self._replaced(TOO_LONG, slug="reader.timeout")
+        message = f"the reader ended (status {status}) over it; make it simpler"
+        return self._replaced(message, slug="reader.crashed")
 
     def _replaced(self, message: str, *, slug: str) -> list[MeshMade | TextRead]:
         current = self._current
@@ -152,7 +160,7 @@ class Reader:
     def _overdue(self) -> list[MeshMade | TextRead]:
         """Refuse what has waited for too long behind others, or for a new reader to start."""
         answers: list[MeshMade | TextRead] = []
-        while self._queue and self._now_ns() > self._queue[0][1]:
+        while self._queue and self._time.now_ns > self._queue[0][1]:
             late, _ = self._queue.popleft()
             answers.append(_refused(late, TOO_LONG, slug="reader.timeout"))
         return answers

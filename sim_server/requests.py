@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import msgspec
 
 from proto.bus import Call
-from proto.catalog import SERVICES
+from proto.catalog import SERVICES, SPAWN_ENTITY
 from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, format_of
 from proto.keys import service as service_key
-from proto.result import ResultCode
+from proto.result import ResultCode, SpawnCode
+from proto.services import MAX_REQUEST_BYTES
 from sim_server.answers import Answer, Answers
 from sim_server.desk import Desk
 from sim_server.errors import SimError
@@ -63,6 +64,7 @@ class Requests:
 
     def _carry_out(self, call: Call) -> None:
         try:
+            _check_size(call)
             request = decode(_request_type(call.name), call.payload, call.encoding)
             response = handle(self._desk, request)
         except SimError as error:
@@ -98,10 +100,28 @@ class Requests:
         call.reply(answer.payload, answer.encoding, service_key(self._desk.world.name, call.name))
 
 
+def _check_size(call: Call) -> None:
+    if len(call.payload) > MAX_REQUEST_BYTES:
+        raise RequestTooLarge(call.name, len(call.payload))
+
+
 def _request_type(name: str) -> type[msgspec.Struct]:
     if (service := SERVICES.get(name)) is None:
         raise SimUnknown(name)
     return service.request
+
+
+class RequestTooLarge(SimError):
+    """A request that is not even decoded."""
+
+    slug = "request.size"
+
+    def __init__(self, name: str, size: int) -> None:
+        super().__init__(
+            f"a request of {size} bytes; send {MAX_REQUEST_BYTES} at most, and meshes as files"
+        )
+        if name == SPAWN_ENTITY.name:
+            self.code = SpawnCode.RESOURCE_PARSE_ERROR
 
 
 class SimUnknown(SimError):

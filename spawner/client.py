@@ -28,6 +28,8 @@ from proto.services import (
 from proto.telemetry import EntityModel, GetModelsRequest, GetModelsResponse, Info, InfoRequest
 
 CALL_TIMEOUT_S = 10.0
+SPAWN_TIMEOUT_S = 30.0
+"""A server on a busy machine takes long over a large description."""
 POLL_S = 0.05
 
 
@@ -67,7 +69,8 @@ class SimClient:
 
     def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
         """Put one entity into the world."""
-        return self._call(catalog.SPAWN_ENTITY, order)
+        timeout_s = max(self._timeout_s, SPAWN_TIMEOUT_S)
+        return self.bus.call(catalog.SPAWN_ENTITY, order, world=self.world, timeout_s=timeout_s)
 
     def missing_assets(self, sha256s: tuple[str, ...]) -> MissingAssetsResponse:
         """Ask which files the server does not have."""

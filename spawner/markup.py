@@ -8,7 +8,8 @@ from xml.parsers import expat
 from proto.result import ServiceError, SpawnCode
 
 MAX_DEPTH = 64
-MAX_TEXT_BYTES = 8 << 20
+MAX_TEXT_BYTES = 2 << 20
+"""A request has `MAX_REQUEST_BYTES`, in JSON with escapes."""
 ROOTS = ("robot", "sdf")
 BLANKS = "\ufeff \t\r\n"
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+import zenoh
 
 from proto import keys
 from proto.bus import Bus, BusConfig, EndpointTaken, NoServer, Sample, Unreachable, open_bus
@@ -118,6 +119,24 @@ def test_call_carries_its_request_id(router: Bus, client: Bus) -> None:
 def test_call_raises_when_nobody_serves(client: Bus) -> None:
     with pytest.raises(NoServer, match="zensim serve"):
         client.call(INFO, InfoRequest(), world="default")
+
+
+def test_many_requests_are_taken_a_part_at_a_time(router: Bus) -> None:
+    calls = router.serve(keys.services("default"))
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{router.endpoint}"]')
+    with zenoh.open(config) as session:
+        waiting = [session.get(f"sim/default/s{number}") for number in range(100)]
+        batches: list[list[str]] = []
+        while sum(map(len, batches)) < len(waiting):
+            taken = eventually(lambda: calls.take() or None, 5.0, "coming")
+            batches.append([call.name for call in taken])
+            for call in taken:
+                call.drop()
+
+    assert max(map(len, batches)) <= 32
+    assert [name for batch in batches for name in batch] == [f"s{i}" for i in range(100)]
 
 
 def test_call_times_out_when_a_server_never_answers(router: Bus, client: Bus) -> None:

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from proto.catalog import SERVICES
 from proto.codec import Format, encode, encoding_of, format_of
-from proto.result import ResultCode
+from proto.result import ResultCode, SpawnCode
 from proto.services import (
+    MAX_REQUEST_BYTES,
     DeleteEntityRequest,
     DeleteEntityResponse,
     GetEntitiesRequest,
@@ -245,3 +246,18 @@ def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
 
     assert call.answers[0].key == "sim/default/step_simulation"
     assert stage.world.steps == 2
+
+
+@pytest.mark.parametrize(
+    ("service", "code"),
+    [
+        ("spawn_entity", SpawnCode.RESOURCE_PARSE_ERROR),
+        ("get_entities", ResultCode.OPERATION_FAILED),
+        ("make_coffee", ResultCode.OPERATION_FAILED),
+    ],
+)
+def test_loop_refuses_a_request_that_is_too_large_to_decode(service: str, code: int) -> None:
+    call = served(a_stage("r0"), service, b"\xff" * (MAX_REQUEST_BYTES + 1))
+
+    assert refusal_in(call)[0] == code
+    assert refusal_in(call)[1].startswith(f"request.size: a request of {MAX_REQUEST_BYTES + 1}")

@@ -91,7 +91,7 @@ def test_file_is_refused_unread_when_it_is_too_large(tmp_path: Path) -> None:
     with file.open("wb") as large:
         large.truncate(MAX_TEXT_BYTES + 1)
 
-    with pytest.raises(ServiceError, match=r"xml.size: .* at most 8388608"):
+    with pytest.raises(ServiceError, match=r"xml.size: .* at most 2097152"):
         from_file(file, {}, SearchPaths())
 
 
