@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from io import BytesIO
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 
 from proto.result import SpawnCode
+from sim_server.description.obj import NoObj, read_obj
 from sim_server.description.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
@@ -99,32 +99,11 @@ def _soup(corners: NDArray[np.floating]) -> Triangles:
 
 
 def _obj(name: str, data: bytes) -> Triangles:
-    vertices: list[tuple[float, ...]] = []
-    faces: list[tuple[int, int, int]] = []
     try:
-        for line in data.replace(b"\\\n", b" ").splitlines():
-            words = line.split()
-            if not words:
-                continue
-            if words[0] == b"v":
-                x, y, z = words[1:4]
-                vertices.append((float(x), float(y), float(z)))
-            elif words[0] == b"f":
-                corners = [_corner(word, len(vertices)) for word in words[1:]]
-                faces.extend((corners[0], b, c) for b, c in pairwise(corners[1:]))
-                if len(faces) > MAX_TRIANGLES:
-                    raise _too_many(name, len(faces))
-    except ValueError as error:
-        what = shown(line.decode(errors="replace"))
+        return Triangles(*read_obj(data))
+    except NoObj as error:
+        what = shown(error.line.decode(errors="replace"))
         raise _bad(name, f"has a line that is no OBJ: {what}", slug="mesh.unreadable") from error
-    return Triangles(
-        np.array(vertices).reshape(-1, 3), np.array(faces, dtype=np.int64).reshape(-1, 3)
-    )
-
-
-def _corner(word: bytes, count: int) -> int:
-    number = int(word.partition(b"/")[0])
-    return number - 1 if number > 0 else number + count
 
 
 def _dae(name: str, data: bytes) -> Triangles:

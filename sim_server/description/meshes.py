@@ -36,6 +36,8 @@ MAX_DRAWN = 60_000
 """Triangles of a visual: 3 MB."""
 MANY_POINTS = 128
 """Above, a hull is made of the outstanding ones only."""
+MAX_REACHES = 1 << 18
+"""Of points in directions, found at once."""
 FLAT = 1e-4
 """Thickness over width."""
 GRIDS = (512, 256, 128, 64, 32, 16)
@@ -169,8 +171,10 @@ def _outstanding(points: Points, count: int) -> Points:
     ring = np.sqrt(1.0 - z * z)
     directions = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
     even = (points / np.maximum(np.ptp(points, axis=0), 1e-9)).astype(np.float32).T.copy()
-    # One at a time: all at once would take a gigabyte for a large mesh.
-    chosen = [int(np.argmax(direction @ even)) for direction in directions.astype(np.float32)]
+    # A few at a time: all at once would take a gigabyte for a large mesh.
+    few = max(1, MAX_REACHES // len(points))
+    parts = (directions[i : i + few].astype(np.float32) for i in range(0, count, few))
+    chosen = np.concatenate([np.argmax(part @ even, axis=1) for part in parts])
     found: Points = points[np.unique(chosen)]
     return found
 

@@ -1,0 +1,71 @@
+"""OBJ: regular files are read at once, all others line by line, to the same triangles."""
+
+import pytest
+
+from sim_server.description.obj import NoObj, read_obj
+
+SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
+FANS = {(0, 1, 2), (0, 2, 3)}
+
+
+def triangles(data: bytes) -> set[tuple[int, ...]]:
+    _, faces = read_obj(data)
+    return {tuple(face) for face in faces.tolist()}
+
+
+@pytest.mark.parametrize(
+    "face",
+    [
+        b"f 1 2 3 4",
+        b"f 1/1 2/2 3/3 4/4",
+        b"f 1//9 2//9 3/8/9 4",
+        b"f 1 2 3\nf 1 3 4",
+        b"f 1 2 3\n#\ns off\nvn 0 0 1\nf 1 3 4",
+        b"f -4 -3 -2 -1",
+        b"f 1 2 \\\n3 4",
+        b"  f\t1 2 3 4",
+        b"f\t1\t2\t3\t4",
+    ],
+)
+def test_faces_are_read_however_they_are_written(face: bytes) -> None:
+    assert triangles(SQUARE + face) == FANS
+
+
+@pytest.mark.parametrize(
+    "tail", [b"v 5 5 5\n", b"v 5 5 5 1\n", b"v 5 5 5 .1 .2 .3\n", b"  v 5 5 5\n"]
+)
+def test_corners_are_read_with_what_stands_behind(tail: bytes) -> None:
+    corners, _ = read_obj(SQUARE + tail)
+
+    assert corners.tolist()[-2:] == [[0.0, 1.0, 0.0], [5.0, 5.0, 5.0]]
+
+
+def test_faces_of_many_kinds_are_read_at_once() -> None:
+    assert triangles(SQUARE + b"f 1 2\nf 1\nf 1 2 3\nf 2 3 4 1\n") == {
+        (0, 1, 2),
+        (1, 2, 3),
+        (1, 3, 0),
+    }
+
+
+def test_face_of_very_many_sides_is_read() -> None:
+    corners = b"v 0 0 0\n" * 1000
+    face = b"f " + b" ".join(b"%d" % i for i in range(1, 1001))
+
+    assert len(triangles(corners + face)) == 998
+
+
+@pytest.mark.parametrize(
+    "line", [b"v 1 2", b"v one 2 3", b"f 1 2 x", b"f 1 // 3", b"v 1/2 3 4", b"f 1 2 \xff"]
+)
+def test_line_that_is_none_is_named(line: bytes) -> None:
+    with pytest.raises(NoObj) as refused:
+        read_obj(SQUARE + line)
+
+    assert refused.value.line == line
+
+
+def test_nothing_is_read_from_nothing() -> None:
+    corners, faces = read_obj(b"")
+
+    assert (corners.shape, faces.shape) == ((0, 3), (0, 3))
