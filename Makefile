@@ -80,8 +80,8 @@ docs: setup ## links, commands and change log of the documents
 bench: setup ## measure and rewrite docs/benchmarks.md
 	$(BIN)/python -m tests.benchmark
 
-chaos: setup ## kill, starve and garble, as tests
-	$(BIN)/python -m pytest tests/chaos
+chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs/chaos.md
+	$(BIN)/python -m tests.chaos
 
 fuzz: setup ## property tests with many more examples
 	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900

@@ -48,13 +48,13 @@ def measure(name: str, *, is_short: bool) -> Section:
     )
 
 
-def page(sections: list[Section], load_before: str) -> str:
+def page(sections: list[Section], load_before: str, head: str = HEAD) -> str:
     """Write the document."""
     facts = "".join(f"| {what} | {fact} |\n" for what, fact in machine.description(load_before))
     misses = [line for section in sections for line in section.missed]
     verdict = "".join(f"- {line}\n" for line in misses) or "Nothing.\n"
     parts = [
-        f"{HEAD}\n| machine | |\n|---|---|\n{facts}",
+        f"{head}\n| machine | |\n|---|---|\n{facts}",
         f"## Missed\n\n{verdict}",
         *(section.text for section in sections),
     ]

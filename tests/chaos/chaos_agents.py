@@ -1,0 +1,72 @@
+"""Agents that are killed
+
+A robot drives; its agent is killed with SIGKILL at a random moment. The server learns it from the
+liveliness token and stops the wheels at once; the clock runs from the kill until the wheels turn no
+more, in simulation time at real-time factor 1. Then a new agent takes over.
+"""
+
+import random
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from tests.benchmark.figures import Asked, Figure
+from tests.integration.processes import Server, agent_of, eventually, running, serving
+from tests.integration.robots import Robot, robot
+
+if TYPE_CHECKING:
+    import subprocess
+
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 5
+TIMEOUT_S = 0.5
+"""After which a robot without commands stands still, also when nobody is killed."""
+MARGIN_S = 0.05
+MOVING_M_S, STANDING_M_S = 0.1, 0.01
+SEED = 11
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Kill agents of a robot that drives."""
+    phase = random.Random(SEED)
+    with serving() as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        driver: Robot | None = None
+        took = []
+        for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
+            with ExitStack() as stack:
+                process = stack.enter_context(running("agent", "r1", "--connect", server.endpoint))
+                eventually(lambda: agent_of(server, "r1"), 30.0, "claiming")
+                driver = driver or robot(server.bus, "r1")
+                took.append(_stop_s(server, driver, process, phase))
+    yield Figure(
+        what="kill of the agent to wheels at zero",
+        unit="s",
+        samples=tuple(took),
+        asked=Asked("max", "<=", TIMEOUT_S + MARGIN_S),
+    )
+
+
+def speed_of(server: Server, name: str) -> float:
+    """How fast an entity moves in the plane [m/s]."""
+    linear = server.client.entity_state(name).twist.linear
+    return float((linear.x**2 + linear.y**2) ** 0.5)
+
+
+def _stop_s(
+    server: Server, driver: Robot, process: "subprocess.Popen[str]", phase: random.Random
+) -> float:
+    until_s = phase.uniform(0.0, 0.3)
+
+    def is_moving() -> bool:
+        driver.command(0.3, 0.5)
+        return speed_of(server, "r1") > MOVING_M_S
+
+    eventually(is_moving, 20.0, "moving")
+    begin = server.client.info()
+    while server.client.info().sim_time_s < begin.sim_time_s + until_s:
+        driver.command(0.3, 0.5)
+    process.kill()
+    killed_s = server.client.info().sim_time_s
+    process.wait()
+    eventually(lambda: speed_of(server, "r1") < STANDING_M_S, 10.0, "standing")
+    return server.client.info().sim_time_s - killed_s

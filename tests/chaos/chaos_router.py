@@ -1,0 +1,53 @@
+"""A router that dies
+
+Server, agents and the one who drives them are clients of a router of its own, which is killed and
+started again 5 s later. The clock runs from its start until every robot has moved on a command;
+simulation time must not go back meanwhile.
+"""
+
+import time
+from collections.abc import Iterator
+
+from tests.benchmark.figures import Asked, Figure
+from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, crew
+from tests.integration.processes import free_endpoint, joined, running
+
+ROUNDS, ROUNDS_WHEN_SHORT = 20, 1
+DOWN_S, DOWN_WHEN_SHORT_S = 5.0, 1.0
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Kill the router and start it again."""
+    endpoint, back = free_endpoint(), []
+    with running("serve", "--connect", endpoint):
+        router = running("router", "--listen", endpoint)
+        process = router.__enter__()
+        try:
+            with (
+                joined(endpoint, process),
+                crew(endpoint, ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
+            ):
+                found.drive_s()
+                for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
+                    process.kill()
+                    process.wait()
+                    router.__exit__(None, None, None)
+                    time.sleep(DOWN_WHEN_SHORT_S if is_short else DOWN_S)
+                    router = running("router", "--listen", endpoint)
+                    process = router.__enter__()
+                    back.append(found.drive_s())
+                steps_back = float(found.clock.steps_back)
+        finally:
+            router.__exit__(None, None, None)
+    yield Figure(
+        what="router started to all robots driving",
+        unit="s",
+        samples=tuple(back),
+        asked=Asked("max", "<=", 5.0),
+    )
+    yield Figure(
+        what="times that the clock went back",
+        unit="",
+        samples=(steps_back,),
+        asked=Asked("max", "<=", 0.0),
+    )

@@ -1,0 +1,64 @@
+"""A server that is stopped and goes on
+
+The server, its own router, is stopped with SIGSTOP for 30 s. The clock runs from SIGCONT until
+every robot has moved on a command. Simulation time must not go back, and no step may be made up
+for: in the second after, at most as many steps as in any other.
+"""
+
+import signal
+import time
+from collections.abc import Iterator
+
+from tests.benchmark.figures import Asked, Figure
+from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, Crew, crew
+from tests.integration.processes import kill, serving
+
+ROUNDS, ROUNDS_WHEN_SHORT = 5, 1
+DOWN_S, DOWN_WHEN_SHORT_S = 30.0, 4.0
+NOMINAL_STEPS = 240
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Stop the server and let it go on."""
+    back, rates = [], []
+    with (
+        serving() as server,
+        crew(server.endpoint, ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
+    ):
+        found.drive_s()
+        for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
+            kill(server.process.pid, signal.SIGSTOP)
+            time.sleep(DOWN_WHEN_SHORT_S if is_short else DOWN_S)
+            found.read_clock()
+            last = found.clock.last[1]
+            found.clock.told.clear()
+            kill(server.process.pid, signal.SIGCONT)
+            went_on_s = time.monotonic()
+            back.append(found.drive_s())
+            rates.append(_steps_in_first_second(found, went_on_s, last))
+        steps_back = float(found.clock.steps_back)
+    yield Figure(
+        what="server going on to all robots driving",
+        unit="s",
+        samples=tuple(back),
+        asked=Asked("max", "<=", 5.0),
+    )
+    yield Figure(
+        what="steps in the second after, of those in any other",
+        unit="",
+        samples=tuple(rates),
+        asked=Asked("max", "<=", 1.1),
+    )
+    yield Figure(
+        what="times that the clock went back",
+        unit="",
+        samples=(steps_back,),
+        asked=Asked("max", "<=", 0.0),
+    )
+
+
+def _steps_in_first_second(found: Crew, went_on_s: float, last: int) -> float:
+    while time.monotonic() < went_on_s + 1.0:
+        found.read_clock()
+    early = [step for told_s, step in found.clock.told if told_s < went_on_s + 1.0]
+    return (max(early, default=last) - last) / NOMINAL_STEPS

@@ -1,0 +1,107 @@
+"""Agents that are stopped, replaced, and wake up
+
+An agent drives a robot and is stopped with SIGSTOP; when its lease is over another agent takes the
+robot and lets it stand. The first is woken: it must be fenced, so that the robot stands still and
+its holder stays the second one. When the second leaves, the first must drive again.
+"""
+
+import signal
+from collections.abc import Iterator
+
+from tests.benchmark.figures import Asked, Figure
+from tests.chaos.chaos_agents import MOVING_M_S, STANDING_M_S, speed_of
+from tests.integration.processes import (
+    Server,
+    agent_of,
+    eventually,
+    kill,
+    running,
+    serving,
+)
+from tests.integration.robots import Robot, robot
+
+ROUNDS, ROUNDS_WHEN_SHORT = 50, 2
+CALM_S = 0.3
+WATCHED_S = 0.5
+"""Simulation time for which the robot is watched after the first agent woke."""
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Stop, replace and wake agents."""
+    strayed, intruded, returned = [], [], []
+    with serving() as server:
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        for _ in range(ROUNDS_WHEN_SHORT if is_short else ROUNDS):
+            first, moved, back = _round(server)
+            intruded.append(float(first))
+            strayed.append(moved)
+            returned.append(back)
+    yield Figure(
+        what="times that the woken agent was accepted beside the new one",
+        unit="",
+        samples=tuple(intruded),
+        asked=Asked("max", "<=", 0.0),
+    )
+    yield Figure(
+        what="fastest that the robot moved although its holder let it stand",
+        unit="m/s",
+        samples=tuple(strayed),
+        asked=Asked("max", "<=", STANDING_M_S),
+    )
+    yield Figure(
+        what="second agent gone to first agent driving again",
+        unit="s",
+        samples=tuple(returned),
+        asked=Asked("max", "<=", 5.0),
+    )
+
+
+def _round(server: Server) -> tuple[int, float, float]:
+    joined = ("--connect", server.endpoint, "--cmd-vel-timeout", "0")
+    with running("agent", "r1", "--name", "first", *joined) as first:
+        eventually(lambda: agent_of(server, "r1") == "first", 30.0, "claiming")
+        driver = robot(server.bus, "r1")
+        _drive(server, driver)
+        kill(first.pid, signal.SIGSTOP)
+        try:
+            with running("agent", "r1", "--name", "second", *joined):
+                eventually(lambda: agent_of(server, "r1") == "second", 30.0, "taking over")
+                _stand(server)
+                kill(first.pid, signal.SIGCONT)
+                intrusions, fastest = _watch(server)
+        finally:
+            kill(first.pid, signal.SIGCONT)
+        left_s = server.client.info().sim_time_s
+        eventually(lambda: agent_of(server, "r1") == "first", 30.0, "taking back")
+        _drive(server, driver)
+        return intrusions, fastest, server.client.info().sim_time_s - left_s
+
+
+def _drive(server: Server, driver: Robot) -> None:
+    def is_moving() -> bool:
+        driver.command(0.3, 0.5)
+        return speed_of(server, "r1") > MOVING_M_S
+
+    eventually(is_moving, 20.0, "moving")
+
+
+def _stand(server: Server) -> None:
+    """Wait until the robot has stood for a while: it rocks when it stops."""
+    since_s = server.client.info().sim_time_s
+
+    def is_calm() -> bool:
+        nonlocal since_s
+        now_s = server.client.info().sim_time_s
+        if speed_of(server, "r1") > STANDING_M_S / 2:
+            since_s = now_s
+        return now_s > since_s + CALM_S
+
+    eventually(is_calm, 20.0, "standing")
+
+
+def _watch(server: Server) -> tuple[int, float]:
+    begin_s, intrusions, fastest = server.client.info().sim_time_s, 0, 0.0
+    while server.client.info().sim_time_s < begin_s + WATCHED_S:
+        intrusions += agent_of(server, "r1") != "second"
+        fastest = max(fastest, speed_of(server, "r1"))
+    return intrusions, fastest

@@ -1,0 +1,92 @@
+"""Ten robots that drive, and how long they take to drive again after a fault."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from proto import keys
+from proto.bus import Bus, BusConfig, open_bus
+from proto.codec import decode
+from proto.telemetry import WorldClock
+from spawner.client import SimClient
+from tests.integration.processes import START_S, eventually, running, zensim
+from tests.integration.robots import Robot, robot
+
+ROBOTS, ROBOTS_WHEN_SHORT = 10, 2
+MOVED_M = 0.01
+BACK_S = 30.0
+
+
+@dataclass
+class Clock:
+    """The simulation clock as it is told, watched for steps back."""
+
+    last: tuple[int, int] = (0, 0)
+    steps_back: int = 0
+    told: list[tuple[float, int]] = field(default_factory=list)
+    """Wall time [s] and step of what was told since the list was cleared."""
+
+    def note(self, now_s: float, epoch: int, step: int) -> None:
+        """Take in what was told."""
+        self.steps_back += (epoch, step) < self.last
+        self.last = (epoch, step)
+        self.told.append((now_s, step))
+
+
+@dataclass
+class Crew:
+    """Robots with an agent each, seen from a session that must come back too."""
+
+    bus: Bus
+    client: SimClient
+    robots: list[Robot]
+    clock: Clock
+    read_clock: Callable[[], None]
+
+    def drive_s(self) -> float:
+        """Command all robots until each has moved; tell how long the last one took [s]."""
+        begin_s = time.monotonic()
+        for found in self.robots:
+            found.read()
+            found.last = None
+        starts: dict[str, tuple[float, float]] = {}
+
+        def all_moved() -> bool:
+            self.read_clock()
+            # Every robot gets its command, also when another has not moved yet.
+            return sum(self._has_moved(found, starts) for found in self.robots) == len(self.robots)
+
+        eventually(all_moved, BACK_S, "driving again")
+        return time.monotonic() - begin_s
+
+    def _has_moved(self, found: Robot, starts: dict[str, tuple[float, float]]) -> bool:
+        found.command(0.2, 0.5)
+        found.read()
+        if found.last is None:
+            return False
+        point = found.last.pose.pose.position
+        x, y = starts.setdefault(found.namespace, (point.x, point.y))
+        return (point.x - x) ** 2 + (point.y - y) ** 2 > MOVED_M**2
+
+
+@contextmanager
+def crew(endpoint: str, count: int) -> Iterator[Crew]:
+    """Spawn robots at a server that is there, and run an agent for each."""
+    joined = ("--connect", endpoint)
+    names = [f"box_bot{i}" for i in range(count)]
+    with ExitStack() as stack:
+        zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *joined)
+        for name in names:
+            stack.enter_context(running("agent", name, "--quiet", *joined))
+        bus = stack.enter_context(open_bus(BusConfig(connect=(endpoint,))))
+        client = SimClient(bus)
+        client.wait_for_server(START_S)
+        clock, told = Clock(), bus.subscribe(keys.clock("default"), 4096)
+
+        def read_clock() -> None:
+            for sample in told.take():
+                message = decode(WorldClock, sample.payload, sample.encoding)
+                clock.note(time.monotonic(), message.epoch, message.step)
+
+        yield Crew(bus, client, [robot(bus, name) for name in names], clock, read_clock)

@@ -1,0 +1,14 @@
+"""Each family of faults, in its short form: every limit holds."""
+
+import pytest
+
+from tests.chaos.__main__ import NAMES, suffer
+
+
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("name", NAMES)
+def test_limits_hold_under_faults(name: str) -> None:
+    section = suffer(name, is_short=True)
+
+    assert section.missed == ()
+    assert "| " in section.text
