@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
 from proto.result import ResultCode
-from sim_server.description.stl import read_corners
+from proto.stl import read_corners
 from sim_server.errors import AssetRefused
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import numpy as np
 import trimesh
 
 from proto.result import SpawnCode
+from proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from sim_server.description.obj import NoObj, read_obj
-from sim_server.description.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
 

@@ -25,6 +25,7 @@ from proto.services import (
 )
 from spawner.viewer.buttons import Button
 from spawner.viewer.feed import CALL_TIMEOUT_S, Clock, Feed, Network
+from spawner.viewer.fetching import MeshFetcher
 from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
 
 IDLE_S: Final = 0.1
@@ -68,6 +69,7 @@ class Viewer:
         self, network: Network, page: Show, world: str, *, clock: Clock = time.monotonic
     ) -> None:
         self._network, self._page, self._world, self._clock = network, page, world, clock
+        self._fetcher = MeshFetcher(network, world, clock)
         self._feed: Feed | None = None
         self._warned = ""
         self._state = ""
@@ -89,7 +91,7 @@ class Viewer:
             self._feed, self._warned = None, ""
 
     def _listen(self) -> Feed:
-        self._feed = Feed(self._network, self._world, self._clock)
+        self._feed = Feed(self._network, self._world, self._clock, self._fetcher)
         return self._feed
 
     def _update(self, feed: Feed) -> None:

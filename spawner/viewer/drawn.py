@@ -13,9 +13,13 @@ from spawner.viewer.form import Form
 from spawner.viewer.kinematics import Poses
 from spawner.viewer.meshes import Part, link_parts, top_of
 from spawner.viewer.scene import Cohort, Fleet, Frame
+from spawner.viewer.triangles import Meshes
 
 MAX_LABELS: Final = 100
 LABEL_GAP_M: Final = 0.03
+MANY_FACES: Final = 2000
+FROM_AFAR: Final = ((8.0, 0.3), (25.0, 0.05))
+"""From which distance [m] what has more is drawn with which share of them."""
 
 Click = viser.SceneNodePointerEvent[viser.BatchedMeshHandle]
 Pick = Callable[[int, str], None]
@@ -25,11 +29,11 @@ Pick = Callable[[int, str], None]
 class DrawnForm:
     """The scene nodes of one form: a batch per link and colour."""
 
-    def __init__(self, form: Form, scene: viser.SceneApi, path: str) -> None:
+    def __init__(self, form: Form, meshes: Meshes, scene: viser.SceneApi, path: str) -> None:
         self.path = path
-        self.top_m = top_of(form)
+        self.top_m = top_of(form, meshes)
         self._scene = scene
-        self._parts = [link_parts(shapes) for shapes in form.links]
+        self._parts = [link_parts(shapes, meshes) for shapes in form.links]
         self._batches: list[list[viser.BatchedMeshHandle]] = []
 
     def show(self, links: Sequence[Poses]) -> bool:
@@ -68,7 +72,8 @@ class DrawnForm:
             batched_colors=(red, green, blue),
             opacity=alpha if alpha < 1.0 else None,
             flat_shading=not part.is_smooth,
-            lod="off",
+            side="double" if part.has_file else "front",
+            lod=FROM_AFAR if len(part.mesh.faces) > MANY_FACES else "off",
             receive_shadow=False,  # on small faces its edges are seen
         )
 
@@ -90,7 +95,7 @@ class DrawnFleet:
             self._names.pop(self._forms[gone].path, None)
             self._forms.pop(gone).remove()
         for cohort, links in zip(fleet.cohorts, frame.links, strict=True):
-            self._show_cohort(cohort, links)
+            self._show_cohort(cohort, links, fleet.meshes)
 
     def label(self, fleet: Fleet, frame: Frame, *, is_on: bool) -> None:
         """Write names above the first `MAX_LABELS` robots, or take them away."""
@@ -112,10 +117,10 @@ class DrawnFleet:
         """Names of the instances by scene node, for the script that shows them."""
         return msgspec.json.encode(dict(self._names))
 
-    def _show_cohort(self, cohort: Cohort, links: Sequence[Poses]) -> None:
+    def _show_cohort(self, cohort: Cohort, links: Sequence[Poses], meshes: Meshes) -> None:
         drawn = self._forms.get(cohort.form)
         if drawn is None:
-            drawn = DrawnForm(cohort.form, self._scene, next(self._paths))
+            drawn = DrawnForm(cohort.form, meshes, self._scene, next(self._paths))
             self._forms[cohort.form] = drawn
         self._names[drawn.path] = cohort.names
         if drawn.show(links):

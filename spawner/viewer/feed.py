@@ -12,6 +12,7 @@ from proto.codec import MalformedPayload, decode
 from proto.commands import decode_twist
 from proto.result import ServiceError
 from proto.telemetry import GetModelsRequest, GetModelsResponse, Snapshot
+from spawner.viewer.fetching import MeshFetcher
 from spawner.viewer.scene import (
     Fleet,
     Frame,
@@ -22,6 +23,7 @@ from spawner.viewer.scene import (
     arrange,
     draw,
 )
+from spawner.viewer.triangles import Meshes
 
 CALL_TIMEOUT_S: Final = 0.8
 """Short, so that Ctrl-C is heeded within a second."""
@@ -32,6 +34,8 @@ SILENCE_S: Final = 3.0
 """A server sends snapshots at 2 Hz even when paused."""
 
 Clock = Callable[[], float]
+_Source = tuple[tuple[str, ...], GetModelsResponse, Meshes]
+"""What a fleet is arranged from."""
 
 
 class Samples(Protocol):
@@ -112,15 +116,16 @@ class Ear:
 class Feed:
     """One subscription to a world, from the moment when somebody looks until nobody does."""
 
-    def __init__(self, network: Network, world: str, clock: Clock) -> None:
+    def __init__(self, network: Network, world: str, clock: Clock, fetcher: MeshFetcher) -> None:
         self._network, self._world, self._clock = network, world, clock
+        self._fetcher = fetcher
         self._tokens = network.watch_tokens(keys.alive_server(world))
         self._snapshots = network.subscribe(keys.snapshot(world))
         self._models: GetModelsResponse | None = None
         self._ask_at = self._frame_at = clock()
         self._heard_at = clock()
         self._fleet = Fleet()
-        self._arranged_from: GetModelsResponse | None = None
+        self._arranged_from: _Source | None = None
         self._ears: dict[str, Ear] = {}
         self.trouble = ""
         """Why the last answer about models was none; empty when all is well."""
@@ -140,6 +145,7 @@ class Feed:
     def newest(self) -> View | None:
         """Take the newest snapshot that can be drawn, if one has come and it is time for it."""
         self._watch_server()
+        self._fetcher.fetch()
         if self._clock() < self._frame_at:
             return None
         sample = self._snapshots.newest()
@@ -178,9 +184,10 @@ class Feed:
             self._ask()
         if self._models is None:
             return None
-        if snapshot.names != self._fleet.names or self._arranged_from is not self._models:
-            self._fleet = arrange(snapshot.names, self._models)
-            self._arranged_from = self._models
+        source = (snapshot.names, self._models, self._fetcher.meshes)
+        if source != self._arranged_from:
+            self._fleet = arrange(*source)
+            self._arranged_from = source
         status = Status(
             state=snapshot.state,
             sim_time_s=snapshot.time_ns / 1e9,
@@ -197,6 +204,7 @@ class Feed:
             self._models = self._network.call(
                 GET_MODELS, GetModelsRequest(), world=self._world, timeout_s=CALL_TIMEOUT_S
             )
+            self._fetcher.want(self._models.models)
             self.trouble = ""
         except (BusError, ServiceError, TimeoutError, MalformedPayload) as error:
             self.trouble = f"the models of the robots are missing: {error}"

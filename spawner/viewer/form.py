@@ -1,5 +1,7 @@
 """What a model looks like: its visuals and hinges without any name, so that like robots are one."""
 
+from collections.abc import Container
+
 import msgspec
 
 from proto.model import Link, Model, Shape
@@ -19,8 +21,12 @@ class Form(msgspec.Struct, frozen=True):
     """`hinges[i]` moves `links[i + 1]`."""
 
 
-def form_of(model: Model) -> Form:
+def form_of(model: Model, meshes: Container[str] = ()) -> Form:
     """Strip a model of everything that cannot be seen.
+
+    Args:
+        model: What to strip.
+        meshes: The sha256 of those that are here.
 
     Raises:
         NotATree: A joint names a parent that does not come before its child.
@@ -35,15 +41,19 @@ def form_of(model: Model) -> Form:
         if parent > number:
             raise NotATree(f"joint '{joint.name}' of '{model.name}' has no parent before it")
         hinges.append(Hinge(joint.kind, parent, joint.origin, joint.axis))
-    return Form(tuple(_drawn(link) for link in model.links), tuple(hinges))
+    return Form(tuple(_drawn(link, meshes) for link in model.links), tuple(hinges))
 
 
-def _drawn(link: Link) -> tuple[Shape, ...]:
-    """Visuals that have triangles of their own; collisions stand in for those from files."""
-    shapes = _with_triangles(link.visuals)
-    return shapes if shapes or not link.visuals else _with_triangles(link.collisions)
+def _drawn(link: Link, meshes: Container[str]) -> tuple[Shape, ...]:
+    """Visuals that have triangles; collisions stand in for those whose mesh is not here."""
+    shapes = _with_triangles(link.visuals, meshes)
+    return shapes if shapes or not link.visuals else _with_triangles(link.collisions, ())
 
 
-def _with_triangles(shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
-    """The page draws the ground itself, and has no files."""
-    return tuple(shape for shape in shapes if shape.kind not in {"plane", "mesh"})
+def _with_triangles(shapes: tuple[Shape, ...], meshes: Container[str]) -> tuple[Shape, ...]:
+    """The page draws the ground itself."""
+    return tuple(
+        shape
+        for shape in shapes
+        if shape.kind != "plane" and (shape.kind != "mesh" or shape.mesh in meshes)
+    )

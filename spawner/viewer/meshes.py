@@ -5,15 +5,12 @@ from typing import Final
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from proto.model import Quat, Shape
+from proto.model import Quat, Shape, Vec3
 from proto.rotation import rotate
 from spawner.viewer.form import Form
 from spawner.viewer.kinematics import link_poses, unit
-
-Vertices = NDArray[np.float64]
-Faces = NDArray[np.uint32]
+from spawner.viewer.triangles import NO_MESHES, Faces, Mesh, Meshes, Vertices
 
 UNCOLOURED: Final[Quat] = (0.72, 0.74, 0.77, 1.0)
 """For a visual whose description names no colour."""
@@ -24,15 +21,6 @@ RINGS: Final = 8
 """Rings from the equator to a pole."""
 
 
-class Mesh(msgspec.Struct, frozen=True, eq=False):
-    """Triangles, counter-clockwise seen from outside."""
-
-    vertices: Vertices
-    """(v, 3) [m]."""
-    faces: Faces
-    """(f, 3), indices of vertices; neighbours share theirs."""
-
-
 class Part(msgspec.Struct, frozen=True, eq=False):
     """Everything of one link that has one colour, in the link's frame."""
 
@@ -40,15 +28,22 @@ class Part(msgspec.Struct, frozen=True, eq=False):
     rgba: Quat
     is_smooth: bool
     """Whether it has no edges."""
+    has_file: bool
+    """Whether some of it comes from a file, where any side may be outside."""
 
 
-def link_parts(shapes: Sequence[Shape]) -> list[Part]:
-    """Merge the shapes of a link by colour."""
+def link_parts(shapes: Sequence[Shape], meshes: Meshes = NO_MESHES) -> list[Part]:
+    """Merge the shapes of a link by colour; `meshes` has those that are named."""
     by_colour: dict[Quat, list[Shape]] = {}
     for shape in shapes:
         by_colour.setdefault(shape.rgba or UNCOLOURED, []).append(shape)
     return [
-        Part(merged(map(_placed, alike)), rgba, all(shape.kind in SMOOTH for shape in alike))
+        Part(
+            merged(_placed(shape, meshes) for shape in alike),
+            rgba,
+            is_smooth=all(shape.kind in SMOOTH for shape in alike),
+            has_file=any(shape.kind == "mesh" for shape in alike),
+        )
         for rgba, alike in by_colour.items()
     ]
 
@@ -98,6 +93,13 @@ def capsule(radius: float, length: float) -> Mesh:
     return _closed(tube, length / 2.0 + radius)
 
 
+def scaled(mesh: Mesh, scale: Vec3) -> Mesh:
+    """Scale a mesh along its axes; one that is turned inside out by it is turned back."""
+    is_mirrored = np.prod(scale) < 0.0
+    faces = mesh.faces[:, ::-1] if is_mirrored else mesh.faces
+    return Mesh(mesh.vertices * np.asarray(scale), faces)
+
+
 def merged(meshes: Iterable[Mesh]) -> Mesh:
     """Put meshes into one."""
     vertices: list[Vertices] = []
@@ -110,20 +112,20 @@ def merged(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def top_of(form: Form) -> float:
+def top_of(form: Form, meshes: Meshes = NO_MESHES) -> float:
     """Find how high a form reaches above its base [m], joints at zero."""
     base = np.array([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)])
     links = link_poses(form.hinges, base, np.zeros((1, len(form.hinges))))
     heights = [
         float(np.max(rotate(pose.quaternions, part.mesh.vertices)[:, 2] + pose.positions[0, 2]))
         for shapes, pose in zip(form.links, links, strict=True)
-        for part in link_parts(shapes)
+        for part in link_parts(shapes, meshes)
     ]
     return max(heights, default=0.0)
 
 
-def _placed(shape: Shape) -> Mesh:
-    mesh = shape_mesh(shape)
+def _placed(shape: Shape, meshes: Meshes) -> Mesh:
+    mesh = scaled(meshes[shape.mesh], shape.size) if shape.kind == "mesh" else shape_mesh(shape)
     turned = rotate(unit(shape.origin.orientation), mesh.vertices)
     return Mesh(turned + np.asarray(shape.origin.position), mesh.faces)
 

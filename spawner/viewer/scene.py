@@ -10,6 +10,7 @@ from proto.rotation import yaw_of
 from proto.telemetry import EntityModel, GetModelsResponse, Snapshot
 from spawner.viewer.form import Form, NotATree, form_of
 from spawner.viewer.kinematics import Array, Poses, link_poses
+from spawner.viewer.triangles import NO_MESHES, Meshes
 
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 """How far the view is turned from the long side of the fleet: a row then runs into the depth."""
@@ -50,6 +51,8 @@ class Fleet(msgspec.Struct, frozen=True, eq=False):
     """Where an entity is in `Frame.base`."""
     joints: int = 0
     """Of all entities."""
+    meshes: Meshes = NO_MESHES
+    """Those that forms name."""
 
 
 class Frame(msgspec.Struct, frozen=True, eq=False):
@@ -79,8 +82,13 @@ class LastCommand(msgspec.Struct, frozen=True):
     age_s: float
 
 
-def arrange(names: tuple[str, ...], models: GetModelsResponse) -> Fleet:
+def arrange(names: tuple[str, ...], models: GetModelsResponse, meshes: Meshes = NO_MESHES) -> Fleet:
     """Sort entities by what they look like.
+
+    Args:
+        names: Of a snapshot.
+        models: Of all of them.
+        meshes: Those that are here, by sha256.
 
     Raises:
         UnknownEntity: A name has no model.
@@ -88,7 +96,7 @@ def arrange(names: tuple[str, ...], models: GetModelsResponse) -> Fleet:
     """
     members = {member.entity: member for member in models.entities}
     try:
-        forms = [form_of(model) for model in models.models]
+        forms = [form_of(model, meshes) for model in models.models]
         forms_by_name = {name: forms[members[name].model] for name in names}
     except (KeyError, IndexError) as error:
         raise UnknownEntity(f"no model of {error}") from error
@@ -107,6 +115,7 @@ def arrange(names: tuple[str, ...], models: GetModelsResponse) -> Fleet:
         robots=tuple(n for n in names if models.models[members[n].model].drive is not None),
         rows={name: row for row, name in enumerate(names)},
         joints=int(starts[-1]),
+        meshes=meshes,
     )
 
 

@@ -11,9 +11,20 @@ from proto.assets import GetAssetRequest
 from proto.catalog import GET_ASSET
 from proto.exits import Exit
 from spawner.client import SimClient
-from tests.integration.processes import START_S, Server, joined, read_json_line, running, serving
+from tests.integration.chromium import opened
+from tests.integration.processes import (
+    START_S,
+    Server,
+    eventually,
+    joined,
+    read_json_line,
+    running,
+    serving,
+)
+from tests.integration.test_view import BATCHES, viewing
 
 STEPS = 400
+LEAST_RED_PX = 2000
 RING = trimesh.creation.annulus(r_min=0.4, r_max=0.6, height=0.3)
 WEDGE = trimesh.convex.convex_hull(
     np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)] + [[0.0, 0.0, -0.5]])
@@ -27,8 +38,8 @@ WORLD = """<sdf version="1.6"><world name="w">
 </world></sdf>"""
 RING_SDF = """<sdf version="1.6"><model name="ring"><static>true</static><link name="l">
 <collision name="c"><geometry><mesh><uri>meshes/ring.dae</uri></mesh></geometry></collision>
-<visual name="v"><geometry><mesh><uri>meshes/ring.dae</uri></mesh></geometry></visual>
-</link></model></sdf>"""
+<visual name="v"><geometry><mesh><uri>meshes/ring.dae</uri></mesh></geometry>
+<material><diffuse>0.9 0.1 0.1 1</diffuse></material></visual></link></model></sdf>"""
 ROBOT = """<robot name="wedge"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
 <collision><geometry><mesh filename="wedge.stl"/></geometry></collision></link></robot>"""
@@ -89,6 +100,19 @@ def test_robot_of_a_mesh_is_put_on_its_lowest_corner(server: Server, folder: Pat
 
     assert done.returncode == 0, done.stderr
     assert height(server, "wedge") == pytest.approx(0.5)
+
+
+@pytest.mark.browser
+def test_page_draws_the_meshes_of_a_world(server: Server) -> None:
+    with viewing(server.endpoint) as (url, _), opened(url) as tab:
+        tab.until(f"{BATCHES}.length > 0")
+
+        def reds() -> bool:
+            red, green, blue = np.moveaxis(tab.pixels().astype(int), -1, 0)
+            return int(((red > green + 60) & (red > blue + 60)).sum()) > LEAST_RED_PX
+
+        eventually(reds, 20.0, "a red ring")
+        assert tab.complaints == []
 
 
 def test_up_finds_the_models_of_its_world_and_keeps_its_pace(folder: Path) -> None:

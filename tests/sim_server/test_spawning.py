@@ -6,7 +6,7 @@ import pytest
 from proto.geometry import Point, Pose, PoseStamped
 from proto.model import Inertial, Link, Model, Shape
 from proto.services import SpawnEntityOrder, SpawnEntityReport
-from sim_server.description.stl import write_corners
+from proto.stl import write_corners
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, ModelError, NameNotUnique
 from sim_server.handlers.table import handle

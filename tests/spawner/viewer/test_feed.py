@@ -7,6 +7,7 @@ from proto.geometry import Twist, TwistStamped, Vector3
 from proto.result import Result, ResultCode
 from proto.telemetry import GetModelsRequest, GetModelsResponse
 from spawner.viewer.feed import ASK_AGAIN_S, FRAME_S, SILENCE_S, Feed, View
+from spawner.viewer.fetching import MeshFetcher
 from spawner.viewer.scene import LastCommand
 from tests.fakes import ManualClock, MemoryBus
 from tests.spawner.viewer.builders import World, a_robot, a_snapshot, a_wall, models_of
@@ -23,7 +24,8 @@ class Stand:
         self.clock = ManualClock()
         self.world = World(self.bus, models_of(r1=a_robot("r1"), r2=a_robot("r2")))
         self.token = self.bus.token(keys.alive_server("default"))
-        self.feed = Feed(self.bus, "default", self.clock)
+        fetcher = MeshFetcher(self.bus, "default", self.clock)
+        self.feed = Feed(self.bus, "default", self.clock, fetcher)
 
     def see(self, *names: str, roster: int = 1, at_x: float = 0.0) -> View | None:
         """Let time pass and a snapshot come."""

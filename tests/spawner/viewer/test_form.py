@@ -22,6 +22,14 @@ def test_collisions_are_drawn_when_all_visuals_are_files() -> None:
     assert form_of(Model("bot", (link,))).links == ((CUBE,),)
 
 
+def test_mesh_is_drawn_once_it_is_here() -> None:
+    mesh = Shape("mesh", (1.0, 1.0, 1.0), mesh="sha")
+    model = Model("bot", (Link("base", collisions=(CUBE,), visuals=(mesh, CUBE)),))
+
+    assert form_of(model).links == ((CUBE,),)
+    assert form_of(model, {"sha"}).links == ((mesh, CUBE),)
+
+
 def test_nothing_is_drawn_when_a_link_has_collisions_only() -> None:
     assert form_of(Model("bot", (Link("base", collisions=(CUBE,)),))).links == ((),)
 

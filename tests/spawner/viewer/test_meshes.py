@@ -10,7 +10,6 @@ from proto.rotation import from_rpy
 from spawner.viewer.form import Form, form_of
 from spawner.viewer.meshes import (
     UNCOLOURED,
-    Mesh,
     box,
     capsule,
     cylinder,
@@ -19,6 +18,7 @@ from spawner.viewer.meshes import (
     shape_mesh,
     top_of,
 )
+from spawner.viewer.triangles import Mesh
 from tests.spawner.viewer.builders import BLUE, CUBE, a_robot
 
 LENGTHS = st.floats(0.01, 5.0)
@@ -113,6 +113,16 @@ def test_part_is_smooth_when_it_has_no_edges() -> None:
 
     assert ball_part.is_smooth
     assert not box_part.is_smooth
+
+
+def test_part_from_a_file_is_scaled_and_stands_where_its_origin_says() -> None:
+    shape = Shape("mesh", (1.0, -2.0, 1.0), Origin((0.0, 0.0, 5.0)), mesh="sha")
+
+    (part,) = link_parts((shape, Shape("box", (0.1, 0.1, 0.1))), {"sha": box(1.0, 1.0, 1.0)})
+
+    assert part.has_file
+    assert np.ptp(part.mesh.vertices[:8], axis=0).tolist() == [1.0, 2.0, 1.0]
+    assert volume(part.mesh) == pytest.approx(2.0 + 0.1**3)  # not inside out
 
 
 def test_part_stands_where_its_origin_says() -> None:

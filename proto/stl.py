@@ -1,4 +1,4 @@
-"""Binary STL, in which the server keeps every mesh that it made. NumPy only."""
+"""Binary STL, in which the server keeps and sends every mesh that it made. NumPy only."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ STL_HEAD = 84
 STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
+def stl_size(triangles: int) -> int:
+    """Length of a file of so many triangles."""
+    return STL_HEAD + triangles * STL_RECORD.itemsize
+
+
 def write_corners(corners: NDArray[np.floating]) -> bytes:
     """Write triangles (f, 3, 3)."""
     records = np.zeros(len(corners), STL_RECORD)
@@ -21,6 +26,10 @@ def write_corners(corners: NDArray[np.floating]) -> bytes:
 
 
 def read_corners(data: bytes, count: int = -1) -> NDArray[np.float32]:
-    """Read the corners (3 f, 3) of the first `count` triangles; of all by default."""
+    """Read the corners (3 f, 3) of the first `count` triangles; of all by default.
+
+    Raises:
+        ValueError: The bytes do not hold them.
+    """
     corners = np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"]
     return corners.reshape(-1, 3)
