@@ -1,0 +1,133 @@
+"""A server whose reader hangs, dies or runs out of memory: one refusal, and the world goes on."""
+
+import array
+import fcntl
+import os
+import signal
+import termios
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import psutil
+import pytest
+
+from proto.result import ServiceError
+from proto.services import Resource, SpawnEntityOrder
+from spawner.descriptions import from_word
+from spawner.launch import cargo_of, order_for, send_files
+from spawner.search_paths import SearchPaths
+from tests.hostile.case import BODY, alone, solid
+from tests.integration.processes import Server, eventually, serving
+
+LONGEST_ANSWER_S = 10.0
+STDIN = 0
+CORNERS = b"v 10 10 10\n" * (40 << 17)
+"""Of an OBJ file of 58 MB: three texts and three numbers for each line."""
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture(autouse=True)
+def steps_and_spawns_afterwards(server: Server) -> Iterator[None]:
+    before = reader_of(server).pid
+    yield
+    steps = server.steps()
+    assert answer_to(server, an_order("next")) == ""
+    eventually(lambda: server.steps() > steps, 5.0, "stepping")
+    assert server.process.poll() is None
+    assert server.client.entities() == ()
+    assert not psutil.pid_exists(before) or reader_of(server).pid == before
+
+
+def reader_of(server: Server) -> psutil.Process:
+    """Find the process that reads for a server."""
+    (reader,) = [
+        child
+        for child in psutil.Process(server.process.pid).children()
+        if "sim_server.reader_process" in child.cmdline()
+    ]
+    return reader
+
+
+def an_order(name: str) -> SpawnEntityOrder:
+    text = alone(BODY).replace('name="r"', f'name="{name}"')
+    return SpawnEntityOrder(name, entity_resource=Resource(resource_string=text))
+
+
+def answer_to(server: Server, order: SpawnEntityOrder) -> str:
+    """Spawn, delete again, and tell the message of the refusal; empty when there was none."""
+    try:
+        report = server.client.spawn(order)
+    except ServiceError as refusal:
+        return refusal.message
+    server.client.delete(report.entity_name)
+    return ""
+
+
+def answer_when(server: Server, name: str, act: Callable[[psutil.Process], None]) -> str:
+    """Spawn with a reader that stands still, act on it once it has the request, and wait."""
+    reader = reader_of(server)
+    reader.suspend()
+    started = time.monotonic()
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(answer_to, server, an_order(name))
+        eventually(lambda: unread_bytes(reader.pid) > 0, 5.0, "handing over")
+        act(reader)
+        found = answer.result()
+    assert time.monotonic() - started < LONGEST_ANSWER_S
+    return found
+
+
+def unread_bytes(process_id: int) -> int:
+    """Ask how much a process has not read yet of its standard input."""
+    pipe = os.open(f"/proc/{process_id}/fd/{STDIN}", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        count = array.array("i", [0])
+        fcntl.ioctl(pipe, termios.FIONREAD, count)
+        return count[0]
+    finally:
+        os.close(pipe)
+
+
+def test_spawn_is_refused_and_the_next_works_when_the_reader_hangs(server: Server) -> None:
+    before = server.steps()
+
+    answer = answer_when(server, "hung", lambda _: None)
+
+    assert answer.startswith("reader.timeout: ")
+    assert server.steps() > before
+
+
+def test_spawn_is_refused_and_the_next_works_when_the_reader_is_killed(server: Server) -> None:
+    answer = answer_when(server, "killed", lambda reader: reader.send_signal(signal.SIGKILL))
+
+    assert answer.startswith("reader.crashed: ")
+
+
+def test_spawn_works_when_the_reader_was_killed_before(server: Server) -> None:
+    reader = reader_of(server)
+    reader.kill()
+
+    assert answer_to(server, an_order("later")) == ""
+
+
+def test_spawn_is_refused_and_the_next_works_when_a_mesh_takes_too_much_memory(
+    server: Server, tmp_path: Path
+) -> None:
+    tmp_path.joinpath("large.obj").write_bytes(CORNERS)
+    file = tmp_path / "large.urdf"
+    file.write_text(alone(BODY + solid('<mesh filename="large.obj"/>')), encoding="utf-8")
+    cargo = cargo_of(from_word(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False)
+    send_files(server.client, cargo.bundle)
+    reader = reader_of(server)
+
+    answer = answer_to(server, order_for(cargo, SpawnEntityOrder("large"), ""))
+
+    assert answer.startswith("reader.memory: ")
+    assert reader_of(server) == reader
