@@ -1,6 +1,6 @@
 """Physics while large and bad files come
 
-Ten robots drive circles. A robot of 100 links with 20 meshes of 19,600 triangles each (STL, OBJ,
+Ten robots drive circles. A robot of 100 links with 20 meshes of 20,160 triangles each (STL, OBJ,
 DAE and GLB, in turn) is uploaded, read and put into the world, in runs that share no file; then one
 of which nothing moves, so that its triangles themselves are what others collide with; then
 descriptions and meshes are sent that are refused. A sample is a second of the server: how late its

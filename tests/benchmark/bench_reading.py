@@ -1,20 +1,28 @@
 """Reading and building robots
 
-Processor time of reading a URDF of 4, 100 and 500 links in the server's own way, and of putting a
-box_bot into PyBullet as the first and as the thousandth of a world.
+Processor time of reading a URDF of 4, 100 and 500 links in the server's own way; of reading
+`box_bot_legacy`, of which there is most to report, with and without noting anything, by turns; of
+reading a robot of 100 links with twenty meshes of 20,160 triangles; and of putting a box_bot into
+PyBullet as the first and as the thousandth of a world.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from unittest.mock import patch
 
 import numpy as np
 
-from proto.model import Model
+from proto.model import Model, ReportStatus
+from sim_server.description import urdf
+from sim_server.description.describing import describe
 from sim_server.description.library import model_text
+from sim_server.description.meshes import Files
+from sim_server.description.report import Report
 from sim_server.description.urdf import read_urdf
 from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
+from tests.benchmark import huge
 from tests.benchmark.figures import Asked, Figure, table
 
 __all__ = ["rows", "table"]
@@ -22,6 +30,7 @@ __all__ = ["rows", "table"]
 LINKS = (4, 100, 500)
 REPEATS = 20
 REPEATS_WHEN_SHORT = 2
+RUNS = 5
 CROWD = 1000
 CROWD_WHEN_SHORT = 50
 WORLDS = 3
@@ -39,6 +48,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         repeats = REPEATS_WHEN_SHORT if is_short else REPEATS
         samples = tuple(_milliseconds(partial(read_urdf, text)) for _ in range(repeats))
         yield Figure(what=f"read a URDF of {links} links", unit="ms", samples=samples)
+    yield from _report(REPEATS_WHEN_SHORT if is_short else REPEATS)
+    yield _meshes(1 if is_short else RUNS)
     crowd = CROWD_WHEN_SHORT if is_short else CROWD
     model = read_urdf(model_text("box_bot"))
     spawns = [_spawns(model, crowd) for _ in range(1 if is_short else WORLDS)]
@@ -51,6 +62,36 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         samples=last,
         asked=Asked("median", "<=", 1.5),
     )
+
+
+def _report(repeats: int) -> Iterator[Figure]:
+    text = model_text("box_bot_legacy")
+    with_ms, without_ms = [], []
+    for _ in range(repeats):
+        with_ms.append(_milliseconds(partial(read_urdf, text)))
+        with patch.object(urdf, "Report", Silence):
+            without_ms.append(_milliseconds(partial(read_urdf, text)))
+    yield Figure(what="read box_bot_legacy", unit="ms", samples=tuple(with_ms))
+    yield Figure(what="read it and report nothing", unit="ms", samples=tuple(without_ms))
+
+
+def _meshes(repeats: int) -> Figure:
+    samples = []
+    for seed in range(repeats):
+        files: Files = {uri: (uri, data) for uri, data in huge.meshes(seed).items()}
+        read = partial(describe, huge.text(), assets=files, allow_missing=False, compat="fixed")
+        samples.append(_milliseconds(read))
+    return Figure(what="read a robot with twenty meshes", unit="ms", samples=tuple(samples))
+
+
+class Silence(Report):
+    """A report that nothing is noted in."""
+
+    def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
+        """See `Report`."""
+
+    def _add(self, status: ReportStatus, subject: str, reason: str) -> None:
+        """See `Report`."""
 
 
 def a_caterpillar(links: int) -> str:

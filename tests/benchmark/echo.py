@@ -17,6 +17,7 @@ from tests.benchmark.fleet import POLL_S, soon
 from tests.benchmark.machine import ROOT
 
 CALL = "bench/call"
+SINK = "bench/sink"
 PING = "bench/ping"
 PONG = "bench/pong"
 TEXT = "text/plain"
@@ -34,6 +35,11 @@ class Echo:
         """Ask, and wait for the answer."""
         if not self._bus.get(CALL, payload=b"x" * 32):
             raise TimeoutError("the echo does not answer")
+
+    def put(self, data: bytes) -> None:
+        """Give something away, and wait until it was taken."""
+        if not self._bus.get(SINK, payload=data):
+            raise TimeoutError("the echo takes nothing")
 
     def ping(self) -> None:
         """Put, and wait for what is put back."""
@@ -59,12 +65,14 @@ def echo(bus: Bus) -> Iterator[Echo]:
 def _serve(endpoint: str) -> NoReturn:
     with open_bus(BusConfig(connect=(endpoint,))) as bus:
         pings, pong = bus.subscribe(PING, 64), bus.advertise(PONG, TEXT)
-        calls = bus.serve(CALL)
+        calls, sink = bus.serve(CALL), bus.serve(SINK)
         while True:
             for sample in pings.take():
                 pong.send(sample.payload)
             for call in calls.take():
                 call.reply(call.payload, TEXT)
+            for call in sink.take():
+                call.reply(b"taken", TEXT)
             time.sleep(POLL_S)
 
 

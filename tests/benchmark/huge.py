@@ -8,7 +8,7 @@ from tests.hostile.case import BODY, joint, link, solid
 LINKS = 100
 MESHES = 20
 RINGS = 71
-"""Around a ball of 19,600 triangles."""
+"""Around a ball of 20,160 triangles."""
 ENDINGS = ("stl", "obj", "dae", "glb")
 ROUGHNESS = 0.05
 RADIUS_M = 0.1

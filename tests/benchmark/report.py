@@ -14,6 +14,7 @@ NAMES = (
     "cmd_vel",
     "spawn",
     "reading",
+    "bundle",
     "isolation",
     "services",
     "flat_out",
