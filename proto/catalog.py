@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from proto import assets, claims, services, telemetry
+from proto import assets, claims, services, stepping, telemetry
 from proto.result import (
     ClaimCode,
     ResultCode,
@@ -77,6 +77,19 @@ STEP_SIMULATION = Service(
     services.StepSimulationResponse,
     is_mutating=True,
 )
+SIMULATE_STEPS = Service(
+    "simulate_steps",
+    stepping.SimulateStepsRequest,
+    stepping.SimulateStepsResponse,
+    is_mutating=True,
+)
+CANCEL_STEPS = Service(
+    "cancel_steps", stepping.CancelStepsRequest, stepping.CancelStepsResponse, is_mutating=True
+)
+RUN_TO = Service("run_to", stepping.RunToRequest, stepping.RunToResponse, is_mutating=True)
+SET_SPEED = Service(
+    "set_speed", stepping.SetSpeedRequest, stepping.SetSpeedResponse, is_mutating=True
+)
 RESET_SIMULATION = Service(
     "reset_simulation",
     services.ResetSimulationRequest,
@@ -114,6 +127,10 @@ SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
         GET_SIMULATION_STATE,
         SET_SIMULATION_STATE,
         STEP_SIMULATION,
+        SIMULATE_STEPS,
+        CANCEL_STEPS,
+        RUN_TO,
+        SET_SPEED,
         RESET_SIMULATION,
         GET_SIMULATOR_FEATURES,
         CLAIM_ENTITY,

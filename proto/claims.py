@@ -68,10 +68,17 @@ class DriveState(msgspec.Struct, frozen=True):
     joint_positions: bytes
     """`<f8`, all joints of all claims, model by model in the order of `Model.joints`."""
     joint_velocities: bytes
+    newest_claim: UInt32 = 0
+    """The newest of all claims when this was told: an older state says nothing of a newer claim."""
+    is_awaited: bool = False
+    """Time stands until the answer comes: what the state makes due is published before it."""
 
 
 class DriveCommand(msgspec.Struct, frozen=True):
-    """Targets for everything that one agent drives; the newest wins."""
+    """Targets for everything that one agent drives; the newest wins.
+
+    An awaited state is answered by the command of its own epoch, step and claims, by no other.
+    """
 
     ros_type: ClassVar[str] = "zensim/msg/DriveCommand"
 

@@ -38,6 +38,11 @@ def events(world: str) -> str:
     return f"sim/{world}/events"
 
 
+def steps_progress(world: str) -> str:
+    """How far goals of steps are."""
+    return f"sim/{world}/simulate_steps_feedback"
+
+
 def drive_state(world: str, agent: str) -> str:
     """Server to one agent."""
     return f"sim/{world}/drive/{agent}/state"

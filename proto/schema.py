@@ -23,6 +23,7 @@ from proto import (
     model,
     result,
     services,
+    stepping,
     telemetry,
     topics,
 )
@@ -42,6 +43,7 @@ MESSAGE_MODULES: tuple[ModuleType, ...] = (
     model,
     result,
     services,
+    stepping,
     telemetry,
     topics,
 )
@@ -57,6 +59,7 @@ TOPICS: dict[str, tuple[type[msgspec.Struct], ...]] = {
     keys.stats("default"): (telemetry.Stats,),
     keys.snapshot("default"): (telemetry.Snapshot,),
     keys.events("default"): (telemetry.Event,),
+    keys.steps_progress("default"): (stepping.StepsProgress,),
     keys.drive_state("default", "agent_1"): (claims.DriveState,),
     keys.drive_command("default", "agent_1"): (claims.DriveCommand,),
     keys.robot("r1", keys.CMD_VEL): (geometry.Twist, geometry.TwistStamped),

@@ -42,6 +42,8 @@ class Info(msgspec.Struct, frozen=True):
     engine: str = ""
     world_model: str = ""
     seed: UInt64 = 0
+    is_lockstep: bool = False
+    """Whether each control step waits for the agents; requested steps always do."""
 
 
 class WorldClock(Clock, frozen=True):
@@ -77,6 +79,12 @@ class Stats(msgspec.Struct, frozen=True):
     """Payloads dropped since start because they were malformed, stale or not finite."""
     ready_s: dict[str, float] = {}
     """Wall time from spawn to first command, by entity."""
+    target_real_time_factor: float = 0.0
+    """0 = as fast as it can."""
+    awaited: tuple[str, ...] = ()
+    """Agents whose answers the loop waits for now."""
+    misses: dict[str, UInt64] = {}
+    """Drive states that were not answered in time, by agent; of agents that hold something."""
 
 
 class Snapshot(msgspec.Struct, frozen=True):
@@ -99,7 +107,16 @@ class Snapshot(msgspec.Struct, frozen=True):
 
 
 EventKind = Literal[
-    "spawned", "deleted", "claimed", "released", "reset", "played", "paused", "stopped", "warning"
+    "spawned",
+    "deleted",
+    "claimed",
+    "released",
+    "reset",
+    "played",
+    "paused",
+    "stopped",
+    "missed",
+    "warning",
 ]
 
 

@@ -22,6 +22,8 @@ from robot_agent.upkeep import Upkeep
 LOG = logging.getLogger("zensim.agent")
 IDLE_S = 0.001
 """Pause between looks for a drive state."""
+EAGER_S, EAGER_IDLE_S = 0.02, 0.0002
+"""So long after an awaited state the next one is near, and time stands until it is answered."""
 LOOK_S = 0.01
 """Pause between looks for anything else: none of it is urgent, and each look costs."""
 
@@ -61,7 +63,11 @@ class Agent:
         self._fleet = Fleet()
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
-        self._look_s = -math.inf
+        self._look_s = self._now_s = self._eager_until_s = -math.inf
+
+    def pause_s(self, now_s: float) -> float:
+        """Find how long to sleep [s] when there was nothing to do."""
+        return EAGER_IDLE_S if now_s < self._eager_until_s else IDLE_S
 
     def poll(self, now_s: float) -> bool:
         """Do what there is to do; tell whether there was a drive state.
@@ -75,6 +81,7 @@ class Agent:
             TimeoutError: See there.
             MalformedPayload: See there.
         """
+        self._now_s = now_s
         if now_s >= self._look_s:
             self._look_s = now_s + LOOK_S
             self._look_around(now_s)
@@ -96,8 +103,6 @@ class Agent:
             self._lose(self._fleet.lose_all_but(b""), "the server is gone")
 
     def _take_over(self, claims: tuple[Claim, ...]) -> None:
-        # What waits there was sent before the claim, and does not speak of it.
-        self._states.take()
         timeout_ns = round(self._config.cmd_vel_timeout_s * NANOSECONDS)
         for claim in claims:
             robot = Robot(self._network, claim, timeout_ns)
@@ -124,7 +129,8 @@ class Agent:
         return True
 
     def _follow(self, state: DriveState) -> None:
-        if not self._fleet.holds(state.claims):
+        # An older state does not speak of the newest claim.
+        if state.newest_claim < self._fleet.newest_claim or not self._fleet.holds(state.claims):
             return
         order = self._timeline.place(state.epoch, state.step)
         if order == "stale":
@@ -134,9 +140,15 @@ class Agent:
         self._lose(self._fleet.lose_all_but(state.claims), "the entity is gone")
         if not state.claims:
             return
-        command = self._fleet.advance(state)
-        self._commands.send(encode(command, Format.MSGPACK))
-        self._fleet.tell()
+        payload = encode(self._fleet.advance(state), Format.MSGPACK)
+        if state.is_awaited:
+            self._eager_until_s = self._now_s + EAGER_S
+            # One link keeps the order: who sees the command has seen what the state made due.
+            self._fleet.tell()
+            self._commands.send(payload)
+        else:
+            self._commands.send(payload)
+            self._fleet.tell()
 
     def _lose(self, entities: tuple[str, ...], reason: str) -> None:
         if not entities:
@@ -163,8 +175,9 @@ def run_agent(
     """
     agent = Agent(network, config)
     while True:
-        if not agent.poll(clock()):
-            sleep(IDLE_S)
+        now_s = clock()
+        if not agent.poll(now_s):
+            sleep(agent.pause_s(now_s))
 
 
 def _wish(config: AgentConfig) -> Wish:

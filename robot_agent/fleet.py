@@ -14,6 +14,8 @@ class Fleet:
     def __init__(self) -> None:
         self._robots: dict[int, Robot] = {}
         self._claims: bytes | None = None
+        self.newest_claim = 0
+        """The newest claim that is held; 0 without any."""
         self._ordered: tuple[Robot, ...] = ()
         self._layout = Layout(())
 
@@ -25,6 +27,7 @@ class Fleet:
     def hold(self, claim: int, robot: Robot) -> None:
         """Add a robot under its claim."""
         self._robots[claim] = robot
+        self.newest_claim = max(self._robots)
         self._claims = None
 
     def lose_all_but(self, claims: bytes) -> tuple[str, ...]:
@@ -38,6 +41,7 @@ class Fleet:
             del self._robots[claim]
         if lost:
             self._claims = None
+            self.newest_claim = max(self._robots, default=0)
         return tuple(robot.entity for robot in lost.values())
 
     def holds(self, claims: bytes) -> bool:

@@ -16,6 +16,8 @@ class Claims:
         self.dropped = 0
         """Commands that did not fit."""
         self.taken = 0
+        self.changes = 0
+        """Counts claims that were granted or ended."""
         self._holds: dict[str, Hold] = {}
         self._next_claim = 1
         self._targets: dict[str, FloatArray] = {}
@@ -24,6 +26,11 @@ class Claims:
 
     def __len__(self) -> int:
         return len(self._holds)
+
+    @property
+    def newest(self) -> int:
+        """The claim that was granted last; 0 before the first."""
+        return self._next_claim - 1
 
     @property
     def agents(self) -> tuple[str, ...]:
@@ -44,6 +51,7 @@ class Claims:
         hold = Hold(self._next_claim, agent, on_release)
         self._next_claim += 1
         self._holds[name] = hold
+        self.changes += 1
         self.forget_rows()
         self._targets.pop(agent, None)
         self._emptied.discard(agent)
@@ -53,6 +61,7 @@ class Claims:
         """End the claim on an entity, if there is one; an agent left with nothing is told so."""
         if (hold := self._holds.pop(name, None)) is None:
             return
+        self.changes += 1
         self.forget_rows()
         self._targets.pop(hold.agent, None)
         if not self.held_by(hold.agent):

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 
@@ -13,6 +13,7 @@ from proto.bus import Bus
 from proto.exits import one_line_failures
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
+from sim_server.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
 
 SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
 
@@ -47,6 +48,28 @@ Wait = Annotated[float, typer.Option(min=0.0, help="Seconds to wait for the rout
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
 ]
+Locked = Annotated[
+    bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
+]
+LockstepTimeout = Annotated[
+    float, typer.Option(help="Seconds that an agent has for its command, at requested steps too.")
+]
+OnMissWord = Annotated[
+    str,
+    typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
+]
+
+
+def on_miss_of(word: str) -> OnMiss:
+    """Read what is to be done when an agent is late.
+
+    Raises:
+        BadParameter: There is no such policy.
+    """
+    for known in get_args(OnMiss):
+        if known == word:
+            return known  # type: ignore[no-any-return]
+    raise typer.BadParameter(f"--on-miss {word!r} is unknown; use {', '.join(get_args(OnMiss))}")
 
 
 @app.command()
@@ -63,14 +86,13 @@ def serve(
     seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0,
     model_path: ModelPath = None,
     strict: Strict = False,
+    lockstep: Locked = False,
+    lockstep_timeout: LockstepTimeout = TIMEOUT_S,
+    on_miss: OnMissWord = "hold",
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False,
 ) -> None:
     """Run a world and serve it on the network."""
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="%(levelname)s %(name)s %(message)s",
-        stream=sys.stderr,
-    )
+    _log(is_verbose=verbose)
     if listen and connect:
         raise typer.BadParameter("--listen and --connect exclude each other; give one")
     stop = StopFlag()
@@ -85,8 +107,17 @@ def serve(
         model_paths=tuple(map(str, model_path or ())),
         is_strict=strict,
         wait_s=wait,
+        lockstep=LockstepSettings(lockstep, lockstep_timeout, on_miss_of(on_miss)),
     )
     _serve(config, stop)
+
+
+def _log(*, is_verbose: bool) -> None:
+    logging.basicConfig(
+        level=logging.INFO if is_verbose else logging.WARNING,
+        format="%(levelname)s %(name)s %(message)s",
+        stream=sys.stderr,
+    )
 
 
 def _serve(config: ServerConfig, stop: StopFlag) -> None:

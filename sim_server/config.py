@@ -6,6 +6,7 @@ from proto.bus import BusConfig
 from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from proto.names import check_name
+from sim_server.lockstep import LockstepSettings
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most, as often as a Gazebo drive updates by default."""
@@ -13,6 +14,7 @@ STEP_HZ = 240.0
 REAL_TIME_FACTOR = 1.0
 MAX_STEP_HZ = 10_000.0
 MAX_REAL_TIME_FACTOR = 1000.0
+MIN_LOCKSTEP_TIMEOUT_S, MAX_LOCKSTEP_TIMEOUT_S = 0.01, 3600.0
 
 
 class ConfigError(ValueError):
@@ -38,6 +40,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     is_strict: bool = False
     """Refuse a world of which something is suspicious."""
     is_paused: bool = False
+    lockstep: LockstepSettings = LockstepSettings()
     seed: int = 0
     wait_s: float = 30.0
     """How long to wait for the router to join."""
@@ -72,7 +75,16 @@ def checked(config: ServerConfig) -> ServerConfig:
         )
     if config.seed < 0:
         raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")
+    _check_timeout(config.lockstep.timeout_s)
     return config
+
+
+def _check_timeout(timeout_s: float) -> None:
+    if not MIN_LOCKSTEP_TIMEOUT_S <= timeout_s <= MAX_LOCKSTEP_TIMEOUT_S:
+        raise ConfigError(
+            f"--lockstep-timeout {timeout_s:g} is out of range; use {MIN_LOCKSTEP_TIMEOUT_S:g} to "
+            f"{MAX_LOCKSTEP_TIMEOUT_S:g} seconds"
+        )
 
 
 def paced(

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from sim_server.assets import AssetStore
 from sim_server.descriptions import Descriptions
+from sim_server.lockstep import Lockstep
 from sim_server.meter import Meter
 from sim_server.stepping import Stepping
 from sim_server.world import World
@@ -25,6 +26,7 @@ class Desk:
     alive_agents: set[str] = field(default_factory=set)
     alive_bonds: set[str] = field(default_factory=set)
     stepping: Stepping = field(default_factory=Stepping)
+    lockstep: Lockstep = field(default_factory=Lockstep)
     has_read: bool = False
     """Whether descriptions have been read since the last turn."""
     bonded: dict[str, list[tuple[str, int]]] = field(default_factory=dict)

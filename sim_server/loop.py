@@ -1,18 +1,16 @@
 """The loop: requests, commands, physics, telemetry, in this order; paced to a real-time factor.
 
 One thread owns world and engine. While it waits for the next step's deadline it polls its inbox, so
-that a request between steps is answered at once.
+that a request between steps is answered at once. So it does while it waits for agents.
 """
 
 import logging
 from collections.abc import Callable
 from typing import Protocol
 
-from proto.claims import DriveCommand
-from proto.codec import MalformedPayload, decode
-from proto.keys import agent_of
 from proto.services import State
 from sim_server.desk import Desk
+from sim_server.driving import Driving
 from sim_server.inbox import Inbox
 from sim_server.outlets import Outlet
 from sim_server.requests import Requests
@@ -46,9 +44,11 @@ class Loop:
         self._inbox = inbox
         self._outlet = outlet
         self._clock = clock
-        self._telemetry = Telemetry(desk.world, desk.meter)
+        self._telemetry = Telemetry(desk)
         self._deadline_ns = clock.now_ns()
+        self._factor = desk.target_real_time_factor
         self._requests = Requests(desk, self._telemetry)
+        self._driving = Driving(desk, inbox, outlet)
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Go on until told to stop."""
@@ -58,32 +58,23 @@ class Loop:
     def turn(self) -> None:
         """Serve what has come, then step if it is time, else wait a little."""
         self.serve()
-        now_ns = self._clock.now_ns()
-        if self._desk.stepping:
-            self._requested_step(now_ns)
-        elif self._world.state != State.PLAYING:
-            self._deadline_ns = now_ns
-            self._clock.sleep(IDLE_POLL_S)
-        elif now_ns >= self._deadline_ns:
-            self.tick(now_ns)
-            self._set_deadline()
+        if self._driving.must_wait():
+            self._clock.sleep(POLL_S)
         else:
-            self._clock.sleep(min(POLL_S, (self._deadline_ns - now_ns) * 1e-9))
+            self._finish_goals()
+            self._advance(self._clock.now_ns())
         self.publish()
 
     def serve(self) -> None:
         """Take in everything that has come."""
         # Calls are taken before tokens and answered after them: an agent's token comes first.
         calls = self._inbox.take_calls()
-        for agent, is_alive in self._inbox.take_agents():
-            self._note_agent(agent, is_alive=is_alive)
-        self._note_bonds()
-        for sample in self._inbox.take_commands():
-            self._command(agent_of(sample.key), sample.payload, sample.encoding)
+        self._driving.serve()
         for call in calls:
             self._requests.take(call)
         self._desk.has_read = self._desk.descriptions.poll()
         self._requests.carry_on()
+        self._driving.tell_changes()
 
     def tick(self, now_ns: int) -> None:
         """Advance by one step and tell the agents."""
@@ -95,7 +86,7 @@ class Loop:
             late_ns=max(0, now_ns - self._deadline_ns),
         )
         if self._world.is_control_step:
-            self._tell_agents()
+            self._driving.tell()
 
     def publish(self) -> None:
         """Tell everybody what is due."""
@@ -109,23 +100,38 @@ class Loop:
             )
             self._outlet.tell("events", event)
         now_ns = self._clock.now_ns()
+        self._publish_progress(now_ns)
         if self._meter.close_window(now_ns) and self._outlet.is_wanted("stats"):
             self._outlet.tell("stats", self._telemetry.stats())
         for topic in self._telemetry.due(now_ns):
             if self._outlet.is_wanted(topic):
                 self._outlet.tell(topic, self._telemetry.message(topic))
 
-    def _tell_agents(self) -> None:
-        for agent, state in self._world.drive_states():
-            self._outlet.tell_agent(agent, state)
+    def _advance(self, now_ns: int) -> None:
+        self._heed_speed(now_ns)
+        if self._desk.stepping.wants_step:
+            self._requested_step(now_ns)
+        elif self._world.state != State.PLAYING:
+            self._deadline_ns = now_ns
+            self._clock.sleep(IDLE_POLL_S)
+        elif now_ns >= self._deadline_ns:
+            self.tick(now_ns)
+            self._set_deadline()
+        else:
+            self._clock.sleep(min(POLL_S, (self._deadline_ns - now_ns) * 1e-9))
+
+    def _heed_speed(self, now_ns: int) -> None:
+        """Begin to pace anew when the speed was changed: the old deadline may be far off."""
+        if self._factor != self._desk.target_real_time_factor:
+            self._factor = self._desk.target_real_time_factor
+            self._deadline_ns = now_ns
 
     def _set_deadline(self) -> None:
-        factor = self._desk.target_real_time_factor
         now_ns = self._clock.now_ns()
-        if factor <= 0.0:
+        if self._factor <= 0.0:
             self._deadline_ns = now_ns
             return
-        self._deadline_ns += round(self._world.step_ns / factor)
+        self._deadline_ns += round(self._world.step_ns / self._factor)
         if (lag_ns := now_ns - self._deadline_ns) > MAX_LAG_NS:
             self._meter.slipped_ns += lag_ns
             self._deadline_ns = now_ns
@@ -134,29 +140,18 @@ class Loop:
         self._deadline_ns = now_ns
         self.tick(now_ns)
         self._desk.stepping.note_step()
+        if not self._desk.lockstep.is_waiting:
+            self._finish_goals()
+
+    def _finish_goals(self) -> None:
+        """End the goals whose steps are made and whose agents have answered; answer for them."""
+        if not self._desk.stepping:
+            return
+        self._desk.stepping.settle()
+        # Progress first: who hears of the end may then be sure that nothing more comes.
+        self._publish_progress(self._clock.now_ns())
         self._requests.carry_on()
 
-    def _note_agent(self, agent: str, *, is_alive: bool) -> None:
-        if is_alive:
-            self._desk.alive_agents.add(agent)
-            return
-        self._desk.alive_agents.discard(agent)
-        self._world.release(agent)
-        self._outlet.forget_agent(agent)
-
-    def _note_bonds(self) -> None:
-        for bond, is_alive in self._inbox.take_bonds():
-            if is_alive:
-                self._desk.alive_bonds.add(bond)
-            else:
-                self._desk.end_bond(bond)
-
-    def _command(self, agent: str, payload: bytes, encoding: str) -> None:
-        try:
-            command = decode(DriveCommand, payload, encoding)
-        except MalformedPayload as error:
-            self._world.claims.dropped += 1
-            LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
-            return
-        if self._world.command(agent, command):
-            self._world.note_ready(agent, self._clock.now_ns())
+    def _publish_progress(self, now_ns: int) -> None:
+        for progress in self._desk.stepping.due_progress(now_ns):
+            self._outlet.tell("simulate_steps_feedback", progress)

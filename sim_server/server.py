@@ -16,6 +16,7 @@ from sim_server.config import AlreadyServed, ServerConfig, checked, paced
 from sim_server.descriptions import ReadElsewhere
 from sim_server.desk import Desk
 from sim_server.inbox import BusInbox
+from sim_server.lockstep import Lockstep
 from sim_server.loop import Loop
 from sim_server.meter import Meter
 from sim_server.outlets import BusOutlet
@@ -106,6 +107,7 @@ def _run(
             loaded.model.name,
             config.real_time_factor or 0.0,
             config.seed,
+            lockstep=Lockstep(config.lockstep),
         )
         _wait_for_reader(reader, clock, should_stop)
         loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)

@@ -1,40 +1,134 @@
 """Steps that were asked for: made one after another, in the order of asking."""
 
-from dataclasses import dataclass
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from proto.header import NANOSECONDS
+from proto.stepping import GoalStatus, StepsProgress
+
+PROGRESS_HZ = 10
+KEPT = 256
+"""Goals that are over and whose results can still be fetched."""
 
 
 @dataclass
 class Goal:
-    """So many steps; a reset sets time back, not what is left."""
+    """So many steps; a reset sets time back, not what is left.
 
-    left: int
+    Attributes:
+        goal_id: Empty when nobody is to hear of its progress.
+        late: Agents that did not answer all of its control steps in time.
+        reason: Why it was aborted.
+    """
+
+    steps: int
+    goal_id: str = ""
     made: int = 0
+    status: GoalStatus = "executing"
+    late: set[str] = field(default_factory=set)
+    reason: str = ""
+    told_ns: int | None = None
+    """Wall time when its progress was told last."""
 
     @property
-    def is_reached(self) -> bool:
-        """Whether all steps are made."""
-        return self.left == 0
+    def left(self) -> int:
+        """Steps that are not made yet."""
+        return self.steps - self.made
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more will be done for it."""
+        return self.status != "executing"
+
+    @property
+    def progress(self) -> StepsProgress:
+        """How far it is."""
+        return StepsProgress(self.goal_id, self.made, self.left, self.status)
 
 
 class Stepping:
-    """The goals that are not reached yet."""
+    """The goals that are not over yet, and the last of those that are."""
 
     def __init__(self) -> None:
         self._goals: list[Goal] = []
+        self._ended: list[Goal] = []
+        self._known: OrderedDict[str, Goal] = OrderedDict()
 
-    def __bool__(self) -> bool:
-        return bool(self._goals)
+    def __len__(self) -> int:
+        return len(self._goals)
 
-    def add(self, steps: int) -> Goal:
+    @property
+    def wants_step(self) -> bool:
+        """Whether the first goal has steps left to make."""
+        return bool(self._goals) and self._goals[0].left > 0
+
+    def add(self, steps: int, goal_id: str = "") -> Goal:
         """Ask for steps behind those asked for before."""
-        goal = Goal(steps)
+        goal = Goal(steps, goal_id)
         self._goals.append(goal)
+        if goal_id:
+            self._known[goal_id] = goal
+            self._forget_oldest()
         return goal
+
+    def known(self, goal_id: str) -> Goal | None:
+        """Find a goal by its id, also one that is over."""
+        return self._known.get(goal_id)
 
     def note_step(self) -> None:
         """Count a step for the first goal."""
-        first = self._goals[0]
-        first.left -= 1
-        first.made += 1
-        if first.is_reached:
-            self._goals.pop(0)
+        self._goals[0].made += 1
+
+    def note_late(self, agents: Iterable[str]) -> None:
+        """Remember which agents the steps of the first goal went on without."""
+        if self._goals:
+            self._goals[0].late.update(agents)
+
+    def settle(self) -> None:
+        """End the goals that have made all their steps; call it when no agent is awaited."""
+        while self._goals and self._goals[0].left <= 0:
+            self._end(self._goals[0], "succeeded")
+
+    def cancel(self, goal_id: str) -> list[Goal]:
+        """End a goal before its last step, or without an id all goals; return those ended."""
+        canceled = [goal for goal in self._goals if goal_id in ("", goal.goal_id)]
+        for goal in canceled:
+            self._end(goal, "canceled")
+        return canceled
+
+    def abort(self, reason: str) -> None:
+        """End all goals: they cannot be reached."""
+        for goal in self._goals[:]:
+            self.abort_one(goal, reason)
+
+    def abort_one(self, goal: Goal, reason: str) -> None:
+        """End a goal, unless it is over."""
+        if not goal.is_over:
+            goal.reason = reason
+            self._end(goal, "aborted")
+
+    def due_progress(self, now_ns: int) -> Iterator[StepsProgress]:
+        """Tell how far goals with an id are: the first of them now and then, those ended at once.
+
+        Args:
+            now_ns: Wall time.
+        """
+        ended, self._ended = self._ended, []
+        yield from (goal.progress for goal in ended if goal.goal_id)
+        first = self._goals[0] if self._goals else None
+        if first is None or not first.goal_id:
+            return
+        if first.told_ns is None or now_ns - first.told_ns >= NANOSECONDS // PROGRESS_HZ:
+            first.told_ns = now_ns
+            yield first.progress
+
+    def _end(self, goal: Goal, status: GoalStatus) -> None:
+        goal.status = status
+        self._goals.remove(goal)
+        self._ended.append(goal)
+
+    def _forget_oldest(self) -> None:
+        over = [name for name, goal in self._known.items() if goal.is_over]
+        for name in over[: max(0, len(self._known) - KEPT)]:
+            del self._known[name]

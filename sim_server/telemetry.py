@@ -7,8 +7,7 @@ import msgspec
 from proto.header import NANOSECONDS, time_from_ns
 from proto.services import State
 from proto.telemetry import Stats, WorldClock
-from sim_server.meter import Meter
-from sim_server.world import World
+from sim_server.desk import Desk
 
 CLOCK_HZ = 100
 SNAPSHOT_HZ = 30
@@ -36,9 +35,10 @@ class Timer:
 class Telemetry:
     """Decides what is due."""
 
-    def __init__(self, world: World, meter: Meter) -> None:
-        self._world = world
-        self._meter = meter
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        self._world = desk.world
+        self._meter = desk.meter
         self._clock = Timer(NANOSECONDS // CLOCK_HZ)
         self._snapshot = Timer(NANOSECONDS // SNAPSHOT_HZ)
         self._idle = Timer(NANOSECONDS // PAUSED_HZ)
@@ -88,6 +88,9 @@ class Telemetry:
             commands=world.claims.taken,
             dropped=world.claims.dropped,
             ready_s=dict(world.ready_s),
+            target_real_time_factor=self._desk.target_real_time_factor,
+            awaited=self._desk.lockstep.awaited,
+            misses=self._desk.lockstep.misses,
         )
 
     def _real_time_factor(self) -> float:

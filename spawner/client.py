@@ -1,12 +1,14 @@
 """SimClient: a typed method for each service."""
 
 import time
+import uuid
 from collections.abc import Callable
 
 from proto import catalog
 from proto.assets import MissingAssetsRequest, MissingAssetsResponse, PutAssetRequest
 from proto.bus import Bus, NoServer
 from proto.catalog import Request, Response, Service
+from proto.header import NANOSECONDS, time_from_ns
 from proto.services import (
     DeleteEntityRequest,
     EntityState,
@@ -25,12 +27,23 @@ from proto.services import (
     State,
     StepSimulationRequest,
 )
+from proto.stepping import (
+    CancelStepsRequest,
+    RunToRequest,
+    RunToResponse,
+    SetSpeedRequest,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+)
 from proto.telemetry import EntityModel, GetModelsRequest, GetModelsResponse, Info, InfoRequest
+from spawner.goals import OnProgress, reach_goal
 
 CALL_TIMEOUT_S = 10.0
 SPAWN_TIMEOUT_S = 30.0
 """A server on a busy machine takes long over a large description."""
 POLL_S = 0.05
+PATIENCE_PER_STEP_S = 0.05
+"""How long a step that was asked for may take, before the server counts as silent."""
 
 
 class SimClient:
@@ -121,8 +134,54 @@ class SimClient:
             catalog.STEP_SIMULATION,
             StepSimulationRequest(steps),
             world=self.world,
-            timeout_s=max(self._timeout_s, steps * 0.05),
+            timeout_s=self._patience_s(steps),
         )
+
+    def simulate_steps(
+        self,
+        steps: int,
+        *,
+        goal_id: str = "",
+        on_progress: OnProgress | None = None,
+        timeout_s: float | None = None,
+    ) -> SimulateStepsResponse:
+        """Advance a paused world, tell of the progress, and return when it is done.
+
+        Args:
+            steps: How many.
+            goal_id: Names the goal for `cancel_steps` and for joining it; made up unless given.
+            on_progress: What it raises cancels the goal.
+            timeout_s: After it TimeoutError is raised, but the goal goes on.
+        """
+        request = SimulateStepsRequest(steps, goal_id or uuid.uuid4().hex)
+        patience_s = self._patience_s(steps) if timeout_s is None else timeout_s
+        return reach_goal(
+            self.bus,
+            self.world,
+            request,
+            on_progress=on_progress or (lambda _: None),
+            timeout_s=patience_s,
+        )
+
+    def cancel_steps(self, goal_id: str = "") -> tuple[str, ...]:
+        """End a goal before its last step, or all goals; return the ids of those ended."""
+        return self._call(catalog.CANCEL_STEPS, CancelStepsRequest(goal_id)).goal_ids
+
+    def run_to(self, time_ns: int, timeout_s: float | None = None) -> RunToResponse:
+        """Advance a paused world to the first step at or after a simulation time [ns]."""
+        if timeout_s is None:
+            info = self.info()
+            steps = (time_ns - round(info.sim_time_s * NANOSECONDS)) // max(1, info.step_ns)
+            timeout_s = self._patience_s(steps)
+        request = RunToRequest(time_from_ns(time_ns))
+        return self.bus.call(catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
+
+    def set_speed(self, real_time_factor: float) -> None:
+        """Choose the real-time factor to hold; 0 = as fast as it can."""
+        self._call(catalog.SET_SPEED, SetSpeedRequest(real_time_factor))
+
+    def _patience_s(self, steps: int) -> float:
+        return max(self._timeout_s, steps * PATIENCE_PER_STEP_S)
 
     def reset(self, scope: int = ResetScope.DEFAULT) -> None:
         """Go back to the start."""

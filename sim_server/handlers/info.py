@@ -21,6 +21,7 @@ FEATURES = (
     Feature.SIMULATION_STATE_PAUSE,
     Feature.STEP_SIMULATION_SINGLE,
     Feature.STEP_SIMULATION_MULTIPLE,
+    Feature.STEP_SIMULATION_ACTION,
 )
 VERSION = version("zensim")
 
@@ -55,4 +56,5 @@ def info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:
         engine=world.engine_name,
         world_model=desk.world_model,
         seed=desk.seed,
+        is_lockstep=desk.lockstep.settings.is_on,
     )

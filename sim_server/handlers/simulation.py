@@ -1,13 +1,10 @@
-"""Time: play, pause, step, reset."""
+"""Time: play, pause, reset."""
 
 from proto import services
-from proto.result import ResultCode, SetSimulationStateCode
+from proto.result import SetSimulationStateCode
 from proto.services import State
 from sim_server.desk import Desk
 from sim_server.errors import Refused, Unsupported
-from sim_server.later import Later
-
-MAX_STEPS = 10_000_000
 
 
 def get_simulation_state(
@@ -34,18 +31,6 @@ def set_simulation_state(
     else:
         raise Unsupported(f"state {wanted} cannot be set; use 1 (playing) or 2 (paused)")
     return services.SetSimulationStateResponse()
-
-
-def step(desk: Desk, request: services.StepSimulationRequest) -> Later:
-    """Make steps of a paused world, and answer after the last."""
-    desk.world.require_paused()
-    if not 1 <= request.steps <= MAX_STEPS:
-        raise Refused(
-            ResultCode.OPERATION_FAILED,
-            f"steps={request.steps} is out of range; use 1 to {MAX_STEPS}",
-        )
-    goal = desk.stepping.add(request.steps)
-    return Later(lambda: goal.is_reached, services.StepSimulationResponse)
 
 
 def reset(desk: Desk, request: services.ResetSimulationRequest) -> services.ResetSimulationResponse:

@@ -4,11 +4,11 @@ from collections.abc import Callable
 
 import msgspec
 
-from proto import assets, claims, services, telemetry
+from proto import assets, claims, services, stepping, telemetry
 from proto.catalog import SERVICES
 from proto.result import Result
 from sim_server.desk import Desk
-from sim_server.handlers import agents, entities, files, info, simulation, states
+from sim_server.handlers import agents, entities, files, info, pacing, simulation, states
 from sim_server.later import Later
 from sim_server.spawning import spawn_when_read
 
@@ -39,7 +39,11 @@ HANDLERS: dict[type[msgspec.Struct], Callable[[Desk, msgspec.Struct], msgspec.St
     services.SetEntityStateRequest: states.set_state,  # type: ignore[dict-item]
     services.GetSimulationStateRequest: simulation.get_simulation_state,  # type: ignore[dict-item]
     services.SetSimulationStateRequest: simulation.set_simulation_state,  # type: ignore[dict-item]
-    services.StepSimulationRequest: simulation.step,  # type: ignore[dict-item]
+    services.StepSimulationRequest: pacing.step,  # type: ignore[dict-item]
+    stepping.SimulateStepsRequest: pacing.simulate_steps,  # type: ignore[dict-item]
+    stepping.CancelStepsRequest: pacing.cancel_steps,  # type: ignore[dict-item]
+    stepping.RunToRequest: pacing.run_to,  # type: ignore[dict-item]
+    stepping.SetSpeedRequest: pacing.set_speed,  # type: ignore[dict-item]
     services.ResetSimulationRequest: simulation.reset,  # type: ignore[dict-item]
     services.GetSimulatorFeaturesRequest: info.features,  # type: ignore[dict-item]
     claims.ClaimEntityRequest: agents.claim,  # type: ignore[dict-item]

@@ -60,7 +60,7 @@ def a_state(
     positions: Sequence[float] = (0.0, 0.0),
     velocities: Sequence[float] = (0.0, 0.0),
 ) -> DriveState:
-    """Two-wheelers that are all in the same state; 10 ms a step."""
+    """Two-wheelers that are all in the same state; 10 ms a step; told after all claims."""
     count = len(claims)
     return DriveState(
         epoch,
@@ -70,6 +70,7 @@ def a_state(
         _packed(base) * count,
         _packed(positions) * count,
         _packed(velocities) * count,
+        newest_claim=1000,
     )
 
 

@@ -2,8 +2,8 @@
 
 import struct
 
-import msgspec
 import pytest
+from msgspec.structs import replace
 
 from proto import keys
 from proto.codec import Format, decode
@@ -131,7 +131,7 @@ def test_agent_ignores_a_state_that_is_late() -> None:
 
 
 def test_agent_starts_its_robots_again_at_a_reset() -> None:
-    scene = Scene("r1", drive=msgspec.structs.replace(DRIVE, max_acceleration=1.0))
+    scene = Scene("r1", drive=replace(DRIVE, max_acceleration=1.0))
     scene.poll()
     for step in range(10):
         scene.bus.put_message("r1/cmd_vel", FORWARD)
@@ -188,11 +188,51 @@ def test_agent_ignores_states_of_claims_that_it_does_not_hold() -> None:
 
 def test_agent_ignores_a_state_from_before_its_claim() -> None:
     scene = Scene("r1")
-    scene.server.send(a_state(5, (), base=(), positions=(), velocities=()))
+    state = a_state(5, (), base=(), positions=(), velocities=())
+    scene.server.send(replace(state, newest_claim=0))
 
     scene.poll()
 
     assert scene.bus.is_served("r1/odom")
+
+
+def test_agent_answers_a_state_that_came_right_behind_its_claim() -> None:
+    scene = Scene("r1")
+    scene.server.commands()
+    scene.server.send(replace(a_state(5, (1,)), newest_claim=1))
+
+    scene.poll()
+
+    assert [command.step for command in scene.server.commands()] == [5]
+
+
+@pytest.mark.parametrize(("is_awaited", "order"), [(True, "oc"), (False, "co")])
+def test_agent_publishes_before_its_command_when_that_is_awaited(
+    is_awaited: bool,  # noqa: FBT001  a parameter of the test
+    order: str,
+) -> None:
+    scene = Scene("r1")
+    scene.poll()
+    listener = scene.bus.subscribe("**", 64)
+    scene.server.send(replace(a_state(3), is_awaited=is_awaited))
+
+    scene.poll()
+
+    chunks = [sample.key.rsplit("/", 1)[-1] for sample in listener.take()]
+    assert "".join(c[0] for c in chunks if c in ("odom", "command")) == order
+
+
+def test_agent_looks_often_for_the_next_state_only_soon_after_an_awaited_one() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.server.send(a_state(3))
+    scene.poll()
+    usual_s = scene.agent.pause_s(scene.now_s)
+    scene.server.send(replace(a_state(6), is_awaited=True))
+    scene.poll()
+
+    assert scene.agent.pause_s(scene.now_s) < usual_s
+    assert scene.agent.pause_s(scene.now_s + 1.0) == usual_s
 
 
 def test_agent_claims_again_when_the_server_was_restarted() -> None:

@@ -44,6 +44,7 @@ SERVICES_OF_FEATURES = {
     "get_simulation_state": (Feature.SIMULATION_STATE_GETTING,),
     "set_simulation_state": (Feature.SIMULATION_STATE_SETTING, Feature.SIMULATION_STATE_PAUSE),
     "step_simulation": (Feature.STEP_SIMULATION_SINGLE, Feature.STEP_SIMULATION_MULTIPLE),
+    "simulate_steps": (Feature.STEP_SIMULATION_ACTION,),
 }
 
 

@@ -18,7 +18,7 @@ from proto.result import (
 from proto.services import EntityState, Resource, State
 from sim_server.desk import Desk
 from sim_server.errors import SimError
-from sim_server.handlers.simulation import MAX_STEPS
+from sim_server.handlers.pacing import MAX_STEPS
 from sim_server.handlers.table import handle
 from tests.sim_server.description.robots import a_joint, a_link, a_robot
 from tests.sim_server.fakes import a_desk, a_world, names_in

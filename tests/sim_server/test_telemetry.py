@@ -1,6 +1,7 @@
 """Telemetry: what is due when, at which rates, and what it says."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -13,7 +14,7 @@ from sim_server.meter import Meter
 from sim_server.telemetry import TOPICS, Telemetry, Timer
 from sim_server.world import World
 from tests.models import on_ground
-from tests.sim_server.fakes import a_birth, a_stage, a_world, names_in
+from tests.sim_server.fakes import a_birth, a_desk, a_stage, a_world, names_in
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
@@ -95,7 +96,7 @@ def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
 
 def test_telemetry_tells_clock_and_snapshot_when_something_has_changed() -> None:
     world = a_world("r0")
-    telemetry = Telemetry(world, Meter(0))
+    telemetry = Telemetry(a_desk(world))
     for i in range(5):
         due(telemetry, SECOND + i * 100 * MILLISECOND)
     nothing = due(telemetry, SECOND + 500 * MILLISECOND)
@@ -112,7 +113,7 @@ def test_clock_tells_time_step_and_epoch() -> None:
     for _ in range(240):
         world.step()
 
-    clock = Telemetry(world, Meter(0)).message("clock")
+    clock = Telemetry(a_desk(world)).message("clock")
 
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
@@ -125,7 +126,7 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
     meter.slipped_ns = SECOND
     meter.close_window(SECOND)
 
-    stats = Telemetry(world, meter).message("stats")
+    stats = Telemetry(replace(a_desk(world), meter=meter)).message("stats")
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -140,7 +141,7 @@ def test_real_time_factor_is_zero_while_time_stands(topic: str) -> None:
     meter.real_time_factor = 1.0
     world.pause()
 
-    message = Telemetry(world, meter).message(topic)
+    message = Telemetry(replace(a_desk(world), meter=meter)).message(topic)
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0

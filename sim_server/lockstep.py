@@ -1,0 +1,135 @@
+"""Which agents owe an answer to the newest drive state they were told. No clock, no network."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from proto.claims import DriveCommand, DriveState
+from proto.header import NANOSECONDS
+
+OnMiss = Literal["wait", "hold", "fail"]
+TIMEOUT_S = 1.0
+LONGEST_LOOK_NS = 20_000_000
+"""Most that one look counts as waiting: a server that was stopped itself has not waited."""
+
+
+@dataclass(frozen=True)
+class LockstepSettings:
+    """What to do at control steps.
+
+    Attributes:
+        is_on: Wait for the agents at each control step; without it only at requested steps.
+        timeout_s: Wall time that an agent has for its answer.
+        on_miss: After that: `wait` on until its token goes, `hold` the old targets and go on, or
+            `fail`: stand still and say so.
+    """
+
+    is_on: bool = False
+    timeout_s: float = TIMEOUT_S
+    on_miss: OnMiss = "hold"
+
+
+@dataclass
+class _Told:
+    """What an agent was told last, and whether time waits for its answer."""
+
+    epoch: int
+    step: int
+    claims: bytes
+    is_awaited: bool
+    waited_ns: int = 0
+
+    def is_answered_by(self, command: DriveCommand) -> bool:
+        return (command.epoch, command.step, command.claims) == (self.epoch, self.step, self.claims)
+
+
+class Lockstep:
+    """Keeps the books of one world's agents."""
+
+    def __init__(self, settings: LockstepSettings | None = None) -> None:
+        self.settings = settings or LockstepSettings()
+        self._told: dict[str, _Told] = {}
+        self._owing: set[str] = set()
+        self._misses: dict[str, int] = {}
+        self._silent: set[str] = set()
+        self._looked_ns = 0
+
+    @property
+    def awaited(self) -> tuple[str, ...]:
+        """Agents that owe an answer."""
+        return tuple(sorted(self._owing))
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether any agent owes an answer."""
+        return bool(self._owing)
+
+    @property
+    def misses(self) -> dict[str, int]:
+        """States that were not answered in time, by agent."""
+        return dict(self._misses)
+
+    def has_told(self, agent: str, state: DriveState) -> bool:
+        """Whether an agent knows what it drives, in this epoch."""
+        told = self._told.get(agent)
+        return told is not None and (told.epoch, told.claims) == (state.epoch, state.claims)
+
+    def tell(self, agent: str, state: DriveState, now_ns: int) -> bool:
+        """Note that an agent is told a state; answers to older ones are owed no more.
+
+        Returns:
+            False when its answer should be awaited, but the agent has been silent too long for it.
+        """
+        if not self._owing:
+            self._looked_ns = now_ns
+        self._owing.discard(agent)
+        self._told[agent] = _Told(state.epoch, state.step, state.claims, state.is_awaited)
+        if not state.is_awaited:
+            return True
+        if self.settings.on_miss == "hold" and agent in self._silent:
+            self._misses[agent] += 1
+            return False
+        self._owing.add(agent)
+        return True
+
+    def answer(self, agent: str, command: DriveCommand) -> bool:
+        """Take note of a command; tell whether it may be carried out.
+
+        A state that is awaited has one answer: a command for another one is not carried out.
+        """
+        self._silent.discard(agent)
+        if (told := self._told.get(agent)) is None:
+            return True
+        if not told.is_answered_by(command):
+            return not told.is_awaited
+        self._owing.discard(agent)
+        return True
+
+    def look(self, now_ns: int) -> tuple[str, ...]:
+        """Let wall time pass; name the agents whose time for an answer has just run out.
+
+        With `wait` none ever does.
+        """
+        passed_ns = min(now_ns - self._looked_ns, LONGEST_LOOK_NS)
+        self._looked_ns = now_ns
+        late = []
+        for agent in self.awaited:
+            self._told[agent].waited_ns += passed_ns
+            if self._is_late(self._told[agent]):
+                late.append(agent)
+        for agent in late:
+            self._misses[agent] = self._misses.get(agent, 0) + 1
+            self._silent.add(agent)
+            self._owing.discard(agent)
+        return tuple(late)
+
+    def forget(self, agent: str) -> None:
+        """Owe nothing: the agent has gone, or drives nothing any more."""
+        self._told.pop(agent, None)
+        self._misses.pop(agent, None)
+        self._owing.discard(agent)
+        self._silent.discard(agent)
+
+    def _is_late(self, told: _Told) -> bool:
+        if self.settings.on_miss == "wait":
+            return False
+        return told.waited_ns >= self.settings.timeout_s * NANOSECONDS

@@ -1,0 +1,86 @@
+"""Goals of steps as a caller sees them: progress while they run, and canceled when he gives up."""
+
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from proto import keys
+from proto.bus import Bus, Subscription
+from proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
+from proto.codec import MalformedPayload, decode
+from proto.result import ServiceError
+from proto.stepping import (
+    CancelStepsRequest,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    StepsProgress,
+)
+
+POLL_S = 0.005
+DEPTH = 64
+CANCEL_TIMEOUT_S = 2.0
+
+OnProgress = Callable[[StepsProgress], None]
+
+
+def reach_goal(
+    bus: Bus,
+    world: str,
+    request: SimulateStepsRequest,
+    *,
+    on_progress: OnProgress,
+    timeout_s: float,
+) -> SimulateStepsResponse:
+    """Run a goal and tell of its progress, on this thread; the last is told before the return.
+
+    What `on_progress` raises, or an interrupt, cancels the goal; a timeout does not: the same
+    request again joins it.
+
+    Raises:
+        ServiceError: It was refused, canceled or aborted.
+        TimeoutError: It is not over in time.
+        NoServer: Nothing serves this world.
+    """
+    progress = bus.subscribe(keys.steps_progress(world), DEPTH)
+    try:
+        with ThreadPoolExecutor(1) as waiting:
+            answer = waiting.submit(
+                bus.call, SIMULATE_STEPS, request, world=world, timeout_s=timeout_s
+            )
+            try:
+                _listen(progress, request.goal_id, answer, on_progress)
+            except BaseException:
+                _cancel(bus, world, request.goal_id)
+                raise
+            return answer.result()
+    finally:
+        progress.close()
+
+
+def _listen(
+    progress: Subscription,
+    goal_id: str,
+    answer: "Future[SimulateStepsResponse]",
+    on_progress: OnProgress,
+) -> None:
+    is_over = False
+    while not is_over:
+        # Asked before the look, so that what came with the answer is not left behind.
+        is_over = answer.done()
+        for sample in progress.take():
+            try:
+                told = decode(StepsProgress, sample.payload, sample.encoding)
+            except MalformedPayload:
+                continue
+            if told.goal_id == goal_id:
+                on_progress(told)
+        if not is_over:
+            time.sleep(POLL_S)
+
+
+def _cancel(bus: Bus, world: str, goal_id: str) -> None:
+    try:
+        bus.call(CANCEL_STEPS, CancelStepsRequest(goal_id), world=world, timeout_s=CANCEL_TIMEOUT_S)
+    except (ServiceError, TimeoutError):
+        # Over already, or out of reach: the caller has something better to hear.
+        return
