@@ -5,13 +5,17 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from proto import assets, claims, services, stepping, telemetry
+from proto import assets, claims, services, stepping, telemetry, worlds
 from proto.result import (
     ClaimCode,
+    GetAvailableWorldsCode,
+    GetCurrentWorldCode,
+    LoadWorldCode,
     ResultCode,
     SetEntityStateCode,
     SetSimulationStateCode,
     SpawnCode,
+    UnloadWorldCode,
 )
 
 Request = TypeVar("Request", bound=msgspec.Struct)
@@ -96,6 +100,28 @@ RESET_SIMULATION = Service(
     services.ResetSimulationResponse,
     is_mutating=True,
 )
+LOAD_WORLD = Service(
+    "load_world", worlds.LoadWorldRequest, worlds.LoadWorldReport, LoadWorldCode, is_mutating=True
+)
+UNLOAD_WORLD = Service(
+    "unload_world",
+    worlds.UnloadWorldRequest,
+    worlds.UnloadWorldResponse,
+    UnloadWorldCode,
+    is_mutating=True,
+)
+GET_CURRENT_WORLD = Service(
+    "get_current_world",
+    worlds.GetCurrentWorldRequest,
+    worlds.GetCurrentWorldResponse,
+    GetCurrentWorldCode,
+)
+GET_AVAILABLE_WORLDS = Service(
+    "get_available_worlds",
+    worlds.GetAvailableWorldsRequest,
+    worlds.GetAvailableWorldsResponse,
+    GetAvailableWorldsCode,
+)
 GET_SIMULATOR_FEATURES = Service(
     "get_simulator_features",
     services.GetSimulatorFeaturesRequest,
@@ -132,6 +158,10 @@ SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
         RUN_TO,
         SET_SPEED,
         RESET_SIMULATION,
+        LOAD_WORLD,
+        UNLOAD_WORLD,
+        GET_CURRENT_WORLD,
+        GET_AVAILABLE_WORLDS,
         GET_SIMULATOR_FEATURES,
         CLAIM_ENTITY,
         GET_MODELS,

@@ -46,6 +46,35 @@ class SetSimulationStateCode(IntEnum):
     INCORRECT_TRANSITION = 103
 
 
+class LoadWorldCode(IntEnum):
+    """Why a world was not loaded. Source: simulation_interfaces/srv/LoadWorld."""
+
+    UNSUPPORTED_FORMAT = 101
+    NO_RESOURCE = 102
+    RESOURCE_PARSE_ERROR = 103
+    MISSING_ASSETS = 104
+    UNSUPPORTED_ASSETS = 105
+    UNSUPPORTED_ELEMENTS = 106
+
+
+class UnloadWorldCode(IntEnum):
+    """Why no world was unloaded. Source: simulation_interfaces/srv/UnloadWorld."""
+
+    NO_WORLD_LOADED = 101
+
+
+class GetCurrentWorldCode(IntEnum):
+    """Why no world is told. Source: simulation_interfaces/srv/GetCurrentWorld."""
+
+    NO_WORLD_LOADED = 101
+
+
+class GetAvailableWorldsCode(IntEnum):
+    """Why worlds are not listed. Source: simulation_interfaces/srv/GetAvailableWorlds."""
+
+    DEFAULT_SOURCES_FAILED = 101
+
+
 class ClaimCode(IntEnum):
     """Why a claim was refused. Source: zensim."""
 

@@ -26,6 +26,7 @@ from proto import (
     stepping,
     telemetry,
     topics,
+    worlds,
 )
 from proto.catalog import SERVICES
 from proto.codec import Format, encode, encoding_of, offers
@@ -46,6 +47,7 @@ MESSAGE_MODULES: tuple[ModuleType, ...] = (
     stepping,
     telemetry,
     topics,
+    worlds,
 )
 KEY_ARGUMENTS = {
     "world": "default",

@@ -115,6 +115,10 @@ EventKind = Literal[
     "played",
     "paused",
     "stopped",
+    "loading",
+    "loaded",
+    "unloaded",
+    "quitting",
     "missed",
     "warning",
 ]

@@ -42,6 +42,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     is_paused: bool = False
     lockstep: LockstepSettings = LockstepSettings()
     seed: int = 0
+    asked: "ServerConfig | None" = None
+    """What was asked for, before a world filled in the rest."""
     wait_s: float = 30.0
     """How long to wait for the router to join."""
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections import OrderedDict
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+import msgspec
+
 from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
 from sim_server.description.resources import text_of
 from sim_server.errors import ModelError
 from sim_server.reader_messages import MeshMade, ReadRequest, TextRead
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from proto.model import Model
     from proto.services import Compat, SpawnEntityOrder
     from sim_server.assets import AssetStore
@@ -54,6 +58,14 @@ class Descriptions(Protocol):
     def poll(self) -> bool:
         """Go on; say whether something was read."""
 
+    def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
+        """Have a text read besides; `poll` calls with the answer, once what it names is kept.
+
+        Args:
+            request: What to read; its number is chosen here.
+            on_read: Told once.
+        """
+
 
 class ReadElsewhere:
     """Descriptions that the reader process reads."""
@@ -65,6 +77,7 @@ class ReadElsewhere:
         self._under_way: dict[int, Reading] = {}
         self._numbers: dict[Reading, int] = {}
         self._transient: list[Reading] = []
+        self._asked: dict[int, Callable[[TextRead], None]] = {}
         self._next_number = 1
 
     def is_read(self, order: SpawnEntityOrder) -> bool:
@@ -104,6 +117,12 @@ class ReadElsewhere:
                 self._note(message)
         return bool(messages)
 
+    def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
+        """See `Descriptions`."""
+        number, self._next_number = self._next_number, self._next_number + 1
+        self._asked[number] = on_read
+        self._reader.submit(msgspec.structs.replace(request, number=number))
+
     def _is_usable(self, reading: Reading) -> bool:
         """Whether something is read, and the meshes of it are still here; else forget it."""
         found = self._read.get(reading)
@@ -134,6 +153,9 @@ class ReadElsewhere:
         return names
 
     def _note(self, answer: TextRead) -> None:
+        if (on_read := self._asked.pop(answer.number, None)) is not None:
+            on_read(answer)
+            return
         reading = self._under_way.pop(answer.number)
         del self._numbers[reading]
         if answer.model is not None:

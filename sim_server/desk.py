@@ -3,12 +3,37 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from proto.result import ResultCode
+from proto.services import State
+from proto.worlds import WorldResource
 from sim_server.assets import AssetStore
-from sim_server.descriptions import Descriptions
+from sim_server.atlas import Atlas
+from sim_server.description.sdf import WorldModel
+from sim_server.descriptions import Descriptions, meshes_of
 from sim_server.lockstep import Lockstep
+from sim_server.errors import Refused
 from sim_server.meter import Meter
 from sim_server.stepping import Stepping
 from sim_server.world import World
+
+
+@dataclass(frozen=True)
+class Founded:
+    """A world that is ready to take the place of another, and how fast it is to go."""
+
+    world: World
+    real_time_factor: float
+
+
+Founding = Callable[[WorldModel], Founded]
+"""Makes an engine and puts a world's models into it; raises SimError."""
+
+
+def no_founding(model: WorldModel) -> Founded:
+    """Refuse: this desk has one world only."""
+    raise Refused(
+        ResultCode.FEATURE_UNSUPPORTED, f"world {model.name[:80]!r} cannot be made here; start anew"
+    )
 
 
 @dataclass
@@ -29,8 +54,28 @@ class Desk:
     lockstep: Lockstep = field(default_factory=Lockstep)
     has_read: bool = False
     """Whether descriptions have been read since the last turn."""
+    source: WorldModel = field(default_factory=lambda: WorldModel("default"))
+    """The world as it was read."""
     bonded: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
     """By bond: names of entities, and when they were born."""
+    resource: WorldResource = field(default_factory=WorldResource)
+    """How to ask for the world that is here."""
+    atlas: Atlas = field(default_factory=lambda: Atlas(()))
+    founding: Founding = no_founding
+
+    def replace_world(self, founded: Founded, model: WorldModel, resource: WorldResource) -> None:
+        """Put a world in the place of this one; a world without a name is none."""
+        self.bonded.clear()
+        self._pin_meshes(model)
+        state = State.STOPPED if model.name else State.NO_WORLD
+        self.world.become(founded.world, state)
+        self.target_real_time_factor = founded.real_time_factor
+        self.source, self.resource, self.world_model = model, resource, model.name
+
+    def _pin_meshes(self, model: WorldModel) -> None:
+        """Keep the meshes of a world for as long as one of its models may be made anew."""
+        for name in {mesh for placed in model.models for mesh in meshes_of(placed.model)}:
+            self.store.pin(name, self.store.piece(name, 0, self.store.size(name)))
 
     def end_bond(self, bond: str) -> None:
         """Take out what hangs on a bond that is gone."""

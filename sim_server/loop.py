@@ -51,8 +51,8 @@ class Loop:
         self._driving = Driving(desk, inbox, outlet)
 
     def run(self, should_stop: Callable[[], bool]) -> None:
-        """Go on until told to stop."""
-        while not should_stop():
+        """Go on until told to stop, or to quit by a request: its reply has gone out by then."""
+        while not (should_stop() or self._world.state == State.QUITTING):
             self.turn()
 
     def turn(self) -> None:

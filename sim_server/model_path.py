@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from proto.assets import MAX_FILE_BYTES
 from sim_server.description.strict_xml import MAX_BYTES, parse_xml
 from sim_server.errors import ModelError
 
@@ -56,6 +58,19 @@ def files_in(folders: Sequence[Path]) -> FindFile:
         return next((place for place in places if place is not None and place.is_file()), None)
 
     return find
+
+
+def bytes_in(folders: Sequence[Path]) -> Callable[[str], bytes | None]:
+    """Read files below these folders, found as `files_in` does; None when too large or not here."""
+    find = files_in(folders)
+
+    def read(uri: str) -> bytes | None:
+        file = find(uri)
+        if file is None or not os.access(file, os.R_OK) or file.stat().st_size > MAX_FILE_BYTES:
+            return None
+        return file.read_bytes()
+
+    return read
 
 
 def _part(uri: str) -> str:

@@ -9,6 +9,7 @@ import msgspec
 from proto.assets import AssetRef
 from proto.model import Model
 from proto.services import Compat
+from sim_server.description.sdf import WorldModel
 
 LENGTH = struct.Struct("<Q")
 """Stands before each frame."""
@@ -24,6 +25,8 @@ class ReadRequest(msgspec.Struct, frozen=True):
     assets: tuple[AssetRef, ...] = ()
     files: tuple[str, ...] = ()
     """Their sha256, each once."""
+    is_world: bool = False
+    """Whether the text is a world's; `assets` then name its models, too."""
 
 
 class ReaderReady(msgspec.Struct, frozen=True, tag=True):
@@ -38,7 +41,7 @@ class MeshMade(msgspec.Struct, frozen=True, tag=True):
 
 
 class TextRead(msgspec.Struct, frozen=True, tag=True):
-    """The model, or why there is none."""
+    """The model or the world, or why there is none."""
 
     number: int
     model: Model | None = None
@@ -46,6 +49,11 @@ class TextRead(msgspec.Struct, frozen=True, tag=True):
     slug: str = ""
     message: str = ""
     """Without the slug."""
+    world: WorldModel | None = None
+    wanted: tuple[str, ...] = ()
+    """URIs that a world names and that were not among the assets."""
+    unusable: tuple[str, ...] = ()
+    """Why meshes of a world could not be read."""
 
 
 ReaderMessage = ReaderReady | MeshMade | TextRead

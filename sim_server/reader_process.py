@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 from proto.result import SpawnCode
-from sim_server.description.describing import describe, warm_up
+from sim_server.description.describing import describe, describe_world, warm_up
 from sim_server.errors import ModelError
 from sim_server.reader_messages import LENGTH, MeshMade, ReaderReady, ReadRequest, TextRead, framed
 
@@ -63,19 +63,11 @@ def serve(frame: bytes, answers: int) -> None:
     limit_cpu()
     request = msgspec.msgpack.decode(frame, type=ReadRequest)
     try:
-        files = {sha256: read_frame(STDIN) or b"" for sha256 in request.files}
-        described = describe(
-            request.text,
-            assets={ref.uri: (ref.sha256, files.get(ref.sha256)) for ref in request.assets},
-            allow_missing=request.allow_missing,
-            compat=request.compat,
+        answer, meshes = read(
+            request, {sha256: read_frame(STDIN) or b"" for sha256 in request.files}
         )
-        for sha256, data in described.meshes.items():
+        for sha256, data in meshes.items():
             write_all(answers, framed(MeshMade(sha256, data)))
-        answer = TextRead(request.number, described.model)
-    except ModelError as error:
-        message = error.message.removeprefix(f"{error.slug}: ")
-        answer = TextRead(request.number, None, int(error.code), error.slug, message)
     except MemoryError:
         answer = TextRead(
             request.number,
@@ -85,6 +77,58 @@ def serve(frame: bytes, answers: int) -> None:
             message=f"reading took more than {MEMORY_BYTES >> 20} MiB; make the meshes smaller",
         )
     write_all(answers, framed(answer))
+
+
+Files = dict[str, bytes]
+Wanted = dict[str, None]
+
+
+def read(request: ReadRequest, files: Files) -> tuple[TextRead, Files]:
+    """Read a robot or a world; find the answer, and the meshes that were made for it."""
+    wanted: Wanted = {}
+    try:
+        return (read_world if request.is_world else read_model)(request, files, wanted)
+    except ModelError as error:
+        message = error.message.removeprefix(f"{error.slug}: ")
+        said = (request.number, None, int(error.code), error.slug, message)
+        return TextRead(*said, wanted=tuple(wanted)), {}
+
+
+def read_model(request: ReadRequest, files: Files, _: Wanted) -> tuple[TextRead, Files]:
+    """Read a robot, and make its meshes."""
+    described = describe(
+        request.text,
+        assets={ref.uri: (ref.sha256, files.get(ref.sha256)) for ref in request.assets},
+        allow_missing=request.allow_missing,
+        compat=request.compat,
+    )
+    return TextRead(request.number, described.model), described.meshes
+
+
+def read_world(request: ReadRequest, files: Files, wanted: Wanted) -> tuple[TextRead, Files]:
+    """Read a world, and make its meshes; note in `wanted` which files it names and lacks."""
+    sha256s = {ref.uri: ref.sha256 for ref in request.assets if ref.sha256 in files}
+
+    def find(uri: str) -> tuple[str, bytes] | None:
+        if (sha256 := sha256s.get(uri)) is None:
+            wanted[uri] = None
+            return None
+        return sha256, files[sha256]
+
+    def resolve(uri: str) -> str | None:
+        found = find(uri)
+        return found[1].decode("utf-8", "replace") if found else None
+
+    described = describe_world(
+        request.text, resolve=resolve, find_mesh=find, allow_missing=request.allow_missing
+    )
+    answer = TextRead(
+        request.number,
+        world=described.world,
+        wanted=tuple(wanted),
+        unusable=described.unusable,
+    )
+    return answer, described.meshes
 
 
 def limit_cpu() -> None:

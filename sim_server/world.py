@@ -1,7 +1,7 @@
 """The World: entities and simulation time, over an engine. No network, no clock, no files."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,7 +9,9 @@ from proto.claims import Claim, DriveCommand, DriveState, OnRelease
 from proto.model import Model
 from proto.result import ClaimCode
 from proto.services import ResetScope, State
-from proto.telemetry import Event, EventKind, Snapshot, StateName
+from proto.telemetry import Snapshot
+from sim_server.birth import Birth
+from sim_server.chronicle import Chronicle
 from sim_server.claims import Claims
 from sim_server.entity import Entity, Fleet, Roster, roster_of
 from sim_server.errors import (
@@ -18,50 +20,26 @@ from sim_server.errors import (
     Refused,
 )
 from sim_server.frozen import FROZEN, SET_BACK, Stand, Watch, still
-from sim_server.naming import free_name, free_namespace
 from sim_server.physics.actuation import standing
 from sim_server.physics.engine import Engine, FloatArray, Reading
 
 
-@dataclass(frozen=True)
-class Birth:
-    """A checked wish to spawn."""
-
-    name: str
-    namespace: str
-    model: Model
-    base: FloatArray
-    description: str = ""
-    allow_renaming: bool = False
-    born_ns: int = 0
-    belongs_to_world: bool = False
-
-
-class World:
+class World(Chronicle):
     """One engine, one time, its entities, and who drives them."""
 
     def __init__(self, engine: Engine, *, name: str, step_ns: int, control_steps: int) -> None:
+        super().__init__(step_ns=step_ns)
         self.name = name
-        self.step_ns = step_ns
         self.control_steps = control_steps
-        self.state = State.PLAYING
-        self.epoch = 0
-        self.steps = 0
         self.roster_number = 0
         self.placed = 0
         self.ready_s: dict[str, float] = {}
         self._engine = engine
         self._entities: dict[str, Entity] = {}
         self.claims = Claims()
-        self._events: list[Event] = []
         self._roster: Roster | None = None
         self._reading: Reading | None = None
         self._watch = Watch()
-
-    @property
-    def time_ns(self) -> int:
-        """Simulation time."""
-        return self.steps * self.step_ns
 
     @property
     def engine_name(self) -> str:
@@ -111,10 +89,7 @@ class World:
 
     def names_for(self, birth: Birth) -> tuple[str, str]:
         """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
-        name = free_name(birth.name, self._entities, allow_renaming=birth.allow_renaming)
-        if birth.belongs_to_world and birth.model.drive is None:
-            return name, ""
-        return name, free_namespace(birth.namespace or name, self._entities.values())
+        return birth.names_among(self._entities)
 
     def rehearse(self, birth: Birth) -> list[str]:
         """Spawn and take back at once; name the entities that it overlaps; raises as `spawn` does.
@@ -224,25 +199,6 @@ class World:
         if not is_well:
             self.reading()
 
-    def play(self) -> None:
-        """Let time run."""
-        self.state = State.PLAYING
-        self._tell("played")
-
-    def pause(self) -> None:
-        """Let time stand."""
-        self.state = State.PAUSED
-        self._tell("paused")
-
-    def require_paused(self) -> None:
-        """Refuse unless paused.
-
-        Raises:
-            IncorrectState: The simulation plays.
-        """
-        if self.state != State.PAUSED:
-            raise IncorrectState("the simulation is playing; pause it before stepping")
-
     def reset(self, scope: int) -> None:
         """Go back to the start: time, states, spawned entities, by the bits of `ResetScope`."""
         bits = scope or ResetScope.ALL
@@ -317,20 +273,29 @@ class World:
             self.state_name,
         )
 
-    @property
-    def state_name(self) -> StateName:
-        """The state in a word."""
-        names: dict[State, StateName] = {State.PLAYING: "playing", State.PAUSED: "paused"}
-        return names.get(self.state, "stopped")
+    def become(self, other: "World", state: State) -> None:
+        """Take over another world's engine, entities and step, at time 0 of a new epoch.
 
-    def take_events(self) -> list[Event]:
-        """Take what has happened since the last time."""
-        events, self._events = self._events, []
-        return events
+        What was here is gone; the other world is not to be used any more.
+        """
+        for name in self._entities:
+            self.claims.drop(name)
+            self._tell("deleted", entity=name)
+        self._engine.close()
+        self.claims.forget_targets()
+        self.ready_s.clear()
+        self._engine, self._entities = other.give_up()
+        self.step_ns, self.control_steps = other.step_ns, other.control_steps
+        self._watch, self.state = Watch(), state
+        self.steps, self.epoch = 0, self.epoch + 1
+        self._tell("unloaded" if state == State.NO_WORLD else "loaded")
+        for name in self._entities:
+            self._tell("spawned", entity=name)
+        self._changed()
 
-    def warn(self, entity: str, message: str) -> None:
-        """Tell everybody of something odd that was accepted."""
-        self._tell("warning", entity=entity, message=message)
+    def give_up(self) -> tuple[Engine, dict[str, Entity]]:
+        """Hand engine and entities over to the world that takes this one's place."""
+        return self._engine, self._entities
 
     def close(self) -> None:
         """Free the engine."""
@@ -386,7 +351,3 @@ class World:
         self.claims.forget_rows()
         self._roster = self._reading = None
 
-    def _tell(
-        self, kind: EventKind, *, entity: str = "", agent: str = "", message: str = ""
-    ) -> None:
-        self._events.append(Event(kind, entity, agent, self.steps, self.epoch, message))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,20 +10,19 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.assets import MAX_FILE_BYTES
-from proto.model import ReportEntry
+from sim_server.birth import Birth
 from sim_server.config import ConfigError
+from sim_server.description.describing import describe_world
 from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.meshes import Conversions, mesh_uris, with_meshes
-from sim_server.description.sdf import Placed, WorldModel, read_world
-from sim_server.errors import ModelError, SimError
-from sim_server.model_path import files_in, models_in
-from sim_server.world import Birth, World
+from sim_server.description.sdf import WorldModel
+from sim_server.errors import SimError
+from sim_server.model_path import bytes_in, models_in
+from sim_server.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from sim_server.model_path import FindFile
+    from proto.model import ReportEntry
 
 SHOWN = 5
 """Entries of the report that a refusal repeats."""
@@ -71,37 +70,15 @@ def load_world(
 
 
 def _loaded(text: str, folders: Sequence[Path]) -> LoadedWorld:
-    find = files_in(folders)
+    read = bytes_in(folders)
 
-    def has_mesh(uri: str) -> bool:
-        file = find(uri)
-        if file is None or not os.access(file, os.R_OK):
-            return False
-        return file.stat().st_size <= MAX_FILE_BYTES
+    @cache
+    def find_mesh(uri: str) -> tuple[str, bytes] | None:
+        data = read(uri)
+        return None if data is None else (sha256(data).hexdigest(), data)
 
-    world = read_world(text, resolve=models_in(folders), has_mesh=has_mesh)
-    conversions = Conversions()
-    models, notes = [], list(world.report)
-    for placed in world.models:
-        try:
-            model = with_meshes(placed.model, _files(placed, find), conversions)
-        except ModelError as error:
-            notes.append(ReportEntry("suspicious", f"model '{placed.name}'", f"left out: {error}"))
-            continue
-        notes += [
-            msgspec.structs.replace(note, subject=f"{placed.name}: {note.subject}")
-            for note in model.report[len(placed.model.report) :]
-        ]
-        models.append(msgspec.structs.replace(placed, model=model))
-    world = msgspec.structs.replace(world, models=tuple(models), report=tuple(notes))
-    return LoadedWorld(world, conversions.meshes)
-
-
-def _files(placed: Placed, find: FindFile) -> dict[str, tuple[str, bytes]]:
-    """Read the meshes that a model names, by URI: sha256 and bytes."""
-    files = {uri: find(uri) for uri in mesh_uris(placed.model)}
-    read = {uri: file.read_bytes() for uri, file in files.items() if file is not None}
-    return {uri: (sha256(data).hexdigest(), data) for uri, data in read.items()}
+    described = describe_world(text, resolve=models_in(folders), find_mesh=find_mesh)
+    return LoadedWorld(described.world, described.meshes)
 
 
 def doubts(report: Iterable[ReportEntry]) -> list[str]:

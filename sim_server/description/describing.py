@@ -10,14 +10,22 @@ import msgspec
 import numpy as np
 import trimesh
 
+from proto.model import ReportEntry
 from sim_server.description.formats import read_robot
-from sim_server.description.library import model_text
-from sim_server.description.meshes import Conversions, Files, with_meshes
+from sim_server.description.library import model_text, world_text
+from sim_server.description.meshes import Conversions, Files, mesh_uris, with_meshes
+from sim_server.description.sdf import WorldModel, read_world
+from sim_server.description.sdf_includes import no_includes
 from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from proto.model import Model
     from proto.services import Compat
+    from sim_server.description.sdf_includes import Resolve
+
+    FindMesh = Callable[[str], tuple[str, bytes] | None]
 
 SAMPLE = """<robot name="sample"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>
@@ -31,6 +39,16 @@ class Described:
 
     model: Model
     meshes: dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class DescribedWorld:
+    """A world, and the meshes that its models name, by sha256."""
+
+    world: WorldModel
+    meshes: dict[str, bytes]
+    unusable: tuple[str, ...] = ()
+    """Why meshes could not be read."""
 
 
 def describe(text: str, *, assets: Files, allow_missing: bool, compat: Compat) -> Described:
@@ -58,6 +76,46 @@ def describe(text: str, *, assets: Files, allow_missing: bool, compat: Compat) -
     return Described(with_meshes(_with_compat(model, compat), present, made), made.meshes)
 
 
+def describe_world(
+    text: str, *, resolve: Resolve, find_mesh: FindMesh, allow_missing: bool = False
+) -> DescribedWorld:
+    """Read a world and the meshes that it names; what cannot be used is reported and left out.
+
+    Args:
+        text: SDF with one <world>.
+        resolve: Finds the text of an included model.
+        find_mesh: Finds a mesh by its URI: its sha256 and its bytes.
+        allow_missing: Leave included models out that are not here.
+
+    Raises:
+        ModelError: The text is no SDF world, or describes what cannot be.
+    """
+    world = read_world(
+        text,
+        resolve=resolve,
+        has_mesh=lambda uri: find_mesh(uri) is not None,
+        allow_missing=allow_missing,
+    )
+    made, models, notes = Conversions(), [], list(world.report)
+    unusable: list[str] = []
+    for placed in world.models:
+        files = {uri: file for uri in mesh_uris(placed.model) if (file := find_mesh(uri))}
+        try:
+            model = with_meshes(placed.model, files, made)
+        except ModelError as error:
+            notes.append(ReportEntry("suspicious", f"model '{placed.name}'", f"left out: {error}"))
+            unusable.append(str(error))
+            continue
+        new = model.report[len(placed.model.report) :]
+        unusable += [note.reason for note in new]
+        notes += [
+            msgspec.structs.replace(note, subject=f"{placed.name}: {note.subject}") for note in new
+        ]
+        models.append(msgspec.structs.replace(placed, model=model))
+    whole = msgspec.structs.replace(world, models=tuple(models), report=tuple(notes))
+    return DescribedWorld(whole, made.meshes, tuple(unusable))
+
+
 def _with_compat(model: Model, compat: Compat) -> Model:
     if model.drive is None or model.drive.compat == compat:
         return model
@@ -81,3 +139,4 @@ def warm_up() -> None:
     for text in ("", "<robot", model_text("box_bot")):
         with suppress(ModelError):
             describe(text, assets={}, allow_missing=False, compat="fixed")
+    describe_world(world_text("walls"), resolve=no_includes, find_mesh=lambda _: None)

@@ -95,7 +95,11 @@ class _Draft:
 
 
 def read_world(
-    text: str, *, resolve: Resolve = no_includes, has_mesh: HasMesh = no_meshes
+    text: str,
+    *,
+    resolve: Resolve = no_includes,
+    has_mesh: HasMesh = no_meshes,
+    allow_missing: bool = False,
 ) -> WorldModel:
     """Read a world; models that are not supported are listed and left out.
 
@@ -103,6 +107,7 @@ def read_world(
         text: SDF with one <world>.
         resolve: Finds the text of an included model; sun and ground_plane need none.
         has_mesh: Whether a mesh URI is here.
+        allow_missing: Leave included models out that are not here.
 
     Raises:
         ModelError: The text is no SDF world, or describes what cannot be.
@@ -115,7 +120,7 @@ def read_world(
         MeshRule(has_mesh, allow_missing=True),
     )
     _take_shipped(world, draft)
-    Includes(resolve, report).expand(world)
+    Includes(resolve, report, allow_missing=allow_missing).expand(world)
     _place_frames(world, draft)
     for child in world:
         _take(child, draft)

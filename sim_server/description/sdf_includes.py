@@ -52,9 +52,12 @@ def marked(sdf: Element, report: Report) -> Element:
 class Includes:
     """Puts models in the place of includes, below one document; equal URIs are read once."""
 
-    def __init__(self, resolve: Resolve, report: Report) -> None:
+    def __init__(
+        self, resolve: Resolve, report: Report, *, allow_missing: bool = False
+    ) -> None:
         self._resolve = resolve
         self._report = report
+        self._allow_missing = allow_missing
         self._read: dict[str, Element] = {}
         self._count = 0
         self._tags = 0
@@ -80,9 +83,18 @@ class Includes:
                 self.expand(child, chain, depth=depth + 1)
             elif child.tag == "include":
                 uri = read_text(child, "uri")
+                if self._leaves_out(uri):
+                    owner.remove(child)
+                    continue
                 model = self._model(child, uri, chain)
                 owner.replace(child, model)
                 self.expand(model, (*chain, uri), depth=depth + 1)
+
+    def _leaves_out(self, uri: str) -> bool:
+        if not self._allow_missing or uri in self._read or self._resolve(uri) is not None:
+            return False
+        self._report.suspicious(f"include {shown(uri)}", "left out: it is not here")
+        return True
 
     def _model(self, include: Element, uri: str, chain: tuple[str, ...]) -> Element:
         if uri in chain:

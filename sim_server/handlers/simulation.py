@@ -1,36 +1,8 @@
-"""Time: play, pause, reset."""
+"""Going back to the start."""
 
 from proto import services
-from proto.result import SetSimulationStateCode
-from proto.services import State
 from sim_server.desk import Desk
-from sim_server.errors import Refused, Unsupported
-
-
-def get_simulation_state(
-    desk: Desk, _: services.GetSimulationStateRequest
-) -> services.GetSimulationStateResponse:
-    """Tell whether time runs."""
-    return services.GetSimulationStateResponse(services.SimulationState(desk.world.state))
-
-
-def set_simulation_state(
-    desk: Desk, request: services.SetSimulationStateRequest
-) -> services.SetSimulationStateResponse:
-    """Play or pause."""
-    wanted = request.state.state
-    if wanted == desk.world.state:
-        raise Refused(
-            SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
-            f"the simulation is {desk.world.state_name} already",
-        )
-    if wanted == State.PLAYING:
-        desk.world.play()
-    elif wanted == State.PAUSED:
-        desk.world.pause()
-    else:
-        raise Unsupported(f"state {wanted} cannot be set; use 1 (playing) or 2 (paused)")
-    return services.SetSimulationStateResponse()
+from sim_server.errors import Unsupported
 
 
 def reset(desk: Desk, request: services.ResetSimulationRequest) -> services.ResetSimulationResponse:

@@ -5,7 +5,16 @@ from enum import IntEnum
 import pytest
 
 from proto.catalog import SERVICES
-from proto.result import ResultCode, SetEntityStateCode, SetSimulationStateCode, SpawnCode
+from proto.result import (
+    GetAvailableWorldsCode,
+    GetCurrentWorldCode,
+    LoadWorldCode,
+    ResultCode,
+    SetEntityStateCode,
+    SetSimulationStateCode,
+    SpawnCode,
+    UnloadWorldCode,
+)
 from proto.services import Feature, ResetScope, State
 
 EVERY_SERVICE = {
@@ -30,6 +39,14 @@ SET_SIMULATION_STATE = {
     "ALREADY_IN_TARGET_STATE": 101,
     "STATE_TRANSITION_ERROR": 102,
     "INCORRECT_TRANSITION": 103,
+}
+LOAD_WORLD = {
+    "UNSUPPORTED_FORMAT": 101,
+    "NO_RESOURCE": 102,
+    "RESOURCE_PARSE_ERROR": 103,
+    "MISSING_ASSETS": 104,
+    "UNSUPPORTED_ASSETS": 105,
+    "UNSUPPORTED_ELEMENTS": 106,
 }
 STATES = {
     "STOPPED": 0,
@@ -83,6 +100,10 @@ FEATURES = {
         (SpawnCode, SPAWN),
         (SetEntityStateCode, {"INVALID_POSE": 101}),
         (SetSimulationStateCode, SET_SIMULATION_STATE),
+        (LoadWorldCode, LOAD_WORLD),
+        (UnloadWorldCode, {"NO_WORLD_LOADED": 101}),
+        (GetCurrentWorldCode, {"NO_WORLD_LOADED": 101}),
+        (GetAvailableWorldsCode, {"DEFAULT_SOURCES_FAILED": 101}),
         (State, STATES),
         (ResetScope, SCOPES),
         (Feature, FEATURES),
@@ -100,6 +121,10 @@ def test_numbers_are_those_of_simulation_interfaces(
         ("spawn_entity", SpawnCode),
         ("set_entity_state", SetEntityStateCode),
         ("set_simulation_state", SetSimulationStateCode),
+        ("load_world", LoadWorldCode),
+        ("unload_world", UnloadWorldCode),
+        ("get_current_world", GetCurrentWorldCode),
+        ("get_available_worlds", GetAvailableWorldsCode),
     ],
 )
 def test_service_answers_its_own_codes(service: str, family: type[IntEnum]) -> None:

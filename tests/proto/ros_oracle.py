@@ -40,6 +40,17 @@ SIMULATION_INTERFACES = {
     "StepSimulation_Response": "Result result",
     "ResetSimulation_Request": "uint8 scope",
     "ResetSimulation_Response": "Result result",
+    "WorldResource": "string name; Resource world_resource; string description; string[] tags",
+    "LoadWorld_Request": "Resource world_resource; bool fail_on_unsupported_element;"
+    " bool ignore_missing_or_unsupported_assets",
+    "LoadWorld_Response": "Result result; WorldResource world",
+    "UnloadWorld_Request": EMPTY,
+    "UnloadWorld_Response": "Result result",
+    "GetCurrentWorld_Request": EMPTY,
+    "GetCurrentWorld_Response": "Result result; WorldResource world",
+    "GetAvailableWorlds_Request": "string[] additional_sources; TagsFilter filter;"
+    " bool offline_only; bool continue_on_error",
+    "GetAvailableWorlds_Response": "Result result; WorldResource[] worlds",
     "GetSimulatorFeatures_Request": EMPTY,
     "GetSimulatorFeatures_Response": "SimulatorFeatures features",
 }

@@ -1,12 +1,12 @@
 """A world, an inbox, an outlet and a wall clock for tests of the server; no network, no sleep."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
 
-from proto.bus import Call, Sample
+from proto.bus import BusConfig, Call, Sample
 from proto.claims import DriveCommand, DriveState
 from proto.codec import Format, decode, encode, encoding_of
 from proto.keys import drive_command
@@ -14,13 +14,18 @@ from proto.model import Model
 from proto.services import SpawnEntityOrder
 from proto.telemetry import Event
 from sim_server.assets import AssetStore
+from sim_server.birth import Birth
+from sim_server.config import ServerConfig
 from sim_server.description.describing import describe
 from sim_server.description.resources import text_of
 from sim_server.desk import Desk
+from sim_server.founding import founding
 from sim_server.loop import Loop
 from sim_server.meter import Meter
 from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.world import Birth, World
+from sim_server.reader_messages import ReadRequest, TextRead
+from sim_server.reader_process import read
+from sim_server.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground
@@ -61,9 +66,11 @@ class TimedEngine(ObedientEngine):
 class ReadHere:
     """Reads descriptions at once, or when told to; when given a model, that is what they say."""
 
-    def __init__(self) -> None:
+    def __init__(self, store: AssetStore | None = None) -> None:
         self.is_slow = False
         self.given: Model | None = None
+        self.store = store or AssetStore()
+        self.unread: list[tuple[TextRead, Callable[[TextRead], None]]] = []
 
     def is_read(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
         return not self.is_slow
@@ -77,8 +84,20 @@ class ReadHere:
         )
         return described.model, text
 
+    def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
+        files = {name: self.store.piece(name, 0, self.store.size(name)) for name in request.files}
+        answer, meshes = read(request, files)
+        for name, data in meshes.items():
+            self.store.keep(name, data)
+        self.unread.append((answer, on_read))
+
     def poll(self) -> bool:
-        return not self.is_slow
+        if self.is_slow:
+            return False
+        unread, self.unread = self.unread, []
+        for answer, on_read in unread:
+            on_read(answer)
+        return True
 
 
 @dataclass
@@ -190,8 +209,13 @@ def a_stage(*names: str, factor: float = 1.0, cost_ns: int = 0) -> Stage:
 
 def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> Desk:
     clock = wall or WallTime()
+    store = AssetStore()
     return Desk(
-        world, Meter(clock.now_ns()), clock.now_ns, ReadHere(), AssetStore(), "empty", factor, 7
+        *(world, Meter(clock.now_ns()), clock.now_ns, ReadHere(store), store, "empty", factor, 7),
+        founding=founding(
+            ServerConfig(bus=BusConfig()),
+            lambda config, _: ObedientEngine(EngineConfig(config.step_ns)),
+        ),
     )
 
 

@@ -164,10 +164,10 @@ REFUSED = {
         SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
         "is playing already",
     ),
-    "stop": (
-        in_state(State.STOPPED),
-        ResultCode.FEATURE_UNSUPPORTED,
-        r"state 0 cannot be set; use 1 \(playing\) or 2 \(paused\)",
+    "unload by the state": (
+        in_state(State.NO_WORLD),
+        SetSimulationStateCode.INCORRECT_TRANSITION,
+        "state no_world is reached by unload_world and load_world only",
     ),
     "step while playing": (
         services.StepSimulationRequest(1),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from proto.services import ResetScope, State
+from sim_server.birth import Birth
 from sim_server.errors import (
     EntityNotFound,
     IncorrectState,
@@ -14,7 +15,7 @@ from sim_server.errors import (
     NamespaceRefused,
 )
 from sim_server.physics.engine import EngineConfig, EngineRefused
-from sim_server.world import Birth, World
+from sim_server.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_state, an_arm, on_ground
 from tests.sim_server.fakes import (

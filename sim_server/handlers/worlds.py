@@ -1,0 +1,147 @@
+"""Worlds: putting another in the place of this one, taking it away, and telling which there are."""
+
+from proto import services, worlds
+from proto.model import ReportEntry
+from proto.result import (
+    GetAvailableWorldsCode,
+    GetCurrentWorldCode,
+    LoadWorldCode,
+    Result,
+    ResultCode,
+    SpawnCode,
+    UnloadWorldCode,
+)
+from proto.services import State
+from sim_server.atlas import ONLINE, Listing
+from sim_server.description.sdf import WorldModel
+from sim_server.desk import Desk
+from sim_server.errors import IncorrectState, ModelError, Refused, SimError
+from sim_server.later import Later
+from sim_server.reader_messages import TextRead
+from sim_server.world_reading import WorldReading
+
+NOTHING = WorldModel("", gravity=(0.0, 0.0, 0.0))
+SHOWN = 3
+MAX_SOURCES = 64
+MISSING = "is not on the server"
+
+
+def load_world(desk: Desk, request: worlds.LoadWorldRequest) -> Later:
+    """Read a world while time stands, then put it in the place of this one; or leave this one."""
+    former = desk.world.state
+    if former in (State.LOADING_WORLD, State.QUITTING):
+        raise IncorrectState(f"the simulation is {desk.world.state_name}; try again later")
+    found = desk.atlas.find(request.world_resource)
+    is_lenient = request.ignore_missing_or_unsupported_assets
+    reading = WorldReading(
+        found.text, found.folders, desk.descriptions, desk.store, allow_missing=is_lenient
+    )
+    desk.stepping.abort("another world is being loaded")
+    desk.world.enter(State.LOADING_WORLD)
+
+    def put() -> worlds.LoadWorldReport:
+        try:
+            model = _checked(reading.answer or TextRead(0), request)
+            founded = desk.founding(model)
+        except SimError:
+            if desk.world.state == State.LOADING_WORLD:
+                desk.world.enter(former)
+            raise
+        desk.replace_world(founded, model, found.resource)
+        return worlds.LoadWorldReport(Result(), desk.resource, model.report)
+
+    return Later(lambda: reading.answer is not None, put)
+
+
+def unload_world(desk: Desk, _: worlds.UnloadWorldRequest) -> worlds.UnloadWorldResponse:
+    """Leave nothing: no entities, no ground, no time."""
+    if desk.world.state == State.NO_WORLD:
+        raise Refused(UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to do")
+    if desk.world.state in (State.LOADING_WORLD, State.QUITTING):
+        raise IncorrectState(f"the simulation is {desk.world.state_name}; try again later")
+    desk.stepping.abort("the world was unloaded")
+    desk.replace_world(desk.founding(NOTHING), NOTHING, worlds.WorldResource())
+    return worlds.UnloadWorldResponse()
+
+
+def get_current_world(
+    desk: Desk, _: worlds.GetCurrentWorldRequest
+) -> worlds.GetCurrentWorldResponse:
+    """Tell which world is there."""
+    if desk.world.state == State.NO_WORLD:
+        raise Refused(
+            GetCurrentWorldCode.NO_WORLD_LOADED, "no world is loaded; load one with load_world"
+        )
+    return worlds.GetCurrentWorldResponse(world=desk.resource)
+
+
+def get_available_worlds(
+    desk: Desk, request: worlds.GetAvailableWorldsRequest
+) -> worlds.GetAvailableWorldsResponse:
+    """List the worlds that can be loaded, those of the server first."""
+    sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
+    if len(sources) > MAX_SOURCES:
+        raise Refused(
+            ResultCode.OPERATION_FAILED,
+            f"{len(sources)} sources are too many; use {MAX_SOURCES} or less",
+        )
+    default = desk.atlas.default()
+    listings = [default, *(desk.atlas.below(source) for source in sources)]
+    failures = [failure for listing in listings for failure in listing.failures]
+    if failures and not request.continue_on_error:
+        code = GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED
+        raise Refused(
+            code if default.failures else ResultCode.NOT_FOUND,
+            f"{'; '.join(failures[:SHOWN])}; set continue_on_error to do without",
+        )
+    return worlds.GetAvailableWorldsResponse(
+        Result(ResultCode.OK, "; ".join(failures[:SHOWN])), _matching(listings, request.filter)
+    )
+
+
+def _is_skipped(source: str, request: worlds.GetAvailableWorldsRequest) -> bool:
+    return request.offline_only and source.startswith(ONLINE)
+
+
+def _matching(
+    listings: list[Listing], wanted: services.TagsFilter
+) -> tuple[worlds.WorldResource, ...]:
+    asks = all if wanted.filter_mode else any
+    found = (world for listing in listings for world in listing.worlds)
+    if wanted.tags:
+        found = (world for world in found if asks(tag in world.tags for tag in wanted.tags))
+    return tuple({world.world_resource.uri: world for world in found}.values())
+
+
+def _checked(answer: TextRead, request: worlds.LoadWorldRequest) -> WorldModel:
+    """Take what was read, unless the request is stricter.
+
+    Raises:
+        SimError: It cannot be used.
+    """
+    if answer.world is None:
+        raise ModelError(answer.message, code=_code(answer.code), slug=answer.slug)
+    report = answer.world.report
+    if not request.ignore_missing_or_unsupported_assets:
+        missing = [entry for entry in report if MISSING in entry.reason]
+        _refuse(missing, LoadWorldCode.MISSING_ASSETS, "missing")
+        unusable = [ReportEntry("suspicious", "mesh", reason) for reason in answer.unusable]
+        _refuse(unusable, LoadWorldCode.UNSUPPORTED_ASSETS, "unusable")
+    if request.fail_on_unsupported_element:
+        others = [entry for entry in report if entry.status != "applied"]
+        _refuse(others, LoadWorldCode.UNSUPPORTED_ELEMENTS, "unsupported")
+    return answer.world
+
+
+def _refuse(entries: list[ReportEntry], code: LoadWorldCode, what: str) -> None:
+    if not entries:
+        return
+    named = "; ".join(f"{entry.subject}: {entry.reason}" for entry in entries[:SHOWN])
+    more = f"; and {len(entries) - SHOWN} more" if len(entries) > SHOWN else ""
+    raise ModelError(f"{len(entries)} {what}: {named}{more}", code=code, slug=f"world.{what}")
+
+
+def _code(code: int) -> int:
+    """Translate a code of SpawnEntity into one of LoadWorld; those of every service stay."""
+    names = {code.value: code.name for code in SpawnCode}
+    return LoadWorldCode[names[code]] if code in names else code
