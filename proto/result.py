@@ -32,6 +32,12 @@ class SpawnCode(IntEnum):
     INVALID_POSE = 109
 
 
+class SpawnEntitiesCode(IntEnum):
+    """Why some or all of many spawns failed. Source: simulation_interfaces/srv/SpawnEntities."""
+
+    ENTITIES_SPAWN_FAILED = 150
+
+
 class SetEntityStateCode(IntEnum):
     """Why a state was refused. Source: simulation_interfaces/srv/SetEntityState."""
 
@@ -93,10 +99,18 @@ class Result(msgspec.Struct, frozen=True):
 
 
 class ServiceError(Exception):
-    """A service refused the request; code and message are the server's own."""
+    """A service refused the request; code, message and response are the server's own."""
 
-    def __init__(self, service: str, code: int, code_name: str, message: str) -> None:
+    def __init__(
+        self,
+        service: str,
+        code: int,
+        code_name: str,
+        message: str,
+        response: msgspec.Struct | None = None,
+    ) -> None:
         super().__init__(f"{code_name} ({code}): {message}")
+        self.response = response
         self.service = service
         self.code = code
         self.code_name = code_name

@@ -13,6 +13,7 @@ from proto import drives
 from proto.assets import AssetRef
 from proto.geometry import Accel, Pose, PoseStamped, Twist, Vector3
 from proto.header import Header
+from proto.info import EntityCategory, EntityInfo
 from proto.model import ReportEntry
 from proto.result import Result
 from proto.widths import UInt8, UInt16, UInt64
@@ -61,6 +62,8 @@ class SpawnEntityOrder(SpawnEntityRequest, frozen=True):
     """A name; the entity goes when the liveliness token `sim/<world>/bond/<name>` does."""
     assets: tuple[AssetRef, ...] = ()
     """Which file stands behind which uri of the description; sent before by `put_asset`."""
+    info: EntityInfo | None = None
+    """None = derived from the description, see `set_entity_info`."""
 
 
 class SpawnEntityResponse(msgspec.Struct, frozen=True):
@@ -95,34 +98,51 @@ class DeleteEntityResponse(msgspec.Struct, frozen=True):
     result: Result = Result()
 
 
-class EntityCategory(msgspec.Struct, frozen=True):
-    """What kind of thing. Source: simulation_interfaces/msg/EntityCategory."""
+class FilterMode(IntEnum):
+    """How many of the tags must be there. Source: simulation_interfaces/msg/TagsFilter."""
 
-    ros_type: ClassVar[str] = "simulation_interfaces/msg/EntityCategory"
-
-    category: UInt8 = 0
+    ANY = 0
+    ALL = 1
 
 
 class TagsFilter(msgspec.Struct, frozen=True):
-    """Any (0) or all (1) of these tags. Source: simulation_interfaces/msg/TagsFilter."""
+    """Any or all of these tags. Source: simulation_interfaces/msg/TagsFilter."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/TagsFilter"
 
     tags: tuple[str, ...] = ()
-    filter_mode: UInt8 = 0
+    filter_mode: UInt8 = FilterMode.ANY
+
+
+class BoundsType(IntEnum):
+    """Shapes of a region. Source: simulation_interfaces/msg/Bounds."""
+
+    EMPTY = 0
+    BOX = 1
+    CONVEX_HULL = 2
+    SPHERE = 3
 
 
 class Bounds(msgspec.Struct, frozen=True):
-    """A region: empty, box, convex hull or sphere. Source: simulation_interfaces/msg/Bounds."""
+    """A region, in the frame that its owner names. Source: simulation_interfaces/msg/Bounds.
+
+    By type: empty (unbounded), no points; box along the axes, its upper and its lower corner;
+    convex hull, 3 points or more that are not on one line; sphere, its centre, and its radius as
+    the x of a second point.
+    """
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Bounds"
 
-    type: UInt8 = 0
+    type: UInt8 = BoundsType.EMPTY
     points: tuple[Vector3, ...] = ()
 
 
 class EntityFilters(msgspec.Struct, frozen=True):
-    """Which entities; empty means all. Source: simulation_interfaces/msg/EntityFilters."""
+    """Which entities: those that pass all filters; an empty one lets all pass.
+
+    `filter` is a POSIX extended regular expression found anywhere in the name; `bounds`, in the
+    world frame, are overlapped by the entity. Source: simulation_interfaces/msg/EntityFilters.
+    """
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/EntityFilters"
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from proto.claims import OnRelease
+from proto.info import Category, EntityCategory, EntityInfo
 from proto.model import Model
 from sim_server.physics.engine import FloatArray
 
@@ -32,6 +33,15 @@ class Entity:
     """Wall time at spawn, for time-to-ready."""
     belongs_to_world: bool = False
     """Came with the world: a reset puts it back, and does not take it out."""
+    info: EntityInfo = EntityInfo()
+
+
+def info_of(model: Model) -> EntityInfo:
+    """Say what an entity is of which nobody said it: a robot, when it has a drive."""
+    category = Category.STATIC_OBJECT if model.is_static else Category.OBJECT
+    if model.drive is not None:
+        category = Category.ROBOT
+    return EntityInfo(EntityCategory(category), model.name)
 
 
 @dataclass(frozen=True)

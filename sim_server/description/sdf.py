@@ -16,6 +16,7 @@ from sim_server.description.report import Report
 from sim_server.description.sdf_frames import MODEL, Frames
 from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
 from sim_server.description.sdf_model import model_of, placement_of
+from sim_server.description.sdf_places import NamedPlace, read_place
 from sim_server.description.sdf_scene import (
     Light,
     Pace,
@@ -80,6 +81,7 @@ class WorldModel(msgspec.Struct, frozen=True):
     models: tuple[Placed, ...] = ()
     lights: tuple[Light, ...] = ()
     scene: Scene = Scene()
+    places: tuple[NamedPlace, ...] = ()
     report: tuple[ReportEntry, ...] = ()
 
 
@@ -196,6 +198,8 @@ def _take(child: Element, draft: _Draft) -> None:
     replace, report = msgspec.structs.replace, draft.report
     if child.tag == "model":
         _take_model(child, draft)
+    elif child.tag == "frame":
+        _take_frame(child, draft)
     elif child.tag == "gravity":
         x, y, z = read_numbers(child.text, counts=(3,), where="gravity", slug="sdf.gravity")
         report.applied("world: <gravity>", f"{x:g} {y:g} {z:g} m/s^2")
@@ -210,6 +214,14 @@ def _take(child: Element, draft: _Draft) -> None:
         draft.world = replace(draft.world, lights=lights)
     else:
         _note(child, report)
+
+
+def _take_frame(frame: Element, draft: _Draft) -> None:
+    name = frame.get("name") or ""
+    place = read_place(frame, name, draft.frames.pose(name))
+    draft.report.applied(f"frame {shown(name)}", "a named pose")
+    places = (*draft.world.places, place)
+    draft.world = msgspec.structs.replace(draft.world, places=places)
 
 
 def _note(child: Element, report: Report) -> None:

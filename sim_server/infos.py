@@ -1,0 +1,34 @@
+"""What may be said of an entity, checked."""
+
+from proto.info import MAX_DESCRIPTION, MAX_TAG, MAX_TAGS, Category, EntityInfo
+from sim_server.errors import SimError
+
+
+class InfoRefused(SimError):
+    """A category, a description or tags that no entity can have."""
+
+    slug = "info.refused"
+
+
+def checked(info: EntityInfo) -> EntityInfo:
+    """Return what is said of an entity, each tag once.
+
+    Raises:
+        InfoRefused: The category is not known, or there is too much text.
+    """
+    number = info.category.category
+    if number not in set(Category):
+        known = ", ".join(f"{kind.value} ({kind.name})" for kind in Category)
+        raise InfoRefused(f"category {number} is not known; use {known}")
+    if len(info.description) > MAX_DESCRIPTION:
+        raise InfoRefused(
+            f"a description of {len(info.description)} characters is too long; "
+            f"use at most {MAX_DESCRIPTION}"
+        )
+    tags = tuple(dict.fromkeys(info.tags))
+    if len(tags) > MAX_TAGS or any(not tag or len(tag) > MAX_TAG for tag in tags):
+        raise InfoRefused(
+            f"{len(tags)} tags, or one that is empty or long; "
+            f"use at most {MAX_TAGS} of 1 to {MAX_TAG} characters"
+        )
+    return EntityInfo(info.category, info.description, tags)

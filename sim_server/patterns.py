@@ -1,0 +1,67 @@
+"""POSIX extended regular expressions, searched for in names: a few at each turn."""
+
+from collections.abc import Iterator, Sequence
+
+import re2
+
+from sim_server.errors import SimError
+
+MAX_CHARACTERS = 1024
+MAX_BYTES = 1 << 16
+"""Of memory for the automata of one pattern: bounds the time that each character takes."""
+MOST_AT_ONCE = 256
+
+
+class PatternRefused(SimError):
+    """A regular expression that is none."""
+
+    slug = "filter.pattern"
+
+
+class Pattern:
+    """A regular expression that is looked for in names, anywhere within.
+
+    Its engine knows no backtracking: time is linear in the names, whatever the pattern.
+
+    Raises:
+        PatternRefused: It is no POSIX extended regular expression, too long or too large.
+    """
+
+    def __init__(self, text: str) -> None:
+        if len(text) > MAX_CHARACTERS:
+            raise PatternRefused(
+                f"{len(text)} characters are too many; use at most {MAX_CHARACTERS}"
+            )
+        try:
+            re2.compile(text, _options())  # by itself, so that its brackets match within it
+            self._lines = re2.compile(f"^.*({text}).*$", _options())
+        except (re2.error, UnicodeEncodeError) as error:
+            raise PatternRefused(
+                f"{text[:80]!r} is no POSIX extended regular expression: {_reason(error)}"
+            ) from error
+        finally:
+            re2.purge()
+
+    def search(self, names: Sequence[str]) -> Iterator[list[str]]:
+        """Name those that hold a match, from some names at each turn, ever more of them."""
+        at, count = 0, 1
+        while at < len(names):
+            text = "\n".join(names[at : at + count]).encode()
+            yield [match.group().decode() for match in self._lines.finditer(text)]
+            at, count = at + count, min(2 * count, MOST_AT_ONCE)
+
+
+def _options() -> re2.Options:
+    options = re2.Options()
+    options.posix_syntax = True
+    options.one_line = False
+    options.never_nl = True
+    options.never_capture = True
+    options.log_errors = False
+    options.max_mem = MAX_BYTES
+    return options
+
+
+def _reason(error: Exception) -> str:
+    said = error.args[0] if error.args else ""
+    return said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said)
