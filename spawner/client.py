@@ -18,6 +18,7 @@ from proto.services import (
     GetSimulatorFeaturesRequest,
     ResetScope,
     ResetSimulationRequest,
+    Resource,
     SetEntityStateRequest,
     SetSimulationStateRequest,
     SimulationState,
@@ -26,6 +27,7 @@ from proto.services import (
     SpawnEntityReport,
     State,
     StepSimulationRequest,
+    TagsFilter,
 )
 from proto.stepping import (
     CancelStepsRequest,
@@ -36,6 +38,14 @@ from proto.stepping import (
     SimulateStepsResponse,
 )
 from proto.telemetry import EntityModel, GetModelsRequest, GetModelsResponse, Info, InfoRequest
+from proto.worlds import (
+    GetAvailableWorldsRequest,
+    GetCurrentWorldRequest,
+    LoadWorldReport,
+    LoadWorldRequest,
+    UnloadWorldRequest,
+    WorldResource,
+)
 from spawner.goals import OnProgress, reach_goal
 
 CALL_TIMEOUT_S = 10.0
@@ -186,6 +196,33 @@ class SimClient:
     def reset(self, scope: int = ResetScope.DEFAULT) -> None:
         """Go back to the start."""
         self._call(catalog.RESET_SIMULATION, ResetSimulationRequest(scope))
+
+    def load_world(
+        self,
+        uri: str = "",
+        text: str = "",
+        *,
+        is_strict: bool = False,
+        may_lack_assets: bool = False,
+    ) -> LoadWorldReport:
+        """Put another world in the place of this one: by name, or SDF text; it stands stopped."""
+        request = LoadWorldRequest(Resource(uri, text), is_strict, may_lack_assets)
+        return self._call(catalog.LOAD_WORLD, request)
+
+    def unload_world(self) -> None:
+        """Take the world away with everything in it."""
+        self._call(catalog.UNLOAD_WORLD, UnloadWorldRequest())
+
+    def current_world(self) -> WorldResource:
+        """Ask which world is there."""
+        return self._call(catalog.GET_CURRENT_WORLD, GetCurrentWorldRequest()).world
+
+    def available_worlds(
+        self, tags: TagsFilter | None = None, sources: tuple[str, ...] = ()
+    ) -> tuple[WorldResource, ...]:
+        """Ask which worlds can be loaded, or those that have tags."""
+        request = GetAvailableWorldsRequest(sources, tags or TagsFilter())
+        return self._call(catalog.GET_AVAILABLE_WORLDS, request).worlds
 
     def features(self) -> SimulatorFeatures:
         """Ask what the server can do."""
