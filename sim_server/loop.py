@@ -147,6 +147,8 @@ class Loop:
         """End the goals whose steps are made and whose agents have answered; answer for them."""
         if not self._desk.stepping:
             return
+        if self._world.state not in (State.PAUSED, State.PLAYING):
+            self._desk.stepping.abort(f"the simulation is {self._world.state_name}")
         self._desk.stepping.settle()
         # Progress first: who hears of the end may then be sure that nothing more comes.
         self._publish_progress(self._clock.now_ns())

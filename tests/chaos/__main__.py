@@ -14,7 +14,7 @@ from tests.benchmark import machine
 from tests.benchmark.figures import Figure, missed, table
 from tests.benchmark.report import Section, page
 
-NAMES = ("agents", "takeover", "router", "stopped", "names", "churn", "terminate")
+NAMES = ("agents", "takeover", "router", "stopped", "names", "churn", "terminate", "lockstep")
 PAGE = machine.ROOT / "docs" / "chaos.md"
 HEAD = """# Faults
 

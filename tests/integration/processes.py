@@ -139,9 +139,9 @@ class Server:
 
 
 @contextmanager
-def serving(*arguments: str, prefix: Sequence[str] = ()) -> Iterator[Server]:
+def serving(*arguments: str, prefix: Sequence[str] = (), endpoint: str = "") -> Iterator[Server]:
     """Run a server until the test is over."""
-    endpoint = free_endpoint()
+    endpoint = endpoint or free_endpoint()
     with (
         running("serve", "--listen", endpoint, *arguments, prefix=prefix) as process,
         joined(endpoint, process) as bus,

@@ -1,0 +1,41 @@
+"""The same run again and again
+
+Robots in a heap, an agent process for each, in lockstep; a seeded script commands them, each in its
+own way, so that they bump into each other. Each run starts all processes anew. What is hashed: the
+bytes of every odometry message of every robot, and where every body and joint is at the end.
+"""
+
+import sys
+from collections.abc import Iterator
+
+from tests.benchmark.figures import Asked, Figure
+from tests.integration.repeated import Said, drive, locked_fleet
+
+RUNS, RUNS_WHEN_SHORT = 10, 2
+ROBOTS, ROBOTS_WHEN_SHORT = 20, 3
+STEPS, STEPS_WHEN_SHORT = 10_000, 480
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Make the runs, and count their hashes."""
+    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    steps = STEPS_WHEN_SHORT if is_short else STEPS
+    runs = [_run(robots, steps) for _ in range(RUNS_WHEN_SHORT if is_short else RUNS)]
+    yield Figure(
+        what=f"different hashes of {len(runs)} runs of {steps} steps with {robots} robots",
+        unit="",
+        samples=(float(len({said.hash for said in runs})),),
+        asked=Asked("max", "<=", 1.0),
+    )
+    yield Figure(
+        what=f"odometry messages of each robot, hash {runs[0].hash[:16]}",
+        unit="",
+        samples=tuple(float(count) for said in runs for count in said.odoms.values()),
+    )
+
+
+def _run(robots: int, steps: int) -> Said:
+    with locked_fleet(robots) as server:
+        said = drive(server, robots, steps)
+    sys.stderr.write(f"{said.hash}\n")
+    return said

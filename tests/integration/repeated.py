@@ -1,0 +1,129 @@
+"""The same drive from the start, again and again: what robots said, as a hash."""
+
+import random
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import TYPE_CHECKING
+
+from proto import keys
+from proto.bus import Bus, Subscription
+from proto.codec import decode
+from proto.telemetry import Snapshot
+from tests.integration.processes import (
+    START_S,
+    Server,
+    eventually,
+    running,
+    serving,
+    wait_for_agents,
+)
+from tests.integration.robots import Robot, robot
+
+if TYPE_CHECKING:
+    import hashlib
+
+SEED = 7
+CHUNK = 240
+"""Steps that one set of commands holds for."""
+SPACING_M = "0.4"
+"""So near that robots bump into each other: contacts are where engines differ first."""
+DEPTH = 200_000
+LOCKSTEP = ("--paused", "--lockstep", "--on-miss", "wait", "--seed", str(SEED))
+
+
+@dataclass(frozen=True)
+class Said:
+    """What came of one drive.
+
+    Attributes:
+        odoms: Odometry messages of each robot.
+        digests: Of the bytes of all odometry of each robot, in the order of coming.
+        state: Of the last snapshot.
+    """
+
+    odoms: dict[str, int]
+    digests: dict[str, str]
+    state: str
+
+    @property
+    def hash(self) -> str:
+        """One for all."""
+        whole = sha256(self.state.encode())
+        for name in sorted(self.digests):
+            whole.update(f"{name}={self.digests[name]}".encode())
+        return whole.hexdigest()
+
+
+@contextmanager
+def locked_fleet(
+    robots: int, *, processes: int = 0, endpoint: str = "", prefix: Sequence[str] = ()
+) -> Iterator[Server]:
+    """Run a paused world in lockstep, with robots and the agents that drive them.
+
+    Args:
+        robots: How many.
+        processes: Agents that share the robots; 0 = one for each robot.
+        endpoint: Where the server listens; on loopback unless given.
+        prefix: How to run something where the agents are.
+    """
+    names = [f"box_bot{i}" for i in range(robots)]
+    with serving(*LOCKSTEP, endpoint=endpoint) as server, ExitStack() as stack:
+        layout = ("--count", str(robots), "--layout", "grid", "--spacing", SPACING_M)
+        done = server.zensim("fleet", "box_bot", *layout)
+        assert done.returncode == 0, done.stderr
+        joining = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
+        for part in range(processes or robots):
+            mine = names[part :: processes or robots]
+            stack.enter_context(running("agent", *mine, *joining, prefix=prefix))
+        wait_for_agents(server, names)
+        yield server
+
+
+def drive(server: Server, robots: int, steps: int) -> Said:
+    """Drive all robots, each in its own way, and keep what they said."""
+    odom = server.bus.subscribe(f"*/{keys.ODOM}", DEPTH)
+    fleet = [robot(server.bus, f"box_bot{i}") for i in range(robots)]
+    # An agent that answers has heard of the listener before, and has told of where it stands.
+    eventually(lambda: len(server.bus.get(f"*/{keys.ODOM}")) == robots, START_S, "odometry")
+    odom.take()
+    heard = _Heard(odom)
+    draws = random.Random(SEED)
+    for begin in range(0, steps, CHUNK):
+        _command(fleet, draws)
+        server.client.simulate_steps(min(CHUNK, steps - begin), on_progress=lambda _: heard.take())
+        heard.take()
+    return Said(dict(heard.counts), heard.digests(), state_hash(server.bus))
+
+
+def state_hash(bus: Bus) -> str:
+    """Hash where every entity and every joint is, and when."""
+    (sample,) = bus.get("sim/default/snapshot")
+    now = decode(Snapshot, sample.payload, sample.encoding)
+    whole = struct.pack("<3Q", now.epoch, now.step, now.time_ns) + now.base + now.joint_positions
+    return sha256(whole).hexdigest()
+
+
+def _command(fleet: list[Robot], draws: random.Random) -> None:
+    for found in fleet:
+        found.command(draws.uniform(-0.3, 0.6), draws.uniform(-1.0, 1.0))
+
+
+class _Heard:
+    """Hashes messages as they come."""
+
+    def __init__(self, odom: Subscription) -> None:
+        self.counts: dict[str, int] = {}
+        self._odom = odom
+        self._hashes: dict[str, hashlib._Hash] = {}
+
+    def take(self) -> None:
+        for sample in self._odom.take():
+            name = sample.key.partition("/")[0]
+            self.counts[name] = self.counts.get(name, 0) + 1
+            self._hashes.setdefault(name, sha256()).update(sample.payload)
+
+    def digests(self) -> dict[str, str]:
+        return {name: one.hexdigest() for name, one in self._hashes.items()}

@@ -1,0 +1,144 @@
+"""Lockstep with agents in other processes: the same run twice, and agents that come and go."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+
+from proto.codec import decode
+from proto.endpoint import with_free_port
+from proto.services import State
+from proto.telemetry import Stats
+from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.repeated import Said, drive, locked_fleet
+
+ROBOTS = 3
+STEPS = 480
+PERIOD = 3
+"""Steps between two drive states, at 240 Hz."""
+SOON_S = 20.0
+
+
+def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ()) -> Said:
+    with locked_fleet(ROBOTS, processes=processes, endpoint=endpoint, prefix=prefix) as server:
+        return drive(server, ROBOTS, STEPS)
+
+
+@contextmanager
+def another_host() -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Make a host that is joined to this one by a cable: our address, and how to run there."""
+    tag = f"zl{os.getpid()}"
+    with ExitStack() as stack:
+        _ip("netns", "add", tag)
+        stack.callback(_ip, "netns", "del", tag)
+        _ip("link", "add", tag, "type", "veth", "peer", tag, "netns", tag)
+        _ip("addr", "add", "10.89.0.1/24", "dev", tag)
+        _ip("link", "set", tag, "up")
+        _ip("-n", tag, "addr", "add", "10.89.0.2/24", "dev", tag)
+        _ip("-n", tag, "link", "set", tag, "up")
+        yield "10.89.0.1", ("ip", "netns", "exec", tag)
+
+
+def _ip(*arguments: str) -> None:
+    subprocess.run(["ip", *arguments], check=True, capture_output=True)
+
+
+@pytest.mark.timeout(180)
+def test_same_requests_give_the_same_bytes_however_robots_are_shared_among_processes() -> None:
+    apart, together = run(), run(processes=1)
+
+    assert apart == together
+    assert set(apart.odoms.values()) == {STEPS // PERIOD}
+
+
+@pytest.mark.root
+@pytest.mark.timeout(180)
+def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host() -> None:
+    with another_host() as (address, prefix):
+        endpoint = with_free_port(f"tcp/{address}:0")
+
+        assert run(endpoint=endpoint, prefix=prefix) == run()
+
+
+@contextmanager
+def locked(on_miss: str, *names: str, timeout_s: float = 0.5) -> Iterator[Server]:
+    """Run a world in lockstep with standing robots."""
+    options = ("--lockstep", "--on-miss", on_miss, "--lockstep-timeout", str(timeout_s))
+    with serving(*options, "--rtf", "0") as server:
+        for number, name in enumerate(names):
+            server.zensim("spawn", "box_bot", "-n", name, "-y", str(number))
+        yield server
+
+
+def goes_on(server: Server) -> bool:
+    """Whether time passes: some control periods in a row."""
+    before = server.steps()
+    eventually(lambda: server.steps() > before + 10 * PERIOD, SOON_S, "time")
+    return True
+
+
+def stats(server: Server) -> Stats:
+    (sample,) = server.bus.get("sim/default/stats")
+    return decode(Stats, sample.payload, sample.encoding)
+
+
+def awaits_only(server: Server, stem: str) -> bool:
+    awaited = stats(server).awaited
+    return len(awaited) == 1 and awaited[0].startswith(stem)
+
+
+@pytest.mark.parametrize("on_miss", ["wait", "hold"])
+def test_agents_that_come_die_and_come_back_do_not_stop_the_run(on_miss: str) -> None:
+    with locked(on_miss, "r1", "r2") as server:
+        assert goes_on(server)
+        with driven(server, "r1"):
+            assert goes_on(server)
+            with driven(server, "r2") as late:
+                assert goes_on(server)
+                late["r2"].kill()
+                assert goes_on(server)
+            with driven(server, "r2"):
+                assert goes_on(server)
+                server.client.delete("r2")
+                assert goes_on(server)
+        assert goes_on(server)
+        assert server.client.info().state == "playing"
+
+
+def test_waiting_server_stands_for_a_stopped_agent_until_its_lease_is_over() -> None:
+    with locked("wait", "r1", "r2") as server, driven(server, "r1", "r2") as agents:
+        agents["r1"].send_signal(signal.SIGSTOP)
+
+        eventually(lambda: awaits_only(server, "agent_r1"), SOON_S, "waiting")
+
+        assert goes_on(server)
+        agents["r1"].send_signal(signal.SIGCONT)
+        eventually(lambda: server.client.entity_model("r1").agent, SOON_S, "claiming again")
+        assert goes_on(server)
+
+
+def test_holding_server_counts_what_a_stopped_agent_misses() -> None:
+    with locked("hold", "r1", timeout_s=0.05) as server, driven(server, "r1") as agents:
+        agents["r1"].send_signal(signal.SIGSTOP)
+
+        misses = eventually(lambda: stats(server).misses or None, SOON_S, "missing")
+
+        assert next(iter(misses)).startswith("agent_r1")
+        assert goes_on(server)
+        agents["r1"].send_signal(signal.SIGCONT)
+
+
+def test_failing_server_pauses_and_plays_on_when_told_to() -> None:
+    with locked("fail", "r1", timeout_s=0.3) as server, driven(server, "r1") as agents:
+        events = server.bus.subscribe("sim/default/events", 256)
+        agents["r1"].send_signal(signal.SIGSTOP)
+
+        eventually(lambda: server.client.info().state == "paused", SOON_S, "pausing")
+
+        agents["r1"].send_signal(signal.SIGCONT)
+        server.client.set_simulation_state(State.PLAYING)
+        assert goes_on(server)
+        assert any(b"missed" in sample.payload for sample in events.take())
