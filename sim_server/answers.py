@@ -1,12 +1,17 @@
 """Answers already given, by request id: a retry gets the same answer and changes nothing twice."""
 
 from collections import OrderedDict
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from proto.bus import Call
-from proto.catalog import SERVICES
+from proto.catalog import CLAIM_ENTITY, SERVICES
+from sim_server.durable import Told
 
 KEPT = 4096
+KEPT_BYTES = 32 << 20
+PASSING = frozenset({CLAIM_ENTITY.name})
+"""Services whose answers mean nothing to another server."""
 
 
 @dataclass(frozen=True)
@@ -22,16 +27,52 @@ class Answers:
 
     def __init__(self) -> None:
         self._answers: OrderedDict[tuple[str, bytes], Answer] = OrderedDict()
+        self._bytes = 0
 
     def known(self, call: Call) -> Answer | None:
         """Find the answer that this very request has had."""
         return self._answers.get((call.name, call.request_id)) if call.request_id else None
 
-    def keep(self, call: Call, answer: Answer) -> None:
-        """Remember an answer, and forget the oldest when there are many."""
-        service = SERVICES.get(call.name)
-        if not call.request_id or service is None or not service.is_mutating:
-            return
-        self._answers[call.name, call.request_id] = answer
-        if len(self._answers) > KEPT:
-            self._answers.popitem(last=False)
+    def keep(self, call: Call, answer: Answer) -> tuple[tuple[str, bytes], ...]:
+        """Remember an answer; forget the oldest when there are many, and say which."""
+        if not call.request_id or not is_mutating(call.name):
+            return ()
+        self._add((call.name, call.request_id), answer)
+        forgotten = []
+        while len(self._answers) > KEPT or (self._bytes > KEPT_BYTES and len(self._answers) > 1):
+            oldest = next(iter(self._answers))
+            self._remove(oldest)
+            forgotten.append(oldest)
+        return tuple(forgotten)
+
+    def forget(self, call: Call) -> None:
+        """Forget an answer: what it told of has been taken back."""
+        if (call.name, call.request_id) in self._answers:
+            self._remove((call.name, call.request_id))
+
+    def load(self, told: Iterable[Told]) -> None:
+        """Remember what another server answered, oldest first."""
+        for one in told:
+            self._add((one.service, one.request_id), Answer(one.payload, one.encoding))
+
+    def _add(self, key: tuple[str, bytes], answer: Answer) -> None:
+        if key in self._answers:
+            self._remove(key)
+        self._answers[key] = answer
+        self._bytes += len(answer.payload)
+
+    def _remove(self, key: tuple[str, bytes]) -> None:
+        self._bytes -= len(self._answers.pop(key).payload)
+
+
+def is_mutating(name: str) -> bool:
+    """Whether a service changes something."""
+    service = SERVICES.get(name)
+    return service is not None and service.is_mutating
+
+
+def told(call: Call, answer: Answer) -> Told | None:
+    """Say what a journal keeps of an answer; nothing when no retry could ask for it."""
+    if not call.request_id or not is_mutating(call.name) or call.name in PASSING:
+        return None
+    return Told(call.name, call.request_id, answer.payload, answer.encoding)

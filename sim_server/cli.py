@@ -13,6 +13,7 @@ from proto.bus import Bus
 from proto.exits import one_line_failures
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
+from sim_server.journal.ledger import JournalError
 from sim_server.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
 
 SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
@@ -47,6 +48,13 @@ ModelPath = Annotated[
 Wait = Annotated[float, typer.Option(min=0.0, help="Seconds to wait for the router to join.")]
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
+]
+Journal = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder that keeps the world; a server that finds one there goes on with it.",
+        envvar="ZENSIM_JOURNAL",
+    ),
 ]
 Locked = Annotated[
     bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
@@ -86,6 +94,7 @@ def serve(
     seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0,
     model_path: ModelPath = None,
     strict: Strict = False,
+    journal: Journal = None,
     lockstep: Locked = False,
     lockstep_timeout: LockstepTimeout = TIMEOUT_S,
     on_miss: OnMissWord = "hold",
@@ -107,6 +116,7 @@ def serve(
         model_paths=tuple(map(str, model_path or ())),
         is_strict=strict,
         wait_s=wait,
+        journal=str(journal or ""),
         lockstep=LockstepSettings(lockstep, lockstep_timeout, on_miss_of(on_miss)),
     )
     _serve(config, stop)
@@ -128,7 +138,7 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
             err=True,
         )
 
-    with one_line_failures("serve", ConfigError, AlreadyServed, MissingExtra):
+    with one_line_failures("serve", ConfigError, AlreadyServed, JournalError, MissingExtra):
         _import_server()(config, stop, announce)
 
 

@@ -44,6 +44,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     seed: int = 0
     asked: "ServerConfig | None" = None
     """What was asked for, before a world filled in the rest."""
+    journal: str = ""
+    """Folder that keeps the world for the next start; empty = it is lost."""
     wait_s: float = 30.0
     """How long to wait for the router to join."""
 

@@ -10,8 +10,9 @@ from sim_server.assets import AssetStore
 from sim_server.atlas import Atlas
 from sim_server.description.sdf import WorldModel
 from sim_server.descriptions import Descriptions, meshes_of
-from sim_server.lockstep import Lockstep
+from sim_server.durable import Durable, Told
 from sim_server.errors import Refused
+from sim_server.lockstep import Lockstep
 from sim_server.meter import Meter
 from sim_server.stepping import Stepping
 from sim_server.world import World
@@ -54,6 +55,9 @@ class Desk:
     lockstep: Lockstep = field(default_factory=Lockstep)
     has_read: bool = False
     """Whether descriptions have been read since the last turn."""
+    journal: Durable | None = None
+    told: tuple[Told, ...] = ()
+    """What an earlier server answered, oldest first."""
     source: WorldModel = field(default_factory=lambda: WorldModel("default"))
     """The world as it was read."""
     bonded: dict[str, list[tuple[str, int]]] = field(default_factory=dict)

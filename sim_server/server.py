@@ -4,6 +4,10 @@ import logging
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
+from functools import partial
+from pathlib import Path
+
+import msgspec
 
 from proto import keys
 from proto.bus import Bus, NoServer
@@ -12,10 +16,15 @@ from proto.header import NANOSECONDS
 from proto.joining import join
 from proto.telemetry import InfoRequest
 from sim_server.assets import AssetStore
-from sim_server.config import AlreadyServed, ServerConfig, checked, paced
+from sim_server.atlas import Atlas, start_file
+from sim_server.beginning import begin
+from sim_server.config import AlreadyServed, ServerConfig, checked
+from sim_server.description.sdf import WorldModel
 from sim_server.descriptions import ReadElsewhere
 from sim_server.desk import Desk
+from sim_server.founding import founding
 from sim_server.inbox import BusInbox
+from sim_server.journal.opening import Journal, open_journal
 from sim_server.lockstep import Lockstep
 from sim_server.loop import Loop
 from sim_server.meter import Meter
@@ -24,7 +33,7 @@ from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.reader import Reader
 from sim_server.world import World
-from sim_server.world_files import LoadedWorld, doubts, furnish, load_world
+from sim_server.world_files import LoadedWorld, furnish
 
 ASK_TIMEOUT_S = 2.0
 READER_START_S, READER_POLL_S = 30.0, 0.005
@@ -54,20 +63,23 @@ def serve(
         ConfigError: The configuration cannot work.
         AlreadyServed: Another server has this world.
         BusError: The network cannot be joined.
+        JournalError: The journal cannot be used.
     """
-    checked(config)
-    loaded = load_world(config.world_file, config.model_paths, is_strict=config.is_strict)
-    for fault in doubts(loaded.model.report):
-        LOG.warning("world=%s %s", config.world_file, fault)
-    pace = loaded.model.pace
-    config = paced(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
-    with join(config.bus, config.wait_s) as bus:
+    config = msgspec.structs.replace(checked(config), asked=config)
+    with ExitStack() as ending:
+        journal = open_journal(config.journal) if config.journal else None
+        if journal is not None:
+            ending.callback(journal.close)
+        loaded, config = begin(config, journal)
+        if journal is not None:
+            journal.leave_out_deadly(partial(_engine, config, loaded.model, str(journal.files)))
+        bus = ending.enter_context(join(config.bus, config.wait_s))
         if _is_served(bus, config.world):
             raise AlreadyServed(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
                 "stop it, or use --world-name with another"
             )
-        _run(config, loaded, bus, should_stop, on_ready)
+        _run(config, loaded, journal, bus, should_stop, on_ready)
 
 
 def _is_served(bus: Bus, world: str) -> bool:
@@ -86,6 +98,7 @@ def _is_served(bus: Bus, world: str) -> bool:
 def _run(
     config: ServerConfig,
     loaded: LoadedWorld,
+    journal: Journal | None,
     bus: Bus,
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
@@ -96,7 +109,7 @@ def _run(
         ending.callback(store.close)
         reader = Reader(store, clock.now_ns)
         ending.callback(reader.close)
-        world = _world(config, loaded, store)
+        world = _world(config, loaded, store, journal)
         ending.callback(world.close)
         desk = Desk(
             world,
@@ -109,7 +122,14 @@ def _run(
             config.seed,
             lockstep=Lockstep(config.lockstep),
         )
-        _wait_for_reader(reader, clock, should_stop)
+        desk.source = loaded.model
+        desk.atlas = Atlas([*map(Path, config.model_paths)], start_file(config.world_file))
+        desk.resource = desk.atlas.started(config.world_file, loaded.model.name)
+        desk.founding = founding(config, partial(_engine, mesh_folder=store.folder))
+        if journal is not None:
+            ending.callback(journal.record(desk).close)
+        if journal is None or journal.contents is None:
+            _wait_for_reader(reader, clock, should_stop)
         loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
@@ -125,23 +145,31 @@ def _wait_for_reader(reader: Reader, clock: WallClock, should_stop: Callable[[],
         clock.sleep(READER_POLL_S)
 
 
-def _world(config: ServerConfig, loaded: LoadedWorld, store: AssetStore) -> World:
-    world_model = loaded.model
+def _world(
+    config: ServerConfig, loaded: LoadedWorld, store: AssetStore, journal: Journal | None
+) -> World:
     for name, data in loaded.meshes.items():
         store.pin(name, data)
-    engine = PyBulletEngine(
-        EngineConfig(
-            config.step_ns,
-            world_model.gravity,
-            world_model.ground_plane,
-            world_model.ground_friction,
-            mesh_folder=store.folder,
-        )
-    )
+    engine = _engine(config, loaded.model, store.folder)
     world = World(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
-    furnish(world, world_model)
+    if journal is not None and journal.contents is not None:
+        journal.restore(world, store, time.monotonic_ns())
+    else:
+        furnish(world, loaded.model)
     if config.is_paused:
         world.pause()
     return world
+
+
+def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> PyBulletEngine:
+    return PyBulletEngine(
+        EngineConfig(
+            config.step_ns,
+            model.gravity,
+            model.ground_plane,
+            model.ground_friction,
+            mesh_folder=mesh_folder,
+        )
+    )

@@ -37,6 +37,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "features": ("spawner.cli.simulation", "List what the server can do."),
     "doctor": ("spawner.cli.doctor", "Say what is wrong when nothing answers."),
     "view": ("spawner.cli.view", "Show the world on a 3D page."),
+    "journal": ("deploy.cli.journal", "Show, verify or export what a server keeps."),
     "model": ("deploy.cli.model", "Show what a description says, without any server."),
 }
 """Verb to the module of its typer app, and the line that help shows without importing it."""

@@ -1,0 +1,55 @@
+"""`zensim journal`: what a server keeps in its folder, beside a server or without one."""
+
+import json
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from proto.exits import one_line_failures
+from sim_server.cli import MissingExtra, server_extra
+from sim_server.journal.ledger import JournalError, reading_ledger
+from spawner.cli.session import AsJson
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+class Action(str, Enum):
+    """What to do with a journal."""
+
+    SHOW = "show"
+    VERIFY = "verify"
+    EXPORT = "export"
+
+
+@app.command()
+def journal(
+    action: Annotated[
+        Action,
+        typer.Argument(help="List its entities, look for damage, or print all of it as JSON."),
+    ],
+    folder: Annotated[Path, typer.Argument(help="The folder given to zensim serve --journal.")],
+    *,
+    as_json: AsJson = False,
+) -> None:
+    """Show, verify or export what a server keeps."""
+    with one_line_failures("journal", JournalError, MissingExtra):
+        with server_extra():
+            from sim_server.journal.restoring import contents_of
+            from sim_server.journal.showing import exported, page, summary
+        with reading_ledger(folder) as ledger:
+            contents = contents_of(ledger)
+            found = summary(ledger, contents)
+            everything = exported(ledger, contents) if action is Action.EXPORT else found
+        if action is Action.EXPORT or as_json:
+            typer.echo(json.dumps(everything, indent=None if as_json else 2))
+        elif action is Action.SHOW:
+            typer.echo(page(found))
+        else:
+            typer.echo(f"{folder}: whole, up to change {found['position']}")
+        if action is Action.VERIFY and ledger.lost:
+            raise JournalError(
+                f"{folder} was cut short: its last {ledger.lost} changes are lost; "
+                f"a server would go on from change {ledger.position}"
+            )

@@ -1,0 +1,1 @@
+"""What outlives a server: a log of its world, on disk before anybody is told."""

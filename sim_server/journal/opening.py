@@ -1,0 +1,160 @@
+"""A journal as a server finds it at its start, and what of it is better left alone."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from sim_server.durable import Told
+from sim_server.journal.keeping import Keeper
+from sim_server.journal.ledger import FILES, Ledger, open_ledger, sync_folder
+from sim_server.journal.probing import deadly
+from sim_server.journal.recorder import Recorder
+from sim_server.journal.restoring import (
+    Contents,
+    Shelf,
+    birth_of,
+    contents_of,
+    restore,
+    set_aside,
+)
+from sim_server.journal.rows import AsideRow
+from sim_server.journal.writer import Writer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim_server.assets import AssetStore
+    from sim_server.desk import Desk
+    from sim_server.journal.records import Kept
+    from sim_server.physics.engine import Engine
+    from sim_server.world import World
+
+LOG = logging.getLogger(__name__)
+MARK = "restoring"
+"""Is there from the beginning of a restore to its end: a server that finds it died in between."""
+ANSWERS_S = 3600.0
+"""How long a retry gets the answer of an earlier server."""
+KILLED = "ended the process that restored it, twice"
+
+
+@dataclass
+class Journal:
+    """An open journal, and what it held."""
+
+    ledger: Ledger
+    contents: Contents | None
+    kept: tuple[Kept, ...] = ()
+    _is_handed_over: bool = False
+
+    @property
+    def files(self) -> Path:
+        """Where `<sha256>.stl` is for each mesh of a model."""
+        return self.ledger.folder / FILES
+
+    def leave_out_deadly(self, make_engine: Callable[[], Engine]) -> None:
+        """Set aside what kills a server, if the last one died while it restored.
+
+        Call it before anything has threads: it makes copies of this process.
+        """
+        if self.contents is None or not self._mark.exists():
+            return
+        LOG.warning("the last start died while it restored; each entity is tried apart first")
+        rows = self.contents.entities
+        guilty = deadly(_tries(self.contents, make_engine))
+        set_aside(self.ledger, [AsideRow(entity=rows[i], reason=KILLED) for i in guilty])
+        self.contents = contents_of(self.ledger)
+
+    def restore(self, world: World, store: AssetStore, now_ns: int) -> tuple[str, ...]:
+        """Make a world as it was; name who could not be made again."""
+        if self.contents is None:
+            return ()
+        self._mark.touch()
+        sync_folder(self.ledger.folder)
+        restored = restore(self.contents, world, Shelf(self.files, store), now_ns)
+        self.kept = tuple(restored.kept)
+        set_aside(self.ledger, restored.refused)
+        self._mark.unlink()
+        return tuple(row.entity.name for row in restored.refused)
+
+    def prepare(self, desk: Desk, now_s: float) -> None:
+        """Give a desk what is no part of its world: answers and bonds."""
+        desk.told = self._told(now_s)
+        if self.contents is not None:
+            desk.resource = self.contents.world.resource
+        for kept in self.kept:
+            if kept.bond:
+                held = desk.bonded.setdefault(kept.bond, [])
+                held.append((kept.entity.name, kept.entity.born_ns))
+
+    def record(self, desk: Desk) -> Recorder:
+        """Go on where the journal ended."""
+        self.prepare(desk, time.time())
+        keeper = Keeper(self.ledger, desk.store.folder)
+        keeper.sweep()
+        writer = Writer(keeper, self.ledger.position)
+        writer.start()
+        self._is_handed_over = True
+        position = self.ledger.position
+        recorder = Recorder(desk, writer, position=position, known=self.kept, wall_s=time.time)
+        desk.journal = recorder
+        return recorder
+
+    def close(self) -> None:
+        """Let go of the folder, unless a recorder has done so."""
+        if not self._is_handed_over:
+            self.ledger.close()
+
+    def _told(self, now_s: float) -> tuple[Told, ...]:
+        """What was answered not too long ago."""
+        answers = self.contents.answers if self.contents else ()
+        oldest_s = now_s - ANSWERS_S
+        return tuple(
+            Told(row.service, row.request_id, row.payload, row.encoding)
+            for row in answers
+            if row.at_s >= oldest_s
+        )
+
+    @property
+    def _mark(self) -> Path:
+        return self.ledger.folder / MARK
+
+
+def open_journal(folder: str) -> Journal:
+    """Open the journal of a folder, or begin one.
+
+    Raises:
+        JournalError: It cannot be used.
+    """
+    ledger = open_ledger(Path(folder))
+    try:
+        contents = contents_of(ledger)
+    except BaseException:
+        ledger.close()
+        raise
+    if ledger.lost:
+        LOG.warning(
+            "journal %s was cut short: its last %d changes are lost; going on from change %d",
+            os.fspath(ledger.folder),
+            ledger.lost,
+            ledger.position,
+        )
+    return Journal(ledger, contents)
+
+
+def _tries(contents: Contents, make_engine: Callable[[], Engine]) -> list[Callable[[], None]]:
+    engines: list[Engine] = []
+
+    def attempt(number: int) -> None:
+        if not engines:
+            engines.append(make_engine())
+        birth = birth_of(contents, contents.entities[number], 0)
+        body = engines[0].add(birth.model, birth.base)
+        engines[0].rest(body, *contents.stand(contents.entities[number]))
+        engines[0].step()
+
+    return [lambda number=i: attempt(number) for i in range(len(contents.entities))]  # type: ignore[misc]

@@ -1,0 +1,117 @@
+"""A stage with a journal whose disk is written at once, or fails, or waits to be told."""
+
+import sqlite3
+from collections.abc import Sequence
+from pathlib import Path
+
+from sim_server.assets import AssetStore
+from sim_server.journal.keeping import Keeper
+from sim_server.journal.ledger import Ledger, open_ledger
+from sim_server.journal.opening import Journal
+from sim_server.journal.recorder import Recorder
+from sim_server.journal.records import Record
+from sim_server.journal.restoring import Contents, contents_of
+from sim_server.loop import Loop
+from sim_server.world import World
+from tests.sim_server.fakes import RecordingOutlet, ScriptedInbox, Stage, WallTime, a_desk, a_world
+
+DISK_FULL = "database or disk is full"
+
+
+class Disk:
+    """Writes as the thread does, but when told to: `flush`."""
+
+    def __init__(self, keeper: Keeper, position: int) -> None:
+        self.durable = position
+        self.commits = 0
+        self.failure: tuple[int, str] | None = None
+        self.is_alive = True
+        self.is_slow = False
+        self.is_full = False
+        self.batches: list[list[Record]] = []
+        self._keeper = keeper
+        self._queue: list[Record] = []
+        self._void = -1
+
+    def submit(self, record: Record) -> None:
+        self._queue.append(record)
+        if not self.is_slow:
+            self.flush()
+
+    def flush(self) -> None:
+        records = [record for record in self._queue if record.generation > self._void]
+        self._queue = []
+        if records:
+            self._write(records)
+
+    def close(self) -> bool:
+        self.is_slow = False
+        self.flush()
+        self._keeper.close()
+        return True
+
+    def _write(self, records: Sequence[Record]) -> None:
+        try:
+            if self.is_full:
+                raise sqlite3.OperationalError(DISK_FULL)
+            self._keeper.keep(records)
+        except (sqlite3.Error, OSError) as error:
+            self._void = records[-1].generation
+            self.failure = (self._void, str(error))
+            return
+        self.durable = records[-1].position
+        self.commits += 1
+        self.batches.append(list(records))
+
+
+class Journalled:
+    """A loop whose world is kept in a folder."""
+
+    def __init__(self, folder: Path, *names: str, world: World | None = None) -> None:
+        wall = WallTime()
+        self.folder = folder
+        self.ledger: Ledger = open_ledger(folder)
+        journal = Journal(self.ledger, contents_of(self.ledger))
+        world = world or a_world(*(names if journal.contents is None else ()))
+        self.desk = a_desk(world, wall)
+        self.refused = journal.restore(world, self.desk.store, wall.now_ns())
+        keeper = Keeper(self.ledger, self.desk.store.folder)
+        self.disk = Disk(keeper, self.ledger.position)
+        self.recorder = Recorder(
+            self.desk,
+            self.disk,
+            position=self.ledger.position,
+            known=journal.kept,
+            wall_s=lambda: wall.now_ns() * 1e-9,
+        )
+        self.desk.journal = self.recorder
+        journal.prepare(self.desk, now_s=wall.now_ns() * 1e-9)
+        inbox, outlet = ScriptedInbox(), RecordingOutlet()
+        loop = Loop(self.desk, inbox, outlet, wall)
+        self.stage = Stage(wall, None, world, self.desk, inbox, outlet, loop)  # type: ignore[arg-type]
+
+    @property
+    def world(self) -> World:
+        return self.desk.world
+
+    def crash(self) -> None:
+        """Lose everything that is not on the disk."""
+        self.ledger.close()
+
+    def close(self) -> None:
+        self.recorder.close()
+
+
+def contents_in(folder: Path) -> Contents:
+    """Read what a folder holds that nobody uses."""
+    ledger = open_ledger(folder)
+    try:
+        found = contents_of(ledger)
+    finally:
+        ledger.close()
+    assert found is not None
+    return found
+
+
+def an_empty_store() -> AssetStore:
+    return AssetStore()
