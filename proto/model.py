@@ -4,15 +4,18 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from proto.drives import Actuator, DiffDrive, Drive, RosBlock, WheelPair
+from proto.drives import Actuator, Compat, DiffDrive, Drive, RosBlock, WheelPair
 
 __all__ = [
     "IDENTITY",
     "ZERO",
     "Actuator",
+    "Contact",
+    "Decay",
     "DiffDrive",
     "Drive",
     "Frame",
+    "GroundTruth",
     "Inertial",
     "Joint",
     "JointKind",
@@ -56,6 +59,19 @@ class Origin(msgspec.Struct, frozen=True):
     orientation: Quat = IDENTITY
 
 
+class Contact(msgspec.Struct, frozen=True):
+    """How a collision yields, and slides across a direction. Source: ODE's surface parameters."""
+
+    stiffness: float = 0.0
+    """[N/m] (kp) of each point of contact; 0 = rigid."""
+    damping: float = 0.0
+    """[N s/m] (kd); means nothing where rigid."""
+    direction: Vec3 = ZERO
+    """Unit vector in the link (fdir1), along which `Shape.friction` holds; 0 = every way."""
+    friction_across: float = 0.0
+    """Coulomb coefficient (mu2) across `direction`."""
+
+
 class Shape(msgspec.Struct, frozen=True):
     """A solid in its link's frame.
 
@@ -70,6 +86,7 @@ class Shape(msgspec.Struct, frozen=True):
     mesh: str = ""
     friction: float = 1.0
     """Coulomb coefficient (mu1) of a collision; >= 0."""
+    contact: Contact = Contact()
 
 
 class Inertial(msgspec.Struct, frozen=True):
@@ -83,6 +100,13 @@ class Inertial(msgspec.Struct, frozen=True):
     inertia: tuple[float, float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
+class Decay(msgspec.Struct, frozen=True):
+    """How fast velocities die down by themselves [1/s]: dv/dt = -rate v."""
+
+    linear: float = 0.0
+    angular: float = 0.0
+
+
 class Link(msgspec.Struct, frozen=True):
     """A rigid part that moves by itself once fixed joints are lumped."""
 
@@ -90,6 +114,11 @@ class Link(msgspec.Struct, frozen=True):
     inertial: Inertial = Inertial()
     collisions: tuple[Shape, ...] = ()
     visuals: tuple[Shape, ...] = ()
+    weightless: Inertial = Inertial()
+    """The share of `inertial` that gravity does not pull; its moments are not used."""
+    decay: Decay = Decay()
+    self_collides: bool = False
+    """It touches other links of its model too, but for those it is joined to."""
 
 
 JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
@@ -137,6 +166,26 @@ class JointStatePublisher(msgspec.Struct, frozen=True):
     ros: RosBlock = RosBlock()
 
 
+class GroundTruth(msgspec.Struct, frozen=True):
+    """True odometry of a link, published by its agent. Source: gazebo_ros_p3d, ROS 2 branch."""
+
+    body: str
+    """A link, merged or not."""
+    frame_id: str = "world"
+    """Of the message; a link of the same robot is what the pose is relative to."""
+    update_rate_hz: float = 0.0
+    """0 = every state that the agent is told of."""
+    topic: str = "odom"
+    """In the robot's namespace."""
+    offset: Origin = Origin()
+    """Added to the position, turned before the orientation: as Gazebo does, in `frame_id`."""
+    noise: float = 0.0
+    """Standard deviation of each velocity, Gaussian [m/s, rad/s]; its square is the covariance."""
+    ros: RosBlock = RosBlock()
+    compat: Compat = "fixed"
+    """gazebo11: velocities are along the axes of `frame_id`, not of the body."""
+
+
 class Parameter(msgspec.Struct, frozen=True):
     """One setting of a sensor, by its path of tags, such as `scan/horizontal/samples`."""
 
@@ -176,6 +225,7 @@ class Model(msgspec.Struct, frozen=True):
     frames: tuple[Frame, ...] = ()
     drive: Drive | None = None
     joint_state: JointStatePublisher | None = None
+    ground_truths: tuple[GroundTruth, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     is_static: bool = False
     report: tuple[ReportEntry, ...] = ()

@@ -54,6 +54,9 @@ _ContactPoint = tuple[
 
 DIRECT: int
 
+WORLD_FRAME: int
+LINK_FRAME: int
+
 GEOM_SPHERE: int
 GEOM_BOX: int
 GEOM_CYLINDER: int
@@ -82,6 +85,11 @@ ACTIVATION_STATE_DISABLE_WAKEUP: int
 
 URDF_USE_SELF_COLLISION: int
 URDF_ENABLE_SLEEPING: int
+
+# centre of mass, principal axes, their place in the link, link frame, velocities of the centre
+_LinkState = tuple[
+    _Triple, _Quadruple, _Triple, _Quadruple, _Triple, _Quadruple, _Triple, _Triple
+]
 
 class error(Exception): ...
 
@@ -317,3 +325,26 @@ def getClosestPoints(
 def getAABB(
     bodyUniqueId: int, linkIndex: int = ..., physicsClientId: int = ...
 ) -> tuple[_Triple, _Triple]: ...
+def applyExternalForce(
+    objectUniqueId: int,
+    linkIndex: int,
+    forceObj: _Vector,
+    posObj: _Vector,
+    flags: int,
+    physicsClientId: int = ...,
+) -> None: ...
+def applyExternalTorque(
+    objectUniqueId: int,
+    linkIndex: int,
+    torqueObj: _Vector,
+    flags: int,
+    physicsClientId: int = ...,
+) -> None: ...
+def getLinkState(
+    bodyUniqueId: int,
+    linkIndex: int,
+    *,
+    computeLinkVelocity: int = ...,
+    computeForwardKinematics: int = ...,
+    physicsClientId: int = ...,
+) -> _LinkState: ...

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from sim_server.description.colours import gazebo_colour
-from sim_server.description.decimals import read_number
 from sim_server.description.sensors import SensorTag
-from sim_server.errors import ModelError
+from sim_server.description.surface import TAGS as SURFACE_TAGS
+from sim_server.description.surface import Surface, SurfaceTags
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -23,15 +23,8 @@ if TYPE_CHECKING:
 
 _NO_EFFECT = "known to Gazebo; no effect here"
 KEEP = ("preserveFixedJoint", "disableFixedJointLumping")
-LINK_TAGS = ("mu1", "material", "sensor")
-LINK_UNUSED = dict.fromkeys(
-    (
-        "dampingFactor", "fdir1", "gravity", "kd", "kp", "laserRetro", "maxContacts", "maxVel",
-        "max_contacts", "minDepth", "min_depth", "mu2", "selfCollide", "self_collide",
-        "turnGravityOff",
-    ),
-    _NO_EFFECT,
-)  # fmt: skip
+LINK_TAGS = (*SURFACE_TAGS, "material", "sensor")
+LINK_UNUSED = dict.fromkeys(("laserRetro", "maxContacts", "max_contacts"), _NO_EFFECT)
 JOINT_UNUSED = dict.fromkeys(
     (
         "cfmDamping", "dampingFactor", "erp", "fudgeFactor", "implicitSpringDamper",
@@ -40,12 +33,8 @@ JOINT_UNUSED = dict.fromkeys(
     ),
     _NO_EFFECT,
 )  # fmt: skip
-STIFF = ("kp", "kd")
-STIFFEST = 1e15
-"""Contact stiffness [N/m] or damping beyond which nothing is meant."""
-MODEL_TAGS = ("plugin", "static")
+MODEL_TAGS = ("plugin", "static", "self_collide")
 MODEL_UNUSED = {
-    "self_collide": _NO_EFFECT,
     "allow_auto_disable": _NO_EFFECT,
     "enable_wind": _NO_EFFECT,
     "pose": "the pose is that of the spawn request",
@@ -58,20 +47,24 @@ class GazeboBlocks:
     """What the <gazebo> blocks say, gathered block by block.
 
     Attributes:
-        frictions: Coulomb coefficient by link.
+        wishes: How links touch and fall: by link, what is written of each tag.
+        surfaces: The same once read.
         colours: By link; they win over the colours of URDF materials, as in Gazebo.
         kept_joints: Fixed joints that are not to be lumped.
         plugins: Of the model.
         sensors: By the link that they are on.
-        is_static: The robot is nailed down.
+        is_static: Nothing of the robot moves.
+        self_collides: All its links touch each other.
     """
 
-    frictions: dict[str, float] = field(default_factory=dict)
+    wishes: dict[str, dict[str, str]] = field(default_factory=dict)
+    surfaces: dict[str, Surface] = field(default_factory=dict)
     colours: dict[str, Quat] = field(default_factory=dict)
     kept_joints: set[str] = field(default_factory=set)
     plugins: list[Element] = field(default_factory=list)
     sensors: list[SensorTag] = field(default_factory=list)
     is_static: bool = False
+    self_collides: bool = False
 
 
 def read_gazebo(robot: Element, parts: Parts, report: Report) -> GazeboBlocks:
@@ -96,24 +89,25 @@ def read_gazebo(robot: Element, parts: Parts, report: Report) -> GazeboBlocks:
             report.suspicious(
                 f"gazebo {reference[:80]!r}", "no link or joint of this name; block not read"
             )
+    for link, texts in blocks.wishes.items():
+        tags = SurfaceTags(texts, subject=f"gazebo {link!r}", slug="gazebo.mu1", report=report)
+        blocks.surfaces[link] = tags.read()
     return blocks
 
 
 def with_surfaces(links: Iterable[Link], blocks: GazeboBlocks) -> tuple[Link, ...]:
-    """Give links, before they are lumped, the friction and colour of their blocks."""
+    """Give links, before they are lumped, the surface and colour of their blocks."""
     return tuple(_with_surface(link, blocks) for link in links)
 
 
 def _with_surface(link: Link, blocks: GazeboBlocks) -> Link:
     replace = msgspec.structs.replace
-    if link.name in blocks.frictions:
-        friction = blocks.frictions[link.name]
-        rubbed = tuple(replace(shape, friction=friction) for shape in link.collisions)
-        link = replace(link, collisions=rubbed)
+    if link.name in blocks.surfaces:
+        link = blocks.surfaces[link.name].under(link)
     if link.name in blocks.colours:
         colour = blocks.colours[link.name]
         link = replace(link, visuals=tuple(replace(shape, rgba=colour) for shape in link.visuals))
-    return link
+    return replace(link, self_collides=True) if blocks.self_collides else link
 
 
 def _read_model_tag(child: Element, blocks: GazeboBlocks, report: Report) -> None:
@@ -121,7 +115,10 @@ def _read_model_tag(child: Element, blocks: GazeboBlocks, report: Report) -> Non
         blocks.plugins.append(child)
     elif child.tag == "static":
         blocks.is_static = _text(child).lower() in TRUE
-        report.applied("gazebo: <static>")
+        report.applied("gazebo: <static>", "nothing of it moves" if blocks.is_static else "")
+    elif child.tag == "self_collide":
+        blocks.self_collides = _text(child).lower() in TRUE
+        report.applied("gazebo: <self_collide>")
     elif child.tag in MODEL_UNUSED:
         report.ignored(f"gazebo: <{child.tag}>", MODEL_UNUSED[child.tag])
     else:
@@ -130,9 +127,8 @@ def _read_model_tag(child: Element, blocks: GazeboBlocks, report: Report) -> Non
 
 def _read_link_tag(link: str, child: Element, blocks: GazeboBlocks, report: Report) -> None:
     subject = f"gazebo {link!r}"
-    if child.tag == "mu1":
-        blocks.frictions[link] = _friction(child, subject)
-        report.applied(f"{subject}: <mu1>")
+    if child.tag in SURFACE_TAGS:
+        blocks.wishes.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _text(child)
     elif child.tag == "material":
         _read_material(link, child, blocks, report)
     elif child.tag == "sensor":
@@ -140,10 +136,6 @@ def _read_link_tag(link: str, child: Element, blocks: GazeboBlocks, report: Repo
     elif child.tag == "plugin":
         report.suspicious(
             f"{subject}: <plugin>", "not read in a block with a reference; remove the reference"
-        )
-    elif child.tag in STIFF and _is_absurd(_text(child)):
-        report.suspicious(
-            f"{subject}: <{child.tag}>", f"{_text(child)[:40]} is stiffer than anything; not used"
         )
     elif child.tag in LINK_UNUSED:
         report.ignored(f"{subject}: <{child.tag}>", LINK_UNUSED[child.tag])
@@ -171,23 +163,6 @@ def _read_joint_tag(joint: str, child: Element, blocks: GazeboBlocks, report: Re
         report.ignored(f"{subject}: <{child.tag}>", JOINT_UNUSED[child.tag])
     else:
         report.unread_tag(subject, child.tag, (*KEEP, *JOINT_UNUSED))
-
-
-def _friction(child: Element, subject: str) -> float:
-    friction = read_number(_text(child), where=f"{subject}, mu1", slug="gazebo.mu1")
-    if friction < 0.0:
-        raise ModelError(
-            f"{subject}, mu1: {friction:g} is negative; write a coefficient >= 0",
-            slug="gazebo.mu1",
-        )
-    return friction
-
-
-def _is_absurd(text: str) -> bool:
-    try:
-        return float(text) > STIFFEST
-    except ValueError:
-        return False
 
 
 def _text(child: Element) -> str:

@@ -6,8 +6,8 @@ from math import fsum
 import msgspec
 import numpy as np
 
-from proto.model import Frame, Inertial, Joint, Link, Origin, Shape
-from sim_server.description.transforms import compose, matrix_of, placed
+from proto.model import ZERO, Decay, Frame, Inertial, Joint, Link, Origin, Shape
+from sim_server.description.transforms import compose, matrix_of, placed, turned
 
 
 class Lumped(msgspec.Struct, frozen=True):
@@ -83,9 +83,27 @@ def _merged(name: str, group: list[tuple[Link, Origin]]) -> Link:
         inertial=combine((link.inertial, origin) for link, origin in group),
         collisions=tuple(s for link, origin in group for s in _moved(link.collisions, origin)),
         visuals=tuple(s for link, origin in group for s in _moved(link.visuals, origin)),
+        weightless=combine((link.weightless, origin) for link, origin in group),
+        decay=_mean_decay([link for link, _ in group]),
+        self_collides=any(link.self_collides for link, _ in group),
+    )
+
+
+def _mean_decay(links: Sequence[Link]) -> Decay:
+    """Let each part lose its share of what all move with: the mean by mass."""
+    mass = fsum(link.inertial.mass_kg for link in links)
+    if len(links) == 1 or mass == 0.0 or all(link.decay == Decay() for link in links):
+        return links[0].decay
+    return Decay(
+        fsum(link.inertial.mass_kg * link.decay.linear for link in links) / mass,
+        fsum(link.inertial.mass_kg * link.decay.angular for link in links) / mass,
     )
 
 
 def _moved(shapes: Iterable[Shape], origin: Origin) -> Iterable[Shape]:
     for shape in shapes:
-        yield msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
+        contact = shape.contact
+        if contact.direction != ZERO:
+            along = turned(origin, contact.direction)
+            contact = msgspec.structs.replace(contact, direction=along)
+        yield msgspec.structs.replace(shape, origin=compose(origin, shape.origin), contact=contact)

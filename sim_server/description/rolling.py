@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from proto.drives import Drive
-from proto.model import Joint, Link, Model, Origin, Shape
+from proto.model import ZERO, Joint, Link, Model, Origin, Shape
 from sim_server.description.transforms import matrix_of
 
 MAX_OFFSET = 0.01
@@ -87,5 +87,10 @@ def _rolled(shapes: Iterable[Shape], axle: Joint) -> Iterable[Shape]:
 
 
 def _without_friction(link: Link) -> Link:
-    smooth = tuple(msgspec.structs.replace(shape, friction=0.0) for shape in link.collisions)
+    smooth = tuple(_smoothed(shape) for shape in link.collisions)
     return msgspec.structs.replace(link, collisions=smooth)
+
+
+def _smoothed(shape: Shape) -> Shape:
+    contact = msgspec.structs.replace(shape.contact, direction=ZERO, friction_across=0.0)
+    return msgspec.structs.replace(shape, friction=0.0, contact=contact)

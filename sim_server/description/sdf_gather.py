@@ -10,7 +10,7 @@ from sim_server.description.sdf_frames import MODEL, Frames, scoped
 from sim_server.description.sdf_grammar import note_tags
 from sim_server.description.sdf_joints import JointTag
 from sim_server.description.sdf_links import LinkTag
-from sim_server.description.sdf_values import read_name, read_pose, read_text
+from sim_server.description.sdf_values import read_flag, read_name, read_pose, read_text
 from sim_server.description.sensors import SensorTag
 from sim_server.description.wording import listed, shown
 from sim_server.errors import ModelError
@@ -32,6 +32,7 @@ class Gathered:
     Attributes:
         carriers: What each frame, joint and nested model is attached to, by scoped name.
         plugins: Of the top model.
+        self_colliding: Scopes of models whose links touch each other.
     """
 
     frames: Frames = field(default_factory=Frames)
@@ -40,6 +41,7 @@ class Gathered:
     sensors: list[SensorTag] = field(default_factory=list)
     plugins: list[Element] = field(default_factory=list)
     carriers: dict[str, str] = field(default_factory=dict)
+    self_colliding: set[str] = field(default_factory=set)
 
     def link_of(self, name: str, where: str, *, slug: str) -> str:
         """Find the link that carries a scoped name.
@@ -72,6 +74,8 @@ def gather(model: Element, report: Report) -> Gathered:
     while waiting:
         scope, element = waiting.pop()
         note_tags(element, scope, report)
+        if read_flag(element, "self_collide", default=False, where="model"):
+            found.self_colliding.add(scope)
         _gather_links(element, scope, found)
         _gather_frames(element, scope, found)
         waiting += [

@@ -90,12 +90,13 @@ LINK = Tag(
         "sensor": OPAQUE,
         **dict.fromkeys(
             (
-                "audio_sink", "audio_source", "battery", "enable_wind", "frame", "gravity",
-                "kinematic", "light", "must_be_base_link", "particle_emitter", "plugin",
-                "projector", "self_collide", "velocity_decay",
+                "audio_sink", "audio_source", "battery", "enable_wind", "frame", "kinematic",
+                "light", "must_be_base_link", "particle_emitter", "plugin", "projector",
             ),
             UNUSED,
         ),
+        **dict.fromkeys(("gravity", "self_collide"), LEAF),
+        "velocity_decay": Tag(children=dict.fromkeys(("linear", "angular"), LEAF)),
     },
     many=("collision", "visual", "sensor", "light", "plugin", "battery"),
 )  # fmt: skip
@@ -140,13 +141,13 @@ JOINT = Tag(
 )  # fmt: skip
 MODEL = Tag(
     children={
-        **dict.fromkeys(("pose", "static", "frame"), LEAF),
+        **dict.fromkeys(("pose", "static", "frame", "self_collide"), LEAF),
         "link": LINK,
         "joint": JOINT,
         "model": OPAQUE,
         "plugin": OPAQUE,
         **dict.fromkeys(
-            ("allow_auto_disable", "enable_wind", "gripper", "self_collide", "static_origin"),
+            ("allow_auto_disable", "enable_wind", "gripper", "static_origin"),
             UNUSED,
         ),
     },

@@ -8,23 +8,26 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.model import Inertial, Link, Origin, Shape
+from proto.model import Decay, Inertial, Link, Origin, Shape
 from sim_server.description.sdf_frames import Frames, inverse
 from sim_server.description.sdf_shapes import (
     colour_of,
-    friction_of,
     is_here,
     moved,
     read_solid,
     seen_through,
     sheet_of,
     slab_of,
+    surface_of,
 )
-from sim_server.description.sdf_values import read_pose, read_scalar
+from sim_server.description.sdf_values import read_flag, read_pose, read_scalar
+from sim_server.description.surface import decay_rate
 from sim_server.description.transforms import compose, matrix_of
 from sim_server.description.wording import shown
 
 if TYPE_CHECKING:
+    from collections.abc import Set
+
     from lxml.etree import _Element as Element
 
     from sim_server.description.report import Report
@@ -53,6 +56,8 @@ class LinkReader:
     rule: MeshRule
     report: Report
     is_static: bool
+    self_colliding: Set[str] = frozenset()
+    """Scopes of models whose links touch each other."""
 
     def read(self, tag: LinkTag) -> Link:
         """Read a link.
@@ -60,12 +65,23 @@ class LinkReader:
         Raises:
             ModelError: A number is none, a size is not positive, or a collision's mesh is missing.
         """
+        where, inertial = f"link {shown(tag.name)}", self._inertial(tag)
+        has_gravity = read_flag(tag.element, "gravity", default=True, where=where)
         return Link(
             tag.name,
-            self._inertial(tag),
+            inertial,
             tuple(self._collisions(tag)),
             tuple(self._visuals(tag)),
+            weightless=Inertial() if has_gravity else inertial,
+            decay=Decay(*(self._decay(tag, part) for part in ("linear", "angular"))),
+            self_collides=tag.scope in self.self_colliding
+            or read_flag(tag.element, "self_collide", default=False, where=where),
         )
+
+    def _decay(self, tag: LinkTag, part: str) -> float:
+        where = f"link {shown(tag.name)}"
+        share = read_scalar(tag.element, f"velocity_decay/{part}", 0.0, where)
+        return decay_rate(max(share, 0.0))
 
     def _inertial(self, tag: LinkTag) -> Inertial:
         inertial, where = tag.element.find("inertial"), f"link {shown(tag.name)}, inertial"
@@ -100,8 +116,7 @@ class LinkReader:
                 continue
             shape = slab_of(shape) if shape.kind == "plane" else shape
             if is_here(shape, where, rule=self.rule, report=self.report, collides=True):
-                friction = friction_of(element, where, self.report)
-                kept.append(msgspec.structs.replace(shape, friction=friction))
+                kept.append(surface_of(element, where, self.report).on(shape))
         return kept
 
     def _visuals(self, tag: LinkTag) -> list[Shape]:

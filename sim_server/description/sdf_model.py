@@ -152,7 +152,7 @@ def _faults_of_sdf() -> Iterator[None]:
 def _parts(
     name: str, found: Gathered, *, is_static: bool, rule: MeshRule, report: Report
 ) -> tuple[Parts, frozenset[str]]:
-    reader = LinkReader(found.frames, rule, report, is_static)
+    reader = LinkReader(found.frames, rule, report, is_static, found.self_colliding)
     links = [reader.read(tag) for tag in found.links]
     links = links if is_static else _weighed(links, report)
     taken = {link.name for link in links} | {tag.name for tag in found.joints}

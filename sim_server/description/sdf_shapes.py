@@ -13,6 +13,7 @@ from proto.result import SpawnCode
 from sim_server.description.colours import gazebo_colour
 from sim_server.description.decimals import read_numbers
 from sim_server.description.sdf_values import read_scalar, read_text, read_vector
+from sim_server.description.surface import Surface, SurfaceTags
 from sim_server.description.transforms import compose
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
@@ -42,6 +43,15 @@ LOWERED = Origin((0.0, 0.0, -0.5))
 SHEET_M = 0.002
 FRICTION = ("surface/friction/ode/mu", "surface/friction/bullet/friction")
 """Where a collision says how rough it is; the first counts."""
+SURFACE = {
+    "mu2": "surface/friction/ode/mu2",
+    "fdir1": "surface/friction/ode/fdir1",
+    "kp": "surface/contact/ode/kp",
+    "kd": "surface/contact/ode/kd",
+    "maxVel": "surface/contact/ode/max_vel",
+    "minDepth": "surface/contact/ode/min_depth",
+}
+"""Where it says the rest, by the names of URDF."""
 
 
 def read_solid(part: Element, where: str, report: Report) -> Shape | None:
@@ -70,25 +80,16 @@ def read_solid(part: Element, where: str, report: Report) -> Shape | None:
     return _solid(solids[0], where)
 
 
-def friction_of(collision: Element, where: str, report: Report) -> float:
-    """Read the Coulomb coefficient of a collision; 1 when it has none.
+def surface_of(collision: Element, where: str, report: Report) -> Surface:
+    """Read how a collision touches.
 
     Raises:
-        ModelError: It is no number, or negative.
+        ModelError: Its friction is no number, or negative.
     """
-    path = next((path for path in FRICTION if read_text(collision, path)), FRICTION[0])
-    friction = read_scalar(collision, path, 1.0, where)
-    if friction < 0.0:
-        raise ModelError(
-            f"{where}, {path}: {friction:g} is negative; write a coefficient >= 0",
-            slug="sdf.friction",
-        )
-    if read_text(collision, path):
-        report.applied(f"{where}: <mu>", f"{friction:g}")
-    for tag in ("kp", "kd", "max_vel", "min_depth"):
-        if text := read_text(collision, f"surface/contact/ode/{tag}"):
-            report.ignored(f"{where}: <{tag}>", f"asks for {text[:40]!r}; contacts are stiff here")
-    return friction
+    friction = next((path for path in FRICTION if read_text(collision, path)), FRICTION[0])
+    paths = {"mu1": friction} | SURFACE
+    texts = {tag: text for tag, path in paths.items() if (text := read_text(collision, path))}
+    return SurfaceTags(texts, subject=where, slug="sdf.friction", report=report).read()
 
 
 def colour_of(visual: Element, where: str, report: Report) -> Quat | None:

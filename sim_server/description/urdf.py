@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.model import Model
+import msgspec
+
+from proto.model import Joint, Model
 from proto.result import SpawnCode
 from sim_server.description.assets import HasMesh, no_meshes
 from sim_server.description.following import with_true_mimics
@@ -70,7 +72,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
 def _lumped(parts: Parts, blocks: GazeboBlocks, report: Report) -> Lumped:
     lumped = lump(
         with_surfaces(parts.links, blocks),
-        with_unit_axes(parts.joints),
+        _fixed(parts.joints) if blocks.is_static else with_unit_axes(parts.joints),
         kept=frozenset(blocks.kept_joints),
     )
     check_moving(lumped.links, lumped.joints, report)
@@ -83,6 +85,12 @@ def _lumped(parts: Parts, blocks: GazeboBlocks, report: Report) -> Lumped:
             slug="urdf.joints",
         )
     return lumped
+
+
+def _fixed(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
+    return tuple(
+        msgspec.structs.replace(joint, kind="fixed", mimic=None) for joint in with_unit_axes(joints)
+    )
 
 
 def _refuse_xacro(robot: Element) -> None:

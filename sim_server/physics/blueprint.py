@@ -1,18 +1,31 @@
-"""A Model as an engine builds it: a part per link, and one per surface with a friction of its own.
+"""A Model as an engine builds it: a part per link, and one for each further surface on it.
 
-Engines keep one friction per part, but lumping may put a frictionless caster and a rubber foot on
-one link: each further friction becomes a massless part fixed to the link.
+Engines keep one surface per part, but lumping may put a frictionless caster and a rubber foot on
+one link: each further surface becomes a massless part fixed to the link.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proto.model import IDENTITY, Inertial, Joint, Link, Model, Origin, Quat, Shape, Vec3
+from proto.model import (
+    IDENTITY,
+    ZERO,
+    Contact,
+    Inertial,
+    Joint,
+    Link,
+    Model,
+    Origin,
+    Quat,
+    Shape,
+    Vec3,
+)
 from proto.rotation import from_matrix
 from sim_server.description.rolling import touching_links
 
 DEFAULT_FRICTION = 1.0
+OPPOSITE = 1.0 - 1e-12
 MAX_SHAPES = 16
 """Of one part: Bullet passes over all further ones without a word."""
 
@@ -23,7 +36,9 @@ class Part:
 
     Attributes:
         principal: Orientation of the principal axes in the link frame.
+        contact: Of its shapes; its direction, if any, is the first principal axis.
         parent: Index of the parent part; -1 for the root.
+        link: Index of the link that it belongs to.
         joint: How it moves; None when fixed at its parent's frame.
     """
 
@@ -33,7 +48,9 @@ class Part:
     inertia: Vec3
     shapes: tuple[Shape, ...]
     friction: float
+    contact: Contact
     parent: int
+    link: int
     joint: Joint | None = None
 
     @property
@@ -54,6 +71,7 @@ class Blueprint:
     name: str
     is_static: bool
     parts: tuple[Part, ...]
+    links: tuple[Link, ...]
 
 
 def blueprint_of(model: Model) -> Blueprint:
@@ -63,30 +81,62 @@ def blueprint_of(model: Model) -> Blueprint:
     parts: list[Part] = []
     skins: list[Part] = []
     for i, (link, joint) in enumerate(zip(touching_links(model), joints, strict=True)):
-        surfaces = _by_friction(link)
+        bone, *others = _by_surface(link)
         parent = -1 if joint is None else index[joint.parent]
-        parts.append(_part(link.inertial, surfaces[0], parent, joint))
-        skins.extend(_part(Inertial(), surface, i, None) for surface in surfaces[1:])
-    return Blueprint(model.name, model.is_static, (*parts, *skins))
+        parts.append(_part(link.inertial, bone, parent, link=i, joint=joint))
+        skins.extend(_skin(surface, i) for surface in others)
+    return Blueprint(model.name, model.is_static, (*parts, *skins), model.links)
 
 
-def _by_friction(link: Link) -> list[tuple[Shape, ...]]:
-    groups: dict[float, list[Shape]] = {}
+def _by_surface(link: Link) -> list[tuple[Shape, ...]]:
+    groups: dict[tuple[float, Contact], list[Shape]] = {}
     for shape in link.collisions:
-        groups.setdefault(shape.friction, []).append(shape)
-    return [part for group in groups.values() for part in _of_few_shapes(group)] or [()]
+        groups.setdefault((shape.friction, shape.contact), []).append(shape)
+    alike = [part for group in groups.values() for part in _of_few_shapes(group)]
+    # A direction needs axes of its own, which the link's inertia has not.
+    if not alike or alike[0][0].contact.direction != ZERO:
+        alike.insert(0, ())
+    return alike
 
 
 def _of_few_shapes(group: list[Shape]) -> list[tuple[Shape, ...]]:
     return [tuple(group[at : at + MAX_SHAPES]) for at in range(0, len(group), MAX_SHAPES)]
 
 
-def _part(inertial: Inertial, shapes: tuple[Shape, ...], parent: int, joint: Joint | None) -> Part:
+def _part(
+    inertial: Inertial, shapes: tuple[Shape, ...], parent: int, *, link: int, joint: Joint | None
+) -> Part:
     diagonal, principal = principal_axes(inertial.inertia)
     friction = shapes[0].friction if shapes else DEFAULT_FRICTION
+    contact = shapes[0].contact if shapes else Contact()
     return Part(
-        inertial.mass_kg, inertial.com_in_link, principal, diagonal, shapes, friction, parent, joint
+        mass_kg=inertial.mass_kg,
+        com=inertial.com_in_link,
+        principal=principal,
+        inertia=diagonal,
+        shapes=shapes,
+        friction=friction,
+        contact=contact,
+        parent=parent,
+        link=link,
+        joint=joint,
     )
+
+
+def _skin(shapes: tuple[Shape, ...], link: int) -> Part:
+    skin = _part(Inertial(), shapes, link, link=link, joint=None)
+    direction = skin.contact.direction
+    return skin if direction == ZERO else replace(skin, principal=_turn_to(direction))
+
+
+def _turn_to(direction: Vec3) -> Quat:
+    """Find a turn that takes x to a unit vector."""
+    x, y, z = direction
+    if x < -OPPOSITE:
+        return (0.0, 0.0, 1.0, 0.0)
+    turn = np.array([0.0, -z, y, 1.0 + x])
+    qx, qy, qz, qw = (turn / np.linalg.norm(turn)).tolist()
+    return (qx, qy, qz, qw)
 
 
 def principal_axes(inertia: tuple[float, ...]) -> tuple[Vec3, Quat]:

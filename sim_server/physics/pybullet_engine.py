@@ -9,16 +9,23 @@ from proto.model import ZERO, Model, Origin, Shape, Vec3
 from sim_server.physics.acceptance import check_blueprint, check_meshes
 from sim_server.physics.actuation import Actuation, actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
+from sim_server.physics.creation import creation_of, solids_of
 from sim_server.physics.engine import (
     MIN_INERTIA,
-    MIN_MASS_KG,
     EngineConfig,
     EngineRefused,
     FloatArray,
     Reading,
 )
+from sim_server.physics.loads import Load, loads_of
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
+from sim_server.physics.touch import (
+    self_touching,
+    standing_friction,
+    touch_of,
+    touches_itself,
+)
 
 with silenced():
     import pybullet
@@ -70,6 +77,8 @@ class PyBulletEngine:
         self._actuations: dict[int, Actuation] = {}
         self._twists: dict[int, list[float]] = {}
         self._gears: dict[int, list[int]] = {}
+        self._loads: dict[int, list[Load]] = {}
+        self._gravity = config.gravity
         self._dt_s = config.step_ns * 1e-9
         self._roots = Roots()
         pybullet.setPhysicsEngineParameter(
@@ -101,6 +110,8 @@ class PyBulletEngine:
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
         self._set_gears(body, model)
+        if loads := loads_of(blueprint, self._gravity, self._dt_s):
+            self._loads[body] = loads
         # Made at its place, with joints at zero: placing it again would cost as much as making it.
         state = self._roots.com_state(body, base).tolist()
         pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=self._client)
@@ -114,6 +125,7 @@ class PyBulletEngine:
         pybullet.removeBody(body, physicsClientId=self._client)
         del self._joints[body], self._actuations[body]
         self._twists.pop(body, None)
+        self._loads.pop(body, None)
 
     def overlapping(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
@@ -175,6 +187,8 @@ class PyBulletEngine:
         """See `Engine.step`; a body gone bad that touches the ground takes the ground with it."""
         if self._twists:
             self._impose_twists()
+        if self._loads:
+            self._apply_loads()
         pybullet.stepSimulation(physicsClientId=self._client)
         return self._ground is None or self._is_ground_good(self._ground)
 
@@ -220,6 +234,31 @@ class PyBulletEngine:
                 body, row[:3].tolist(), row[3:].tolist(), physicsClientId=self._client
             )
 
+    def _apply_loads(self) -> None:
+        client = self._client
+        for body, loads in self._loads.items():
+            for load in loads:
+                place, turn, velocity = self._part_state(body, load.part)
+                force, torque = load.wrench(turn, velocity)
+                pybullet.applyExternalForce(
+                    *(body, load.part, force.tolist(), place, pybullet.WORLD_FRAME),
+                    physicsClientId=client,
+                )
+                pybullet.applyExternalTorque(
+                    *(body, load.part, torque.tolist(), pybullet.WORLD_FRAME),
+                    physicsClientId=client,
+                )
+
+    def _part_state(self, body: int, part: int) -> tuple[list[float], FloatArray, FloatArray]:
+        """Read the centre of mass of a part, its principal axes, and its velocity (6,)."""
+        if part < 0:
+            row = self._com_states([body])[0]
+            return row[:3].tolist(), row[3:7], row[7:]
+        state = pybullet.getLinkState(
+            body, part, computeLinkVelocity=1, physicsClientId=self._client
+        )
+        return list(state[0]), np.array(state[1]), np.array([*state[6], *state[7]])
+
     def _com_states(self, bodies: Sequence[int]) -> FloatArray:
         client = self._client
         rows: list[tuple[float, ...]] = []
@@ -239,8 +278,12 @@ class PyBulletEngine:
     def _add_ground(self, friction: float) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         ground = pybullet.createMultiBody(0.0, plane, physicsClientId=self._client)
-        # Bullet multiplies the frictions of a pair: 1 leaves the robot's own, as Gazebo's min does.
-        pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
+        pybullet.changeDynamics(
+            ground,
+            -1,
+            lateralFriction=standing_friction(friction),
+            physicsClientId=self._client,
+        )
         return ground
 
     def _collision(self, shapes: tuple[Shape, ...], *, is_static: bool) -> int:
@@ -249,48 +292,27 @@ class PyBulletEngine:
         solids = tuple((shape.kind, shape.size, shape.origin, shape.mesh) for shape in shapes)
         if (known := self._shapes.get(solids)) is not None:
             return known
+        # Only what never moves may have dents.
+        dented = pybullet.GEOM_FORCE_CONCAVE_TRIMESH if is_static else 0
         self._shapes[solids] = pybullet.createCollisionShapeArray(
-            shapeTypes=[GEOMETRIES[s.kind] for s in shapes],
-            halfExtents=[[extent / 2 for extent in s.size] for s in shapes],
-            radii=[s.size[0] for s in shapes],
-            lengths=[s.size[1] for s in shapes],
-            fileNames=[f"{self._mesh_folder}/{s.mesh}.stl" if s.mesh else "" for s in shapes],
-            meshScales=[s.size if s.mesh else (1.0, 1.0, 1.0) for s in shapes],
-            # Only what never moves may have dents.
-            flags=[
-                pybullet.GEOM_FORCE_CONCAVE_TRIMESH if is_static and s.mesh else 0 for s in shapes
-            ],
-            collisionFramePositions=[s.origin.position for s in shapes],
-            collisionFrameOrientations=[s.origin.orientation for s in shapes],
+            **solids_of(shapes, folder=self._mesh_folder, kinds=GEOMETRIES, mesh_flag=dented),
             physicsClientId=self._client,
         )
         return self._shapes[solids]
 
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
-        root, *rest = blueprint.parts
         static = blueprint.is_static
         shapes = [self._collision(part.shapes, is_static=static) for part in blueprint.parts]
-        return pybullet.createMultiBody(
-            0.0 if static else max(root.mass_kg, MIN_MASS_KG),
-            shapes[0],
-            self._visual,
-            base[:3].tolist(),
-            base[3:7].tolist(),
-            baseInertialFramePosition=root.com,
-            baseInertialFrameOrientation=root.principal,
-            linkMasses=[_link_mass(part) for part in rest],
-            linkCollisionShapeIndices=shapes[1:],
-            # Without a visual shape Bullet tessellates every collision shape: five times the cost.
-            linkVisualShapeIndices=[self._visual] * len(rest),
-            linkPositions=[part.origin.position for part in rest],
-            linkOrientations=[part.origin.orientation for part in rest],
-            linkInertialFramePositions=[part.com for part in rest],
-            linkInertialFrameOrientations=[part.principal for part in rest],
-            linkParentIndices=[part.parent for part in rest],
-            linkJointTypes=[KINDS[part.joint_kind] for part in rest],
-            linkJointAxis=[part.joint.axis if part.joint else (0.0, 0.0, 1.0) for part in rest],
-            physicsClientId=self._client,
-        )
+        creation = creation_of(blueprint, base, shapes=shapes, visual=self._visual, kinds=KINDS)
+        if not touches_itself(blueprint.links):
+            return pybullet.createMultiBody(**creation, physicsClientId=self._client)
+        flags = pybullet.URDF_USE_SELF_COLLISION
+        body = pybullet.createMultiBody(**creation, flags=flags, physicsClientId=self._client)
+        for one, other, do_touch in self_touching(blueprint):
+            pybullet.setCollisionFilterPair(
+                body, body, one, other, int(do_touch), physicsClientId=self._client
+            )
+        return body
 
     def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
         client = self._client
@@ -299,15 +321,8 @@ class PyBulletEngine:
             body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client
         )
         for link, part in enumerate(blueprint.parts, start=-1):
-            pybullet.changeDynamics(
-                body,
-                link,
-                lateralFriction=part.friction,
-                spinningFriction=0.0,
-                rollingFriction=0.0,
-                restitution=0.0,
-                physicsClientId=client,
-            )
+            touch = touch_of(part, self._dt_s, is_static=blueprint.is_static)
+            pybullet.changeDynamics(body, link, **touch, physicsClientId=client)
             if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
                 inertia = [max(moment, MIN_INERTIA) for moment in part.inertia]
                 pybullet.changeDynamics(
@@ -380,7 +395,3 @@ class PyBulletEngine:
                 physicsClientId=self._client,
             )
             self._gears.setdefault(body, []).append(gear)
-
-
-def _link_mass(part: Part) -> float:
-    return 0.0 if part.joint is None else max(part.mass_kg, MIN_MASS_KG)

@@ -83,14 +83,14 @@ def test_blocks_are_noted_by_what_became_of_them() -> None:
         )
     )
 
-    assert reasons(entries, "applied")[-2:] == [
-        "gazebo 'body': <mu1>: ",
+    assert reasons(entries, "applied")[-4:] == [
         "gazebo 'body': <material>: Gazebo/Red",
+        "gazebo: <self_collide>: ",
+        "gazebo 'body': <mu1>: ",
+        "gazebo 'body': <kp>: 1e+06 N/m at each point",
     ]
     assert reasons(entries, "ignored") == [
-        "gazebo 'body': <kp>: known to Gazebo; no effect here",
         "gazebo 'j': <stopCfm>: known to Gazebo; no effect here",
-        "gazebo: <self_collide>: known to Gazebo; no effect here",
         "sensor 's' on 'body': 'imu' is known, not simulated yet",
     ]
     assert reasons(entries, "unknown") == [

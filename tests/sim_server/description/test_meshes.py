@@ -44,8 +44,13 @@ def extents(triangles: Triangles) -> list[float]:
     return found
 
 
-def a_model(*, is_static: bool = False, **shapes: tuple[Shape, ...]) -> Model:
-    return Model("m", (Link("base", Inertial(1.0), **shapes),), is_static=is_static)
+def a_model(
+    *,
+    is_static: bool = False,
+    collisions: tuple[Shape, ...] = (),
+    visuals: tuple[Shape, ...] = (),
+) -> Model:
+    return Model("m", (Link("base", Inertial(1.0), collisions, visuals),), is_static=is_static)
 
 
 def converted(model: Model, files: dict[str, tuple[str, bytes]]) -> tuple[Model, dict[str, bytes]]:

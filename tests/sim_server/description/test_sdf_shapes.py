@@ -3,15 +3,15 @@
 import pytest
 from lxml import etree
 
-from proto.model import Origin, Shape
+from proto.model import Contact, Origin, Shape
 from sim_server.description.report import Report
 from sim_server.description.sdf_shapes import (
     colour_of,
-    friction_of,
     read_solid,
     seen_through,
     sheet_of,
     slab_of,
+    surface_of,
 )
 from sim_server.description.transforms import turned
 from sim_server.errors import ModelError
@@ -87,22 +87,25 @@ def test_impossible_solid_is_refused(inside: str, slug: str) -> None:
     assert caught.value.slug == slug
 
 
-def test_friction_is_that_of_ode_and_contacts_are_noted() -> None:
+def test_surface_is_that_of_ode() -> None:
     report = Report()
     part = a_part(
-        "<surface><friction><ode><mu>0.5</mu></ode></friction>"
-        "<contact><ode><kp>1e5</kp><kd>1</kd></ode></contact></surface>"
+        "<surface><friction><ode><mu>0.5</mu><mu2>0.25</mu2><fdir1>0 2 0</fdir1></ode></friction>"
+        "<contact><ode><kp>1e5</kp><kd>1</kd><max_vel>1</max_vel></ode></contact></surface>"
     )
 
-    assert friction_of(part, "here", report) == 0.5
-    assert len(reasons(report.entries(), "ignored")) == 2
+    surface = surface_of(part, "here", report)
+
+    assert (surface.friction, surface.contact) == (0.5, Contact(1e5, 1.0, (0.0, 1.0, 0.0), 0.25))
+    assert len(reasons(report.entries(), "applied")) == 4
+    assert len(reasons(report.entries(), "ignored")) == 1
 
 
 def test_negative_friction_is_refused() -> None:
     part = a_part("<surface><friction><ode><mu>-1</mu></ode></friction></surface>")
 
     with pytest.raises(ModelError) as caught:
-        friction_of(part, "here", Report())
+        surface_of(part, "here", Report())
 
     assert caught.value.slug == "sdf.friction"
 
