@@ -15,7 +15,7 @@ from proto.names import NAME
 from proto.result import ServiceError, SpawnCode
 from proto.topics import String
 from spawner.expansion import expanded, needs_expansion
-from spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused
+from spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused, without_comments
 from spawner.search_paths import SearchPaths, model_file
 
 KEY = re.compile(r"[^/?#*$\s]+(?:/[^/?#*$\s]+)*")
@@ -23,7 +23,6 @@ PACKAGE_URI = re.compile(r"(<mesh\b[^>]*?\bfilename\s*=\s*[\"']\s*)package://")
 LATIN = re.compile(
     rb"""<\?xml\b[^>]{0,200}?\bencoding\s*=\s*["'](iso-8859-15?|latin-?1|windows-1252)["']""", re.I
 )
-COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 POLL_S = 0.02
 GET_TIMEOUT_S = 1.0
 STREAM = Path("standard input")
@@ -107,17 +106,15 @@ def text_of(data: bytes, where: str) -> str:
     else:
         declared = LATIN.match(data)
         encoding = declared[1].decode().lower() if declared else "utf-8-sig"
-        data = data if declared else COMMENT.sub(_as_utf8, data)
     try:
         return data.decode(encoding)
     except UnicodeDecodeError as error:
+        text = data.decode(encoding, "replace")
+        if encoding == "utf-8-sig" and "\ufffd" not in without_comments(text):
+            return text
         raise DescriptionError(
             f"{where} cannot be decoded: byte {error.start} is no {error.encoding}; use UTF-8"
         ) from error
-
-
-def _as_utf8(comment: re.Match[bytes]) -> bytes:
-    return comment[0].decode(errors="replace").encode()
 
 
 def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -> Description:

@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
+from lxml import etree
 
 from proto.result import SpawnCode
 from proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
+from sim_server.description.collada import MAX_DRAWN, DrawnTooOften, check_drawn
+from sim_server.description.gltf import BadGltf, check_promises
 from sim_server.description.obj import NoObj, read_obj
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
@@ -24,7 +27,9 @@ if TYPE_CHECKING:
 MAX_TRIANGLES = 2_000_000
 MAX_EXTENT = 1e6
 """Of a coordinate, in the file's own unit."""
-VERTEX = re.compile(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE | re.MULTILINE)
+VERTEX = re.compile(
+    rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.IGNORECASE | re.MULTILINE
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +114,21 @@ def _obj(name: str, data: bytes) -> Triangles:
 def _dae(name: str, data: bytes) -> Triangles:
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data or b"\0" in data[:200]:
         raise _bad(name, "declares a document type or is not UTF-8", slug="mesh.doctype")
+    try:
+        check_drawn(data)
+    except etree.XMLSyntaxError as error:
+        raise _bad(name, "is not well-formed XML", slug="mesh.unreadable") from error
+    except DrawnTooOften as error:
+        fault = f"draws more than {MAX_DRAWN} geometries, or itself; export it flat"
+        raise _bad(name, fault, slug="mesh.triangles") from error
     return _by_trimesh(name, data, "dae")
 
 
 def _glb(name: str, data: bytes) -> Triangles:
+    try:
+        check_promises(data)
+    except BadGltf as error:
+        raise _bad(name, f"cannot be read: {error}", slug="mesh.unreadable") from error
     return _by_trimesh(name, data, "glb")
 
 

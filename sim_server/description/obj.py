@@ -13,7 +13,11 @@ Faces = NDArray[np.int64]
 
 BESIDE_CORNER = re.compile(r"/\S*")
 """Of a word of a face: its texture and its normal."""
-INDENTED = re.compile(rb"^\s+[vf]\s", re.MULTILINE)
+INDENTED = re.compile(rb"^ +[vf]\s", re.MULTILINE)
+FARTHEST = 1 << 40
+"""A number of a corner beyond which no file goes."""
+MAX_SIDES = 10_000
+"""Of any face."""
 MOST_SIDES = 64
 """Of a face that is read together with others."""
 
@@ -83,6 +87,8 @@ def _line_by_line(lines: list[bytes]) -> tuple[Corners, Faces]:
                 x, y, z = words[1:4]
                 vertices.append((float(x), float(y), float(z)))
             elif words[:1] == [b"f"]:
+                if len(words) > MAX_SIDES:
+                    raise NoObj(line)
                 corners = [_corner(word, len(vertices)) for word in words[1:]]
                 faces.extend((corners[0], b, c) for b, c in pairwise(corners[1:]))
         except ValueError as error:
@@ -92,4 +98,6 @@ def _line_by_line(lines: list[bytes]) -> tuple[Corners, Faces]:
 
 def _corner(word: bytes, count: int) -> int:
     number = int(word.partition(b"/")[0])
+    if abs(number) > FARTHEST:
+        raise ValueError(number)
     return number - 1 if number > 0 else number + count

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
     from sim_server.description.report import Report
 
+MAX_PLUGINS = 100
 _ROS_CONTROL = "ros_control is not used here; wheels are driven by the diff_drive plug-in"
 _NOT_SIMULATED = "not simulated"
 NOT_USED = {
@@ -83,8 +84,10 @@ def read_plugins(plugins: Iterable[Element], lumped: Lumped, report: Report) -> 
     Raises:
         ModelError: A number in one is none, or cannot be.
     """
-    found = Plugins()
-    for plugin in plugins:
+    found, given = Plugins(), list(plugins)
+    if len(given) > MAX_PLUGINS:
+        report.suspicious("plugins", f"{len(given)}; the first {MAX_PLUGINS} are read")
+    for plugin in given[:MAX_PLUGINS]:
         filename = plugin.get("filename") or ""
         reader = next((one for one in DRIVES if _is_one_of(filename, one.filenames)), None)
         if reader is not None:

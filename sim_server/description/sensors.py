@@ -26,6 +26,7 @@ KINDS = (
     "wideanglecamera", "wireless_receiver", "wireless_transmitter",
 )  # fmt: skip
 """Sensors that Gazebo has; `depth_camera` and the like count as what they begin with."""
+MAX_SENSORS = 500
 MAX_PARAMETERS = 200
 MAX_VALUE = 1000
 _NOT_YET = "known, not simulated yet"
@@ -47,7 +48,10 @@ def read_sensors(tags: Iterable[SensorTag], lumped: Lumped, report: Report) -> t
     """
     places = {link.name: (link.name, Origin()) for link in lumped.links}
     places |= {frame.name: (frame.parent, frame.origin) for frame in lumped.frames}
-    return tuple(_sensor(tag, *places[tag.link], report) for tag in tags)
+    given = list(tags)
+    if len(given) > MAX_SENSORS:
+        report.suspicious("sensors", f"{len(given)}; the first {MAX_SENSORS} are read")
+    return tuple(_sensor(tag, *places[tag.link], report) for tag in given[:MAX_SENSORS])
 
 
 def _sensor(tag: SensorTag, link: str, place: Origin, report: Report) -> Sensor:

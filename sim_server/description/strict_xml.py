@@ -25,7 +25,6 @@ _UNKNOWN_PREFIX = 201
 _SPACES = re.compile(rb"[ \t\r\n]+")
 _HYPHENS_IN_COMMENT = 80
 """XML_ERR_HYPHEN_IN_COMMENT of libxml2; Gazebo takes them."""
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
 
 
@@ -83,7 +82,11 @@ def _bounded(text: str, slug: str) -> bytes:
 
 def _without_comments(data: bytes) -> bytes:
     # Their line ends stay, so that lines keep their numbers.
-    return _COMMENT.sub(lambda comment: b"\n" * comment[0].count(b"\n"), data)
+    pieces, at = [], 0
+    while (start := data.find(b"<!--", at)) >= 0 and (end := data.find(b"-->", start + 4)) >= 0:
+        pieces += [data[at:start], b"\n" * data.count(b"\n", start, end)]
+        at = end + len(b"-->")
+    return b"".join([*pieces, data[at:]])
 
 
 def _without_declaration(data: bytes) -> bytes:
@@ -131,8 +134,9 @@ def _parsed(data: bytes) -> Element:
         faults = {entry.type for entry in parser.error_log}
         if faults == {_UNKNOWN_PREFIX}:
             return etree.fromstring(text, _parser(recover=True))
-        if faults - {_UNKNOWN_PREFIX} == {_HYPHENS_IN_COMMENT} and _COMMENT.search(text):
-            return _parsed(_without_comments(text))
+        bare = _without_comments(text)
+        if faults - {_UNKNOWN_PREFIX} == {_HYPHENS_IN_COMMENT} and bare != text:
+            return _parsed(bare)
         raise ModelError(
             f"the description is not well-formed XML: {in_line(str(error))}", slug="xml.syntax"
         ) from error

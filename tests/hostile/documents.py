@@ -64,6 +64,7 @@ def _broken() -> Iterator[Case]:
         "only_a_declaration": '<?xml version="1.0"?>',
         "unfinished_comment": "<!-- " + GOOD,
         "unfinished_cdata": "<robot><![CDATA[ ]]</robot>",
+        "dashes_in_unfinished_comments": "<robot>" + "<!-- -" * 30_000,
         "dashes_in_unfinished_comment": "<robot><!-- a -- b --",
         "dashes_in_comment_and_wrong_end": "<robot><!-- a -- b --></robto>",
         "declaration_inside": robot('<?xml version="1.0"?>'),

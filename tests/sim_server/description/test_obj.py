@@ -69,3 +69,9 @@ def test_nothing_is_read_from_nothing() -> None:
     corners, faces = read_obj(b"")
 
     assert (corners.shape, faces.shape) == ((0, 3), (0, 3))
+
+
+@pytest.mark.parametrize("face", ["f 1 2 99999999999999999999", "f " + "1 2 3 " * 4000])
+def test_face_that_no_mesh_has_is_named(face: str) -> None:
+    with pytest.raises(NoObj):
+        read_obj(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n".encode())

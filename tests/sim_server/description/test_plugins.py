@@ -64,3 +64,10 @@ def test_second_drive_counts_when_the_first_does_not_work() -> None:
     model = read_urdf(a_cart(a_drive(wheels=""), a_drive()))
 
     assert model.drive is not None
+
+
+def test_plugins_beyond_a_hundred_are_left_out_and_noted() -> None:
+    entries = report_of(a_cart(*[a_plugin("libmine.so", name=f"p{i}") for i in range(103)]))
+
+    assert len(reasons(entries, "unknown")) == 100
+    assert reasons(entries, "suspicious") == ["plugins: 103; the first 100 are read"]

@@ -3,7 +3,7 @@
 import pytest
 
 from proto.model import Model, Origin, Parameter, RosBlock
-from sim_server.description.sensors import MAX_PARAMETERS
+from sim_server.description.sensors import MAX_PARAMETERS, MAX_SENSORS
 from sim_server.description.urdf import read_urdf
 from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
@@ -83,3 +83,10 @@ def test_sensor_keeps_so_many_settings_when_it_has_more() -> None:
 
     assert len(model.sensors[0].parameters) == MAX_PARAMETERS
     assert any("500 settings" in line for line in reasons(model.report, "suspicious"))
+
+
+def test_sensors_beyond_five_hundred_are_left_out_and_noted() -> None:
+    model = a_robot_with('<sensor name="s" type="imu"/>' * 503)
+
+    assert len(model.sensors) == MAX_SENSORS
+    assert reasons(model.report, "suspicious") == ["sensors: 503; the first 500 are read"]
