@@ -279,7 +279,7 @@ class Bus:
         encoding = encoding_of(request, Format.MSGPACK)
         answer = self._ask(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
         response = decode(service.response, answer.payload, answer.encoding)
-        _raise_unless_ok(service, getattr(response, "result", Result()))
+        _raise_unless_ok(service, response)
         return response
 
     def _ask(
@@ -372,7 +372,8 @@ def _sample(sample: zenoh.Sample) -> Sample:
     return Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
 
-def _raise_unless_ok(service: Service[Request, Response], result: Result) -> None:
+def _raise_unless_ok(service: Service[Request, Response], response: Response) -> None:
+    result: Result = getattr(response, "result", Result())
     if result.result != ResultCode.OK:
         name = service.code_name(result.result)
-        raise ServiceError(service.name, result.result, name, result.error_message)
+        raise ServiceError(service.name, result.result, name, result.error_message, response)

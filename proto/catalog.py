@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from proto import assets, claims, services, stepping, telemetry, worlds
+from proto import assets, claims, entities, fleets, places, services, stepping, telemetry, worlds
 from proto.result import (
     ClaimCode,
     GetAvailableWorldsCode,
@@ -15,6 +15,7 @@ from proto.result import (
     SetEntityStateCode,
     SetSimulationStateCode,
     SpawnCode,
+    SpawnEntitiesCode,
     UnloadWorldCode,
 )
 
@@ -51,12 +52,22 @@ SPAWN_ENTITY = Service(
     SpawnCode,
     is_mutating=True,
 )
+SPAWN_ENTITIES = Service(
+    "spawn_entities",
+    fleets.SpawnEntitiesOrder,
+    fleets.SpawnEntitiesResponse,
+    SpawnEntitiesCode,
+    is_mutating=True,
+)
 DELETE_ENTITY = Service(
     "delete_entity", services.DeleteEntityRequest, services.DeleteEntityResponse, is_mutating=True
 )
 GET_ENTITIES = Service("get_entities", services.GetEntitiesRequest, services.GetEntitiesResponse)
+GET_ENTITIES_STATES = Service(
+    "get_entities_states", entities.GetEntitiesStatesOrder, entities.GetEntitiesStatesResponse
+)
 GET_ENTITY_STATE = Service(
-    "get_entity_state", services.GetEntityStateRequest, services.GetEntityStateResponse
+    "get_entity_state", entities.GetEntityStateOrder, services.GetEntityStateResponse
 )
 SET_ENTITY_STATE = Service(
     "set_entity_state",
@@ -64,6 +75,29 @@ SET_ENTITY_STATE = Service(
     services.SetEntityStateResponse,
     SetEntityStateCode,
     is_mutating=True,
+)
+GET_ENTITY_INFO = Service(
+    "get_entity_info", entities.GetEntityInfoRequest, entities.GetEntityInfoResponse
+)
+SET_ENTITY_INFO = Service(
+    "set_entity_info",
+    entities.SetEntityInfoRequest,
+    entities.SetEntityInfoResponse,
+    is_mutating=True,
+)
+GET_ENTITY_BOUNDS = Service(
+    "get_entity_bounds", entities.GetEntityBoundsOrder, entities.GetEntityBoundsResponse
+)
+GET_SPAWNABLES = Service(
+    "get_spawnables", places.GetSpawnablesRequest, places.GetSpawnablesResponse
+)
+GET_NAMED_POSES = Service(
+    "get_named_poses", places.GetNamedPosesRequest, places.GetNamedPosesResponse
+)
+GET_NAMED_POSE_BOUNDS = Service(
+    "get_named_pose_bounds",
+    places.GetNamedPoseBoundsRequest,
+    places.GetNamedPoseBoundsResponse,
 )
 GET_SIMULATION_STATE = Service(
     "get_simulation_state", services.GetSimulationStateRequest, services.GetSimulationStateResponse
@@ -146,10 +180,18 @@ SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
     service.name: service  # type: ignore[misc]
     for service in (
         SPAWN_ENTITY,
+        SPAWN_ENTITIES,
         DELETE_ENTITY,
         GET_ENTITIES,
+        GET_ENTITIES_STATES,
         GET_ENTITY_STATE,
         SET_ENTITY_STATE,
+        GET_ENTITY_INFO,
+        SET_ENTITY_INFO,
+        GET_ENTITY_BOUNDS,
+        GET_SPAWNABLES,
+        GET_NAMED_POSES,
+        GET_NAMED_POSE_BOUNDS,
         GET_SIMULATION_STATE,
         SET_SIMULATION_STATE,
         STEP_SIMULATION,

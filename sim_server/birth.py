@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from proto.info import EntityInfo
 from proto.model import Model
 from sim_server.entity import Entity
 from sim_server.naming import free_name, free_namespace
@@ -21,6 +22,7 @@ class Birth:
     allow_renaming: bool = False
     born_ns: int = 0
     belongs_to_world: bool = False
+    info: EntityInfo | None = None
 
     def names_among(self, entities: Mapping[str, Entity]) -> tuple[str, str]:
         """Find the name and the namespace that it would get beside others.

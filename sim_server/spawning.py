@@ -5,13 +5,15 @@ import numpy as np
 from proto.model import Model, ReportEntry
 from proto.result import Result, SpawnCode
 from proto.services import SpawnEntityOrder, SpawnEntityReport
+from sim_server.birth import Birth
 from sim_server.description.clearance import ground_clearance
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, ModelError
+from sim_server.frames import in_world
+from sim_server.infos import checked
 from sim_server.later import Later
 from sim_server.physics.engine import FloatArray
-from sim_server.poses import WORLD_FRAMES, compose, is_zero, pose_row
-from sim_server.world import Birth, World
+from sim_server.poses import is_zero, pose_row
 
 UNDERGROUND_M = 0.001
 MAX_NAMED = 3
@@ -23,8 +25,15 @@ def spawn(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport:
     Raises:
         SimError: It is refused; nothing has changed.
     """
+    return spawn_model(desk, order, *desk.descriptions.model(order))
+
+
+def spawn_model(
+    desk: Desk, order: SpawnEntityOrder, model: Model, description: str
+) -> SpawnEntityReport:
+    """Spawn a model that has been read, whatever the order's resource is; raises as `spawn`."""
     _check_bond(desk, order.bond)
-    birth, notes = _planned(desk, order)
+    birth, notes = _planned(desk, order, model, description)
     if order.strict or order.dry_run:
         notes.extend(_overlaps(desk.world.rehearse(birth)))
     if order.strict:
@@ -52,30 +61,21 @@ def spawn_when_read(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport | 
     )
 
 
-def _planned(desk: Desk, order: SpawnEntityOrder) -> tuple[Birth, list[ReportEntry]]:
-    model, text = desk.descriptions.model(order)
+def _planned(
+    desk: Desk, order: SpawnEntityOrder, model: Model, description: str
+) -> tuple[Birth, list[ReportEntry]]:
     pose, notes = _birth_pose(desk, order, model)
     birth = Birth(
         name=order.name or model.name,
         namespace=order.entity_namespace,
         model=model,
         base=np.concatenate([pose, np.zeros(6)]),
-        description=text,
+        description=description,
         allow_renaming=order.allow_renaming,
         born_ns=desk.now_ns(),
+        info=None if order.info is None else checked(order.info),
     )
     return birth, notes
-
-
-def in_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
-    """Turn a pose (7,) given in a frame (world, map or an entity's name) into the world's.
-
-    Raises:
-        EntityNotFound: The frame is neither.
-    """
-    if frame_id in WORLD_FRAMES:
-        return pose
-    return compose(world.state_of(frame_id)[:7], pose)
 
 
 def _check_bond(desk: Desk, bond: str) -> None:

@@ -1,11 +1,13 @@
 """The World: entities and simulation time, over an engine. No network, no clock, no files."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from proto.claims import Claim, DriveCommand, DriveState, OnRelease
+from proto.info import EntityInfo
 from proto.model import Model
 from proto.result import ClaimCode
 from proto.services import ResetScope, State
@@ -13,11 +15,12 @@ from proto.telemetry import Snapshot
 from sim_server.birth import Birth
 from sim_server.chronicle import Chronicle
 from sim_server.claims import Claims
-from sim_server.entity import Entity, Fleet, Roster, roster_of
+from sim_server.entity import Entity, Fleet, Roster, info_of, roster_of
 from sim_server.errors import (
     EntityNotFound,
     IncorrectState,
     Refused,
+    SimError,
 )
 from sim_server.frozen import FROZEN, SET_BACK, Stand, Watch, still
 from sim_server.physics.actuation import standing
@@ -81,6 +84,7 @@ class World(Chronicle):
             *(name, namespace, birth.model, body, birth.base.copy(), birth.description),
             born_ns=birth.born_ns,
             belongs_to_world=birth.belongs_to_world,
+            info=birth.info or info_of(birth.model),
         )
         self._entities[name] = entity
         self._changed()
@@ -90,6 +94,23 @@ class World(Chronicle):
     def names_for(self, birth: Birth) -> tuple[str, str]:
         """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
         return birth.names_among(self._entities)
+
+    @contextmanager
+    def all_or_none(self) -> Iterator[None]:
+        """Take back what is spawned in this block when it is refused; nobody is told of it."""
+        before, told = set(self._entities), len(self._events)
+        try:
+            yield
+        except SimError:
+            for name in [name for name in self._entities if name not in before]:
+                self._engine.remove(self._entities.pop(name).body)
+            del self._events[told:]
+            self._changed()
+            raise
+
+    def describe(self, name: str, info: EntityInfo) -> None:
+        """Say what an entity is; raises EntityNotFound."""
+        self._entities[name] = replace(self.entity(name), info=info)
 
     def rehearse(self, birth: Birth) -> list[str]:
         """Spawn and take back at once; name the entities that it overlaps; raises as `spawn` does.

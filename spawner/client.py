@@ -8,12 +8,31 @@ from proto import catalog
 from proto.assets import MissingAssetsRequest, MissingAssetsResponse, PutAssetRequest
 from proto.bus import Bus, NoServer
 from proto.catalog import Request, Response, Service
+from proto.entities import (
+    ANY_BOUNDS,
+    GetEntitiesStatesOrder,
+    GetEntityBoundsOrder,
+    GetEntityInfoRequest,
+    GetEntityStateOrder,
+    SetEntityInfoRequest,
+)
+from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse
+from proto.info import EntityInfo
+from proto.places import (
+    GetNamedPoseBoundsRequest,
+    GetNamedPosesRequest,
+    GetSpawnablesRequest,
+    NamedPose,
+    Spawnable,
+)
+from proto.result import ResultCode, ServiceError, SpawnEntitiesCode
 from proto.header import NANOSECONDS, time_from_ns
 from proto.services import (
+    Bounds,
     DeleteEntityRequest,
+    EntityFilters,
     EntityState,
     GetEntitiesRequest,
-    GetEntityStateRequest,
     GetSimulationStateRequest,
     GetSimulatorFeaturesRequest,
     ResetScope,
@@ -27,6 +46,7 @@ from proto.services import (
     SpawnEntityReport,
     State,
     StepSimulationRequest,
+    TagsFilter,
     TagsFilter,
 )
 from proto.stepping import (
@@ -52,6 +72,8 @@ CALL_TIMEOUT_S = 10.0
 SPAWN_TIMEOUT_S = 30.0
 """A server on a busy machine takes long over a large description."""
 POLL_S = 0.05
+SPAWN_S = 0.1
+"""What each of many spawns may take."""
 PATIENCE_PER_STEP_S = 0.05
 """How long a step that was asked for may take, before the server counts as silent."""
 
@@ -95,6 +117,18 @@ class SimClient:
         timeout_s = max(self._timeout_s, SPAWN_TIMEOUT_S)
         return self.bus.call(catalog.SPAWN_ENTITY, order, world=self.world, timeout_s=timeout_s)
 
+    def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
+        """Put many entities into the world; a result each, refused or not."""
+        patience_s = max(self._timeout_s, len(order.spawn_requests) * SPAWN_S)
+        try:
+            return self.bus.call(
+                catalog.SPAWN_ENTITIES, order, world=self.world, timeout_s=patience_s
+            )
+        except ServiceError as error:
+            if isinstance(error.response, SpawnEntitiesResponse) and error.response.results:
+                return error.response
+            raise
+
     def missing_assets(self, sha256s: tuple[str, ...]) -> MissingAssetsResponse:
         """Ask which files the server does not have."""
         return self._call(catalog.MISSING_ASSETS, MissingAssetsRequest(sha256s))
@@ -108,13 +142,49 @@ class SimClient:
         """Take one entity out."""
         self._call(catalog.DELETE_ENTITY, DeleteEntityRequest(entity))
 
-    def entities(self) -> tuple[str, ...]:
-        """Name all entities."""
-        return self._call(catalog.GET_ENTITIES, GetEntitiesRequest()).entities
+    def entities(self, filters: EntityFilters | None = None) -> tuple[str, ...]:
+        """Name all entities, or those that pass filters."""
+        request = GetEntitiesRequest(filters or EntityFilters())
+        return self._call(catalog.GET_ENTITIES, request).entities
 
-    def entity_state(self, entity: str) -> EntityState:
-        """Ask where one entity is, in the world frame."""
-        return self._call(catalog.GET_ENTITY_STATE, GetEntityStateRequest(entity)).state
+    def entity_states(
+        self, filters: EntityFilters | None = None, reference_frame: str = ""
+    ) -> dict[str, EntityState]:
+        """Ask where entities are, in the world or another frame, all at one step."""
+        request = GetEntitiesStatesOrder(filters or EntityFilters(), reference_frame)
+        found = self._call(catalog.GET_ENTITIES_STATES, request)
+        return dict(zip(found.entities, found.states, strict=True))
+
+    def entity_state(self, entity: str, reference_frame: str = "") -> EntityState:
+        """Ask where one entity is, in the world or another frame."""
+        request = GetEntityStateOrder(entity, reference_frame)
+        return self._call(catalog.GET_ENTITY_STATE, request).state
+
+    def entity_info(self, entity: str) -> EntityInfo:
+        """Ask for category, description and tags of one entity."""
+        return self._call(catalog.GET_ENTITY_INFO, GetEntityInfoRequest(entity)).info
+
+    def set_entity_info(self, entity: str, info: EntityInfo) -> None:
+        """Say what an entity is, all of it anew."""
+        self._call(catalog.SET_ENTITY_INFO, SetEntityInfoRequest(entity, info))
+
+    def entity_bounds(self, entity: str, kind: int = ANY_BOUNDS) -> Bounds:
+        """Ask how much room an entity takes, in the frame of its base link; see `BoundsType`."""
+        return self._call(catalog.GET_ENTITY_BOUNDS, GetEntityBoundsOrder(entity, kind)).bounds
+
+    def spawnables(self) -> tuple[Spawnable, ...]:
+        """Ask what can be spawned by uri."""
+        return self._call(catalog.GET_SPAWNABLES, GetSpawnablesRequest()).spawnables
+
+    def named_poses(self, tags: TagsFilter | None = None) -> tuple[NamedPose, ...]:
+        """Ask for the named poses of the world, or those that have tags."""
+        request = GetNamedPosesRequest(tags or TagsFilter())
+        return self._call(catalog.GET_NAMED_POSES, request).poses
+
+    def named_pose_bounds(self, name: str) -> Bounds:
+        """Ask how much room a named pose has, in its own frame; empty = unbounded."""
+        request = GetNamedPoseBoundsRequest(name)
+        return self._call(catalog.GET_NAMED_POSE_BOUNDS, request).bounds
 
     def set_entity_state(self, entity: str, state: EntityState) -> None:
         """Put an entity at a pose, with a twist."""

@@ -103,7 +103,7 @@ class MemoryBus:
         result: Result = getattr(response, "result", Result())
         if result.result != ResultCode.OK:
             name = service.code_name(result.result)
-            raise ServiceError(service.name, result.result, name, result.error_message)
+            raise ServiceError(service.name, result.result, name, result.error_message, response)
         return response
 
     def is_heard(self, key: str) -> bool:

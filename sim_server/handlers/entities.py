@@ -3,7 +3,8 @@
 from proto import services, telemetry
 from proto.result import Result
 from sim_server.desk import Desk
-from sim_server.errors import Unsupported
+from sim_server.filters import passing
+from sim_server.later import Later
 from sim_server.poses import pose_of
 
 
@@ -13,11 +14,13 @@ def delete(desk: Desk, request: services.DeleteEntityRequest) -> services.Delete
     return services.DeleteEntityResponse()
 
 
-def get_entities(desk: Desk, request: services.GetEntitiesRequest) -> services.GetEntitiesResponse:
-    """Name the entities."""
-    if request.filters != services.EntityFilters():
-        raise Unsupported("filters are not supported; leave them empty and filter the names")
-    return services.GetEntitiesResponse(entities=desk.world.roster().names)
+def get_entities(
+    desk: Desk, request: services.GetEntitiesRequest
+) -> services.GetEntitiesResponse | Later:
+    """Name the entities that pass the filters."""
+    return passing(
+        desk, request.filters, lambda names: services.GetEntitiesResponse(entities=names)
+    )
 
 
 def get_models(desk: Desk, request: telemetry.GetModelsRequest) -> telemetry.GetModelsResponse:
@@ -39,4 +42,5 @@ def get_models(desk: Desk, request: telemetry.GetModelsRequest) -> telemetry.Get
             for entity in entities
         ),
         tuple(number),
+        desk.source.scene,
     )

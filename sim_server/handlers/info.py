@@ -2,39 +2,11 @@
 
 from importlib.metadata import version
 
-from proto import services, telemetry
-from proto.services import Feature, State
+from proto import telemetry
+from proto.services import State
 from sim_server.desk import Desk
 
-FEATURES = (
-    Feature.SPAWNING,
-    Feature.DELETING,
-    Feature.SPAWNING_RESOURCE_STRING,
-    Feature.ENTITY_STATE_GETTING,
-    Feature.ENTITY_STATE_SETTING,
-    Feature.SIMULATION_RESET,
-    Feature.SIMULATION_RESET_TIME,
-    Feature.SIMULATION_RESET_STATE,
-    Feature.SIMULATION_RESET_SPAWNED,
-    Feature.SIMULATION_STATE_GETTING,
-    Feature.SIMULATION_STATE_SETTING,
-    Feature.SIMULATION_STATE_PAUSE,
-    Feature.STEP_SIMULATION_SINGLE,
-    Feature.STEP_SIMULATION_MULTIPLE,
-    Feature.STEP_SIMULATION_ACTION,
-)
 VERSION = version("zensim")
-
-
-def features(
-    _: Desk, __: services.GetSimulatorFeaturesRequest
-) -> services.GetSimulatorFeaturesResponse:
-    """List what this server can do."""
-    return services.GetSimulatorFeaturesResponse(
-        services.SimulatorFeatures(
-            tuple(int(feature) for feature in FEATURES), ("urdf", "sdf"), f"zensim {VERSION}"
-        )
-    )
 
 
 def info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:

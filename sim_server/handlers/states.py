@@ -1,25 +1,56 @@
-"""Poses and twists of entities, in the world or in any entity's frame."""
+"""Poses and twists of entities, in the world or in any frame."""
 
-from proto import services
+from collections.abc import Sequence
+
+import numpy as np
+
+from proto import entities, services
 from proto.header import Header, time_from_ns
 from proto.result import SetEntityStateCode
+from proto.rotation import FloatArray
 from sim_server.desk import Desk
 from sim_server.errors import PoseRefused, Refused, Unsupported
-from sim_server.physics.engine import FloatArray
-from sim_server.poses import WORLD_FRAMES, pose_of, pose_row, turned, twist_of, twist_row
-from sim_server.spawning import in_world
+from sim_server.filters import passing
+from sim_server.frames import frame_pose, in_world, seen_from, twist_in_world
+from sim_server.later import Later
+from sim_server.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
 from sim_server.world import World
 
 
-def get_state(
-    desk: Desk, request: services.GetEntityStateRequest
-) -> services.GetEntityStateResponse:
-    """Tell where an entity is."""
+def get_state(desk: Desk, request: entities.GetEntityStateOrder) -> services.GetEntityStateResponse:
+    """Tell where an entity is; accelerations are not measured and told as 0."""
     row = desk.world.state_of(request.entity)
-    header = Header(time_from_ns(desk.world.time_ns), "world")
-    return services.GetEntityStateResponse(
-        state=services.EntityState(header, pose_of(row), twist_of(row))
-    )
+    (state,) = _View(desk.world, request.reference_frame).states(row[None])
+    return services.GetEntityStateResponse(state=state)
+
+
+def get_states(
+    desk: Desk, request: entities.GetEntitiesStatesOrder
+) -> entities.GetEntitiesStatesResponse | Later:
+    """Tell where the entities are that pass the filters, all at one step."""
+    view = _View(desk.world, request.reference_frame)
+    base, row = desk.world.reading().base, desk.world.roster().row
+
+    def answer(names: tuple[str, ...]) -> entities.GetEntitiesStatesResponse:
+        states = view.states(base[[row[name] for name in names]]) if names else []
+        return entities.GetEntitiesStatesResponse(entities=names, states=tuple(states))
+
+    return passing(desk, request.filters, answer)
+
+
+class _View:
+    """Entities as seen from a frame, at one step; how the frame moves itself is left out."""
+
+    def __init__(self, world: World, frame_id: str) -> None:
+        self._frame = None if frame_id in WORLD_FRAMES else frame_pose(world, frame_id)
+        name = "world" if self._frame is None else frame_id
+        self._header = Header(time_from_ns(world.time_ns), name)
+
+    def states(self, rows: FloatArray) -> Sequence[services.EntityState]:
+        """Write state rows (n, 13) of the world down."""
+        if self._frame is not None:
+            rows = seen_from(self._frame, rows)
+        return [services.EntityState(self._header, pose_of(row), twist_of(row)) for row in rows]
 
 
 def set_state(
@@ -30,22 +61,16 @@ def set_state(
     # A request of version 1 has no flags and means both.
     is_version_1 = not (request.set_pose or request.set_twist or request.set_acceleration)
     if request.set_acceleration:
-        raise Unsupported("acceleration cannot be set; set the pose or the twist")
+        raise Unsupported(
+            "acceleration cannot be set: it follows from forces; set the pose or the twist"
+        )
+    frame_id = request.state.header.frame_id
     try:
         if request.set_pose or is_version_1:
-            pose = pose_row(request.state.pose)
-            row[:7] = in_world(desk.world, request.state.header.frame_id, pose)
+            row[:7] = in_world(desk.world, frame_id, pose_row(request.state.pose))
         if request.set_twist or is_version_1:
-            twist = twist_row(request.state.twist)
-            row[7:13] = _twist_in_world(desk.world, request.state.header.frame_id, twist)
+            row[7:13] = twist_in_world(desk.world, frame_id, twist_row(request.state.twist))
     except PoseRefused as error:
         raise Refused(SetEntityStateCode.INVALID_POSE, str(error)) from error
-    desk.world.place(request.entity, row)
+    desk.world.place(request.entity, np.asarray(row))
     return services.SetEntityStateResponse()
-
-
-def _twist_in_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:
-    """Turn a twist (6,) with the axes of a frame; how the frame moves itself is left out."""
-    if frame_id in WORLD_FRAMES:
-        return twist
-    return turned(world.state_of(frame_id)[:7], twist)

@@ -1,28 +1,15 @@
 """One handler a service: request in, response out. Refusals become Results here and only here."""
 
-from collections.abc import Callable
-
 import msgspec
 
-from proto import assets, claims, services, stepping, telemetry, worlds
+from proto import services
 from proto.catalog import SERVICES
 from proto.result import Result
 from proto.services import State
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState
-from sim_server.handlers import (
-    agents,
-    entities,
-    files,
-    info,
-    pacing,
-    simulation,
-    states,
-    transitions,
-)
-from sim_server.handlers import worlds as world_handlers
+from sim_server.handlers.offers import OFFERS
 from sim_server.later import Later
-from sim_server.spawning import spawn_when_read
 
 
 def handle(desk: Desk, request: msgspec.Struct) -> msgspec.Struct | Later:
@@ -58,29 +45,4 @@ NEEDS_WORLD = frozenset(
     if service.is_mutating and service.name not in WITHOUT_WORLD
 )
 """What only a world can do: all that changes something in it."""
-HANDLERS: dict[type[msgspec.Struct], Callable[[Desk, msgspec.Struct], msgspec.Struct | Later]] = {
-    services.SpawnEntityOrder: spawn_when_read,  # type: ignore[dict-item]
-    services.DeleteEntityRequest: entities.delete,  # type: ignore[dict-item]
-    services.GetEntitiesRequest: entities.get_entities,  # type: ignore[dict-item]
-    services.GetEntityStateRequest: states.get_state,  # type: ignore[dict-item]
-    services.SetEntityStateRequest: states.set_state,  # type: ignore[dict-item]
-    services.GetSimulationStateRequest: transitions.get_simulation_state,  # type: ignore[dict-item]
-    services.SetSimulationStateRequest: transitions.set_simulation_state,  # type: ignore[dict-item]
-    services.StepSimulationRequest: pacing.step,  # type: ignore[dict-item]
-    stepping.SimulateStepsRequest: pacing.simulate_steps,  # type: ignore[dict-item]
-    stepping.CancelStepsRequest: pacing.cancel_steps,  # type: ignore[dict-item]
-    stepping.RunToRequest: pacing.run_to,  # type: ignore[dict-item]
-    stepping.SetSpeedRequest: pacing.set_speed,  # type: ignore[dict-item]
-    services.ResetSimulationRequest: simulation.reset,  # type: ignore[dict-item]
-    worlds.LoadWorldRequest: world_handlers.load_world,  # type: ignore[dict-item]
-    worlds.UnloadWorldRequest: world_handlers.unload_world,  # type: ignore[dict-item]
-    worlds.GetCurrentWorldRequest: world_handlers.get_current_world,  # type: ignore[dict-item]
-    worlds.GetAvailableWorldsRequest: world_handlers.get_available_worlds,  # type: ignore[dict-item]
-    services.GetSimulatorFeaturesRequest: info.features,  # type: ignore[dict-item]
-    claims.ClaimEntityRequest: agents.claim,  # type: ignore[dict-item]
-    telemetry.GetModelsRequest: entities.get_models,  # type: ignore[dict-item]
-    assets.MissingAssetsRequest: files.missing_assets,  # type: ignore[dict-item]
-    assets.PutAssetRequest: files.put_asset,  # type: ignore[dict-item]
-    assets.GetAssetRequest: files.get_asset,  # type: ignore[dict-item]
-    telemetry.InfoRequest: info.info,  # type: ignore[dict-item]
-}
+HANDLERS = {one.service.request: one.handler for one in OFFERS}

@@ -9,7 +9,7 @@ import msgspec
 import proto
 from proto import schema
 
-MAX_BYTES = 200 * 1024
+MAX_BYTES = 400 * 1024
 WITHOUT_MESSAGES = {"proto.bus", "proto.catalog", "proto.commands", "proto.cdr_layout"}
 """Modules whose structs do not travel by themselves."""
 

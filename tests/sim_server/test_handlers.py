@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import claims, services, telemetry
+from proto import claims, entities, services, telemetry
 from proto.catalog import SERVICES, Service
 from proto.codec import Format, encode, offers
 from proto.geometry import Point, Pose, Twist, Vector3
 from proto.header import Header, Time
 from proto.result import ResultCode
-from proto.services import Feature, ResetScope, State
+from proto.services import ResetScope, State
 from sim_server.errors import SimError
-from sim_server.handlers.info import FEATURES
+from sim_server.handlers.offers import FEATURES, OFFERS
 from sim_server.handlers.table import HANDLERS, handle, refusal
 from sim_server.later import Later
 from tests.models import WHEEL_RADIUS_M, on_ground
@@ -29,23 +29,6 @@ from tests.sim_server.fakes import (
     wheel_speeds,
 )
 from tests.sim_server.orders import an_order, spawned
-
-SERVICES_OF_FEATURES = {
-    "spawn_entity": (Feature.SPAWNING, Feature.SPAWNING_RESOURCE_STRING),
-    "delete_entity": (Feature.DELETING,),
-    "get_entity_state": (Feature.ENTITY_STATE_GETTING,),
-    "set_entity_state": (Feature.ENTITY_STATE_SETTING,),
-    "reset_simulation": (
-        Feature.SIMULATION_RESET,
-        Feature.SIMULATION_RESET_TIME,
-        Feature.SIMULATION_RESET_STATE,
-        Feature.SIMULATION_RESET_SPAWNED,
-    ),
-    "get_simulation_state": (Feature.SIMULATION_STATE_GETTING,),
-    "set_simulation_state": (Feature.SIMULATION_STATE_SETTING, Feature.SIMULATION_STATE_PAUSE),
-    "step_simulation": (Feature.STEP_SIMULATION_SINGLE, Feature.STEP_SIMULATION_MULTIPLE),
-    "simulate_steps": (Feature.STEP_SIMULATION_ACTION,),
-}
 
 
 def state_at(
@@ -68,11 +51,9 @@ def test_handlers_are_of_services_only() -> None:
     assert set(HANDLERS) == {service.request for service in SERVICES.values()}
 
 
-def test_features_are_what_services_back() -> None:
-    backed = {feature for name in SERVICES for feature in SERVICES_OF_FEATURES.get(name, ())}
-
-    assert set(FEATURES) == backed
-    assert set(SERVICES_OF_FEATURES) <= set(SERVICES)
+def test_features_are_announced_once_and_in_order() -> None:
+    assert list(FEATURES) == sorted(set(FEATURES))
+    assert all(one.service.name in SERVICES for one in OFFERS)
 
 
 def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
@@ -106,7 +87,7 @@ def test_get_state_tells_pose_twist_and_time_in_the_world() -> None:
     for _ in range(240):
         world.step()
 
-    response = handle(a_desk(world), services.GetEntityStateRequest("r0"))
+    response = handle(a_desk(world), entities.GetEntityStateOrder("r0"))
 
     assert isinstance(response, services.GetEntityStateResponse)
     assert response.state.header == Header(Time(1, 80), "world")

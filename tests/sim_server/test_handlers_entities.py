@@ -3,6 +3,7 @@
 import math
 from itertools import product
 
+import msgspec
 import pytest
 
 from proto import entities, services
@@ -113,7 +114,7 @@ def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -
         entities.GetEntitiesStatesOrder(EntityFilters(), "r9"),
     ],
 )
-def test_what_does_not_exist_is_not_found(request_: services.GetEntityStateRequest) -> None:
+def test_what_does_not_exist_is_not_found(request_: msgspec.Struct) -> None:
     with pytest.raises(SimError, match="does not exist") as error:
         handle(a_desk(a_world("r0")), request_)
 

@@ -5,7 +5,7 @@ import math
 import msgspec
 import pytest
 
-from proto import claims, services, telemetry
+from proto import claims, entities, services, telemetry
 from proto.geometry import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
 from proto.header import Header
 from proto.result import (
@@ -117,7 +117,7 @@ REFUSED = {
     "spawn beside nobody": (
         a_spawn_at(Pose(), "r7"),
         ResultCode.NOT_FOUND,
-        "'r7' does not exist; 'get_entities' lists",
+        "'r7' does not exist; use 'world', 'map', an entity",
     ),
     "delete nobody": (
         services.DeleteEntityRequest("r7"),
@@ -125,12 +125,12 @@ REFUSED = {
         "'r7' does not exist; 'get_entities' lists",
     ),
     "filter": (
-        services.GetEntitiesRequest(services.EntityFilters("r.*")),
-        ResultCode.FEATURE_UNSUPPORTED,
-        "filters are not supported; leave them empty",
+        services.GetEntitiesRequest(services.EntityFilters("r(")),
+        ResultCode.OPERATION_FAILED,
+        "'r(' is no POSIX extended regular expression",
     ),
     "ask for the state of nobody": (
-        services.GetEntityStateRequest("r7"),
+        entities.GetEntityStateOrder("r7"),
         ResultCode.NOT_FOUND,
         "'r7' does not exist",
     ),
@@ -157,7 +157,7 @@ REFUSED = {
     "accelerate": (
         services.SetEntityStateRequest("r0", set_acceleration=True),
         ResultCode.FEATURE_UNSUPPORTED,
-        "acceleration cannot be set; set the pose or the twist",
+        "acceleration cannot be set: it follows from forces",
     ),
     "play twice": (
         in_state(State.PLAYING),

@@ -6,7 +6,7 @@ import pytest
 
 from proto.bus import NoServer
 from proto.result import ResultCode, ServiceError
-from proto.services import EntityState, SpawnEntityOrder, SpawnEntityReport
+from proto.services import EntityFilters, EntityState, SpawnEntityOrder, SpawnEntityReport
 from spawner import bonding
 from spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
 from spawner.client import SimClient
@@ -32,12 +32,13 @@ class Answers(SimClient):
         self._fail()
         return SpawnEntityReport(entity_name=order.name)
 
-    def entity_state(self, entity: str) -> EntityState:
-        del entity
+    def entity_state(self, entity: str, reference_frame: str = "") -> EntityState:
+        del entity, reference_frame
         self._fail()
         return EntityState()
 
-    def entities(self) -> tuple[str, ...]:
+    def entities(self, filters: EntityFilters | None = None) -> tuple[str, ...]:
+        del filters
         return ("r1",)
 
     def delete(self, entity: str) -> None:

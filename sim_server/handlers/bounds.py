@@ -1,0 +1,24 @@
+"""How much room entities take."""
+
+from proto import entities
+from proto.services import BoundsType
+from sim_server.desk import Desk
+from sim_server.regions import BoundsUnsupported, Sight, bounds_of
+from sim_server.solids import solids_at
+
+
+def get_bounds(
+    desk: Desk, request: entities.GetEntityBoundsOrder
+) -> entities.GetEntityBoundsResponse:
+    """Tell the bounds of an entity's collisions, in the frame of its base link."""
+    entity = desk.world.entity(request.entity)
+    wanted = BoundsType.BOX if request.type == entities.ANY_BOUNDS else request.type
+    if wanted not in set(BoundsType) or wanted == BoundsType.EMPTY:
+        raise BoundsUnsupported(
+            f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
+            f"or {entities.ANY_BOUNDS} (any)"
+        )
+    sight = Sight(desk.world.roster(), desk.world.reading(), desk.store.corners)
+    links = sight.links_in_base(entity.model, entity.name)
+    solids = list(solids_at(entity.model, links, desk.store.corners))
+    return entities.GetEntityBoundsResponse(bounds=bounds_of(solids, BoundsType(wanted)))

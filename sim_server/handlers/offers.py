@@ -1,0 +1,142 @@
+"""What this server offers: each service, what answers it, and the features that it backs.
+
+A feature is announced if and only if it stands here beside a service.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from proto import catalog, services
+from proto.catalog import Request, Response, Service
+from proto.services import Feature
+from sim_server.desk import Desk
+from sim_server.handlers import (
+    agents,
+    bounds,
+    entities,
+    files,
+    fleets,
+    info,
+    infos,
+    pacing,
+    places,
+    simulation,
+    states,
+    transitions,
+    worlds,
+)
+from sim_server.later import Later
+from sim_server.spawning import spawn_when_read
+
+SPAWN_FORMATS = ("urdf", "sdf")
+
+
+@dataclass(frozen=True)
+class Offer:
+    """One service of this server."""
+
+    service: Service[Any, Any]
+    handler: Callable[[Desk, Any], msgspec.Struct | Later]
+    features: tuple[Feature, ...] = ()
+
+
+def offer(
+    service: Service[Request, Response],
+    handler: Callable[[Desk, Request], Response | Later],
+    *features: Feature,
+) -> Offer:
+    """Pair a service with what answers it; the types of both must fit."""
+    return Offer(service, handler, features)
+
+
+def features(
+    _: Desk, __: services.GetSimulatorFeaturesRequest
+) -> services.GetSimulatorFeaturesResponse:
+    """List what this server can do."""
+    numbers = tuple(int(feature) for feature in FEATURES)
+    about = services.SimulatorFeatures(numbers, SPAWN_FORMATS, f"zensim {info.VERSION}")
+    return services.GetSimulatorFeaturesResponse(about)
+
+
+OFFERS = (
+    offer(
+        catalog.SPAWN_ENTITY, spawn_when_read, Feature.SPAWNING, Feature.SPAWNING_RESOURCE_STRING
+    ),
+    offer(catalog.SPAWN_ENTITIES, fleets.spawn_entities, Feature.SPAWNING_ENTITIES),
+    offer(catalog.DELETE_ENTITY, entities.delete, Feature.DELETING),
+    offer(
+        catalog.GET_ENTITIES,
+        entities.get_entities,
+        Feature.ENTITY_TAGS,
+        Feature.ENTITY_CATEGORIES,
+    ),
+    offer(catalog.GET_ENTITIES_STATES, states.get_states),
+    offer(catalog.GET_ENTITY_STATE, states.get_state, Feature.ENTITY_STATE_GETTING),
+    offer(catalog.SET_ENTITY_STATE, states.set_state, Feature.ENTITY_STATE_SETTING),
+    offer(catalog.GET_ENTITY_INFO, infos.get_info, Feature.ENTITY_INFO_GETTING),
+    offer(catalog.SET_ENTITY_INFO, infos.set_info, Feature.ENTITY_INFO_SETTING),
+    offer(
+        catalog.GET_ENTITY_BOUNDS,
+        bounds.get_bounds,
+        Feature.ENTITY_BOUNDS,
+        Feature.ENTITY_BOUNDS_BOX,
+        Feature.ENTITY_BOUNDS_CONVEX,
+    ),
+    offer(catalog.GET_SPAWNABLES, places.get_spawnables, Feature.SPAWNABLES),
+    offer(catalog.GET_NAMED_POSES, places.get_named_poses, Feature.NAMED_POSES),
+    offer(catalog.GET_NAMED_POSE_BOUNDS, places.get_named_pose_bounds, Feature.POSE_BOUNDS),
+    offer(
+        catalog.GET_SIMULATION_STATE,
+        transitions.get_simulation_state,
+        Feature.SIMULATION_STATE_GETTING,
+    ),
+    offer(
+        catalog.SET_SIMULATION_STATE,
+        transitions.set_simulation_state,
+        Feature.SIMULATION_STATE_SETTING,
+        Feature.SIMULATION_STATE_PAUSE,
+    ),
+    offer(
+        catalog.STEP_SIMULATION,
+        pacing.step,
+        Feature.STEP_SIMULATION_SINGLE,
+        Feature.STEP_SIMULATION_MULTIPLE,
+    ),
+    offer(catalog.SIMULATE_STEPS, pacing.simulate_steps, Feature.STEP_SIMULATION_ACTION),
+    offer(catalog.CANCEL_STEPS, pacing.cancel_steps),
+    offer(catalog.RUN_TO, pacing.run_to),
+    offer(catalog.SET_SPEED, pacing.set_speed),
+    offer(
+        catalog.RESET_SIMULATION,
+        simulation.reset,
+        Feature.SIMULATION_RESET,
+        Feature.SIMULATION_RESET_TIME,
+        Feature.SIMULATION_RESET_STATE,
+        Feature.SIMULATION_RESET_SPAWNED,
+    ),
+    offer(
+        catalog.LOAD_WORLD,
+        worlds.load_world,
+        Feature.WORLD_LOADING,
+        Feature.WORLD_RESOURCE_STRING,
+    ),
+    offer(catalog.UNLOAD_WORLD, worlds.unload_world, Feature.WORLD_UNLOADING),
+    offer(catalog.GET_CURRENT_WORLD, worlds.get_current_world, Feature.WORLD_INFO_GETTING),
+    offer(
+        catalog.GET_AVAILABLE_WORLDS,
+        worlds.get_available_worlds,
+        Feature.AVAILABLE_WORLDS,
+        Feature.WORLD_TAGS,
+    ),
+    offer(catalog.GET_SIMULATOR_FEATURES, features),
+    offer(catalog.CLAIM_ENTITY, agents.claim),
+    offer(catalog.GET_MODELS, entities.get_models),
+    offer(catalog.MISSING_ASSETS, files.missing_assets),
+    offer(catalog.PUT_ASSET, files.put_asset),
+    offer(catalog.GET_ASSET, files.get_asset),
+    offer(catalog.INFO, info.info),
+)
+FEATURES = tuple(sorted(feature for one in OFFERS for feature in one.features))

@@ -1,0 +1,73 @@
+"""What can be spawned, and where: shipped robots, named poses of the world."""
+
+from proto import places
+from proto.model import Model
+from proto.result import ResultCode
+from proto.services import BoundsType, Resource, SpawnEntityOrder
+from sim_server.description.library import shipped_models
+from sim_server.desk import Desk
+from sim_server.errors import Refused
+from sim_server.filters import tags_test
+from sim_server.later import Later
+from sim_server.regions import bounds_of, links_at_zero
+from sim_server.solids import solids_at
+
+SHIPPED = "zensim://"
+
+
+def get_spawnables(
+    desk: Desk, request: places.GetSpawnablesRequest
+) -> places.GetSpawnablesResponse | Later:
+    """List the robots that come with the server, once all of them are read."""
+    if unknown := [source for source in request.sources if source != SHIPPED]:
+        raise Refused(
+            ResultCode.OPERATION_FAILED,
+            f"source {unknown[0][:80]!r} is not known; use {SHIPPED} or none",
+        )
+    orders = [
+        SpawnEntityOrder(entity_resource=Resource(SHIPPED + name)) for name in shipped_models()
+    ]
+
+    def answer() -> places.GetSpawnablesResponse:
+        found = tuple(_spawnable(desk, order) for order in orders)
+        return places.GetSpawnablesResponse(spawnables=found)
+
+    def is_read() -> bool:
+        # Not by all(): each has to be asked for, so that all are read meanwhile.
+        return sum(desk.descriptions.is_read(order) for order in orders) == len(orders)
+
+    return answer() if is_read() else Later(lambda: desk.has_read and is_read(), answer)
+
+
+def _spawnable(desk: Desk, order: SpawnEntityOrder) -> places.Spawnable:
+    model, _ = desk.descriptions.model(order)
+    solids = list(solids_at(model, links_at_zero(model), desk.store.corners))
+    bounds = bounds_of(solids, BoundsType.BOX)
+    return places.Spawnable(order.entity_resource, _in_words(model), bounds)
+
+
+def _in_words(model: Model) -> str:
+    drive = type(model.drive).__name__ if model.drive else "no drive"
+    return f"{model.name}: {drive}, {model.mass_kg:.3g} kg"
+
+
+def get_named_poses(
+    desk: Desk, request: places.GetNamedPosesRequest
+) -> places.GetNamedPosesResponse:
+    """List the named poses of the world whose tags pass."""
+    passes = tags_test(request.tags)
+    found = (place.pose for place in desk.source.places if passes(place.pose.tags))
+    return places.GetNamedPosesResponse(poses=tuple(found))
+
+
+def get_named_pose_bounds(
+    desk: Desk, request: places.GetNamedPoseBoundsRequest
+) -> places.GetNamedPoseBoundsResponse:
+    """Tell how much room a named pose has."""
+    for place in desk.source.places:
+        if place.pose.name == request.name:
+            return places.GetNamedPoseBoundsResponse(bounds=place.bounds)
+    raise Refused(
+        ResultCode.NOT_FOUND,
+        f"no pose {request.name[:80]!r} in this world; 'get_named_poses' lists those there are",
+    )
