@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
 
 KEPT = 512
 KEPT_CHARACTERS = 64 << 20
+FEW_MESHES = 16
+"""So many hulls are made in a moment."""
+RESTS = 2
 TRANSIENT = frozenset({"reader.crashed", "reader.timeout"})
 """Faults that another try may not have."""
 
@@ -35,11 +39,14 @@ class Reading(NamedTuple):
     assets: tuple[AssetRef, ...]
 
 
-class Read(NamedTuple):
+@dataclass
+class Read:
     """A model, and the files that it names by sha256."""
 
     model: Model
     meshes: frozenset[str]
+    is_prepared: bool
+    """Whether the engine can take it between two steps."""
 
 
 class Descriptions(Protocol):
@@ -70,9 +77,19 @@ class Descriptions(Protocol):
 class ReadElsewhere:
     """Descriptions that the reader process reads."""
 
-    def __init__(self, reader: Reader, store: AssetStore) -> None:
+    def __init__(
+        self,
+        reader: Reader,
+        store: AssetStore,
+        prepare: Callable[[Model], bool],
+        now_ns: Callable[[], int],
+    ) -> None:
         self._reader = reader
         self._store = store
+        self._prepare = prepare
+        self._now_ns = now_ns
+        self._rest_until_ns = 0
+        self._unprepared: list[Read] = []
         self._read: OrderedDict[Reading, Read | ModelError] = OrderedDict()
         self._under_way: dict[int, Reading] = {}
         self._numbers: dict[Reading, int] = {}
@@ -86,11 +103,10 @@ class ReadElsewhere:
             reading = self._reading_of(order)
         except ModelError:
             return True
-        if self._is_usable(reading):
-            return True
-        if reading not in self._numbers:
+        if not self._is_usable(reading) and reading not in self._numbers:
             self._submit(reading)
-        return reading in self._read
+        found = self._read.get(reading)
+        return found.is_prepared if isinstance(found, Read) else found is not None
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
         """See `Descriptions`."""
@@ -115,7 +131,19 @@ class ReadElsewhere:
                 self._store.keep(message.sha256, message.data)
             else:
                 self._note(message)
-        return bool(messages)
+        return self._has_prepared() or bool(messages)
+
+    def _has_prepared(self) -> bool:
+        """Prepare a part of a large model, and rest for twice as long: steps come first."""
+        if not self._unprepared or (start_ns := self._now_ns()) < self._rest_until_ns:
+            return False
+        read = self._unprepared[0]
+        read.is_prepared = self._prepare(read.model)
+        end_ns = self._now_ns()
+        self._rest_until_ns = end_ns + RESTS * (end_ns - start_ns)
+        if read.is_prepared:
+            self._unprepared.pop(0)
+        return read.is_prepared
 
     def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
         """See `Descriptions`."""
@@ -159,11 +187,19 @@ class ReadElsewhere:
         reading = self._under_way.pop(answer.number)
         del self._numbers[reading]
         if answer.model is not None:
-            self._keep(reading, Read(answer.model, meshes_of(answer.model)))
+            self._keep(reading, self._as_read(answer.model))
         else:
             self._keep(reading, ModelError(answer.message, code=answer.code, slug=answer.slug))
         if answer.slug in TRANSIENT:
             self._transient.append(reading)
+
+    def _as_read(self, model: Model) -> Read:
+        meshes = meshes_of(model)
+        is_small = len(meshes) <= FEW_MESHES and not (model.is_static and meshes)
+        read = Read(model, meshes, is_prepared=is_small)
+        if not is_small:
+            self._unprepared.append(read)
+        return read
 
     def _keep(self, reading: Reading, found: Read | ModelError) -> None:
         self._read[reading] = found

@@ -115,7 +115,7 @@ def _run(
             world,
             Meter(clock.now_ns()),
             clock.now_ns,
-            ReadElsewhere(reader, store),
+            ReadElsewhere(reader, store, world.prepare, clock.now_ns),
             store,
             loaded.model.name,
             config.real_time_factor or 0.0,

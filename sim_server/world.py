@@ -69,6 +69,10 @@ class World(Chronicle):
             raise EntityNotFound(name)
         return found
 
+    def prepare(self, model: Model) -> bool:
+        """Make a part of what `spawn` needs for a model; say whether nothing is left."""
+        return self._engine.prepare(model)
+
     def spawn(self, birth: Birth) -> Entity:
         """Put an entity into the world.
 

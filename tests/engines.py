@@ -42,6 +42,9 @@ class ObedientEngine:
     def bodies(self) -> tuple[int, ...]:
         return tuple(self._bodies)
 
+    def prepare(self, model: Model) -> bool:  # noqa: ARG002
+        return True
+
     def add(self, model: Model, base: FloatArray) -> int:
         for joint in model.joints:
             if joint.kind in ("floating", "planar"):

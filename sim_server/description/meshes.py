@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from hashlib import sha256
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -32,6 +33,10 @@ Files = dict[str, tuple[str, bytes | None]]
 MAX_HULL_CORNERS = 96
 MAX_SOUP = 20_000
 """Triangles of a static collision."""
+MAX_SOUP_OF_ALL = 300_000
+"""Triangles of all static collisions of a model."""
+MAX_PIECE = 2_500
+"""Triangles that the engine takes in a few milliseconds: a static mesh is cut into such pieces."""
 MAX_DRAWN = 60_000
 """Triangles of a visual: 3 MB."""
 MANY_POINTS = 128
@@ -49,17 +54,20 @@ class Conversions:
 
     Attributes:
         meshes: Bytes by sha256.
-        known: Name of what was made, by the file's sha256 and the purpose.
+        known: Names of what was made, by the file's sha256, the purpose, and the most triangles.
     """
 
     meshes: dict[str, bytes] = field(default_factory=dict)
-    known: dict[tuple[str, str], str] = field(default_factory=dict)
+    known: dict[tuple[str, str, int], tuple[str, ...]] = field(default_factory=dict)
 
 
 @dataclass
 class _Made:
     files: dict[str, tuple[str, bytes]]
-    is_static: bool
+    purpose: str
+    """Of collisions."""
+    most: int
+    """Triangles of a static collision."""
     conversions: Conversions
     notes: list[ReportEntry] = field(default_factory=list)
     read: dict[str, Triangles] = field(default_factory=dict)
@@ -75,7 +83,9 @@ def with_meshes(
     """
     if not mesh_uris(model):
         return model
-    made = _Made(files, model.is_static, conversions)
+    solid = sum(shape.kind == "mesh" for link in model.links for shape in link.collisions)
+    most = min(MAX_SOUP, MAX_SOUP_OF_ALL // max(1, solid))
+    made = _Made(files, "soup" if model.is_static else "hull", most, conversions)
     links = tuple(_with_meshes(link, made) for link in model.links)
     return msgspec.structs.replace(model, links=links, report=(*model.report, *made.notes))
 
@@ -87,25 +97,24 @@ def mesh_uris(model: Model) -> tuple[str, ...]:
 
 
 def _with_meshes(link: Link, made: _Made) -> Link:
-    purpose = "soup" if made.is_static else "hull"
-    collisions = (_collision(shape, purpose, made) for shape in link.collisions)
+    collisions = (_collisions(shape, made) for shape in link.collisions)
     visuals = (_visual(link.name, shape, made) for shape in link.visuals)
     return msgspec.structs.replace(
         link,
-        collisions=tuple(collisions),
+        collisions=tuple(chain.from_iterable(collisions)),
         visuals=tuple(visual for visual in visuals if visual is not None),
     )
 
 
-def _collision(shape: Shape, purpose: str, made: _Made) -> Shape:
-    return shape if shape.kind != "mesh" else _converted(shape, purpose, made)
+def _collisions(shape: Shape, made: _Made) -> tuple[Shape, ...]:
+    return (shape,) if shape.kind != "mesh" else _converted(shape, made.purpose, made)
 
 
 def _visual(link: str, shape: Shape, made: _Made) -> Shape | None:
     if shape.kind != "mesh":
         return shape
     try:
-        return _converted(shape, "drawn", made)
+        return _converted(shape, "drawn", made)[0]
     except ModelError as error:
         made.notes.append(
             ReportEntry("suspicious", f"link {shown(link)}", f"{error.message}; not drawn")
@@ -113,16 +122,25 @@ def _visual(link: str, shape: Shape, made: _Made) -> Shape | None:
         return None
 
 
-def _converted(shape: Shape, purpose: str, made: _Made) -> Shape:
+def _converted(shape: Shape, purpose: str, made: _Made) -> tuple[Shape, ...]:
     source, data = made.files[shape.mesh]
-    known = made.conversions.known
-    if (name := known.get((source, purpose))) is None:
+    key = (source, purpose, made.most if purpose == "soup" else 0)
+    if (names := made.conversions.known.get(key)) is None:
         if source not in made.read:
             made.read[source] = read_mesh(shape.mesh, data)
-        stl = write_stl(CONVERSIONS[purpose](made.read[source]))
-        name = known[source, purpose] = sha256(stl).hexdigest()
-        made.conversions.meshes[name] = stl
-    return msgspec.structs.replace(shape, mesh=name)
+        if purpose == "soup":
+            _note_merging(shape.mesh, len(made.read[source].faces), made)
+        parts = CONVERSIONS[purpose](made.read[source], made.most)
+        stls = {sha256(stl).hexdigest(): stl for stl in map(write_stl, parts)}
+        made.conversions.meshes.update(stls)
+        names = made.conversions.known[key] = tuple(stls)
+    return tuple(msgspec.structs.replace(shape, mesh=name) for name in names)
+
+
+def _note_merging(uri: str, count: int, made: _Made) -> None:
+    if count > made.most:
+        fault = f"has {count} triangles, of which {made.most} at most collide; corners are merged"
+        made.notes.append(ReportEntry("suspicious", f"mesh {shown(uri)}", fault))
 
 
 def convex_hull(triangles: Triangles) -> Triangles:
@@ -200,8 +218,18 @@ def _on_grid(triangles: Triangles, cells: int) -> Triangles:
     return Triangles(triangles.vertices[first], faces[(a != b) & (b != c) & (a != c)])
 
 
-CONVERSIONS: dict[str, Callable[[Triangles], Triangles]] = {
-    "hull": convex_hull,
-    "soup": lambda triangles: fewer(triangles, MAX_SOUP),
-    "drawn": lambda triangles: fewer(triangles, MAX_DRAWN),
+def pieces(triangles: Triangles, most: int) -> list[Triangles]:
+    """Cut a mesh in two, across where it is longest, until each piece has few enough triangles."""
+    if len(triangles.faces) <= most:
+        return [triangles]
+    centres = triangles.vertices[triangles.faces].mean(axis=1)
+    order = np.argsort(centres[:, np.ptp(centres, axis=0).argmax()], kind="stable")
+    halves = np.array_split(triangles.faces[order], 2)
+    return [piece for half in halves for piece in pieces(Triangles(triangles.vertices, half), most)]
+
+
+CONVERSIONS: dict[str, Callable[[Triangles, int], list[Triangles]]] = {
+    "hull": lambda triangles, _: [convex_hull(triangles)],
+    "soup": lambda triangles, most: pieces(fewer(triangles, most), MAX_PIECE),
+    "drawn": lambda triangles, _: [fewer(triangles, MAX_DRAWN)],
 }

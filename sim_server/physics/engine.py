@@ -60,6 +60,13 @@ class Engine(Protocol):
     def name(self) -> str:
         """Which engine this is."""
 
+    def prepare(self, model: Model) -> bool:
+        """Make a part of what `add` needs for a model, as much as fits between two steps.
+
+        Returns:
+            Whether nothing is left to be made, or `add` is to say what is wrong.
+        """
+
     def add(self, model: Model, base: FloatArray) -> int:
         """Make a body of a model with its root link at `base` (13,), joints at zero.
 

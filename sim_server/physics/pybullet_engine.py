@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from proto.model import ZERO, Model, Origin, Shape, Vec3
+from proto.model import ZERO, Model, Shape
 from sim_server.physics.acceptance import check_blueprint, check_meshes
 from sim_server.physics.actuation import Actuation, actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
@@ -20,12 +20,8 @@ from sim_server.physics.engine import (
 from sim_server.physics.loads import Load, loads_of
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
-from sim_server.physics.touch import (
-    self_touching,
-    standing_friction,
-    touch_of,
-    touches_itself,
-)
+from sim_server.physics.spreading import ShapeKey, key_of, spread
+from sim_server.physics.touch import self_touching, standing_friction, touch_of, touches_itself
 
 with silenced():
     import pybullet
@@ -60,7 +56,13 @@ GEOMETRIES = {
     "capsule": pybullet.GEOM_CAPSULE,
     "mesh": pybullet.GEOM_MESH,
 }
-Solids = tuple[tuple[str, Vec3, Origin, str], ...]
+
+
+def _plan(model: Model, mesh_folder: str) -> Blueprint:
+    plan = spread(blueprint_of(model), max_parts=MAX_PARTS)
+    check_blueprint(plan, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
+    check_meshes(plan, mesh_folder)
+    return plan
 
 
 class PyBulletEngine:
@@ -71,7 +73,7 @@ class PyBulletEngine:
     def __init__(self, config: EngineConfig) -> None:
         self._client = pybullet.connect(pybullet.DIRECT)
         # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
-        self._shapes: dict[Solids, int] = {}
+        self._shapes: dict[ShapeKey, int] = {(): -1}
         self._mesh_folder = config.mesh_folder
         self._joints: dict[int, list[int]] = {}
         self._actuations: dict[int, Actuation] = {}
@@ -95,11 +97,21 @@ class PyBulletEngine:
         )
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
 
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`: makes the collision shape of one part."""
+        try:
+            plan = _plan(model, self._mesh_folder)
+            for part in plan.parts:
+                if key_of(part.shapes, is_static=plan.is_static) not in self._shapes:
+                    self._collision(part.shapes, is_static=plan.is_static)
+                    return False
+        except (EngineRefused, pybullet.error):
+            return True
+        return True
+
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
-        blueprint = blueprint_of(model)
-        check_blueprint(blueprint, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
-        check_meshes(blueprint, self._mesh_folder)
+        blueprint = _plan(model, self._mesh_folder)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
@@ -278,27 +290,21 @@ class PyBulletEngine:
     def _add_ground(self, friction: float) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
         ground = pybullet.createMultiBody(0.0, plane, physicsClientId=self._client)
-        pybullet.changeDynamics(
-            ground,
-            -1,
-            lateralFriction=standing_friction(friction),
-            physicsClientId=self._client,
-        )
+        friction = standing_friction(friction)
+        pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
         return ground
 
     def _collision(self, shapes: tuple[Shape, ...], *, is_static: bool) -> int:
-        if not shapes:
-            return -1
-        solids = tuple((shape.kind, shape.size, shape.origin, shape.mesh) for shape in shapes)
-        if (known := self._shapes.get(solids)) is not None:
+        key = key_of(shapes, is_static=is_static)
+        if (known := self._shapes.get(key)) is not None:
             return known
         # Only what never moves may have dents.
         dented = pybullet.GEOM_FORCE_CONCAVE_TRIMESH if is_static else 0
-        self._shapes[solids] = pybullet.createCollisionShapeArray(
+        self._shapes[key] = pybullet.createCollisionShapeArray(
             **solids_of(shapes, folder=self._mesh_folder, kinds=GEOMETRIES, mesh_flag=dented),
             physicsClientId=self._client,
         )
-        return self._shapes[solids]
+        return self._shapes[key]
 
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
         static = blueprint.is_static
@@ -376,14 +382,8 @@ class PyBulletEngine:
             if joint.mimic is None:
                 continue
             gear = pybullet.createConstraint(
-                body,
-                follower,
-                body,
-                index[joint.mimic.joint],
-                pybullet.JOINT_GEAR,
-                joint.axis,
-                ZERO,
-                ZERO,
+                *(body, follower, body, index[joint.mimic.joint], pybullet.JOINT_GEAR),
+                *(joint.axis, ZERO, ZERO),
                 physicsClientId=self._client,
             )
             pybullet.changeConstraint(

@@ -14,6 +14,7 @@ from sim_server.errors import ModelError
 from sim_server.reader import Reader
 from tests.integration.processes import eventually
 from tests.sim_server.description.test_meshes import BOX, exported
+from tests.sim_server.fakes import WallTime
 from tests.sim_server.test_assets import put
 from tests.sim_server.test_reader import MESH_ROBOT
 
@@ -26,9 +27,17 @@ class Reading:
     """A store of so many bytes, and the descriptions that are read with it."""
 
     def __init__(self, budget_bytes: int) -> None:
+        self.wall = WallTime()
+        self.parts_left = 0
         self.store = AssetStore(budget_bytes)
         self.reader = Reader(self.store, time.monotonic_ns)
-        self.descriptions = ReadElsewhere(self.reader, self.store)
+        self.descriptions = ReadElsewhere(self.reader, self.store, self.prepare, self.wall.now_ns)
+
+    def prepare(self, _: Model) -> bool:
+        """Take 5 ms for a part, as an engine may."""
+        self.wall.sleep(0.005)
+        self.parts_left -= 1
+        return self.parts_left <= 0
 
     def order(self) -> SpawnEntityOrder:
         """Send the mesh, and ask for the robot that names it."""
@@ -102,3 +111,34 @@ def test_description_whose_meshes_have_no_room_is_refused() -> None:
         reading.model(reading.order())
 
     reading.close()
+
+
+def test_large_model_is_prepared_part_by_part_with_rests(roomy: Reading) -> None:
+    roomy.parts_left = 3
+    refs = (AssetRef("a.stl", put(roomy.store, STL)),)
+    scene = MESH_ROBOT.replace("</robot>", "<gazebo><static>true</static></gazebo></robot>")
+    order = SpawnEntityOrder(entity_resource=Resource(resource_string=scene), assets=refs)
+
+    def is_begun() -> bool:
+        roomy.descriptions.is_read(order)
+        roomy.descriptions.poll()
+        return roomy.parts_left == 2
+
+    eventually(is_begun, WITHIN_S, "a first part")
+    done = []
+    for _ in range(30):
+        roomy.wall.sleep(0.001)
+        done.append(
+            (roomy.descriptions.poll(), roomy.parts_left, roomy.descriptions.is_read(order))
+        )
+
+    assert done[8] == (False, 2, False)
+    assert done[9] == (False, 1, False)
+    assert done[18] == (False, 1, False)
+    assert done[19] == (True, 0, True)
+
+
+def test_small_model_needs_no_preparation(roomy: Reading) -> None:
+    roomy.model(roomy.order())
+
+    assert roomy.parts_left == 0

@@ -11,6 +11,8 @@ from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
 from sim_server.description.meshes import (
     MAX_DRAWN,
     MAX_HULL_CORNERS,
+    MAX_PIECE,
+    MAX_SOUP_OF_ALL,
     Conversions,
     convex_hull,
     fewer,
@@ -194,3 +196,36 @@ def test_written_stl_is_read_back() -> None:
     again = read_mesh("a.stl", write_stl(triangles))
 
     assert np.array_equal(again.vertices.reshape(-1, 3, 3), triangles.vertices[triangles.faces])
+
+
+def test_large_static_mesh_is_cut_into_pieces_that_are_the_whole() -> None:
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a.stl")
+    torus = trimesh.creation.torus(1.0, 0.3, major_sections=100, minor_sections=60)
+
+    model, meshes = converted(
+        a_model(collisions=(shape,), is_static=True), {"a.stl": ("sha", exported(torus, "stl"))}
+    )
+
+    parts = [read_mesh("a.stl", meshes[part.mesh]) for part in model.links[0].collisions]
+    assert max(len(part.faces) for part in parts) <= MAX_PIECE
+    assert sum(len(part.faces) for part in parts) == len(torus.faces)
+    assert sum(area(part) for part in parts) == pytest.approx(torus.area, rel=1e-4)
+
+
+def area(triangles: Triangles) -> float:
+    return float(trimesh.Trimesh(triangles.vertices, triangles.faces, process=False).area)
+
+
+def test_static_meshes_share_what_the_engine_takes_and_say_so() -> None:
+    shapes = tuple(Shape("mesh", (1.0, 1.0, 1.0), mesh="a.stl") for _ in range(100))
+    torus = trimesh.creation.torus(1.0, 0.3, major_sections=100, minor_sections=60)
+
+    model, meshes = converted(
+        a_model(collisions=shapes, is_static=True), {"a.stl": ("sha", exported(torus, "stl"))}
+    )
+
+    names = [part.mesh for part in model.links[0].collisions]
+    counts = [len(read_mesh("a.stl", meshes[name]).faces) for name in names]
+    assert sum(counts) <= MAX_SOUP_OF_ALL
+    (entry,) = model.report
+    assert "at most collide" in entry.reason
