@@ -1,7 +1,7 @@
 """An entity, and the roster that says where each stands in the arrays."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,7 @@ class Entity:
     """Wall time at spawn, for time-to-ready."""
     belongs_to_world: bool = False
     """Came with the world: a reset puts it back, and does not take it out."""
-    info: EntityInfo = EntityInfo()
+    info: EntityInfo = field(default_factory=EntityInfo)
 
 
 def info_of(model: Model) -> EntityInfo:

@@ -25,6 +25,7 @@ from sim_server.errors import (
 from sim_server.frozen import FROZEN, SET_BACK, Stand, Watch, still
 from sim_server.physics.actuation import standing
 from sim_server.physics.engine import Engine, FloatArray, Reading
+from sim_server.pushes import Pushes
 
 
 class World(Chronicle):
@@ -40,6 +41,7 @@ class World(Chronicle):
         self._engine = engine
         self._entities: dict[str, Entity] = {}
         self.claims = Claims()
+        self.pushes = Pushes()
         self._roster: Roster | None = None
         self._reading: Reading | None = None
         self._watch = Watch()
@@ -145,6 +147,7 @@ class World(Chronicle):
         entity = self.entity(name)
         self.claims.drop(name)
         self._watch.forget(name)
+        self.pushes.forget(name)
         self._engine.remove(entity.body)
         del self._entities[name]
         self.ready_s.pop(name, None)
@@ -155,16 +158,40 @@ class World(Chronicle):
         """Read one entity's state row (13,)."""
         return np.asarray(self.reading().base[self.roster().row[self.entity(name).name]])
 
-    def place(self, name: str, base: FloatArray) -> None:
-        """Put an entity's root link at a state row (13,); a frozen one lives again.
+    def place(self, name: str, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """Put an entity's root link at a state row (13,), and its joints at rest if told where.
+
+        A frozen one lives again; raises EntityNotFound.
+        """
+        self._thaw(self.entity(name))
+        body = self._entities[name].body
+        if positions is None:
+            self._engine.place(body, base)
+        else:
+            self._engine.rest(body, base, positions)
+        self.placed += 1
+        self._reading = None
+
+    def remodel(self, name: str, model: Model) -> None:
+        """Make an entity of another model with the same links and joints; it goes on as it was.
+
+        Its joints are at rest for a moment.
 
         Raises:
             EntityNotFound: There is none of this name.
+            IncorrectState: It is frozen.
+            EngineRefused: The engine cannot simulate the model.
         """
-        self._thaw(self.entity(name))
-        self._engine.place(self._entities[name].body, base)
-        self.placed += 1
-        self._reading = None
+        entity = self.entity(name)
+        if self._watch.is_frozen(name):
+            raise IncorrectState(f"entity '{name}' is {FROZEN}")
+        base = self.state_of(name)
+        positions = self.reading().joint_positions[self.roster().joints_of(name)]
+        body = self._engine.add(model, base)
+        self._engine.rest(body, base, positions)
+        self._engine.remove(entity.body)
+        self._entities[name] = replace(entity, model=model, body=body)
+        self._changed()
 
     def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
         """Make an agent the only driver of some entities, all or none.
@@ -218,6 +245,8 @@ class World(Chronicle):
         for agent, targets in self.claims.take_targets():
             if (fleet := self.fleets().get(agent)) is not None:
                 self._engine.command(fleet.bodies, targets)
+        if self.pushes:
+            self.pushes.apply(self._engine, self._entities, self.time_ns)
         is_well = self._engine.step()
         self.steps += 1
         self._reading = None
@@ -241,6 +270,7 @@ class World(Chronicle):
             self.steps = 0
         self.epoch += 1
         self.claims.forget_targets()
+        self.pushes.forget_all()
         self._reading = None
         self._tell("reset", message=f"scope={scope}")
 
@@ -308,6 +338,7 @@ class World(Chronicle):
             self._tell("deleted", entity=name)
         self._engine.close()
         self.claims.forget_targets()
+        self.pushes.forget_all()
         self.ready_s.clear()
         self._engine, self._entities = other.give_up()
         self.step_ns, self.control_steps = other.step_ns, other.control_steps
@@ -338,6 +369,7 @@ class World(Chronicle):
 
     def _freeze(self, entity: Entity) -> None:
         stand = self._watch.freeze(entity)
+        self.pushes.forget(entity.name)
         self._make_anew(entity, still(entity.model, stand.positions), stand.base)
         if agent := self.claims.agent_of(entity.name):
             self.claims.drop(entity.name)
@@ -375,4 +407,3 @@ class World(Chronicle):
         self.roster_number += 1
         self.claims.forget_rows()
         self._roster = self._reading = None
-

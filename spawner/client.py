@@ -17,6 +17,7 @@ from proto.entities import (
     SetEntityInfoRequest,
 )
 from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse
+from proto.header import NANOSECONDS, time_from_ns
 from proto.info import EntityInfo
 from proto.places import (
     GetNamedPoseBoundsRequest,
@@ -25,8 +26,7 @@ from proto.places import (
     NamedPose,
     Spawnable,
 )
-from proto.result import ResultCode, ServiceError, SpawnEntitiesCode
-from proto.header import NANOSECONDS, time_from_ns
+from proto.result import ServiceError
 from proto.services import (
     Bounds,
     DeleteEntityRequest,
@@ -46,7 +46,6 @@ from proto.services import (
     SpawnEntityReport,
     State,
     StepSimulationRequest,
-    TagsFilter,
     TagsFilter,
 )
 from proto.stepping import (
