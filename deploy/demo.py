@@ -37,6 +37,7 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     """None = as the world file says."""
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
+    is_lockstep: bool = False
     has_viewer: bool
     viewer_port: int
 
@@ -90,6 +91,7 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
         *(("--rtf", str(factor)) if factor is not None else ()),
         *(word for path in config.model_paths for word in ("--model-path", path)),
         *(("--strict",) if config.is_strict else ()),
+        *(("--lockstep",) if config.is_lockstep else ()),
     )
 
 

@@ -4,8 +4,9 @@ import os
 import sys
 import time
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -61,6 +62,9 @@ Duration = Annotated[
     float, typer.Option("--duration", help="Seconds once ready; 0 = until Ctrl-C.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
+Locked = Annotated[
+    bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
+]
 
 
 @app.command()
@@ -76,6 +80,7 @@ def up(
     rtf: Factor = None,
     model_path: ModelPath = None,
     strict: Strict = False,
+    lockstep: Locked = False,
     viewer: HasViewer = True,
     viewer_port: ViewerPort = 8080,
     open_page: OpenPage = None,
@@ -94,6 +99,7 @@ def up(
             real_time_factor=rtf,
             model_paths=tuple(map(str, model_path or ())),
             is_strict=strict,
+            is_lockstep=lockstep,
             has_viewer=viewer,
             viewer_port=viewer_port,
         )
@@ -101,11 +107,15 @@ def up(
             with _progress(len(config.places)) as steps:
                 demo = start(config, supervisor, steps, began_s)
             stop.arm()
-            with demo.bus:
-                _announce(demo, as_json=as_json)
-                _maybe_open(demo.viewer_url, open_page)
-                run(demo, duration, stop)
-                _close(demo, as_json=as_json)
+            _stay(demo, partial(run, demo, duration, stop), open_page, as_json=as_json)
+
+
+def _stay(demo: Demo, run_on: Callable[[], None], open_page: bool | None, *, as_json: bool) -> None:
+    with demo.bus:
+        _announce(demo, as_json=as_json)
+        _maybe_open(demo.viewer_url, open_page)
+        run_on()
+        _close(demo, as_json=as_json)
 
 
 def _places(model: str, count: int, layout: str, spacing: float) -> tuple[Place, ...]:

@@ -23,6 +23,12 @@ def test_pace_is_left_to_the_world_unless_asked_for() -> None:
     assert serve_arguments(hasty) == (*JOINING, "--rtf", "0.0")
 
 
+def test_server_waits_for_agents_when_told_to() -> None:
+    locked = msgspec.structs.replace(PLAIN, is_lockstep=True)
+
+    assert serve_arguments(locked) == (*JOINING, "--lockstep")
+
+
 def test_server_looks_where_it_is_told_to() -> None:
     config = msgspec.structs.replace(PLAIN, model_paths=("a", "b c"), is_strict=True)
 

@@ -11,6 +11,7 @@ from tests.integration.processes import free_endpoint, zensim
     [
         (("--step-hz", "0"), "--step-hz 0 is out of range; use 1 to 10000"),
         (("--rtf", "-1"), "--rtf -1 is out of range; use 0 (flat out) or up to 1000"),
+        (("--lockstep-timeout", "0"), "--lockstep-timeout 0 is out of range; use 0.01 to 3600"),
         (("--seed", "-1"), "--seed -1 is negative; use 0 or more"),
         (("--world-name", "my world"), "world 'my world' is not valid; use a letter"),
         (("--world", "mars"), "world 'mars' is neither a file nor one of empty"),
@@ -45,3 +46,10 @@ def test_serve_says_so_when_nobody_listens_where_it_is_to_connect() -> None:
     assert done.returncode == Exit.UNREACHABLE
     assert done.stderr.startswith("zensim serve: UNREACHABLE (4): nobody listens at ")
     assert done.stderr.count("\n") == 1
+
+
+def test_serve_names_the_policies_when_it_is_given_another() -> None:
+    done = zensim("serve", "--on-miss", "panic")
+
+    assert done.returncode == Exit.USAGE
+    assert "'panic' is unknown; use wait, hold, fail" in done.stderr

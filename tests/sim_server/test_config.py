@@ -9,6 +9,7 @@ from proto.bus import BusConfig
 from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, paced, server_bus
+from sim_server.lockstep import LockstepSettings
 
 DEFAULTS = ServerConfig(bus=BusConfig())
 
@@ -29,6 +30,8 @@ def test_config_defaults_can_be_started_with() -> None:
         ({"real_time_factor": -1.0}, r"--rtf -1 is out of range; use 0 \(flat out\) or up to 1000"),
         ({"real_time_factor": float("inf")}, "--rtf inf is out of range"),
         ({"real_time_factor": float("nan")}, "--rtf nan is out of range"),
+        ({"lockstep": LockstepSettings(timeout_s=0.0)}, "--lockstep-timeout 0 is out of range"),
+        ({"lockstep": LockstepSettings(timeout_s=float("nan"))}, "--lockstep-timeout nan is out"),
         ({"seed": -1}, "--seed -1 is negative; use 0 or more"),
     ],
     ids=str,
