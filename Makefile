@@ -83,7 +83,8 @@ bench: setup ## measure and rewrite docs/benchmarks.md
 chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs/chaos.md
 	$(BIN)/python -m tests.chaos
 
-fuzz: setup ## property tests with many more examples
+fuzz: setup ## damaged bytes for every reader, and property tests with many more examples
+	$(BIN)/python -m tests.hostile.fuzz
 	$(BIN)/python -m pytest -m hypothesis --hypothesis-profile=fuzz --timeout=900
 
 pins: ## resolve requirements/ anew

@@ -1,0 +1,25 @@
+"""Every reader of strangers' bytes, for a moment; `make fuzz` does it a thousand times as long."""
+
+import pytest
+
+from tests.hostile.fuzz import READERS, SHARES, fuzz
+
+RUNS = 200
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_reader_reads_or_refuses_whatever_it_is_given(reader: str) -> None:
+    found = fuzz(reader, runs=RUNS, seed=7)
+
+    assert found.total() == RUNS
+    assert found["read"] > 0
+    assert len(found) > 1
+
+
+def test_same_seed_gives_the_same_ends() -> None:
+    assert fuzz("bundle", runs=50, seed=1) == fuzz("bundle", runs=50, seed=1)
+
+
+def test_every_reader_has_its_share_of_the_runs() -> None:
+    assert set(SHARES) == set(READERS)
+    assert sum(SHARES.values()) == pytest.approx(1.0)
