@@ -47,6 +47,7 @@ demo: setup ## ten robots in one world, and the address of the page that shows t
 packages: # Debian packages that the tests use
 	@sh .ci/need chromium chromium chromium-browser google-chrome
 	@sh .ci/need iproute2 ip
+	@sh .ci/need strace strace
 
 test: setup packages ## all tests
 	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest; \

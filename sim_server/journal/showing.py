@@ -56,13 +56,16 @@ def page(found: dict[str, object]) -> str:
     entities, aside = found["entities"], found["aside"]
     assert isinstance(entities, list)
     assert isinstance(aside, list)
-    lines = [
-        "  {name}  ns={namespace}  model={model}  at {position}".format_map(one) for one in entities
-    ]
+    lines = [_line(one) for one in entities]
     apart = [f"  {one['name']}: {one['reason']}" for one in aside]
     return "\n".join(
         [*head, f"entities: {len(entities)}", *lines, f"set aside: {len(aside)}", *apart]
     )
+
+
+def _line(entity: dict[str, list[float]]) -> str:
+    place = " ".join(f"{round(value, 3) + 0.0:.3f}" for value in entity["position"])
+    return f"  {entity['name']}  ns={entity['namespace']}  model={entity['model']}  at {place}"
 
 
 def _entity(contents: Contents, row: EntityRow) -> dict[str, object]:
@@ -74,7 +77,7 @@ def _entity(contents: Contents, row: EntityRow) -> dict[str, object]:
         "model": model.name,
         "belongs_to_world": row.belongs_to_world,
         "bond": row.bond,
-        "position": [round(value, 6) for value in base[:3].tolist()],
+        "position": [round(value, 6) + 0.0 for value in base[:3].tolist()],
         "orientation": [round(value, 9) for value in base[3:7].tolist()],
         "joints": {
             joint.name: round(value, 6)

@@ -1,0 +1,36 @@
+"""Servers with a journal, started again and again in one place."""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from spawner.client import SimClient
+from tests.integration.processes import START_S, Server, joined, running
+
+if TYPE_CHECKING:
+    from subprocess import CompletedProcess
+
+
+@contextmanager
+def kept_in(
+    folder: Path, endpoint: str, *arguments: str, prefix: Sequence[str] = ()
+) -> Iterator[Server]:
+    """Run a server on a journal until the block is over."""
+    command = ("serve", "--listen", endpoint, "--journal", str(folder), *arguments)
+    with running(*command, prefix=prefix) as process, joined(endpoint, process) as bus:
+        client = SimClient(bus)
+        client.wait_for_server(START_S)
+        yield Server(process, endpoint, bus, client)
+
+
+def kill_hard(server: Server) -> None:
+    """End a server as a power cut would, but for the disk's own cache."""
+    server.process.kill()
+    server.process.wait()
+
+
+def last_line(done: "CompletedProcess[str]") -> str:
+    """Take the last line on standard error; fail when it is a traceback."""
+    assert "Traceback" not in done.stderr
+    return done.stderr.strip().splitlines()[-1]

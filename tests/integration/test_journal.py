@@ -1,0 +1,235 @@
+"""Journals of real servers: killed, ended, starved of disk, and looked at."""
+
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+from proto.catalog import SPAWN_ENTITY
+from proto.geometry import Point, Pose
+from proto.result import ResultCode, ServiceError
+from proto.services import EntityState, Resource, SpawnEntityOrder, State
+from sim_server.journal.ledger import DATABASE
+from tests.integration.journals import kept_in, kill_hard, last_line
+from tests.integration.processes import (
+    Server,
+    driven,
+    eventually,
+    free_endpoint,
+    wait_for_agents,
+    zensim,
+)
+from tests.integration.robots import robot
+
+END_S = 2.0
+SMALL_BYTES = 1 << 20
+TRACED = "fsync,fdatasync,pwrite64,sendto,sendmsg,write,writev"
+
+
+def an_order(name: str) -> SpawnEntityOrder:
+    return SpawnEntityOrder(name, entity_resource=Resource("box_bot"))
+
+
+def test_killed_server_goes_on_where_it_was(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with kept_in(tmp_path, endpoint) as server:
+        for name in ("r0", "r1", "r2"):
+            server.client.spawn(an_order(name))
+        server.client.delete("r1")
+        place = EntityState(pose=Pose(Point(3.0, 4.0, 0.06)))
+        server.client.set_entity_state("r2", place)
+        server.client.set_simulation_state(State.PAUSED)
+        before = server.client.info()
+        kill_hard(server)
+
+    with kept_in(tmp_path, endpoint) as server:
+        after = server.client.info()
+        found = server.client.entity_state("r2").pose.position
+
+        assert server.client.entities() == ("r0", "r2")
+        assert (found.x, found.y) == pytest.approx((3.0, 4.0), abs=0.01)
+        assert server.client.simulation_state() == State.PAUSED
+        assert (after.epoch, after.state) == (before.epoch + 1, "paused")
+        assert 0.0 <= before.sim_time_s - after.sim_time_s <= 0.5
+
+
+def test_agent_drives_on_after_the_server_was_killed(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with kept_in(tmp_path, endpoint) as server:
+        server.client.spawn(an_order("r0"))
+        with driven(server, "r0"):
+            kill_hard(server)
+            with kept_in(tmp_path, endpoint) as again:
+                wait_for_agents(again, ["r0"])
+                driver = robot(again.bus, "r0")
+
+                def is_moving() -> bool:
+                    driver.command(0.3)
+                    return again.client.entity_state("r0").twist.linear.x > 0.05
+
+                eventually(is_moving, 20.0, "moving again")
+
+
+def test_retry_after_a_restart_gets_its_answer_and_no_second_robot(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    order = SpawnEntityOrder("r0", allow_renaming=True, entity_resource=Resource("box_bot"))
+
+    with kept_in(tmp_path, endpoint) as server:
+        first = server.bus.call(SPAWN_ENTITY, order, world="default", request_id="once")
+        kill_hard(server)
+    with kept_in(tmp_path, endpoint) as server:
+        again = server.bus.call(SPAWN_ENTITY, order, world="default", request_id="once")
+
+        assert again == first
+        assert server.client.entities() == ("r0",)
+
+
+def test_ended_server_leaves_a_closed_journal(tmp_path: Path) -> None:
+    with kept_in(tmp_path, free_endpoint()) as server:
+        server.client.spawn(an_order("r0"))
+        server.process.send_signal(signal.SIGTERM)
+        began_s = time.monotonic()
+
+        assert server.process.wait(10.0) == 0
+        assert time.monotonic() - began_s <= END_S
+    assert not (tmp_path / f"{DATABASE}-wal").exists()
+    verified = zensim("journal", "verify", str(tmp_path))
+    assert (verified.returncode, verified.stdout.count("\n")) == (0, 1)
+
+
+def test_journal_is_shown_and_exported_beside_its_server(tmp_path: Path) -> None:
+    with kept_in(tmp_path, free_endpoint()) as server:
+        server.zensim("spawn", "box_bot", "--name", "r0", "-x", "2")
+
+        shown = zensim("journal", "show", str(tmp_path))
+        exported = json.loads(zensim("journal", "export", str(tmp_path)).stdout)
+
+        assert "r0  ns=r0  model=box_bot  at 2.000 0.000 0.060" in shown.stdout
+        assert exported["entities"][0]["name"] == "r0"
+        description = tmp_path / "r0.urdf"
+        description.write_text(exported["descriptions"]["r0"])
+        assert server.zensim("spawn", str(description), "--name", "r1").returncode == 0
+
+
+def test_second_server_is_refused_in_one_line(tmp_path: Path) -> None:
+    with kept_in(tmp_path, free_endpoint()):
+        second = zensim("serve", "--listen", free_endpoint(), "--journal", str(tmp_path))
+
+        assert second.returncode == 1
+        assert last_line(second).endswith(
+            "is used by another server; stop it, or use another folder"
+        )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--step-hz", "100"), "counts steps of 240 Hz, not 100; leave --step-hz out"),
+        (("--world-name", "other"), "is the journal of world 'default'; use --world-name default"),
+    ],
+)
+def test_journal_of_another_world_is_refused(
+    tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    with kept_in(tmp_path, free_endpoint()):
+        pass
+
+    done = zensim("serve", "--listen", free_endpoint(), "--journal", str(tmp_path), *arguments)
+
+    assert done.returncode == 1
+    assert said in last_line(done)
+
+
+def test_damaged_journal_is_refused_in_one_line(tmp_path: Path) -> None:
+    with kept_in(tmp_path, free_endpoint()) as server:
+        server.client.spawn(an_order("r0"))
+        server.process.send_signal(signal.SIGTERM)
+        server.process.wait(10.0)
+    data = bytearray((tmp_path / DATABASE).read_bytes())
+    data[data.index(b"box_bot")] ^= 1
+    (tmp_path / DATABASE).write_bytes(data)
+
+    served = zensim("serve", "--listen", free_endpoint(), "--journal", str(tmp_path))
+    verified = zensim("journal", "verify", str(tmp_path))
+
+    for done in (served, verified):
+        assert done.returncode == 1
+        assert "is damaged: row " in last_line(done)
+        assert done.stderr.count("\n") == 1
+
+
+def test_reply_leaves_after_the_disk_has_it(tmp_path: Path) -> None:
+    log, names = tmp_path / "calls", [f"marked{i}" for i in range(5)]
+    # -D: the server stays a child of this process, and strace ends with it.
+    tracing = ("strace", "-D", "-f", "-qq", "-yy", "-s", "65536", "-e", f"trace={TRACED}")
+    with kept_in(tmp_path / "j", free_endpoint(), prefix=(*tracing, "-o", str(log))) as server:
+        for name in names:
+            server.bus.call(SPAWN_ENTITY, an_order(name), world="default", timeout_s=20.0)
+    lines = log.read_text(errors="replace").splitlines()
+    for name in names:
+        written = first(lines, 0, f"{DATABASE}-wal", "pwrite", name)
+        synced = first(lines, written, f"{DATABASE}-wal", "sync(")
+        replied = first(lines, 0, "TCP:", name)
+        assert written < synced < replied
+
+
+def first(lines: list[str], start: int, *texts: str) -> int:
+    """Find the first line from a start on that holds all of these texts."""
+    return next(i for i in range(start, len(lines)) if all(text in lines[i] for text in texts))
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[Path]:
+    """Mount a disk that is soon full."""
+    folder.mkdir()
+    subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={SMALL_BYTES}", "tmpfs", str(folder)], check=True
+    )
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+@pytest.mark.root
+def test_full_disk_refuses_spawns_and_lets_robots_go_on(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk") as disk, kept_in(disk / "j", free_endpoint()) as server:
+        server.client.spawn(an_order("r0"))
+        ballast = disk / "ballast"
+        fill_up(ballast)
+        refused = spawned_until_refused(server)
+        before = server.steps()
+
+        assert "journal could not be written" in refused.message
+        assert refused.code == ResultCode.OPERATION_FAILED
+        kept = server.client.entities()
+        eventually(lambda: server.steps() > before + 240, 20.0, "stepping")
+        ballast.unlink()
+        server.client.spawn(an_order("after"))
+        assert server.client.entities() == (*kept, "after")
+        kill_hard(server)
+        with kept_in(disk / "j", free_endpoint()) as again:
+            assert again.client.entities() == (*kept, "after")
+
+
+def fill_up(ballast: Path) -> None:
+    with ballast.open("wb", buffering=0) as file, suppress(OSError):
+        while True:
+            file.write(bytes(4096))
+
+
+def spawned_until_refused(server: Server) -> ServiceError:
+    """Spawn until there is no room any more."""
+    with pytest.raises(ServiceError) as caught:
+        spawn_many(server, 200)
+    return caught.value
+
+
+def spawn_many(server: Server, count: int) -> None:
+    for i in range(count):
+        server.client.spawn(an_order(f"extra{i}"))
