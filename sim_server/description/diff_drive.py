@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from proto.drives import DiffDrive, WheelPair
 from sim_server.description import drive_tags
-from sim_server.description.drive_tags import joint_fault, with_settings
+from sim_server.description.drive_tags import check_lengths, joint_fault, with_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -90,6 +90,8 @@ def _pairs(tags: PluginTags, joints: Mapping[str, Joint]) -> tuple[WheelPair, ..
     left, right = tags.texts("left_joint"), tags.texts("right_joint")
     separations = tags.positive_numbers("wheel_separation")
     diameters = tags.positive_numbers("wheel_diameter")
+    check_lengths(tags, "wheel_separation", separations)
+    check_lengths(tags, "wheel_diameter", diameters)
     fault = _fault(left, right, count=count, joints=joints)
     if fault:
         tags.report.suspicious(tags.subject, f"no drive: {fault}")

@@ -8,6 +8,7 @@ import msgspec
 
 from proto.drives import DriveSettings, OdometrySource
 from proto.names import InvalidName, check_frame, check_namespace
+from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -46,8 +47,10 @@ SOURCES: dict[str, OdometrySource] = {
     "1": "world",
     "world": "world",
 }
+LEAST_M, MOST_M = 1e-6, 1e6
 TURNING = ("continuous", "revolute")
 GRAVITY = 9.81
+GZ_ODOMETRY_RATE_HZ = 50.0
 
 
 def with_settings(drive: DriveKind, tags: PluginTags) -> DriveKind:
@@ -106,6 +109,31 @@ def read_frame(tags: PluginTags, tag: str, default: str) -> str:
     except InvalidName as error:
         tags.report.suspicious(f"{tags.subject}: <{tag}>", f"{error}; {default!r} is used")
         return default
+
+
+def read_odometry_rate(tags: PluginTags) -> float:
+    """Read how often [Hz] Gazebo Sim's drives publish odometry; both spellings are about.
+
+    Raises:
+        ModelError: It is no number, or negative.
+    """
+    rate = tags.number("odom_publisher_frequency", GZ_ODOMETRY_RATE_HZ)
+    return tags.number("odom_publish_frequency", rate)
+
+
+def check_lengths(tags: PluginTags, tag: str, lengths: Iterable[float]) -> None:
+    """Check lengths [m] that wheels can have: others give speeds that no number holds.
+
+    Raises:
+        ModelError: One is below a micrometre or above a thousand kilometres.
+    """
+    for length in lengths:
+        if not LEAST_M <= length <= MOST_M:
+            raise ModelError(
+                f"{tags.subject}, {tag}: {length:g} is no length of a robot; "
+                f"write {LEAST_M:g} to {MOST_M:g} metres",
+                slug=f"drive.{tag}",
+            )
 
 
 def joint_fault(names: Iterable[str], joints: Mapping[str, Joint]) -> str:

@@ -5,7 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from proto.drives import DiffDrive, Limits, WheelPair
-from sim_server.description.drive_tags import grip_nm, joint_fault, read_frame, read_topic
+from sim_server.description.drive_tags import (
+    grip_nm,
+    joint_fault,
+    read_frame,
+    read_odometry_rate,
+    read_topic,
+)
 
 if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
@@ -25,7 +31,6 @@ UNUSED = {
 }
 SEPARATION_M = 1.0
 RADIUS_M = 0.2
-ODOMETRY_RATE_HZ = 50.0
 
 
 def read_gz_diff_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:
@@ -37,6 +42,8 @@ def read_gz_diff_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:
     left, right = tags.texts("left_joint"), tags.texts("right_joint")
     separation = tags.length("wheel_separation", SEPARATION_M)
     radius = tags.length("wheel_radius", RADIUS_M)
+    check_lengths(tags, "wheel_separation", (separation,))
+    check_lengths(tags, "wheel_radius", (radius,))
     fault = joint_fault((*left, *right), {joint.name: joint for joint in lumped.joints})
     if not left or len(left) != len(right):
         fault = f"{len(left)} left and {len(right)} right joints; name as many of each"
@@ -47,7 +54,7 @@ def read_gz_diff_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:
             lumped, radius_m=radius, wheels=max(len(left), 1), joints=(*left, *right)
         ),
         update_rate_hz=0.0,
-        odometry_rate_hz=tags.number("odom_publish_frequency", ODOMETRY_RATE_HZ),
+        odometry_rate_hz=read_odometry_rate(tags),
         odometry_source="encoder",
         odometry_frame=read_frame(tags, "frame_id", "odom"),
         robot_base_frame=read_frame(tags, "child_frame_id", lumped.links[0].name),

@@ -138,7 +138,7 @@ def test_robot_has_no_drive_when_a_wheel_slides() -> None:
 
 
 @pytest.mark.parametrize("tag", ["wheel_separation", "wheel_diameter"])
-@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "wide", ""])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "wide", "", "1e308", "1e-320"])
 def test_drive_is_refused_when_a_length_is_not_positive(tag: str, value: str) -> None:
     with pytest.raises(ModelError, match=f"plugin 'p', {tag}: ") as caught:
         read_urdf(a_cart(a_drive(sizes=f"<{tag}>{value}</{tag}>")))
