@@ -7,6 +7,7 @@ import msgspec
 from proto.geometry import Pose
 from proto.model import Model
 from proto.result import Result
+from proto.scene import Scene
 from proto.topics import Clock
 from proto.widths import UInt32, UInt64
 
@@ -165,3 +166,5 @@ class GetModelsResponse(msgspec.Struct, frozen=True):
     roster: UInt32 = 0
     entities: tuple[EntityModel, ...] = ()
     models: tuple[Model, ...] = ()
+    scene: Scene = Scene()
+    """How the world that they are in looks."""

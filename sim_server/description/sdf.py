@@ -10,6 +10,7 @@ import msgspec
 
 from proto.model import IDENTITY, Model, Origin, ReportEntry, Vec3
 from proto.result import SpawnCode
+from proto.scene import Scene
 from sim_server.description.assets import HasMesh, no_meshes
 from sim_server.description.decimals import read_numbers
 from sim_server.description.report import Report
@@ -17,14 +18,7 @@ from sim_server.description.sdf_frames import MODEL, Frames
 from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
 from sim_server.description.sdf_model import model_of, placement_of
 from sim_server.description.sdf_places import NamedPlace, read_place
-from sim_server.description.sdf_scene import (
-    Light,
-    Pace,
-    Scene,
-    read_light,
-    read_pace,
-    read_scene,
-)
+from sim_server.description.sdf_scene import Pace, read_light, read_pace, read_scene
 from sim_server.description.sdf_shapes import LOWERED, SLAB_M
 from sim_server.description.sdf_values import read_name, read_pose, read_text
 from sim_server.description.shapes import MeshRule
@@ -76,10 +70,8 @@ class WorldModel(msgspec.Struct, frozen=True):
     gravity: Vec3 = EARTH
     ground_plane: bool = False
     ground_friction: float = 1.0
-    sun: bool = False
     pace: Pace = Pace()
     models: tuple[Placed, ...] = ()
-    lights: tuple[Light, ...] = ()
     scene: Scene = Scene()
     places: tuple[NamedPlace, ...] = ()
     report: tuple[ReportEntry, ...] = ()
@@ -145,6 +137,7 @@ def _only_world(sdf: Element) -> Element:
 
 def _take_shipped(world: Element, draft: _Draft) -> None:
     served = {SUN: "sun", GROUND: "ground_plane"}
+    replace = msgspec.structs.replace
     for include in world.findall("include"):
         uri = read_text(include, "uri").rstrip("/")
         if uri not in served:
@@ -155,7 +148,10 @@ def _take_shipped(world: Element, draft: _Draft) -> None:
                     f"include {uri}: <{child.tag[:80]}>", f"{served[uri]} stays as it is"
                 )
         draft.report.applied(f"include {uri}")
-        draft.world = msgspec.structs.replace(draft.world, **{served[uri]: True})
+        if uri == SUN:
+            draft.world = replace(draft.world, scene=replace(draft.world.scene, has_sun=True))
+        else:
+            draft.world = replace(draft.world, ground_plane=True)
         world.remove(include)
 
 
@@ -207,11 +203,15 @@ def _take(child: Element, draft: _Draft) -> None:
     elif child.tag == "physics":
         draft.world = replace(draft.world, pace=read_pace(child, report))
     elif child.tag == "scene":
-        draft.world = replace(draft.world, scene=read_scene(child, report))
+        seen = read_scene(child, report)
+        scene = replace(draft.world.scene, ambient=seen.ambient, background=seen.background)
+        draft.world = replace(draft.world, scene=scene)
     elif child.tag == "light":
         light = read_light(child, report)
-        lights = (*draft.world.lights, light) if light else draft.world.lights
-        draft.world = replace(draft.world, lights=lights)
+        scene = draft.world.scene
+        if light is not None:
+            scene = replace(scene, lights=(*scene.lights, light))
+        draft.world = replace(draft.world, scene=scene)
     else:
         _note(child, report)
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.model import Origin, Quat, Vec3
+from proto.scene import DOWN, Light, LightKind, Scene
 from sim_server.description.decimals import read_numbers
 from sim_server.description.sdf_values import (
     read_pose,
@@ -20,28 +20,17 @@ from sim_server.errors import ModelError
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
+    from proto.model import Quat
     from sim_server.description.report import Report
 
-LightKind = Literal["point", "spot", "directional"]
 LIGHT_KINDS: dict[str, LightKind] = {
     "point": "point",
     "spot": "spot",
     "directional": "directional",
 }
-DOWN: Vec3 = (0.0, 0.0, -1.0)
 RGB = 3
 SHORTEST_S, LONGEST_S = 1e-4, 1.0
 FASTEST = 1000.0
-
-
-class Light(msgspec.Struct, frozen=True):
-    """A lamp of a world; `direction` is in the world."""
-
-    name: str
-    kind: LightKind
-    origin: Origin = Origin()
-    direction: Vec3 = DOWN
-    rgba: Quat = (1.0, 1.0, 1.0, 1.0)
 
 
 class Pace(msgspec.Struct, frozen=True):
@@ -49,13 +38,6 @@ class Pace(msgspec.Struct, frozen=True):
 
     step_s: float | None = None
     real_time_factor: float | None = None
-
-
-class Scene(msgspec.Struct, frozen=True):
-    """Colours of a world; None where it does not say."""
-
-    ambient: Quat | None = None
-    background: Quat | None = None
 
 
 def read_pace(physics: Element, report: Report) -> Pace:

@@ -10,9 +10,11 @@ import msgspec
 import numpy as np
 import viser
 
+from proto.scene import Scene
 from spawner.viewer import stage
 from spawner.viewer.buttons import BUTTONS, Button
 from spawner.viewer.drawn import LABEL_GAP_M, MAX_LABELS, DrawnFleet
+from spawner.viewer.lighting import Lighting
 from spawner.viewer.panel import status_html
 from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
 from spawner.viewer.serving import close_server, open_server
@@ -72,6 +74,8 @@ class Page:
         self._texts_due = 0.0
         self._server = open_server(host, port, lambda: self._names)
         stage.build(self._server)
+        self._lighting = Lighting(self._server.scene)
+        self._lighting.show(Scene())
         self._drawn = DrawnFleet(self._server.scene, self._pick)
         self._status = self._server.gui.add_html(status_html(Status()))
         self._buttons = self._server.gui.add_button_group("Simulation", BUTTONS)
@@ -118,6 +122,7 @@ class Page:
         """Draw one snapshot."""
         self._fleet, self._frame = fleet, frame
         with self._server.atomic():
+            self._lighting.show(fleet.scene)
             self._drawn.show(fleet, frame)
         self._names = self._drawn.names_json()
         for visitor in self._present():

@@ -7,6 +7,7 @@ import numpy as np
 
 from proto.claims import STATE_COLUMNS
 from proto.rotation import yaw_of
+from proto.scene import Scene
 from proto.telemetry import EntityModel, GetModelsResponse, Snapshot
 from spawner.viewer.form import Form, NotATree, form_of
 from spawner.viewer.kinematics import Array, Poses, link_poses
@@ -53,6 +54,7 @@ class Fleet(msgspec.Struct, frozen=True, eq=False):
     """Of all entities."""
     meshes: Meshes = NO_MESHES
     """Those that forms name."""
+    scene: Scene = Scene()
 
 
 class Frame(msgspec.Struct, frozen=True, eq=False):
@@ -116,6 +118,7 @@ def arrange(names: tuple[str, ...], models: GetModelsResponse, meshes: Meshes = 
         rows={name: row for row, name in enumerate(names)},
         joints=int(starts[-1]),
         meshes=meshes,
+        scene=models.scene,
     )
 
 

@@ -1,12 +1,10 @@
-"""What stands around the robots: sky, ground, light and colours. Nothing comes from the network."""
+"""What stands around the robots: sky, ground and colours, whatever the world says."""
 
 from typing import Final
 
 import numpy as np
 import viser
 
-SKY_TOP: Final = (24, 27, 33)
-SKY_LOW: Final = (52, 57, 66)
 GROUND: Final = (40, 44, 51)
 CELLS: Final = (58, 63, 72)
 METRES: Final = (84, 91, 103)
@@ -15,8 +13,6 @@ QUIET: Final = (66, 71, 80)
 """Of buttons that do not act on the simulation."""
 SIGHT_M: Final = 45.0
 """Where the ground fades away."""
-SUN: Final = (-4.0, 5.0, 8.0)
-"""Where the light comes from."""
 START: Final = ((-1.5, -1.6, 1.1), (3.0, 0.2, 0.0))
 """Where the camera is and what it looks at before there is a robot."""
 FOV_RAD: Final = float(np.radians(45.0))
@@ -30,11 +26,6 @@ def build(server: viser.ViserServer) -> None:
     scene = server.scene
     scene.configure_default_lights(enabled=False)
     scene.configure_environment_map(hdri=None)
-    scene.add_light_hemisphere(
-        "/light/sky", sky_color=(214, 226, 245), ground_color=(92, 94, 100), intensity=1.6
-    )
-    scene.add_light_directional("/light/sun", intensity=2.2, cast_shadow=True, position=SUN)
-    scene.set_background_image(sky(), format="png")
     scene.add_grid(
         "/ground",
         infinite_grid=True,
@@ -50,11 +41,3 @@ def build(server: viser.ViserServer) -> None:
     )
     server.initial_camera.fov = FOV_RAD
     server.initial_camera.position, server.initial_camera.look_at = START
-
-
-def sky() -> np.ndarray:
-    """Paint a sky that is darker above, (rows, columns, 3) of uint8."""
-    share = np.linspace(0.0, 1.0, 256)[:, None]
-    column = np.asarray(SKY_TOP) * (1.0 - share) + np.asarray(SKY_LOW) * share
-    picture: np.ndarray = np.repeat(column[:, None, :], 4, axis=1).round().astype(np.uint8)
-    return picture

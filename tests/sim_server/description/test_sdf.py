@@ -4,9 +4,10 @@ import pytest
 
 from proto.model import Origin
 from proto.result import SpawnCode
+from proto.scene import Light, Scene
 from sim_server.description.library import world_text
 from sim_server.description.sdf import read_world
-from sim_server.description.sdf_scene import Light, Pace, Scene
+from sim_server.description.sdf_scene import Pace
 from sim_server.errors import ModelError
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_link, a_pose
@@ -21,7 +22,7 @@ def a_world(*parts: str, attributes: str = 'name="w"', version: str = "1.6") -> 
 def test_empty_world_has_sun_ground_and_gravity() -> None:
     world = read_world(world_text("empty"))
 
-    assert (world.name, world.sun, world.ground_plane) == ("default", True, True)
+    assert (world.name, world.scene.has_sun, world.ground_plane) == ("default", True, True)
     assert world.gravity == (0.0, 0.0, -9.8)
     assert world.models == ()
 
@@ -229,10 +230,8 @@ def test_lights_and_colours_are_read() -> None:
 
     world = read_world(a_world(light, "<scene><background>0 0 1</background></scene>"))
 
-    assert world.lights == (
-        Light("lamp", "point", Origin((0.0, 0.0, 3.0)), rgba=(1.0, 0.0, 0.0, 1.0)),
-    )
-    assert world.scene == Scene(None, (0.0, 0.0, 1.0, 1.0))
+    lamp = Light("lamp", "point", Origin((0.0, 0.0, 3.0)), rgba=(1.0, 0.0, 0.0, 1.0))
+    assert world.scene == Scene(None, (0.0, 0.0, 1.0, 1.0), (lamp,))
 
 
 def test_model_that_is_not_supported_is_listed_and_left_out() -> None:
