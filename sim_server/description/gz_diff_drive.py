@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from proto.drives import DiffDrive, Limits, WheelPair
 from sim_server.description.drive_tags import (
+    check_lengths,
     grip_nm,
     joint_fault,
     read_frame,
