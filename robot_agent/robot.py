@@ -3,6 +3,7 @@
 from proto.claims import Claim
 from robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
 from robot_agent.driven_base import DrivenBase, drive_of
+from robot_agent.ground_truth import TruthTelemetry
 from robot_agent.network import Network
 from robot_agent.outlet import Outlet
 from robot_agent.reading import Reading
@@ -21,6 +22,7 @@ class Robot:
         self._base = DrivenBase(claim.model)
         self._motion = MotionTelemetry(network, claim)
         self._joints = JointTelemetry(network, claim)
+        self._truth = TruthTelemetry(network, claim)
         self._constant = constant_outlets(network, claim)
         self._reading: Reading | None = None
         self._is_motion_new = False
@@ -33,6 +35,7 @@ class Robot:
         self._base.reset()
         self._motion.reset()
         self._joints.reset()
+        self._truth.reset()
         if self.commanded is not None:
             self.commanded.reset()
 
@@ -50,6 +53,7 @@ class Robot:
         if self._is_motion_new:
             self._motion.tell(self._reading, self._base.motion)
         self._joints.tell(self._reading)
+        self._truth.tell(self._reading)
 
     def announce(self) -> None:
         """Publish what never changes to those who have begun to listen."""
@@ -69,4 +73,9 @@ class Robot:
             self.commanded.close()
 
     def _outlets(self) -> list[Outlet]:
-        return [*self._motion.outlets, *self._joints.outlets, *self._constant]
+        return [
+            *self._motion.outlets,
+            *self._joints.outlets,
+            *self._truth.outlets,
+            *self._constant,
+        ]

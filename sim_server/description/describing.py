@@ -117,10 +117,13 @@ def describe_world(
 
 
 def _with_compat(model: Model, compat: Compat) -> Model:
+    replace = msgspec.structs.replace
+    if model.ground_truths:
+        truths = tuple(replace(truth, compat=compat) for truth in model.ground_truths)
+        model = replace(model, ground_truths=truths)
     if model.drive is None or model.drive.compat == compat:
         return model
-    drive = msgspec.structs.replace(model.drive, compat=compat)
-    return msgspec.structs.replace(model, drive=drive)
+    return replace(model, drive=replace(model.drive, compat=compat))
 
 
 def warm_up() -> None:

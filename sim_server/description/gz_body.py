@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from proto.drives import PlanarMove
-from sim_server.description.drive_tags import read_frame, read_topic
+from sim_server.description.drive_tags import read_frame, read_odometry_rate, read_topic
 
 if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
@@ -32,7 +32,6 @@ UNUSED = {
     ),
     "tf_topic": "tf is on <namespace>/tf",
 }  # fmt: skip
-ODOMETRY_RATE_HZ = 50.0
 
 
 def read_gz_body(tags: PluginTags, lumped: Lumped) -> PlanarMove:
@@ -43,7 +42,7 @@ def read_gz_body(tags: PluginTags, lumped: Lumped) -> PlanarMove:
     """
     drive = PlanarMove(
         update_rate_hz=0.0,
-        odometry_rate_hz=tags.number("odom_publish_frequency", ODOMETRY_RATE_HZ),
+        odometry_rate_hz=read_odometry_rate(tags),
         odometry_frame=read_frame(tags, "frame_id", "odom"),
         robot_base_frame=read_frame(tags, "child_frame_id", lumped.links[0].name),
         command_topic=read_topic(tags, "topic", "cmd_vel", is_new=False),

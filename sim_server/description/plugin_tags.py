@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from proto.model import RosBlock
-from sim_server.description.decimals import read_number
+from sim_server.description.decimals import read_number, read_numbers
 from sim_server.description.ros_block import read_ros_block
 from sim_server.errors import ModelError
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from lxml.etree import _Element as Element
 
+    from proto.model import Vec3
     from sim_server.description.report import Report
 
 FLAGS = {"true": True, "1": True, "false": False, "0": False}
@@ -86,6 +87,17 @@ class PluginTags:
         """
         text = self.text(tag, "")
         return self._number(tag, text) if text else None
+
+    def vector(self, tag: str) -> Vec3:
+        """Read three numbers; 0 0 0 when they are not there.
+
+        Raises:
+            ModelError: They are not three numbers.
+        """
+        text = self.text(tag, "0 0 0")
+        where, slug = f"{self.subject}, {tag}", f"{self._slug}.{tag}"
+        x, y, z = read_numbers(text, counts=(3,), where=where, slug=slug)
+        return (x, y, z)
 
     def length(self, tag: str, default: float) -> float:
         """Read a length [m].

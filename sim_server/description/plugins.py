@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from proto.drives import Drive
-from proto.model import JointStatePublisher
+from proto.model import GroundTruth, JointStatePublisher
 from sim_server.description import (
     ackermann,
     classic_drive,
     diff_drive,
+    ground_truth,
     gz_body,
     gz_diff_drive,
     joint_state,
@@ -39,7 +40,6 @@ NOT_USED = {
     "gazebo_ros2_control": _ROS_CONTROL,
     "gz_ros2_control": _ROS_CONTROL,
     "ign_ros2_control": _ROS_CONTROL,
-    "gazebo_ros_p3d": "true poses are on the snapshot",
     "gazebo_ros_ft_sensor": _NOT_SIMULATED,
     "gazebo_ros_joint_pose_trajectory": _NOT_SIMULATED,
     "ackermann-steering-system": _NOT_SIMULATED,
@@ -57,6 +57,7 @@ class Plugins(msgspec.Struct, frozen=True):
 
     drive: Drive | None = None
     joint_state: JointStatePublisher | None = None
+    ground_truths: tuple[GroundTruth, ...] = ()
 
 
 class DriveReader(NamedTuple):
@@ -94,6 +95,8 @@ def read_plugins(plugins: Iterable[Element], lumped: Lumped, report: Report) -> 
             found = _with_drive(found, plugin, reader, lumped=lumped, report=report)
         elif _is_one_of(filename, joint_state.FILENAMES):
             found = _with_joint_state(found, plugin, lumped, report)
+        elif _is_one_of(filename, ground_truth.FILENAMES):
+            found = _with_ground_truth(found, plugin, lumped, report)
         else:
             _note(plugin, filename, report)
     return found
@@ -126,6 +129,16 @@ def _with_joint_state(found: Plugins, plugin: Element, lumped: Lumped, report: R
         return found
     report.applied(tags.subject, f"joint states of {', '.join(publisher.joints)}")
     return msgspec.structs.replace(found, joint_state=publisher)
+
+
+def _with_ground_truth(found: Plugins, plugin: Element, lumped: Lumped, report: Report) -> Plugins:
+    tags = PluginTags(plugin, slug="p3d", aliases=ground_truth.ALIASES, report=report)
+    truth = ground_truth.read_ground_truth(tags, lumped)
+    if truth is None:
+        return found
+    report.applied(tags.subject, f"ground truth of {truth.body!r} in {truth.frame_id!r}")
+    truths = (*found.ground_truths, truth)
+    return msgspec.structs.replace(found, ground_truths=truths)
 
 
 def _note(plugin: Element, filename: str, report: Report) -> None:

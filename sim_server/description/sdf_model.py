@@ -133,6 +133,7 @@ def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
             frames=lumped.frames,
             drive=plugins.drive,
             joint_state=plugins.joint_state,
+            ground_truths=plugins.ground_truths,
             sensors=read_sensors(found.sensors, lumped, report),
             is_static=is_static,
         )

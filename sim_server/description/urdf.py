@@ -63,6 +63,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
         frames=lumped.frames,
         drive=plugins.drive,
         joint_state=plugins.joint_state,
+        ground_truths=plugins.ground_truths,
         sensors=read_sensors(blocks.sensors, lumped, report),
         is_static=blocks.is_static or is_held_by_world(parts, report),
         report=report.entries(),

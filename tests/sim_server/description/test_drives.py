@@ -252,6 +252,25 @@ def test_diff_drive_of_gazebo_sim_has_what_the_file_says() -> None:
     assert reasons(model.report, "unknown") == []
 
 
+@pytest.mark.parametrize(
+    ("inside", "rate"),
+    [
+        ("<odom_publisher_frequency>30</odom_publisher_frequency>", 30.0),
+        (
+            "<odom_publisher_frequency>30</odom_publisher_frequency>"
+            "<odom_publish_frequency>10</odom_publish_frequency>",
+            10.0,
+        ),
+    ],
+)
+def test_rate_of_gazebo_sims_odometry_is_read_in_either_spelling(inside: str, rate: float) -> None:
+    model = read_urdf(a_cart(a_plugin(GZ, WHEELS + inside)))
+
+    assert model.drive is not None
+    assert model.drive.odometry_rate_hz == rate
+    assert reasons(model.report, "unknown") == []
+
+
 def test_diff_drive_of_gazebo_sim_is_none_when_its_sides_differ() -> None:
     model = read_urdf(a_cart(a_plugin(GZ, "<left_joint>left_joint</left_joint>")))
 

@@ -19,13 +19,13 @@ def test_plugins_are_noted_when_they_are_known_but_not_used() -> None:
     entries = report_of(
         a_cart(
             a_plugin("libgazebo_ros_control.so", "<robotNamespace>/</robotNamespace>", name="c"),
-            a_plugin("libgazebo_ros_p3d.so", name="t"),
+            a_plugin("libgazebo_ros_ft_sensor.so", name="t"),
         )
     )
 
     assert reasons(entries, "ignored") == [
         "plugin 'c': ros_control is not used here; wheels are driven by the diff_drive plug-in",
-        "plugin 't': true poses are on the snapshot",
+        "plugin 't': not simulated",
     ]
 
 

@@ -1,0 +1,101 @@
+"""The p3d plug-in is read in full, or the report says why not."""
+
+import pytest
+
+from proto.model import GroundTruth, Model, Origin, RosBlock
+from sim_server.description.describing import describe
+from sim_server.description.urdf import read_urdf
+from sim_server.errors import ModelError
+from tests.sim_server.description.robots import a_cart, a_plugin, reasons
+
+P3D = "libgazebo_ros_p3d.so"
+
+
+def a_seen_cart(inside: str) -> Model:
+    return read_urdf(a_cart(a_plugin(P3D, inside)))
+
+
+def test_ground_truth_has_gazebos_defaults() -> None:
+    model = a_seen_cart("<body_name>left</body_name>")
+
+    assert model.ground_truths == (GroundTruth("left"),)
+    assert "plugin 'p': ground truth of 'left' in 'world'" in reasons(model.report, "applied")
+
+
+def test_ground_truth_is_read_in_full() -> None:
+    model = a_seen_cart(
+        "<ros><remapping>odom:=truth</remapping></ros><body_name>base</body_name>"
+        "<frame_name>map</frame_name><update_rate>20</update_rate>"
+        "<xyz_offset>1 2 3</xyz_offset><rpy_offset>0 0 0</rpy_offset>"
+        "<gaussian_noise>0.01</gaussian_noise>"
+    )
+
+    assert model.ground_truths == (
+        GroundTruth(
+            "base",
+            "map",
+            20.0,
+            offset=Origin((1.0, 2.0, 3.0)),
+            noise=0.01,
+            ros=RosBlock(remappings=("odom:=truth",)),
+        ),
+    )
+
+
+def test_ground_truth_is_read_in_spellings_of_ros_1() -> None:
+    model = a_seen_cart(
+        "<bodyName>base</bodyName><topicName>ground_truth/state</topicName>"
+        "<frameName>/map</frameName><updateRate>5</updateRate><xyzOffsets>1 0 0</xyzOffsets>"
+        "<gaussianNoise>0.5</gaussianNoise><alwaysOn>true</alwaysOn>"
+    )
+
+    assert model.ground_truths == (
+        GroundTruth("base", "map", 5.0, "ground_truth/state", Origin((1.0, 0.0, 0.0)), noise=0.5),
+    )
+
+
+def test_robot_may_have_several_ground_truths() -> None:
+    two = a_plugin(P3D, "<body_name>left</body_name>") + a_plugin(
+        P3D, "<body_name>right</body_name>", name="q"
+    )
+
+    assert [one.body for one in read_urdf(a_cart(two)).ground_truths] == ["left", "right"]
+
+
+def test_ground_truth_of_nothing_is_noted() -> None:
+    model = a_seen_cart("<body_name>ghost</body_name>")
+
+    assert model.ground_truths == ()
+    assert "plugin 'p': no ground truth: 'ghost' is no link" in reasons(model.report, "suspicious")
+
+
+def test_frame_that_is_no_link_means_the_world() -> None:
+    model = a_seen_cart("<body_name>base</body_name><frame_name>there</frame_name>")
+
+    assert model.ground_truths[0].frame_id == "there"
+    assert "plugin 'p': <frame_name>: 'there' is no link; poses are in the world" in reasons(
+        model.report, "suspicious"
+    )
+
+
+@pytest.mark.parametrize(
+    ("inside", "slug"),
+    [
+        ("<update_rate>-1</update_rate>", "p3d.update_rate"),
+        ("<gaussian_noise>some</gaussian_noise>", "p3d.gaussian_noise"),
+        ("<xyz_offset>1 2</xyz_offset>", "p3d.xyz_offset"),
+    ],
+)
+def test_ground_truth_is_refused_when_a_number_is_none(inside: str, slug: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        a_seen_cart(f"<body_name>base</body_name>{inside}")
+
+    assert caught.value.slug == slug
+
+
+def test_ground_truth_is_as_compatible_as_the_spawn_asks() -> None:
+    text = a_cart(a_plugin(P3D, "<body_name>base</body_name>"))
+
+    described = describe(text, assets={}, allow_missing=False, compat="gazebo11")
+
+    assert described.model.ground_truths[0].compat == "gazebo11"
