@@ -14,9 +14,18 @@ if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
     from sim_server.description.plugin_tags import PluginTags
 
-FILENAMES = ("gazebo_ros_planar_move",)
-ALIASES = drive_tags.ALIASES | {"odometryRate": "publish_rate"}
-UNUSED = drive_tags.UNUSED | {"cmdTimeout": "the agent has a timeout of its own"}
+FILENAMES = ("gazebo_ros_planar_move", "gazebo_ros_force_based_move")
+"""The second pushes the body until it has the twist; here it has it at once."""
+ALIASES = drive_tags.ALIASES | {
+    "odometryRate": "publish_rate",
+    "publishOdometryTf": "publish_odom_tf",
+}
+_GAINS = ("torque_yaw_velocity_p_gain", "force_x_velocity_p_gain", "force_y_velocity_p_gain")
+UNUSED = (
+    drive_tags.UNUSED
+    | {"cmdTimeout": "the agent has a timeout of its own"}
+    | dict.fromkeys(_GAINS, "the body takes the twist at once")
+)
 RATE_HZ = 20.0
 
 

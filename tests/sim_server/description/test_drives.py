@@ -49,6 +49,20 @@ def test_planar_move_has_gazebos_defaults() -> None:
     ]
 
 
+def test_body_that_is_pushed_takes_the_twist_at_once() -> None:
+    inside = """
+      <odometryRate>50</odometryRate><publishOdometryTf>false</publishOdometryTf>
+      <force_x_velocity_p_gain>10000</force_x_velocity_p_gain>
+    """
+
+    model = read_urdf(a_cart(a_plugin("libgazebo_ros_force_based_move.so", BASE + inside)))
+
+    assert model.drive == PlanarMove(
+        odometry_rate_hz=50.0, robot_base_frame="base", publish_odom_tf=False
+    )
+    assert len(reasons(model.report, "ignored")) == 1
+
+
 def test_planar_move_has_what_the_file_says() -> None:
     inside = """
       <ros><remapping>cmd_vel:=go</remapping></ros>
