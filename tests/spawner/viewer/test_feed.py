@@ -1,10 +1,17 @@
+from hashlib import sha256
 from typing import Final
 
+import msgspec
+import numpy as np
 import pytest
 
 from proto import keys
+from proto.assets import GetAssetResponse
 from proto.geometry import Twist, TwistStamped, Vector3
+from proto.model import Shape
 from proto.result import Result, ResultCode
+from proto.scene import Scene
+from proto.stl import write_corners
 from proto.telemetry import GetModelsRequest, GetModelsResponse
 from spawner.viewer.feed import ASK_AGAIN_S, FRAME_S, SILENCE_S, Feed, View
 from spawner.viewer.fetching import MeshFetcher
@@ -88,6 +95,33 @@ def test_feed_shows_nothing_when_a_snapshot_is_ahead_of_the_models() -> None:
     stand = Stand()
 
     assert stand.see("r1", "r2", "r3", roster=2) is None
+
+
+def test_feed_shows_meshes_once_they_have_come() -> None:
+    stand = Stand()
+    data = write_corners(np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]))
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh=sha256(data).hexdigest())
+    stand.world.models = models_of(r1=a_robot("r1", shape=shape))
+    stand.world.answers["get_asset"] = GetAssetResponse(data=data, total=len(data))
+
+    first, second = stand.see("r1"), stand.see("r1")
+
+    assert first is not None
+    assert second is not None
+    assert first.fleet.forms["r1"].links[0] == ()
+    assert second.fleet.forms["r1"].links[0] == (shape,)
+    assert list(second.fleet.meshes) == [shape.mesh]
+
+
+def test_feed_tells_how_the_world_is_lit() -> None:
+    stand = Stand()
+    scene = Scene(background=(0.0, 0.0, 1.0, 1.0))
+    stand.world.models = msgspec.structs.replace(stand.world.models, scene=scene)
+
+    view = stand.see("r1", "r2")
+
+    assert view is not None
+    assert view.fleet.scene == scene
 
 
 def test_feed_does_not_ask_at_every_snapshot_when_models_lag() -> None:
