@@ -20,9 +20,9 @@ WORLD = "world"
 
 
 def as_tree(
-    joints: Sequence[JointTag], links: Iterable[str], report: Report
+    joints: Sequence[JointTag], links: Sequence[str], report: Report
 ) -> tuple[JointTag, ...]:
-    """Direct joints away from one root where a link is the child of two; note what is left out.
+    """Direct joints away from the first link where a link is the child of two; note what is lost.
 
     Joints that cannot be part of a tree otherwise are as they were, for others to refuse.
     """
@@ -33,20 +33,18 @@ def as_tree(
             kind = joint.element.get("type")
             report.suspicious(f"joint {shown(joint.name)}", f"{kind} is not simulated; left out")
     children = Counter(joint.child for joint in holding)
-    root = _root(holding, [link for link in links if link not in children])
-    if not root or max(children.values(), default=0) <= 1:
+    has_root = any(joint.parent == WORLD for joint in holding) or set(links) - set(children)
+    if not has_root or max(children.values(), default=0) <= 1:
         return tuple(holding)
-    return tuple(_directed(root, holding, report))
+    return tuple(_directed(_root(holding, links), holding, report))
 
 
 def _only_couples(joint: JointTag, held: Container[str]) -> bool:
     return joint.element.get("type") in COUPLING and joint.child in held
 
 
-def _root(joints: Iterable[JointTag], free: Sequence[str]) -> str:
-    if any(joint.parent == WORLD for joint in joints):
-        return WORLD
-    return free[0] if free else ""
+def _root(joints: Iterable[JointTag], links: Sequence[str]) -> str:
+    return WORLD if any(joint.parent == WORLD for joint in joints) else links[0]
 
 
 def _directed(root: str, joints: Sequence[JointTag], report: Report) -> Iterable[JointTag]:

@@ -44,6 +44,19 @@ def test_link_stays_in_its_place_when_its_joint_is_turned_round() -> None:
     assert [joint.axis for joint in model.joints[1:]] == [(0.0, 0.0, -1.0), (-1.0, 0.0, 0.0)]
 
 
+def test_first_link_is_the_root_whatever_holds_it() -> None:
+    model = read(
+        *THREE,
+        a_joint("j", ("c", "a"), "revolute", an_axis("0 0 1")),
+        a_joint("k", ("c", "b"), "revolute", an_axis("0 0 1")),
+        a_joint("l", ("a", "b"), "revolute", an_axis("0 0 1")),
+    )
+
+    assert model.links[0].name == "a"
+    assert ends(model)[-1] == ("l", "a", "b")
+    assert len(reasons(model.report, "suspicious")) == 1
+
+
 def test_loop_is_left_open_and_noted() -> None:
     model = read(
         *THREE,
