@@ -132,7 +132,7 @@ def _with_joint_state(found: Plugins, plugin: Element, lumped: Lumped, report: R
 
 
 def _with_ground_truth(found: Plugins, plugin: Element, lumped: Lumped, report: Report) -> Plugins:
-    tags = PluginTags(plugin, slug="p3d", aliases=ground_truth.ALIASES, report=report)
+    tags = PluginTags(plugin, slug="ground_truth", aliases=ground_truth.ALIASES, report=report)
     truth = ground_truth.read_ground_truth(tags, lumped)
     if truth is None:
         return found

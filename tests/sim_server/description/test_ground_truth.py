@@ -81,9 +81,9 @@ def test_frame_that_is_no_link_means_the_world() -> None:
 @pytest.mark.parametrize(
     ("inside", "slug"),
     [
-        ("<update_rate>-1</update_rate>", "p3d.update_rate"),
-        ("<gaussian_noise>some</gaussian_noise>", "p3d.gaussian_noise"),
-        ("<xyz_offset>1 2</xyz_offset>", "p3d.xyz_offset"),
+        ("<update_rate>-1</update_rate>", "ground_truth.update_rate"),
+        ("<gaussian_noise>some</gaussian_noise>", "ground_truth.gaussian_noise"),
+        ("<xyz_offset>1 2</xyz_offset>", "ground_truth.xyz_offset"),
     ],
 )
 def test_ground_truth_is_refused_when_a_number_is_none(inside: str, slug: str) -> None:

@@ -1,0 +1,57 @@
+"""A robot that no solver can carry is frozen in a real server; the others drive on."""
+
+import math
+import struct
+from pathlib import Path
+
+from proto import keys
+from proto.codec import decode
+from proto.telemetry import Event, Snapshot
+from tests.integration.processes import driven, eventually, serving
+from tests.integration.robots import drive_for, robot
+
+INERTIAL = """<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>
+<inertia ixx="{moment}" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="{moment}"/></inertial>"""
+LINK = '<link name="{name}">' + INERTIAL + "</link>"
+JOINT = """<joint name="j{n}" type="continuous"><parent link="l{above}"/><child link="l{n}"/>
+<origin xyz="0.5 0 0"/><axis xyz="0 1 0"/>{mimic}</joint>"""
+MASSES = (("1e-4", "1e-8"), ("1e12", "1e12"), ("1e-4", "1e-8"))
+
+
+def mismatched() -> str:
+    """1e16 between neighbouring masses, geared by 1e6."""
+    links = "".join(
+        LINK.format(name=f"l{n}", x=0.3 if n else 0.0, mass=mass, moment=moment)
+        for n, (mass, moment) in enumerate(MASSES)
+    )
+    gear = '<mimic joint="j1" multiplier="1e6"/>'
+    joints = "".join(
+        JOINT.format(n=n, above=n - 1, mimic=gear if n > 1 else "") for n in range(1, len(MASSES))
+    )
+    return f'<robot name="mismatched">{links}{joints}</robot>'
+
+
+def test_robot_that_goes_bad_is_frozen_and_the_others_drive_on(tmp_path: Path) -> None:
+    file = tmp_path / "mismatched.urdf"
+    file.write_text(mismatched(), encoding="utf-8")
+    with serving() as server:
+        assert server.zensim("spawn", "box_bot", "--name", "r1").returncode == 0
+        with driven(server, "r1"):
+            events = server.bus.subscribe(keys.events("default"), 1000)
+            shown = server.bus.subscribe(keys.snapshot("default"), 100_000)
+            other = robot(server.bus, "r1")
+            where = ("-x", "0", "-y", "3", "-z", "1")
+            assert server.zensim("spawn", str(file), "--name", "bad", *where).returncode == 0
+
+            (course,) = drive_for([other], linear=0.2, angular=0.0, sim_s=4.0)
+
+            heard = [decode(Event, one.payload, one.encoding) for one in events.take()]
+            warned = [event for event in heard if event.kind == "warning"]
+            assert [event.entity for event in warned if "frozen" in event.message] == ["bad"]
+            assert math.isclose(course.forward_m, 0.8, rel_tol=0.03)
+            snapshots = eventually(shown.take, 10.0, "a snapshot")
+            for sample in snapshots:
+                base = decode(Snapshot, sample.payload, sample.encoding).base
+                assert all(map(math.isfinite, struct.unpack(f"<{len(base) // 8}d", base)))
+            assert set(server.client.entities()) == {"r1", "bad"}
+            server.client.delete("bad")

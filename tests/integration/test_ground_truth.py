@@ -1,0 +1,42 @@
+"""A robot's p3d plug-in is carried out by its agent, over a real network."""
+
+from pathlib import Path
+
+import pytest
+
+from proto.codec import decode
+from proto.topics import Odometry
+from sim_server.description.library import model_text
+from tests.integration.processes import driven, eventually, serving
+from tests.integration.robots import drive_for, place, robot, stamp_s
+
+P3D = """<gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">
+<ros><remapping>odom:=ground_truth/state</remapping></ros>
+<body_name>base_link</body_name><frame_name>map</frame_name><update_rate>20</update_rate>
+<gaussian_noise>0.01</gaussian_noise></plugin></gazebo></robot>"""
+
+
+def test_ground_truth_goes_where_the_robot_goes(tmp_path: Path) -> None:
+    file = tmp_path / "seen.urdf"
+    file.write_text(model_text("box_bot").replace("</robot>", P3D), encoding="utf-8")
+    with serving() as server:
+        spawned = server.zensim("spawn", str(file), "--name", "r1", "-x", "3", "--json")
+        assert spawned.returncode == 0
+        assert "ground truth of 'base_link' in 'map'" in spawned.stdout
+        with driven(server, "r1"):
+            truth = server.bus.subscribe("r1/ground_truth/state", 100_000)
+            seen = robot(server.bus, "r1")
+
+            drive_for([seen], linear=0.2, angular=0.0, sim_s=3.0)
+
+            heard = eventually(truth.take, 20.0, "ground truth")
+            first, last = (
+                decode(Odometry, one.payload, one.encoding) for one in (heard[0], heard[-1])
+            )
+            odom = seen.now()
+            assert (last.header.frame_id, last.child_frame_id) == ("map", "base_link")
+            assert place(last)[0] - place(first)[0] == pytest.approx(0.6, abs=0.1)
+            assert place(last) == pytest.approx(place(odom), abs=0.05)
+            rate = (len(heard) - 1) / (stamp_s(last) - stamp_s(first))
+            assert rate == pytest.approx(20.0, rel=0.1)
+            assert last.twist.covariance[0] == pytest.approx(1e-4)
