@@ -145,7 +145,8 @@ class Feed:
     def newest(self) -> View | None:
         """Take the newest snapshot that can be drawn, if one has come and it is time for it."""
         self._watch_server()
-        self._fetcher.fetch()
+        if not self.is_silent:
+            self._fetcher.fetch()
         if self._clock() < self._frame_at:
             return None
         sample = self._snapshots.newest()

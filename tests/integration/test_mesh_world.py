@@ -105,6 +105,10 @@ def test_robot_of_a_mesh_is_put_on_its_lowest_corner(server: Server, folder: Pat
     assert height(server, "wedge") == pytest.approx(0.5)
 
 
+def test_light_of_a_world_is_told_with_its_models(server: Server) -> None:
+    assert server.client.models().scene.background == (0.1, 0.8, 0.1, 1.0)
+
+
 @pytest.mark.browser
 @pytest.mark.timeout(180)
 def test_page_draws_the_meshes_and_the_sky_of_a_world(server: Server) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from proto import keys
-from proto.assets import GetAssetResponse
+from proto.assets import GetAssetRequest, GetAssetResponse
 from proto.geometry import Twist, TwistStamped, Vector3
 from proto.model import Shape
 from proto.result import Result, ResultCode
@@ -111,6 +111,19 @@ def test_feed_shows_meshes_once_they_have_come() -> None:
     assert first.fleet.forms["r1"].links[0] == ()
     assert second.fleet.forms["r1"].links[0] == (shape,)
     assert list(second.fleet.meshes) == [shape.mesh]
+
+
+def test_feed_asks_for_no_mesh_while_the_server_is_gone() -> None:
+    stand = Stand()
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a" * 64)
+    stand.world.models = models_of(r1=a_robot("r1", shape=shape))
+    stand.see("r1")
+
+    stand.token.close()
+    stand.clock.sleep(1.0)
+    stand.feed.newest()
+
+    assert stand.world.count(GetAssetRequest) == 0
 
 
 def test_feed_tells_how_the_world_is_lit() -> None:
