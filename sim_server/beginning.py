@@ -9,7 +9,7 @@ import msgspec
 
 from sim_server.config import paced
 from sim_server.journal.ledger import JournalError
-from sim_server.world_files import LoadedWorld, doubts, load_world
+from sim_server.world_files import LoadedWorld, WorldOrder, doubts, loaded_elsewhere
 
 if TYPE_CHECKING:
     from sim_server.config import ServerConfig
@@ -29,7 +29,8 @@ def begin(config: ServerConfig, journal: Journal | None) -> tuple[LoadedWorld, S
     """
     if journal is not None and journal.contents is not None:
         return LoadedWorld(journal.contents.world.source), _resumed(config, journal.contents)
-    loaded = load_world(config.world_file, config.model_paths, is_strict=config.is_strict)
+    order = WorldOrder(config.world_file, config.model_paths, config.is_strict)
+    loaded = loaded_elsewhere(order)
     for fault in doubts(loaded.model.report):
         LOG.warning("world=%s %s", config.world_file, fault)
     pace = loaded.model.pace

@@ -1,10 +1,9 @@
-"""The world that a server begins with: found, read, and put into an engine."""
+"""The world that a server begins with: found, read elsewhere, and put into an engine."""
 
 from __future__ import annotations
 
-from functools import cache
-from hashlib import sha256
-from pathlib import Path
+import subprocess
+import sys
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -12,20 +11,17 @@ import numpy as np
 
 from sim_server.birth import Birth
 from sim_server.config import ConfigError
-from sim_server.description.describing import describe_world
 from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import WorldModel
+from sim_server.description.sdf import WorldModel, read_world
 from sim_server.errors import SimError
-from sim_server.model_path import bytes_in, models_in
-from sim_server.world import World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable
 
     from proto.model import ReportEntry
+    from sim_server.world import World
 
-SHOWN = 5
-"""Entries of the report that a refusal repeats."""
+COMMAND = (sys.executable, "-m", "sim_server.world_loading")
 
 
 class LoadedWorld(msgspec.Struct, frozen=True):
@@ -35,50 +31,40 @@ class LoadedWorld(msgspec.Struct, frozen=True):
     meshes: dict[str, bytes] = {}
 
 
-def load_world(
-    name: str, model_paths: Iterable[str] = (), *, is_strict: bool = False
-) -> LoadedWorld:
-    """Read a shipped world by name, or a world file by path, and the files that it names.
+class WorldOrder(msgspec.Struct, frozen=True):
+    """What is to be read: a shipped world or a file, and where the files that it names may be."""
 
-    Args:
-        name: Of the world.
-        model_paths: Folders to look for models and meshes in, beside that of the world file.
-        is_strict: Refuse a world of which something was left out or is suspicious.
+    name: str
+    model_paths: tuple[str, ...] = ()
+    is_strict: bool = False
+
+
+class WorldOutcome(msgspec.Struct, frozen=True):
+    """The world, or why there is none."""
+
+    loaded: LoadedWorld | None = None
+    fault: str = ""
+
+
+def loaded_elsewhere(order: WorldOrder) -> LoadedWorld:
+    """Have a world read by a process of its own: parsers of files and meshes are large.
 
     Raises:
         ConfigError: There is none, or it cannot be read.
     """
-    folders = [Path(path) for path in model_paths]
-    try:
-        if name in shipped_worlds():
-            loaded = _loaded(world_text(name), folders)
-        else:
-            file = Path(name)
-            text = file.read_text(encoding="utf-8")
-            loaded = _loaded(text, [file.resolve().parent, *folders])
-    except SimError as error:
-        raise ConfigError(f"world '{name}': {error}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        shipped = ", ".join(shipped_worlds())
-        raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
-    if is_strict and (faults := doubts(loaded.model.report)):
+    if order.name in shipped_worlds():
+        return LoadedWorld(read_world(world_text(order.name)))
+    payload = msgspec.msgpack.encode(order)
+    done = subprocess.run(COMMAND, input=payload, stdout=subprocess.PIPE, check=False)
+    if done.returncode:
         raise ConfigError(
-            f"world '{name}' is refused by --strict: {'; '.join(faults[:SHOWN])}"
-            + (f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else "")
+            f"world '{order.name}' ended the process that read it (status {done.returncode}); "
+            "make it simpler"
         )
-    return loaded
-
-
-def _loaded(text: str, folders: Sequence[Path]) -> LoadedWorld:
-    read = bytes_in(folders)
-
-    @cache
-    def find_mesh(uri: str) -> tuple[str, bytes] | None:
-        data = read(uri)
-        return None if data is None else (sha256(data).hexdigest(), data)
-
-    described = describe_world(text, resolve=models_in(folders), find_mesh=find_mesh)
-    return LoadedWorld(described.world, described.meshes)
+    outcome = msgspec.msgpack.decode(done.stdout, type=WorldOutcome)
+    if outcome.loaded is None:
+        raise ConfigError(outcome.fault)
+    return outcome.loaded
 
 
 def doubts(report: Iterable[ReportEntry]) -> list[str]:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
     from proto.model import Link, Quat
-    from sim_server.description.parts import Parts
+    from sim_server.description.part_list import Parts
     from sim_server.description.report import Report
 
 _NO_EFFECT = "known to Gazebo; no effect here"

@@ -14,6 +14,7 @@ from proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
 from proto.rotation import FloatArray, from_matrix
 from sim_server.description.colours import named_colours
 from sim_server.description.grammar import INERTIAL, JOINT, LINK, Tag
+from sim_server.description.part_list import Parts
 from sim_server.description.shapes import MeshRule, read_collisions, read_visuals
 from sim_server.description.wording import in_line
 from sim_server.errors import ModelError
@@ -27,14 +28,6 @@ KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
 BONE = msgspec.structs.replace(LINK, children={"inertial": INERTIAL})
 """A link without its shapes: URDF has more kinds of them than yourdfpy."""
 LIMITED = ("revolute", "prismatic")
-
-
-class Parts(msgspec.Struct, frozen=True):
-    """What a URDF lists, in its order."""
-
-    name: str
-    links: tuple[Link, ...]
-    joints: tuple[Joint, ...]
 
 
 def read_parts(robot: Element, rule: MeshRule, report: Report) -> Parts:

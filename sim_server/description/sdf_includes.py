@@ -52,9 +52,7 @@ def marked(sdf: Element, report: Report) -> Element:
 class Includes:
     """Puts models in the place of includes, below one document; equal URIs are read once."""
 
-    def __init__(
-        self, resolve: Resolve, report: Report, *, allow_missing: bool = False
-    ) -> None:
+    def __init__(self, resolve: Resolve, report: Report, *, allow_missing: bool = False) -> None:
         self._resolve = resolve
         self._report = report
         self._allow_missing = allow_missing

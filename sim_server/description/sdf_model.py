@@ -13,7 +13,7 @@ from sim_server.description.assets import HasMesh, no_meshes
 from sim_server.description.following import with_true_mimics
 from sim_server.description.free_joints import with_chains
 from sim_server.description.lumping import Lumped, lump
-from sim_server.description.parts import Parts
+from sim_server.description.part_list import Parts
 from sim_server.description.plugins import read_plugins
 from sim_server.description.report import Report
 from sim_server.description.sdf_frames import MODEL, inverse

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from proto.model import Joint, Link
-from sim_server.description.parts import Parts
+from sim_server.description.part_list import Parts
 from sim_server.description.report import Report
 from sim_server.description.wording import listed
 from sim_server.errors import ModelError

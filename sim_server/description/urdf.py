@@ -14,7 +14,7 @@ from sim_server.description.free_joints import with_chains
 from sim_server.description.gazebo import GazeboBlocks, read_gazebo, with_surfaces
 from sim_server.description.grammar import check_grammar
 from sim_server.description.lumping import Lumped, lump
-from sim_server.description.parts import Parts, read_parts
+from sim_server.description.parts import read_parts
 from sim_server.description.plugins import read_plugins
 from sim_server.description.report import Report
 from sim_server.description.sensors import read_sensors
@@ -27,6 +27,8 @@ from sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
+
+    from sim_server.description.part_list import Parts
 
 
 MAX_JOINTS = 120

@@ -1,14 +1,17 @@
 """Worlds are found, read and furnished; a strict server refuses doubtful ones."""
 
+import sys
 from pathlib import Path
 
 import pytest
 import trimesh
 
 from proto.model import Shape
+from sim_server import world_files
 from sim_server.config import ConfigError
 from sim_server.description.library import shipped_worlds
-from sim_server.world_files import doubts, furnish, load_world
+from sim_server.world_files import WorldOrder, doubts, furnish, loaded_elsewhere
+from sim_server.world_loading import load_world
 from tests.sim_server.description.test_meshes import exported
 from tests.sim_server.fakes import a_world
 
@@ -172,3 +175,28 @@ def test_part_of_a_mesh_is_told_to_be_the_whole(tmp_path: Path) -> None:
     (fault,) = doubts(load_world(file).model.report)
 
     assert fault.endswith("<submesh>: not supported; the whole mesh is used")
+
+
+def test_world_is_the_same_when_it_is_read_elsewhere(tmp_path: Path) -> None:
+    file = a_file(tmp_path / "beside", "<include><uri>model://near</uri></include>")
+    (tmp_path / "path" / "near").mkdir(parents=True)
+    near = f"<sdf version='1.6'>{CRATE.replace('crate', 'near')}</sdf>"
+    (tmp_path / "path" / "near" / "model.sdf").write_text(near)
+    paths = (str(tmp_path / "path"),)
+
+    assert loaded_elsewhere(WorldOrder(file, paths)) == load_world(file, paths)
+    assert loaded_elsewhere(WorldOrder("walls")) == load_world("walls")
+
+
+def test_world_is_refused_as_it_is_here_when_it_is_read_elsewhere(tmp_path: Path) -> None:
+    file = a_file(tmp_path, "<actor name='a'/>")
+
+    with pytest.raises(ConfigError, match="refused by --strict: world: <actor> 'a'"):
+        loaded_elsewhere(WorldOrder(file, is_strict=True))
+
+
+def test_world_is_refused_when_it_kills_who_reads_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(world_files, "COMMAND", (sys.executable, "-c", "raise SystemExit(9)"))
+
+    with pytest.raises(ConfigError, match="status 9"):
+        loaded_elsewhere(WorldOrder("deadly.world"))
