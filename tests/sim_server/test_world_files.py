@@ -178,7 +178,7 @@ def test_part_of_a_mesh_is_told_to_be_the_whole(tmp_path: Path) -> None:
 
 
 def test_world_is_the_same_when_it_is_read_elsewhere(tmp_path: Path) -> None:
-    file = a_file(tmp_path / "beside", "<include><uri>model://near</uri></include>")
+    file = a_file(tmp_path, "<include><uri>model://near</uri></include>")
     (tmp_path / "path" / "near").mkdir(parents=True)
     near = f"<sdf version='1.6'>{CRATE.replace('crate', 'near')}</sdf>"
     (tmp_path / "path" / "near" / "model.sdf").write_text(near)
