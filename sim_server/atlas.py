@@ -30,6 +30,7 @@ MAX_VISITED = 10_000
 """Files and folders that one listing looks at."""
 MAX_TAGS = 32
 _WORLD = re.compile(r"<world\s[^<>]{0,500}?name\s{0,9}=\s{0,9}[\"']([^\"'<>]{1,200})[\"']")
+_FRAME = re.compile(r"<frame\b.*?</frame>", re.DOTALL)
 _SAID = re.compile(r"<zensim:(description|tags)>([^<]{0,1000})</zensim:")
 
 
@@ -151,7 +152,8 @@ def start_file(name: str) -> Path | None:
 
 def described(resource: Resource, text: str) -> WorldResource:
     """Say what a world's file says of itself: its name, `<zensim:description>`, `<zensim:tags>`."""
-    head = text[:HEAD_BYTES]
+    # What stands in a frame is said of a named pose.
+    head = _FRAME.sub("", text[:HEAD_BYTES])
     named = _WORLD.search(head)
     said = {what: " ".join(words.split()) for what, words in _SAID.findall(head)}
     tags = tuple(said.get("tags", "").split()[:MAX_TAGS])

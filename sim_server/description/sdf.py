@@ -17,7 +17,13 @@ from sim_server.description.report import Report
 from sim_server.description.sdf_frames import MODEL, Frames
 from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
 from sim_server.description.sdf_model import model_of, placement_of
-from sim_server.description.sdf_places import NamedPlace, read_place
+from sim_server.description.sdf_places import (
+    PREFIX,
+    WORDS_OF_WORLDS,
+    NamedPlace,
+    own_word,
+    read_place,
+)
 from sim_server.description.sdf_scene import Pace, read_light, read_pace, read_scene
 from sim_server.description.sdf_shapes import LOWERED, SLAB_M
 from sim_server.description.sdf_values import read_name, read_pose, read_text
@@ -225,7 +231,9 @@ def _take_frame(frame: Element, draft: _Draft) -> None:
 
 
 def _note(child: Element, report: Report) -> None:
-    if child.tag in UNSUPPORTED:
+    if own_word(child) in WORDS_OF_WORLDS:
+        report.applied(f"world: <{PREFIX}{own_word(child)}>")
+    elif child.tag in UNSUPPORTED:
         name = shown(child.get("name"))
         report.suspicious(f"world: <{child.tag}> {name}", f"{UNSUPPORTED[child.tag]}; left out")
     elif child.tag in UNUSED:

@@ -1,7 +1,7 @@
 """Named poses of an SDF world: its <frame> elements, with words of ours inside.
 
 ```xml
-<frame name="dock_1" xmlns:zensim="zensim">
+<frame name="dock_1" xmlns:zensim="urn:zensim">
   <pose>1 2 0 0 0 1.57</pose>
   <zensim:description>beside the charging station</zensim:description>
   <zensim:tags>parking charging</zensim:tags>
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from proto.model import Origin
 
 PREFIX = "zensim:"
+WORDS_OF_WORLDS = ("description", "tags")
 
 
 class NamedPlace(msgspec.Struct, frozen=True):
@@ -45,7 +46,7 @@ def read_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
     Raises:
         ModelError: Its size is not three positive numbers, or its words are too many.
     """
-    words = {_bare(child): (child.text or "").strip() for child in frame}
+    words = {own_word(child): (child.text or "").strip() for child in frame}
     tags = tuple(dict.fromkeys(words.get("tags", "").replace(",", " ").split()))
     description = words.get("description", "")
     is_long = len(description) > MAX_DESCRIPTION or any(len(tag) > MAX_TAG for tag in tags)
@@ -70,7 +71,7 @@ def _bounds(words: dict[str, str], name: str) -> Bounds:
     return Bounds(BoundsType.BOX, (upper, Vector3(-upper.x, -upper.y, -upper.z)))
 
 
-def _bare(child: Element) -> str:
+def own_word(child: Element) -> str:
     """Name an element of ours without its prefix; empty for others."""
     tag = str(child.tag)
     if tag.startswith(PREFIX):
