@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from proto.model import RosBlock
+from proto.result import SpawnCode
 from sim_server.description.decimals import read_number, read_numbers
 from sim_server.description.ros_block import read_ros_block
 from sim_server.errors import ModelError
@@ -143,6 +144,12 @@ class PluginTags:
                 self.report.unread_tag(self.subject, tag, sorted(self._read))
 
     def _number(self, tag: str, text: str) -> float:
+        if text.startswith(("${", "$(")):
+            raise ModelError(
+                f"{self.subject}, {tag}: {text[:80]!r} is xacro's; run xacro on it first",
+                code=SpawnCode.UNSUPPORTED_FORMAT,
+                slug="urdf.xacro",
+            )
         return read_number(text, where=f"{self.subject}, {tag}", slug=f"{self._slug}.{tag}")
 
     def _refusal(self, tag: str, fault: str) -> ModelError:

@@ -3,6 +3,7 @@
 import pytest
 
 from proto.model import DiffDrive, RosBlock, WheelPair
+from proto.result import SpawnCode
 from sim_server.description.urdf import read_urdf
 from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
@@ -267,3 +268,10 @@ def test_drive_is_read_when_it_is_that_of_an_old_turtlebot(
     assert (model.drive.pairs, model.drive.max_torque_nm) == ((PAIR,), 1.0)
     assert model.drive.publish_odom
     assert len(reasons(model.report, "ignored")) == 2
+
+
+def test_drive_is_refused_as_xacro_when_a_number_is_not_expanded() -> None:
+    with pytest.raises(ModelError) as caught:
+        read_urdf(a_cart(a_drive(sizes="<wheel_separation>${2 * track}</wheel_separation>")))
+
+    assert (caught.value.slug, caught.value.code) == ("urdf.xacro", SpawnCode.UNSUPPORTED_FORMAT)
