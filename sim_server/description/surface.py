@@ -107,8 +107,9 @@ class SurfaceTags:
         Raises:
             ModelError: mu1 is no number, or negative.
         """
-        for tag in UNUSED.keys() & self._texts.keys():
-            self._report.ignored(self._of(tag), UNUSED[tag])
+        for tag, reason in UNUSED.items():
+            if tag in self._texts:
+                self._report.ignored(self._of(tag), reason)
         friction, direction, across = self._frictions()
         stiffness, damping = self._stiffness()
         return Surface(

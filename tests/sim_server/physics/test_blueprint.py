@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import IDENTITY, Inertial, Joint, Link, Model, Origin, Shape
+from proto.model import IDENTITY, Contact, Inertial, Joint, Link, Model, Origin, Shape
 from proto.rotation import from_rpy, rotate
 from sim_server.physics.blueprint import DEFAULT_FRICTION, blueprint_of, principal_axes
 from sim_server.physics.engine import FloatArray
@@ -129,3 +129,27 @@ def test_link_of_many_shapes_is_split_so_that_none_is_passed_over() -> None:
 
     assert [len(part.shapes) for part in parts] == [16, 16, 8]
     assert [part.parent for part in parts] == [-1, 0, 0]
+
+
+def test_blueprint_gives_each_further_contact_a_skin() -> None:
+    soft, hard = Shape("sphere", contact=Contact(1e4, 1.0)), Shape("sphere")
+    model = Model("m", (Link("base", a_body(), (hard, soft)),))
+
+    root, skin = blueprint_of(model).parts
+
+    assert (root.contact, skin.contact) == (hard.contact, soft.contact)
+    assert (root.link, skin.link) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    "direction", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.6, -0.8, 0.0)]
+)
+def test_blueprint_lays_the_axes_of_a_skin_along_its_direction(
+    direction: tuple[float, float, float],
+) -> None:
+    foot = Shape("sphere", contact=Contact(direction=direction, friction_across=0.1))
+
+    root, skin = blueprint_of(Model("m", (Link("base", a_body(), (foot,)),))).parts
+
+    assert (root.shapes, skin.shapes) == ((), (foot,))
+    assert rotate(np.array(skin.principal), np.array([1.0, 0.0, 0.0])) == pytest.approx(direction)
