@@ -182,7 +182,7 @@ def open_ledger(folder: Path) -> Ledger:
     Raises:
         JournalError: The folder cannot be used, another server has it, or the journal is damaged.
     """
-    with _as_one_line(folder):
+    with as_one_line(folder):
         (folder / FILES).mkdir(parents=True, exist_ok=True)
         lock = _locked(folder)
         try:
@@ -199,7 +199,7 @@ def reading_ledger(folder: Path) -> Iterator[Ledger]:
     Raises:
         JournalError: There is none, or it is damaged.
     """
-    with _as_one_line(folder):
+    with as_one_line(folder):
         if not (folder / DATABASE).is_file():
             raise JournalError(f"{folder} holds no journal; name a folder given to --journal")
         connection = _connect(folder)
@@ -289,13 +289,14 @@ def sync_folder(folder: Path) -> None:
 
 
 @contextmanager
-def _as_one_line(folder: Path) -> Iterator[None]:
+def as_one_line(folder: Path) -> Iterator[None]:
+    """Say in one line what a file or a disk does not do; raises JournalError."""
     try:
         yield
     except sqlite3.Error as error:
         raise JournalError(
-            f"{folder / DATABASE} cannot be read: {error}; "
-            "put a copy in its place, or use another folder"
+            f"{folder / DATABASE} cannot be used: {error}; "
+            "make room for it, put a copy in its place, or use another folder"
         ) from error
     except OSError as error:
         raise JournalError(

@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from sim_server.durable import Told
 from sim_server.journal.keeping import Keeper
-from sim_server.journal.ledger import FILES, Ledger, open_ledger, sync_folder
+from sim_server.journal.ledger import FILES, Ledger, as_one_line, open_ledger, sync_folder
 from sim_server.journal.probing import deadly
 from sim_server.journal.recorder import Recorder
 from sim_server.journal.restoring import (
@@ -20,7 +22,7 @@ from sim_server.journal.restoring import (
     birth_of,
     contents_of,
     restore,
-    set_aside,
+    seal,
 )
 from sim_server.journal.rows import AsideRow
 from sim_server.journal.writer import Writer
@@ -66,18 +68,30 @@ class Journal:
         LOG.warning("the last start died while it restored; each entity is tried apart first")
         rows = self.contents.entities
         guilty = deadly(_tries(self.contents, make_engine))
-        set_aside(self.ledger, [AsideRow(entity=rows[i], reason=KILLED) for i in guilty])
+        with as_one_line(self.ledger.folder):
+            seal(self.ledger, [AsideRow(entity=rows[i], reason=KILLED) for i in guilty])
         self.contents = contents_of(self.ledger)
 
     def restore(self, world: World, store: AssetStore, now_ns: int) -> tuple[str, ...]:
-        """Make a world as it was; name who could not be made again."""
+        """Make a world as it was; name who could not be made again.
+
+        Raises:
+            JournalError: The journal cannot be written.
+        """
         if self.contents is None:
             return ()
+        with as_one_line(self.ledger.folder):
+            return self._restore(self.contents, world, store, now_ns)
+
+    def _restore(
+        self, contents: Contents, world: World, store: AssetStore, now_ns: int
+    ) -> tuple[str, ...]:
         self._mark.touch()
         sync_folder(self.ledger.folder)
-        restored = restore(self.contents, world, Shelf(self.files, store), now_ns)
+        restored = restore(contents, world, Shelf(self.files, store), now_ns)
         self.kept = tuple(restored.kept)
-        set_aside(self.ledger, restored.refused)
+        clock = msgspec.structs.replace(self.contents.clock, epoch=world.epoch, steps=world.steps)
+        seal(self.ledger, restored.refused, clock)
         self._mark.unlink()
         return tuple(row.entity.name for row in restored.refused)
 
@@ -95,7 +109,8 @@ class Journal:
         """Go on where the journal ended."""
         self.prepare(desk, time.time())
         keeper = Keeper(self.ledger, desk.store.folder)
-        keeper.sweep()
+        with as_one_line(self.ledger.folder):
+            keeper.sweep()
         writer = Writer(keeper, self.ledger.position)
         writer.start()
         self._is_handed_over = True

@@ -197,13 +197,18 @@ class Shelf:
             self.store.keep(mesh, (self.files / f"{mesh}.stl").read_bytes())
 
 
-def set_aside(ledger: Ledger, rows: list[AsideRow]) -> None:
-    """Keep entities out of the world from now on, where they can still be looked at."""
-    if not rows:
+def seal(ledger: Ledger, aside: list[AsideRow], clock: ClockRow | None = None) -> None:
+    """Keep at once who is left out of the world from now on, and a new epoch.
+
+    Nobody may see an epoch that another start would use again.
+    """
+    if not aside and clock is None:
         return
     ledger.begin()
-    for row in rows:
+    for row in aside:
         LOG.warning("entity %s set aside: %s", row.entity.name, row.reason)
         ledger.remove("entity", row.entity.name)
         ledger.put("aside", f"{row.entity.ordinal}/{row.entity.name}", ENCODER.encode(row))
+    if clock is not None:
+        ledger.put(CLOCK, "", ENCODER.encode(clock))
     ledger.commit(ledger.position + 1)

@@ -78,6 +78,18 @@ def test_time_goes_on_in_a_higher_epoch(tmp_path: Path) -> None:
     assert 0.5 < (before - again.world.steps) * STEP_NS * 1e-9 + 0.5 <= 1.0
 
 
+def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) -> None:
+    kept = Journalled(tmp_path, "r0")
+    kept.recorder.note()
+
+    epochs = []
+    for _ in range(3):
+        kept = restart(kept)
+        epochs.append(kept.world.epoch)
+
+    assert epochs == [1, 2, 3]
+
+
 def test_robot_stands_and_what_nobody_drives_moves_on(tmp_path: Path) -> None:
     kept = Journalled(tmp_path, "r0")
     kept.world.spawn(a_birth("ball", model=a_box(), base=on_ground(5.0)))
