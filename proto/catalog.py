@@ -5,7 +5,18 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from proto import assets, claims, entities, fleets, places, services, stepping, telemetry, worlds
+from proto import (
+    assets,
+    claims,
+    entities,
+    fleets,
+    gazebo,
+    places,
+    services,
+    stepping,
+    telemetry,
+    worlds,
+)
 from proto.result import (
     ClaimCode,
     GetAvailableWorldsCode,
@@ -156,6 +167,64 @@ GET_AVAILABLE_WORLDS = Service(
     worlds.GetAvailableWorldsResponse,
     GetAvailableWorldsCode,
 )
+GAZEBO_GET_ENTITY_STATE = Service(
+    "gazebo_get_entity_state", gazebo.GazeboGetEntityStateRequest, gazebo.GazeboGetEntityStateReport
+)
+GAZEBO_SET_ENTITY_STATE = Service(
+    "gazebo_set_entity_state",
+    gazebo.GazeboSetEntityStateRequest,
+    gazebo.GazeboSetEntityStateReport,
+    is_mutating=True,
+)
+PAUSE_PHYSICS = Service(
+    "pause_physics", gazebo.PausePhysicsRequest, gazebo.EmptyReport, is_mutating=True
+)
+UNPAUSE_PHYSICS = Service(
+    "unpause_physics", gazebo.UnpausePhysicsRequest, gazebo.EmptyReport, is_mutating=True
+)
+RESET_WORLD = Service("reset_world", gazebo.ResetWorldRequest, gazebo.EmptyReport, is_mutating=True)
+APPLY_LINK_WRENCH = Service(
+    "apply_link_wrench",
+    gazebo.ApplyLinkWrenchRequest,
+    gazebo.ApplyLinkWrenchReport,
+    is_mutating=True,
+)
+CLEAR_LINK_WRENCHES = Service(
+    "clear_link_wrenches",
+    gazebo.ClearLinkWrenchesRequest,
+    gazebo.ClearLinkWrenchesReport,
+    is_mutating=True,
+)
+APPLY_JOINT_EFFORT = Service(
+    "apply_joint_effort",
+    gazebo.ApplyJointEffortRequest,
+    gazebo.ApplyJointEffortReport,
+    is_mutating=True,
+)
+CLEAR_JOINT_EFFORTS = Service(
+    "clear_joint_efforts",
+    gazebo.ClearJointEffortsRequest,
+    gazebo.ClearJointEffortsReport,
+    is_mutating=True,
+)
+GET_JOINT_PROPERTIES = Service(
+    "get_joint_properties", gazebo.GetJointPropertiesRequest, gazebo.GetJointPropertiesReport
+)
+SET_JOINT_PROPERTIES = Service(
+    "set_joint_properties",
+    gazebo.SetJointPropertiesRequest,
+    gazebo.SetJointPropertiesReport,
+    is_mutating=True,
+)
+GET_LINK_PROPERTIES = Service(
+    "get_link_properties", gazebo.GetLinkPropertiesRequest, gazebo.GetLinkPropertiesReport
+)
+SET_LINK_PROPERTIES = Service(
+    "set_link_properties",
+    gazebo.SetLinkPropertiesRequest,
+    gazebo.SetLinkPropertiesReport,
+    is_mutating=True,
+)
 GET_SIMULATOR_FEATURES = Service(
     "get_simulator_features",
     services.GetSimulatorFeaturesRequest,
@@ -204,6 +273,19 @@ SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
         UNLOAD_WORLD,
         GET_CURRENT_WORLD,
         GET_AVAILABLE_WORLDS,
+        GAZEBO_GET_ENTITY_STATE,
+        GAZEBO_SET_ENTITY_STATE,
+        PAUSE_PHYSICS,
+        UNPAUSE_PHYSICS,
+        RESET_WORLD,
+        APPLY_LINK_WRENCH,
+        CLEAR_LINK_WRENCHES,
+        APPLY_JOINT_EFFORT,
+        CLEAR_JOINT_EFFORTS,
+        GET_JOINT_PROPERTIES,
+        SET_JOINT_PROPERTIES,
+        GET_LINK_PROPERTIES,
+        SET_LINK_PROPERTIES,
         GET_SIMULATOR_FEATURES,
         CLAIM_ENTITY,
         GET_MODELS,

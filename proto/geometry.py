@@ -102,6 +102,15 @@ class Accel(msgspec.Struct, frozen=True):
     angular: Vector3 = Vector3()
 
 
+class Wrench(msgspec.Struct, frozen=True):
+    """Force [N] and torque [N m]. Source: geometry_msgs/msg/Wrench."""
+
+    ros_type: ClassVar[str] = "geometry_msgs/msg/Wrench"
+
+    force: Vector3 = Vector3()
+    torque: Vector3 = Vector3()
+
+
 class Transform(msgspec.Struct, frozen=True):
     """Translation [m] and rotation. Source: geometry_msgs/msg/Transform."""
 

@@ -18,6 +18,15 @@ class Time(msgspec.Struct, frozen=True):
     nanosec: UInt32 = 0
 
 
+class Duration(msgspec.Struct, frozen=True):
+    """A span of simulation time. Source: builtin_interfaces/msg/Duration."""
+
+    ros_type: ClassVar[str] = "builtin_interfaces/msg/Duration"
+
+    sec: Int32 = 0
+    nanosec: UInt32 = 0
+
+
 class Header(msgspec.Struct, frozen=True):
     """When and in which frame. Source: std_msgs/msg/Header."""
 
@@ -33,6 +42,6 @@ def time_from_ns(time_ns: int) -> Time:
     return Time(sec, nanosec)
 
 
-def ns_from_time(time: Time) -> int:
-    """Join the ROS pair into simulation time [ns]."""
+def ns_from_time(time: Time | Duration) -> int:
+    """Join the ROS pair into simulation time [ns]; a span may be negative."""
     return time.sec * NANOSECONDS + time.nanosec

@@ -43,6 +43,16 @@ def steps_progress(world: str) -> str:
     return f"sim/{world}/simulate_steps_feedback"
 
 
+def model_states(world: str) -> str:
+    """Every entity's pose and twist, as Gazebo tells them."""
+    return f"sim/{world}/model_states"
+
+
+def link_states(world: str) -> str:
+    """Every link's pose and twist, as Gazebo tells them."""
+    return f"sim/{world}/link_states"
+
+
 def drive_state(world: str, agent: str) -> str:
     """Server to one agent."""
     return f"sim/{world}/drive/{agent}/state"

@@ -8,6 +8,7 @@ from proto import keys
 from proto.bus import Bus, Publisher
 from proto.claims import DriveState
 from proto.codec import Format, encode, encoding_of
+from proto.gazebo import LinkStates, ModelStates
 from proto.stepping import StepsProgress
 from proto.telemetry import Event, Snapshot, Stats, WorldClock
 
@@ -37,6 +38,8 @@ class BusOutlet:
             "stats": (keys.stats(world), Stats),
             "snapshot": (keys.snapshot(world), Snapshot),
             "events": (keys.events(world), Event),
+            "model_states": (keys.model_states(world), ModelStates),
+            "link_states": (keys.link_states(world), LinkStates),
             "simulate_steps_feedback": (keys.steps_progress(world), StepsProgress),
         }
         self._bus = bus

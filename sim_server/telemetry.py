@@ -8,11 +8,13 @@ from proto.header import NANOSECONDS, time_from_ns
 from proto.services import State
 from proto.telemetry import Stats, WorldClock
 from sim_server.desk import Desk
+from sim_server.gazebo_states import link_states, model_states
 
 CLOCK_HZ = 100
 SNAPSHOT_HZ = 30
 PAUSED_HZ = 2
-TOPICS = ("clock", "snapshot", "stats")
+GAZEBO_HZ = 20
+TOPICS = ("clock", "snapshot", "stats", "model_states", "link_states")
 """Topics that also answer a get with their value of now."""
 
 
@@ -41,6 +43,7 @@ class Telemetry:
         self._meter = desk.meter
         self._clock = Timer(NANOSECONDS // CLOCK_HZ)
         self._snapshot = Timer(NANOSECONDS // SNAPSHOT_HZ)
+        self._gazebo = Timer(NANOSECONDS // GAZEBO_HZ)
         self._idle = Timer(NANOSECONDS // PAUSED_HZ)
         self._shown = (-1, -1, -1, -1)
 
@@ -51,6 +54,9 @@ class Telemetry:
         has_changed = seen != self._shown or self._idle.is_due(now_ns)
         if has_changed and self._clock.is_due(now_ns):
             yield "clock"
+        if has_changed and self._gazebo.is_due(now_ns):
+            yield "model_states"
+            yield "link_states"
         if has_changed and self._snapshot.is_due(now_ns):
             self._shown = seen
             yield "snapshot"
@@ -61,6 +67,10 @@ class Telemetry:
             return self.clock()
         if topic == "snapshot":
             return self._world.snapshot(self._real_time_factor())
+        if topic == "model_states":
+            return model_states(self._world)
+        if topic == "link_states":
+            return link_states(self._world)
         return self.stats()
 
     def clock(self) -> WorldClock:

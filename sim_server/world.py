@@ -16,12 +16,7 @@ from sim_server.birth import Birth
 from sim_server.chronicle import Chronicle
 from sim_server.claims import Claims
 from sim_server.entity import Entity, Fleet, Roster, info_of, roster_of
-from sim_server.errors import (
-    EntityNotFound,
-    IncorrectState,
-    Refused,
-    SimError,
-)
+from sim_server.errors import EntityNotFound, IncorrectState, Refused, SimError
 from sim_server.frozen import FROZEN, SET_BACK, Stand, Watch, still
 from sim_server.physics.actuation import standing
 from sim_server.physics.engine import Engine, FloatArray, Reading
@@ -35,8 +30,7 @@ class World(Chronicle):
         super().__init__(step_ns=step_ns)
         self.name = name
         self.control_steps = control_steps
-        self.roster_number = 0
-        self.placed = 0
+        self.roster_number = self.placed = 0
         self.ready_s: dict[str, float] = {}
         self._engine = engine
         self._entities: dict[str, Entity] = {}
@@ -185,12 +179,10 @@ class World(Chronicle):
         entity = self.entity(name)
         if self._watch.is_frozen(name):
             raise IncorrectState(f"entity '{name}' is {FROZEN}")
-        base = self.state_of(name)
         positions = self.reading().joint_positions[self.roster().joints_of(name)]
-        body = self._engine.add(model, base)
-        self._engine.rest(body, base, positions)
-        self._engine.remove(entity.body)
-        self._entities[name] = replace(entity, model=model, body=body)
+        stand = Stand(self.state_of(name), positions.copy())
+        self._engine.remove(self._engine.add(model, stand.base))  # else it would be gone if refused
+        self._stand_up(replace(entity, model=model), stand)
         self._changed()
 
     def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
@@ -245,8 +237,7 @@ class World(Chronicle):
         for agent, targets in self.claims.take_targets():
             if (fleet := self.fleets().get(agent)) is not None:
                 self._engine.command(fleet.bodies, targets)
-        if self.pushes:
-            self.pushes.apply(self._engine, self._entities, self.time_ns)
+        self.pushes.apply(self._engine, self._entities, self.time_ns)
         is_well = self._engine.step()
         self.steps += 1
         self._reading = None

@@ -91,6 +91,17 @@ class ObedientEngine:
             body.targets = targets[at : at + width] if width else None
             at += width
 
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        pushed = self._bodies[body]
+        if link == 0 and not pushed.model.is_static:
+            inertial = pushed.model.links[0].inertial
+            ixx, _, _, iyy, _, izz = inertial.inertia
+            pushed.base[7:10] += wrench[:3] * self._dt_s / inertial.mass_kg
+            pushed.base[10:13] += wrench[3:] * self._dt_s / np.array([ixx, iyy, izz])
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        self._bodies[body].velocities[joint] += effort * self._dt_s
+
     def step(self) -> bool:
         for body in self._bodies.values():
             self._advance(body)

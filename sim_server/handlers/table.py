@@ -29,7 +29,8 @@ def refusal(name: str, code: int, message: str) -> msgspec.Struct:
     response = service.response if service else services.DeleteEntityResponse
     if "result" not in response.__struct_fields__:
         response = services.DeleteEntityResponse
-    return response(result=Result(int(code), message))
+    told = {"status_message": message} if "status_message" in response.__struct_fields__ else {}
+    return response(result=Result(int(code), message), **told)
 
 
 NO_WORLD_HINTS = {

@@ -99,6 +99,18 @@ class Engine(Protocol):
         each step on what the body does in the plane: heights and tilts remain the engine's.
         """
 
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """Push a link in the next step, beside what else pushes it.
+
+        Args:
+            body: What is pushed; one that never moves does not mind.
+            link: Index among `Model.links`.
+            wrench: (6,) force [N] and torque [N m] at its centre of mass, in the world's axes.
+        """
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """Push a joint along its axis in the next step, beside its motor [N m or N]."""
+
     def step(self) -> bool:
         """Advance by one step.
 

@@ -10,13 +10,7 @@ from sim_server.physics.acceptance import check_blueprint, check_meshes
 from sim_server.physics.actuation import Actuation, actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
 from sim_server.physics.creation import creation_of, solids_of
-from sim_server.physics.engine import (
-    MIN_INERTIA,
-    EngineConfig,
-    EngineRefused,
-    FloatArray,
-    Reading,
-)
+from sim_server.physics.engine import MIN_INERTIA, EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.loads import Load, loads_of
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
@@ -195,6 +189,16 @@ class PyBulletEngine:
                 self._actuate(body, numbers[at : at + width])
                 at += width
 
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.push_link`."""
+        self._push(body, link - 1, self._part_state(body, link - 1)[0], wrench[:3], wrench[3:])
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.push_joint`."""
+        pybullet.setJointMotorControl2(
+            body, joint, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
+        )
+
     def step(self) -> bool:
         """See `Engine.step`; a body gone bad that touches the ground takes the ground with it."""
         if self._twists:
@@ -247,19 +251,17 @@ class PyBulletEngine:
             )
 
     def _apply_loads(self) -> None:
-        client = self._client
         for body, loads in self._loads.items():
             for load in loads:
                 place, turn, velocity = self._part_state(body, load.part)
-                force, torque = load.wrench(turn, velocity)
-                pybullet.applyExternalForce(
-                    *(body, load.part, force.tolist(), place, pybullet.WORLD_FRAME),
-                    physicsClientId=client,
-                )
-                pybullet.applyExternalTorque(
-                    *(body, load.part, torque.tolist(), pybullet.WORLD_FRAME),
-                    physicsClientId=client,
-                )
+                self._push(body, load.part, place, *load.wrench(turn, velocity))
+
+    def _push(
+        self, body: int, part: int, place: list[float], force: FloatArray, torque: FloatArray
+    ) -> None:
+        how = {"flags": pybullet.WORLD_FRAME, "physicsClientId": self._client}
+        pybullet.applyExternalForce(body, part, force.tolist(), place, **how)
+        pybullet.applyExternalTorque(body, part, torque.tolist(), **how)
 
     def _part_state(self, body: int, part: int) -> tuple[list[float], FloatArray, FloatArray]:
         """Read the centre of mass of a part, its principal axes, and its velocity (6,)."""

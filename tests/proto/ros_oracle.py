@@ -76,6 +76,45 @@ SIMULATION_INTERFACES = {
     "GetSimulatorFeatures_Request": EMPTY,
     "GetSimulatorFeatures_Response": "SimulatorFeatures features",
 }
+_MASSES = (
+    "geometry_msgs/Pose com; bool gravity_mode; float64 mass; float64 ixx; float64 ixy;"
+    " float64 ixz; float64 iyy; float64 iyz; float64 izz"
+)
+_DONE = "bool success; string status_message"
+GAZEBO = {
+    "EntityState": "string name; geometry_msgs/Pose pose; geometry_msgs/Twist twist;"
+    " string reference_frame",
+    "GetEntityState_Request": "string name; string reference_frame",
+    "GetEntityState_Response": "std_msgs/Header header; gazebo_msgs/EntityState state; bool success",
+    "SetEntityState_Request": "gazebo_msgs/EntityState state",
+    "SetEntityState_Response": "bool success",
+    "ModelStates": "string[] name; geometry_msgs/Pose[] pose; geometry_msgs/Twist[] twist",
+    "LinkStates": "string[] name; geometry_msgs/Pose[] pose; geometry_msgs/Twist[] twist",
+    "ApplyLinkWrench_Request": "string link_name; string reference_frame;"
+    " geometry_msgs/Point reference_point; geometry_msgs/Wrench wrench;"
+    " builtin_interfaces/Time start_time; builtin_interfaces/Duration duration",
+    "ApplyLinkWrench_Response": _DONE,
+    "LinkRequest_Request": "string link_name",
+    "LinkRequest_Response": EMPTY,
+    "ApplyJointEffort_Request": "string joint_name; float64 effort;"
+    " builtin_interfaces/Time start_time; builtin_interfaces/Duration duration",
+    "ApplyJointEffort_Response": _DONE,
+    "JointRequest_Request": "string joint_name",
+    "JointRequest_Response": EMPTY,
+    "GetJointProperties_Request": "string joint_name",
+    "GetJointProperties_Response": "uint8 type; float64[] damping; float64[] position;"
+    f" float64[] rate; {_DONE}",
+    "ODEJointProperties": "float64[] damping; float64[] hi_stop; float64[] lo_stop; float64[] erp;"
+    " float64[] cfm; float64[] stop_erp; float64[] stop_cfm; float64[] fudge_factor;"
+    " float64[] fmax; float64[] vel",
+    "SetJointProperties_Request": "string joint_name;"
+    " gazebo_msgs/ODEJointProperties ode_joint_config",
+    "SetJointProperties_Response": _DONE,
+    "GetLinkProperties_Request": "string link_name",
+    "GetLinkProperties_Response": f"{_MASSES}; {_DONE}",
+    "SetLinkProperties_Request": f"string link_name; {_MASSES}",
+    "SetLinkProperties_Response": _DONE,
+}
 ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
     " uint8[] joint_positions; uint8[] joint_velocities",
@@ -100,6 +139,10 @@ def define(name: str, fields: str) -> None:
 
 for _name, _fields in SIMULATION_INTERFACES.items():
     define(f"simulation_interfaces/msg/{_name}", _fields)
+for _name, _fields in GAZEBO.items():
+    define(f"gazebo_msgs/msg/{_name}", _fields)
+for _name in ("Empty_Request", "Empty_Response"):
+    define(f"std_srvs/msg/{_name}", EMPTY)
 for _name, _fields in ZENSIM.items():
     define(f"zensim/msg/{_name}", _fields)
 

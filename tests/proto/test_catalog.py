@@ -6,6 +6,18 @@ from proto.catalog import GET_ENTITIES, SERVICES, SPAWN_ENTITY
 from proto.result import ResultCode, SpawnCode
 
 
+GAZEBO = {
+    "pause_physics": "Empty",
+    "unpause_physics": "Empty",
+    "reset_world": "Empty",
+    "clear_link_wrenches": "LinkRequest",
+    "clear_joint_efforts": "JointRequest",
+    "gazebo_get_entity_state": "GetEntityState",
+    "gazebo_set_entity_state": "SetEntityState",
+}
+"""Services whose type ROS names otherwise."""
+
+
 @pytest.mark.parametrize("name", SERVICES)
 def test_service_is_found_by_its_own_name(name: str) -> None:
     assert SERVICES[name].name == name
@@ -13,7 +25,7 @@ def test_service_is_found_by_its_own_name(name: str) -> None:
 
 @pytest.mark.parametrize("name", SERVICES)
 def test_messages_of_a_service_are_named_as_ros_names_them(name: str) -> None:
-    camel = "".join(word.capitalize() for word in name.split("_"))
+    camel = GAZEBO.get(name) or "".join(word.capitalize() for word in name.split("_"))
 
     request, response = SERVICES[name].request, SERVICES[name].response
 
