@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from proto.drives import DiffDrive, WheelPair
 from sim_server.description.drive_geometry import apart_m, wheels_of
-from sim_server.description.drive_tags import joint_fault
+from sim_server.description.drive_tags import base_of, joint_fault
 
 if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
@@ -44,7 +44,7 @@ def read_classic_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:
     return DiffDrive(
         pairs=pairs,
         max_torque_nm=torque,
-        robot_base_frame=lumped.links[0].name,
+        robot_base_frame=base_of(lumped),
         publish_odom=True,
         publish_odom_tf=True,
     )

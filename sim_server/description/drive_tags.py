@@ -48,6 +48,8 @@ SOURCES: dict[str, OdometrySource] = {
     "world": "world",
 }
 LEAST_M, MOST_M = 1e-6, 1e6
+MODEL_FRAME = "__model__"
+"""Root of an SDF model whose first link is elsewhere than the model."""
 TURNING = ("continuous", "revolute")
 GRAVITY = 9.81
 GZ_ODOMETRY_RATE_HZ = 50.0
@@ -119,6 +121,13 @@ def read_odometry_rate(tags: PluginTags) -> float:
     """
     rate = tags.number("odom_publisher_frequency", GZ_ODOMETRY_RATE_HZ)
     return tags.number("odom_publish_frequency", rate)
+
+
+def base_of(lumped: Lumped) -> str:
+    """Name the link that a robot's base is: its root, or what hangs fixed from a model's frame."""
+    root = lumped.links[0].name
+    held = (frame.name for frame in lumped.frames if frame.parent == root)
+    return next(held, root) if root == MODEL_FRAME else root
 
 
 def check_lengths(tags: PluginTags, tag: str, lengths: Iterable[float]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from proto.drives import PlanarMove
-from sim_server.description.drive_tags import read_frame, read_odometry_rate, read_topic
+from sim_server.description.drive_tags import base_of, read_frame, read_odometry_rate, read_topic
 
 if TYPE_CHECKING:
     from sim_server.description.lumping import Lumped
@@ -44,7 +44,7 @@ def read_gz_body(tags: PluginTags, lumped: Lumped) -> PlanarMove:
         update_rate_hz=0.0,
         odometry_rate_hz=read_odometry_rate(tags),
         odometry_frame=read_frame(tags, "frame_id", "odom"),
-        robot_base_frame=read_frame(tags, "child_frame_id", lumped.links[0].name),
+        robot_base_frame=read_frame(tags, "child_frame_id", base_of(lumped)),
         command_topic=read_topic(tags, "topic", "cmd_vel", is_new=False),
         odometry_topic=read_topic(tags, "odom_topic", "odom", is_new=False),
     )

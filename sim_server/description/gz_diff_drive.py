@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from proto.drives import DiffDrive, Limits, WheelPair
 from sim_server.description.drive_tags import (
+    base_of,
     check_lengths,
     grip_nm,
     joint_fault,
@@ -58,7 +59,7 @@ def read_gz_diff_drive(tags: PluginTags, lumped: Lumped) -> DiffDrive | None:
         odometry_rate_hz=read_odometry_rate(tags),
         odometry_source="encoder",
         odometry_frame=read_frame(tags, "frame_id", "odom"),
-        robot_base_frame=read_frame(tags, "child_frame_id", lumped.links[0].name),
+        robot_base_frame=read_frame(tags, "child_frame_id", base_of(lumped)),
         publish_odom=True,
         publish_odom_tf=True,
         linear_limits=_limits(tags, "linear"),

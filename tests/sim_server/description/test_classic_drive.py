@@ -3,6 +3,7 @@
 import pytest
 
 from proto.drives import DiffDrive, WheelPair
+from sim_server.description.sdf_model import read_sdf_model
 from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import (
     WHEELS,
@@ -14,6 +15,7 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
+from tests.sim_server.description.sdf_robots import PIONEER
 
 TWO, FOUR = "libDiffDrivePlugin.so", "libSkidSteerDrivePlugin.so"
 PAIR = WheelPair("left_joint", "right_joint", 0.4, 0.2)
@@ -64,3 +66,10 @@ def test_drive_that_has_no_wheels_is_noted(inside: str, fault: str) -> None:
 
     assert model.drive is None
     assert fault in reasons(model.report, "suspicious")[-1]
+
+
+def test_base_is_the_link_that_hangs_from_the_frame_of_its_model() -> None:
+    drive = read_sdf_model(PIONEER.replace("libgazebo_ros_diff_drive.so", TWO)).drive
+
+    assert drive is not None
+    assert drive.robot_base_frame == "chassis"
