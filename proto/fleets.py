@@ -13,6 +13,8 @@ from proto.services import Resource, SpawnEntityOrder
 
 MAX_SPAWNS: Final = 10_000
 """In one request."""
+HELD_BACK: Final = "not spawned because of"
+"""How the messages begin of those that could have been spawned, when all or none were."""
 
 
 class SpawnEntity(msgspec.Struct, frozen=True):

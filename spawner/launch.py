@@ -6,14 +6,16 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
+from proto import catalog
+from proto.fleets import SpawnEntitiesOrder, SpawnEntity, SpawnResult
 from proto.geometry import Point, Pose, PoseStamped, Quaternion
-from proto.result import ServiceError
-from proto.services import Resource, SpawnEntityOrder, SpawnEntityReport
+from proto.result import ResultCode
+from proto.services import Resource, SpawnEntityOrder
 from spawner.assets import Bundle, bundle_of, check_collisions
 from spawner.client import SimClient
 from spawner.descriptions import Description, from_word
 from spawner.markup import DescriptionError
-from spawner.namespacing import namespaced
+from spawner.namespacing import namespaced, without_namespace
 from spawner.placement import Place
 from spawner.search_paths import SearchPaths, search_paths
 from spawner.upload import outstanding, send
@@ -118,6 +120,14 @@ def resource_for(model: str, description: str, namespace: str) -> Resource:
     )
 
 
+def shared_resource(cargo: Cargo) -> Resource:
+    """Say what all of a fleet are, in no namespace."""
+    if not cargo.text:
+        return Resource(uri=cargo.model)
+    text = without_namespace(cargo.text) if cargo.is_readable else cargo.text
+    return Resource(resource_string=text)
+
+
 def pose_at(
     place: tuple[float, float, float], turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> Pose:
@@ -142,7 +152,7 @@ def spawn_fleet(
     places: Sequence[Place],
     on_done: Callable[[Outcome], None],
 ) -> list[Outcome]:
-    """Spawn a fleet of one model; go on after a refusal.
+    """Spawn a fleet of one model between two steps, all of it or none.
 
     Raises:
         NoServer: The server is gone.
@@ -150,48 +160,54 @@ def spawn_fleet(
     """
     cargo = read_cargo(model)
     send_files(client, cargo.bundle)
-    return spawn_all(client, cargo, places, on_done, SpawnEntityOrder())
+    outcomes = spawn_all(client, cargo, places, SpawnEntityOrder())
+    for outcome in outcomes:
+        on_done(outcome)
+    return outcomes
 
 
 def spawn_all(
     client: SimClient,
     cargo: Cargo,
     places: Sequence[Place],
-    on_done: Callable[[Outcome], None],
-    order: SpawnEntityOrder,
+    wishes: SpawnEntityOrder,
+    *,
+    is_atomic: bool = True,
 ) -> list[Outcome]:
-    """Spawn robots on the ground, each under its own namespace; go on after a refusal.
+    """Spawn robots on the ground, each under its own namespace, by one request.
 
     Args:
         client: Of the server, which has the files.
-        cargo: What they all are.
+        cargo: What they all are; it is sent once.
         places: Where they stand.
-        on_done: Called after each.
-        order: What is wished besides name, place and model.
+        wishes: What is wished besides name, place and model.
+        is_atomic: All between two steps or none; else one after another, whichever can be.
 
     Raises:
         NoServer: The server is gone.
         TimeoutError: It does not answer.
+        ServiceError: It refuses the request as a whole.
     """
-    outcomes = []
-    for place in places:
-        outcome = _spawn_one(client, cargo, place, order)
-        outcomes.append(outcome)
-        on_done(outcome)
-    return outcomes
-
-
-def _spawn_one(client: SimClient, cargo: Cargo, place: Place, wishes: SpawnEntityOrder) -> Outcome:
-    pose = pose_at((place.x, place.y, 0.0), (0.0, 0.0, place.yaw))
-    order = msgspec.structs.replace(
+    common = msgspec.structs.replace(
         wishes,
-        name=place.name,
-        entity_namespace=place.name,
-        initial_pose=PoseStamped(pose=pose),
         snap_to_ground=True,
+        entity_resource=shared_resource(cargo),
+        assets=cargo.bundle.refs,
     )
-    try:
-        report: SpawnEntityReport = client.spawn(order_for(cargo, order, place.name))
-    except ServiceError as error:
-        return Outcome(place.name, error.code, str(error))
-    return Outcome(report.entity_name, report.result.result)
+    answer = client.spawn_all(
+        SpawnEntitiesOrder(tuple(_order_at(place) for place in places), is_atomic, common)
+    )
+    return [_outcome(place, result) for place, result in zip(places, answer.results, strict=True)]
+
+
+def _order_at(place: Place) -> SpawnEntity:
+    pose = pose_at((place.x, place.y, 0.0), (0.0, 0.0, place.yaw))
+    return SpawnEntity(place.name, entity_namespace=place.name, initial_pose=PoseStamped(pose=pose))
+
+
+def _outcome(place: Place, spawned: SpawnResult) -> Outcome:
+    code = spawned.result.result
+    if code == ResultCode.OK:
+        return Outcome(spawned.entity_name, code)
+    name = catalog.SPAWN_ENTITY.code_name(code)
+    return Outcome(place.name, code, f"{name} ({code}): {spawned.result.error_message}")

@@ -1,11 +1,12 @@
 """A robot's own namespace, written into the drive of its description."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 
 from proto.names import check_namespace
 from spawner.markup import DescriptionError, parsed
 
-__all__ = ["DescriptionError", "namespaced"]
+__all__ = ["DescriptionError", "namespaced", "without_namespace"]
 
 DRIVE_FILES = ("gazebo_ros_diff_drive", "gazebo_ros_skid_steer_drive")
 DRIVE_NAME = "differential_drive_controller"
@@ -27,13 +28,26 @@ def namespaced(urdf_text: str, namespace: str) -> str:
         InvalidName: The namespace is none.
     """
     bare = check_namespace(namespace)
+    return _with_each_drive(urdf_text, lambda drive: _place(drive, f"/{bare}"))
+
+
+def without_namespace(urdf_text: str) -> str:
+    """Take the namespace and the remapping of /tf that a drive may have away.
+
+    What is left does for every robot of a fleet: each has the namespace that it is spawned with.
+
+    Raises:
+        DescriptionError: The text is no XML, has a DOCTYPE, or is neither URDF nor SDF.
+    """
+    return _with_each_drive(urdf_text, _displace)
+
+
+def _with_each_drive(urdf_text: str, change: Callable[[ET.Element], None]) -> str:
     robot = parsed(urdf_text)
     drives = [plugin for plugin in robot.iter("plugin") if _is_drive(plugin)]
-    if not drives:
-        return urdf_text
     for drive in drives:
-        _place(drive, f"/{bare}")
-    return ET.tostring(robot, encoding="unicode")
+        change(drive)
+    return ET.tostring(robot, encoding="unicode") if drives else urdf_text
 
 
 def _is_drive(plugin: ET.Element) -> bool:
@@ -42,14 +56,20 @@ def _is_drive(plugin: ET.Element) -> bool:
 
 
 def _place(drive: ET.Element, namespace: str) -> None:
+    _displace(drive)
     ros = drive.find("ros")
     if ros is None:
         ros = ET.SubElement(drive, "ros")
+    ET.SubElement(ros, "namespace").text = namespace
+    ET.SubElement(ros, "remapping").text = f"/tf:={namespace}/tf"
+
+
+def _displace(drive: ET.Element) -> None:
+    if (ros := drive.find("ros")) is None:
+        return
     for child in list(ros):
         if child.tag == "namespace" or _remaps_tf(child):
             ros.remove(child)
-    ET.SubElement(ros, "namespace").text = namespace
-    ET.SubElement(ros, "remapping").text = f"/tf:={namespace}/tf"
 
 
 def _remaps_tf(child: ET.Element) -> bool:

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import msgspec
 
 from proto.fleets import (
+    HELD_BACK,
     MAX_SPAWNS,
     SpawnEntitiesOrder,
     SpawnEntitiesResponse,
@@ -156,7 +157,7 @@ class _Together(_Fleet):
     def _give_up(self, error: SimError) -> None:
         failed = len(self._results)
         name = self._orders[failed].name or f"number {failed}"
-        reason = f"not spawned because of '{name[:80]}', and all or none were asked for"
+        reason = f"{HELD_BACK} '{name[:80]}': all or none were asked for"
         other = SpawnResult(Result(ResultCode.OPERATION_FAILED, reason))
         self._results = [other] * len(self._orders)
         self._results[failed] = _refused(error)

@@ -131,3 +131,6 @@ class FleetOptions(Network, Reading):
     layout: Annotated[str, typer.Option(help="row, grid or circle.")] = "row"
     spacing: Annotated[float, typer.Option(help="Metres between neighbours.")] = 1.0
     prefix: Annotated[str, typer.Option(help="Names are PREFIX0, PREFIX1, …")] = ""
+    partial: Annotated[
+        bool, typer.Option("--partial", help="Spawn those that can be, not all or none.")
+    ] = False

@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from rich.progress import (
     BarColumn,
     DownloadColumn,
-    MofNCompleteColumn,
     Progress,
     ProgressColumn,
     TextColumn,
@@ -14,11 +13,6 @@ from rich.progress import (
 )
 
 from spawner.cli.session import progress_console
-
-
-def fleet_progress() -> Progress:
-    """Make the progress bar of a fleet."""
-    return _progress(MofNCompleteColumn())
 
 
 @contextmanager

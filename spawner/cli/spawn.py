@@ -7,6 +7,7 @@ import typer
 
 from proto import keys
 from proto.exits import Exit, one_line_failures
+from proto.fleets import HELD_BACK
 from proto.model import ReportEntry
 from proto.names import check_name
 from proto.result import ResultCode, ServiceError, SetSimulationStateCode
@@ -15,7 +16,7 @@ from proto.stop import StopFlag
 from spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
 from spawner.cli.fields import takes
 from spawner.cli.options import FleetOptions, SpawnOptions
-from spawner.cli.progress import fleet_progress, upload_progress
+from spawner.cli.progress import upload_progress
 from spawner.cli.report_table import print_report
 from spawner.cli.session import client_for, data_console
 from spawner.cli.wishes import (
@@ -159,9 +160,7 @@ def fleet(given: FleetOptions) -> None:
         client.wait_for_server(given.wait)
         with upload_progress() as on_bytes:
             send_files(client, cargo.bundle, on_bytes)
-        with fleet_progress() as progress:
-            task = progress.add_task("spawning", total=len(places))
-            outcomes = spawn_all(client, cargo, places, lambda _: progress.advance(task), wishes)
+        outcomes = spawn_all(client, cargo, places, wishes, is_atomic=not given.partial)
     _print_outcomes(outcomes, as_json=given.as_json)
 
 
@@ -178,7 +177,9 @@ def _print_outcomes(outcomes: list[Outcome], *, as_json: bool) -> None:
         typer.echo(msgspec.json.encode(outcomes).decode())
     else:
         typer.echo(f"spawned {len(outcomes) - len(refused)} of {len(outcomes)}")
-    for outcome in refused:
+    # Those that only another held back have nothing to say.
+    telling = [outcome for outcome in refused if HELD_BACK not in outcome.message]
+    for outcome in telling:
         typer.echo(f"zensim fleet: {outcome.name}: {outcome.message}", err=True)
     if refused:
         raise typer.Exit(Exit.FAILED if len(refused) == len(outcomes) else Exit.PARTIAL)

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from proto.bus import Bus, NoServer
+from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnResult
 from proto.geometry import Pose, Quaternion
-from proto.result import ResultCode, ServiceError, SpawnCode
+from proto.result import Result, ResultCode, SpawnCode
 from proto.rotation import from_rpy
-from proto.services import Resource, SpawnEntityOrder, SpawnEntityReport
+from proto.services import Resource
 from spawner.client import SimClient
 from spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
 from spawner.namespacing import DescriptionError
@@ -32,16 +33,18 @@ class ListeningClient(SimClient):
 
     def __init__(self, *refused: str) -> None:
         super().__init__(cast("Bus", MemoryBus()))
-        self.orders: list[SpawnEntityOrder] = []
+        self.orders: list[SpawnEntitiesOrder] = []
         self._refused = refused
 
-    def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
+    def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
         self.orders.append(order)
-        if order.name in self._refused:
-            raise ServiceError(
-                "spawn_entity", SpawnCode.NAME_NOT_UNIQUE, "NAME_NOT_UNIQUE", "taken"
+        taken = SpawnResult(Result(SpawnCode.NAME_NOT_UNIQUE, "taken"))
+        return SpawnEntitiesResponse(
+            results=tuple(
+                taken if one.name in self._refused else SpawnResult(entity_name=one.name)
+                for one in order.spawn_requests
             )
-        return SpawnEntityReport(entity_name=order.name, entity_namespace=order.entity_namespace)
+        )
 
 
 def test_description_is_read_from_a_file(tmp_path: Path) -> None:
@@ -105,25 +108,36 @@ def test_pose_turns_as_urdf_does(roll: float, pitch: float, yaw: float) -> None:
     assert [q.x, q.y, q.z, q.w] == pytest.approx(from_rpy(roll, pitch, yaw), abs=1e-12)
 
 
-def test_fleet_is_spawned_on_the_ground_each_in_its_namespace() -> None:
+def test_fleet_is_spawned_on_the_ground_each_in_its_namespace_by_one_request() -> None:
     client = ListeningClient()
     places = [Place("r0", 1.0, 2.0), Place("r1", 3.0, 4.0, math.pi)]
 
     outcomes = spawn_fleet(client, "box_bot", places, lambda _: None)
 
     assert outcomes == [Outcome("r0", ResultCode.OK), Outcome("r1", ResultCode.OK)]
-    assert [(order.name, order.entity_namespace) for order in client.orders] == [
+    (order,) = client.orders
+    assert (order.atomic, order.common.snap_to_ground) == (True, True)
+    assert [(one.name, one.entity_namespace) for one in order.spawn_requests] == [
         ("r0", "r0"),
         ("r1", "r1"),
     ]
-    assert all(order.snap_to_ground and not order.allow_renaming for order in client.orders)
-    pose = client.orders[1].initial_pose.pose
+    pose = order.spawn_requests[1].initial_pose.pose
     assert (pose.position.x, pose.position.y) == (3.0, 4.0)
     assert np.allclose([pose.orientation.z, pose.orientation.w], [1.0, 0.0])
-    assert "<namespace>/r1</namespace>" in client.orders[1].entity_resource.resource_string
 
 
-def test_fleet_goes_on_when_one_is_refused() -> None:
+def test_fleet_shares_one_description_that_is_in_no_namespace() -> None:
+    client = ListeningClient()
+
+    spawn_fleet(client, "box_bot", [Place("r0", 0.0, 0.0)], lambda _: None)
+
+    (order,) = client.orders
+    assert all(one.entity_resource == Resource() for one in order.spawn_requests)
+    assert "<namespace>" not in order.common.entity_resource.resource_string
+    assert "libgazebo_ros_diff_drive.so" in order.common.entity_resource.resource_string
+
+
+def test_fleet_says_what_became_of_each() -> None:
     client = ListeningClient("r1")
     done: list[str] = []
 

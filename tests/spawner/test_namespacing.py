@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from proto.names import InvalidName
-from spawner.namespacing import DescriptionError, namespaced
+from spawner.namespacing import DescriptionError, namespaced, without_namespace
 
 NAMES = st.from_regex(r"/?[a-z][a-z0-9_]{0,5}(/[a-z]{1,3})?", fullmatch=True).filter(
     lambda name: name.strip("/").split("/")[0] not in ("sim", "world")
@@ -44,6 +44,26 @@ TEN = [("namespace", "/r10"), ("remapping", "/tf:=/r10/tf")]
 @pytest.mark.parametrize("namespace", ["r10", "/r10"])
 def test_drive_has_one_namespace_and_one_tf(ros: str, namespace: str) -> None:
     assert ros_of(namespaced(a_robot(a_drive(ros)), namespace)) == TEN
+
+
+@pytest.mark.parametrize(
+    "ros",
+    [
+        "<ros/>",
+        "",
+        "<ros><namespace>/old</namespace><remapping>/tf:=/old/tf</remapping></ros>",
+    ],
+)
+def test_a_drive_of_many_robots_has_no_namespace(ros: str) -> None:
+    assert ros_of(without_namespace(a_robot(a_drive(ros)))) == []
+
+
+def test_other_entries_of_the_ros_block_stay_when_the_namespace_goes() -> None:
+    ros = "<ros><namespace>/old</namespace><remapping>cmd_vel:=drive</remapping></ros>"
+
+    found = ros_of(without_namespace(a_robot(a_drive(ros))))
+
+    assert found == [("remapping", "cmd_vel:=drive")]
 
 
 def test_other_entries_of_the_ros_block_stay() -> None:
