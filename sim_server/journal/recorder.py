@@ -302,7 +302,7 @@ class Recorder:
         return failure[1]
 
     def _take_back(self, record: Record) -> None:
-        """Undo what was asked for; what came by itself, times and worlds stand, and are kept later.
+        """Undo what was asked for; what came by itself, times and worlds stand and are kept later.
 
         A change that stands is found anew, as it is forgotten that it was handed over.
         """
@@ -310,7 +310,7 @@ class Recorder:
             self._known.pop(change.name, None)
             if change.before is not None:
                 self._known[change.name] = change.before
-            if record.is_asked:
+            if record.is_asked and record.world is None:
                 self._undo(change, record.former)
 
     def _undo(self, change: Change, former: Motion | None) -> None:
