@@ -14,7 +14,18 @@ from tests.benchmark import machine
 from tests.benchmark.figures import Figure, missed, table
 from tests.benchmark.report import Section, page
 
-NAMES = ("agents", "takeover", "router", "stopped", "names", "churn", "terminate", "lockstep")
+NAMES = (
+    "agents",
+    "takeover",
+    "router",
+    "stopped",
+    "names",
+    "churn",
+    "terminate",
+    "lockstep",
+    "killed",
+    "history",
+)
 PAGE = machine.ROOT / "docs" / "chaos.md"
 HEAD = """# Faults
 

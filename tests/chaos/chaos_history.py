@@ -1,0 +1,128 @@
+"""Many clients under faults
+
+Ten clients spawn, delete and look up the same few names at random, each request under its own id
+until it is answered, while the server is killed and started again. For each name, what all
+clients saw must be explained by one order of events.
+"""
+
+import random
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from proto import catalog
+from proto.bus import Bus, BusConfig, open_bus
+from proto.entities import GetEntityStateOrder
+from proto.result import ResultCode, ServiceError, SpawnCode
+from proto.services import (
+    DeleteEntityRequest,
+    Resource,
+    SpawnEntityOrder,
+)
+from spawner.client import SimClient
+from tests.benchmark.figures import Asked, Figure
+from tests.chaos.history import Answer, Kind, Operation, first_fault
+from tests.chaos.persistence import POLL_S, Mortal, ask, mortal
+from tests.integration.processes import START_S
+
+CLIENTS, CLIENTS_WHEN_SHORT = 10, 4
+OPERATIONS, OPERATIONS_WHEN_SHORT = 1000, 40
+NAMES = tuple(f"n{i}" for i in range(8))
+KINDS: tuple[Kind, ...] = ("spawn", "delete", "look")
+LIFE_S = (1.0, 5.0)
+"""From the first answer to the kill."""
+SEED = 31
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Let clients and faults loose, then look for what cannot have happened."""
+    clients = CLIENTS_WHEN_SHORT if is_short else CLIENTS
+    operations = OPERATIONS_WHEN_SHORT if is_short else OPERATIONS
+    with tempfile.TemporaryDirectory() as folder:
+        histories, kills = _loose(Path(folder), clients, operations)
+    faults = [name for name, history in histories.items() if first_fault(history) is not None]
+    yield Figure(
+        what="names whose history nothing explains",
+        unit="",
+        samples=(float(len(faults)),),
+        asked=Asked("max", "<=", 0.0),
+    )
+    count = sum(map(len, histories.values()))
+    yield Figure(
+        what="operations answered",
+        unit="",
+        samples=(float(count),),
+        asked=Asked("min", ">=", clients * operations),
+    )
+    yield Figure(
+        what="times that the server was killed meanwhile",
+        unit="",
+        samples=(float(kills),),
+        asked=Asked("min", ">=", 1.0),
+    )
+
+
+def _loose(folder: Path, clients: int, operations: int) -> tuple[dict[str, list[Operation]], int]:
+    histories: dict[str, list[Operation]] = {name: [] for name in NAMES}
+    with mortal(folder) as (server, endpoint), ThreadPoolExecutor(clients) as pool:
+        with open_bus(BusConfig(connect=(endpoint,))) as bus:
+            SimClient(bus).wait_for_server(START_S)
+        work = [pool.submit(_client, endpoint, i, operations) for i in range(clients)]
+        kills = _kill_until(server, endpoint, lambda: all(one.done() for one in work))
+        for one in work:
+            for name, operation in one.result():
+                histories[name].append(operation)
+    return histories, kills
+
+
+def _kill_until(server: Mortal, endpoint: str, is_over: Callable[[], bool]) -> int:
+    """Kill the server again and again, each time some time after it has answered."""
+    moment, kills = random.Random(SEED), 0
+    while not is_over():
+        _wait(moment.uniform(*LIFE_S), is_over)
+        if is_over():
+            break
+        server.die()
+        kills += 1
+        server.rise()
+        with open_bus(BusConfig(connect=(endpoint,))) as bus:
+            SimClient(bus).wait_for_server(START_S)
+    return kills
+
+
+def _wait(seconds: float, is_over: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s and not is_over():
+        time.sleep(POLL_S)
+
+
+def _client(endpoint: str, number: int, operations: int) -> list[tuple[str, Operation]]:
+    draw, told = random.Random(SEED + number), []
+    with open_bus(BusConfig(connect=(endpoint,))) as bus:
+        for i in range(operations):
+            name, kind = draw.choice(NAMES), draw.choice(KINDS)
+            asked_s = time.monotonic()
+            answer = _ask(bus, kind, name, f"{number}.{i}")
+            told.append((name, Operation(kind, asked_s, time.monotonic(), answer)))
+    return told
+
+
+def _ask(bus: Bus, kind: Kind, name: str, request_id: str) -> Answer:
+    try:
+        if kind == "spawn":
+            order = SpawnEntityOrder(name=name, entity_resource=Resource(uri="box_bot"))
+            ask(bus, catalog.SPAWN_ENTITY, order, request_id)
+            return "done"
+        if kind == "delete":
+            ask(bus, catalog.DELETE_ENTITY, DeleteEntityRequest(name), request_id)
+            return "done"
+        ask(bus, catalog.GET_ENTITY_STATE, GetEntityStateOrder(name), request_id)
+    except ServiceError as error:
+        if error.code == SpawnCode.NAME_NOT_UNIQUE:
+            return "taken"
+        if error.code == ResultCode.NOT_FOUND:
+            return "missing"
+        raise
+    return "there"

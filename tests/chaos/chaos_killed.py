@@ -1,0 +1,185 @@
+"""A server that is killed
+
+A server with a journal holds robots; a client spawns and deletes others, five times a second, each
+request under its own id until it is answered. At random moments the server is killed with SIGKILL
+and started again. What was acknowledged must be as it was; poses and time may be 0.5 s old.
+"""
+
+import random
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from proto import catalog, keys
+from proto.bus import Bus, BusConfig, NoServer, Subscription, open_bus
+from proto.codec import decode
+from proto.services import (
+    DeleteEntityRequest,
+    GetEntitiesRequest,
+    Resource,
+    SpawnEntityOrder,
+)
+from proto.telemetry import WorldClock
+from spawner.client import SimClient
+from tests.benchmark.figures import Asked, Figure
+from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
+from tests.integration.processes import START_S, eventually, zensim
+
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 3
+ROBOTS, ROBOTS_WHEN_SHORT = 100, 5
+EVERY_S = 0.2
+LONGEST_LIFE_S = 2.0
+SEED = 23
+POLL_S = 0.002
+
+
+@dataclass
+class Churn:
+    """A client that spawns and deletes, and remembers what it was told."""
+
+    bus: Bus
+    standing: set[str] = field(default_factory=set)
+    """Acknowledged spawns that were not asked to go."""
+    gone: set[str] = field(default_factory=set)
+    """Acknowledged deletes."""
+    stop: threading.Event = field(default_factory=threading.Event)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def run(self) -> None:
+        """Go on until told to stop."""
+        number = 0
+        while not self.stop.wait(EVERY_S):
+            number += 1
+            self._spawn(f"c{number}", number)
+            if number % 2 == 0:
+                self._delete(f"c{number}")
+
+    def acknowledged(self) -> tuple[set[str], set[str]]:
+        """What stands and what is gone, by all that was answered until now."""
+        with self.lock:
+            return set(self.standing), set(self.gone)
+
+    def _spawn(self, name: str, number: int) -> None:
+        order = SpawnEntityOrder(name=name, entity_resource=Resource(uri="box_bot"))
+        ask(self.bus, catalog.SPAWN_ENTITY, order, f"spawn{number}")
+        with self.lock:
+            self.standing.add(name)
+
+    def _delete(self, name: str) -> None:
+        with self.lock:
+            self.standing.discard(name)
+        ask(self.bus, catalog.DELETE_ENTITY, DeleteEntityRequest(name), f"delete{name}")
+        with self.lock:
+            self.gone.add(name)
+
+
+@dataclass
+class Toll:
+    """What the kills cost."""
+
+    lost: int = 0
+    undone: int = 0
+    back_s: list[float] = field(default_factory=list)
+    old_s: list[float] = field(default_factory=list)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Kill the server, start it again, and compare."""
+    with tempfile.TemporaryDirectory() as folder:
+        toll = _toll(
+            Path(folder),
+            ROUNDS_WHEN_SHORT if is_short else ROUNDS,
+            ROBOTS_WHEN_SHORT if is_short else ROBOTS,
+        )
+    for what, count in (("spawns lost", toll.lost), ("deletes undone", toll.undone)):
+        yield Figure(
+            what=f"acknowledged {what}",
+            unit="",
+            samples=(float(count),),
+            asked=Asked("max", "<=", 0.0),
+        )
+    yield Figure(
+        what="simulation time lost with a kill",
+        unit="s",
+        samples=tuple(toll.old_s),
+        asked=Asked("max", "<=", 0.55),
+    )
+    yield Figure(
+        what="start to the first list answered",
+        unit="s",
+        samples=tuple(toll.back_s),
+        asked=Asked("max", "<=", 3.0),
+    )
+
+
+def _toll(folder: Path, rounds: int, robots: int) -> Toll:
+    moment, toll = random.Random(SEED), Toll()
+    with mortal(folder) as (server, endpoint), open_bus(BusConfig(connect=(endpoint,))) as bus:
+        client = SimClient(bus)
+        client.wait_for_server(START_S)
+        done = zensim(
+            *("fleet", "box_bot", "--count", str(robots), "--layout", "grid"),
+            *("--spacing", "2", "--connect", endpoint),
+        )
+        assert done.returncode == 0, done.stderr
+        clock = bus.subscribe(keys.clock("default"), 4096)
+        churn = Churn(bus, standing=set(client.entities()))
+        worker = threading.Thread(target=churn.run)
+        worker.start()
+        try:
+            for _ in range(rounds):
+                time.sleep(moment.uniform(0.2, LONGEST_LIFE_S))
+                _kill_once(server, bus, clock, churn, toll)
+        finally:
+            churn.stop.set()
+            worker.join()
+        _compare(client.entities(), churn.acknowledged(), churn, toll)
+    return toll
+
+
+def _kill_once(server: Mortal, bus: Bus, clock: Subscription, churn: Churn, toll: Toll) -> None:
+    server.die()
+    last = _clocks(clock)[-1]
+    begin_s = time.monotonic()
+    before = churn.acknowledged()
+    server.rise()
+    names = _first_list(bus)
+    toll.back_s.append(time.monotonic() - begin_s)
+    _compare(names, before, churn, toll)
+    told = eventually(
+        lambda: [one for one in _clocks(clock) if one.epoch > last.epoch], START_S, "a new epoch"
+    )
+    toll.old_s.append(max(0.0, _seconds(last) - _seconds(told[0])))
+
+
+def _first_list(bus: Bus) -> tuple[str, ...]:
+    deadline_s = time.monotonic() + START_S
+    while time.monotonic() < deadline_s:
+        with suppress(NoServer, TimeoutError):
+            return bus.call(
+                catalog.GET_ENTITIES, GetEntitiesRequest(), world="default", timeout_s=ANSWER_S
+            ).entities
+        time.sleep(POLL_S)
+    raise TimeoutError("the server did not come back")
+
+
+def _compare(
+    names: tuple[str, ...], before: tuple[set[str], set[str]], churn: Churn, toll: Toll
+) -> None:
+    """Compare a list with what was acknowledged before it was asked for."""
+    standing, gone = before
+    # What has been asked to go since may be there or not.
+    toll.lost += len((standing & churn.acknowledged()[0]) - set(names))
+    toll.undone += len(gone & set(names))
+
+
+def _clocks(clock: Subscription) -> list[WorldClock]:
+    return [decode(WorldClock, one.payload, one.encoding) for one in clock.take()]
+
+
+def _seconds(clock: WorldClock) -> float:
+    return clock.clock.sec + clock.clock.nanosec * 1e-9

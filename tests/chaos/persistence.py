@@ -1,0 +1,77 @@
+"""A server with a journal that is killed and started again, and clients that do not give up."""
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from proto.bus import Bus, NoServer
+from proto.catalog import Request, Response, Service
+from tests.integration.processes import free_endpoint, joined, kill, running
+
+if TYPE_CHECKING:
+    import subprocess
+
+PATIENCE_S = 60.0
+ANSWER_S = 2.0
+POLL_S = 0.01
+
+
+def ask(
+    bus: Bus, service: Service[Request, Response], request: Request, request_id: str
+) -> Response:
+    """Call a service until it answers, always under the same id.
+
+    Raises:
+        ServiceError: The server refused.
+        TimeoutError: It never answered.
+    """
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        with suppress(NoServer, TimeoutError):
+            return bus.call(
+                service, request, world="default", timeout_s=ANSWER_S, request_id=request_id
+            )
+        if time.monotonic() > deadline_s:
+            raise TimeoutError(f"{service.name} was not answered within {PATIENCE_S:g} s")
+        time.sleep(POLL_S)
+
+
+class Mortal:
+    """A server that joins a router of its own and keeps a journal."""
+
+    def __init__(self, endpoint: str, folder: Path) -> None:
+        self._arguments = ("serve", "--connect", endpoint, "--journal", str(folder))
+        self._stack = ExitStack()
+        self.process = self._start()
+
+    def die(self) -> None:
+        """Be killed."""
+        kill(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        self._stack.close()
+
+    def rise(self) -> None:
+        """Be started again."""
+        self.process = self._start()
+
+    def close(self) -> None:
+        """End for good."""
+        self._stack.close()
+
+    def _start(self) -> "subprocess.Popen[str]":
+        return self._stack.enter_context(running(*self._arguments))
+
+
+@contextmanager
+def mortal(folder: Path) -> Iterator[tuple[Mortal, str]]:
+    """Run a router, and a server that may be killed; give it and the endpoint."""
+    endpoint = free_endpoint()
+    with running("router", "--listen", endpoint) as router, joined(endpoint, router):
+        server = Mortal(endpoint, folder)
+        try:
+            yield server, endpoint
+        finally:
+            server.close()
