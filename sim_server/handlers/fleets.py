@@ -127,15 +127,14 @@ class _Together(_Fleet):
         self._is_rehearsal = any(order.dry_run for order in orders)
         replace = msgspec.structs.replace
         super().__init__(desk, [replace(order, dry_run=False) for order in orders])
-        self._unread = list(self._orders)
+        self._unread = list({id(one.entity_resource): one for one in self._orders}.values())
         self._has_begun = False
 
     def go_on(self) -> bool:
         """Spawn all once all is read; say whether that is over."""
         if self._desk.has_read or not self._has_begun:
             self._has_begun = True
-            ahead = [order for order in self._unread[:AHEAD] if not self._is_read(order)]
-            self._unread = ahead + self._unread[AHEAD:]
+            self._take_read()
         if self._unread:
             return False
         bonded = {bond: list(names) for bond, names in self._desk.bonded.items()}
@@ -146,6 +145,16 @@ class _Together(_Fleet):
             if not isinstance(error, _Rehearsed):
                 self._give_up(error)
         return True
+
+    def _take_read(self) -> None:
+        waiting: list[SpawnEntityOrder] = []
+        for at, order in enumerate(self._unread):
+            if len(waiting) == AHEAD:
+                waiting.extend(self._unread[at:])
+                break
+            if not self._is_read(order):
+                waiting.append(order)
+        self._unread = waiting
 
     def _spawn_all(self) -> None:
         with self._desk.world.all_or_none():

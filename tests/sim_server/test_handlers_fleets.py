@@ -229,3 +229,18 @@ def test_entities_are_those_that_the_results_name(
     assert len(desk.world.roster().bodies) == len(spawned)
     if atomic:
         assert all(len(set(codes(response))) <= 1 or 1 not in codes(response) for response in told)
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_more_orders_than_are_read_ahead_are_spawned_together(*, is_shared: bool) -> None:
+    desk = a_desk(a_world())
+    own = Resource() if is_shared else BOX_BOT
+    orders = tuple(
+        SpawnEntity(f"r{i}", entity_resource=msgspec.structs.replace(own))
+        for i in range(fleets.AHEAD + 6)
+    )
+
+    response = handle(desk, SpawnEntitiesOrder(orders, atomic=True, common=COMMON))
+
+    assert isinstance(response, SpawnEntitiesResponse)
+    assert len(names_in(desk.world)) == fleets.AHEAD + 6
