@@ -88,6 +88,20 @@ def _plugins() -> Iterator[Case]:
             )
             text = robot(link("a"), wheels, joints, block)
             yield Case(f"drive_{tag}_{name}", text, f"drive.{tag}")
+    for tag, number, slug in (
+        ("wheel_separation", "1e308", "drive.wheel_separation"),
+        ("wheel_diameter", "1e-320", "drive.wheel_diameter"),
+        ("wheel_separation", "${track}", "urdf.xacro"),
+        ("num_wheel_pairs", "-3", "drive.num_wheel_pairs"),
+        ("num_wheel_pairs", "1e11", ""),
+    ):
+        block = (
+            '<gazebo><plugin name="d" filename="libgazebo_ros_diff_drive.so">'
+            "<left_joint>l</left_joint><right_joint>r</right_joint>"
+            f"<{tag}>{number}</{tag}></plugin></gazebo>"
+        )
+        text = robot(link("a"), wheels, joints, block)
+        yield Case(f"drive_{tag}_{number}", text, slug)
     for name, number in {"nan": "nan", "negative": "-1", "word": "much"}.items():
         block = f'<gazebo reference="a"><mu1>{number}</mu1></gazebo>'
         yield Case(f"friction_{name}", robot(link("a"), block), "gazebo.mu1")
@@ -107,6 +121,9 @@ def _odd_but_read() -> Iterator[Case]:
         "blocks_5000": "<gazebo/>" * 5000,
         "unknown_tags_5000": "".join(f"<t{i}/>" for i in range(5000)),
         "misspelt_tags_5000": "<lnik/>" * 5000,
+        "plugins_9000": '<gazebo><plugin filename="libgazebo_ros_diff_drive.so"/></gazebo>' * 9000,
+        "sensors_9000": '<gazebo reference="a"><sensor type="ray"/></gazebo>' * 9000,
+        "hyphens_in_9000_comments": "<!-- -- -->" * 9000,
         "cdata": "<![CDATA[ <link name='b'/> ]]>",
         "instruction": "<?php system('true'); ?>",
         "transmission": "<transmission><x y='z'/></transmission>" * 100,
