@@ -30,7 +30,8 @@ MAX_VISITED = 10_000
 """Files and folders that one listing looks at."""
 MAX_TAGS = 32
 _WORLD = re.compile(r"<world\s[^<>]{0,500}?name\s{0,9}=\s{0,9}[\"']([^\"'<>]{1,200})[\"']")
-_FRAME = re.compile(r"<frame\b.*?</frame>", re.DOTALL)
+_CONTENT = re.compile(r"<(?!/|!--|zensim:)")
+"""What comes after the words of the world itself; frames have words of their own."""
 _SAID = re.compile(r"<zensim:(description|tags)>([^<]{0,1000})</zensim:")
 
 
@@ -152,11 +153,14 @@ def start_file(name: str) -> Path | None:
 
 def described(resource: Resource, text: str) -> WorldResource:
     """Say what a world's file says of itself: its name, `<zensim:description>`, `<zensim:tags>`."""
-    # What stands in a frame is said of a named pose.
-    head = _FRAME.sub("", text[:HEAD_BYTES])
+    head = text[:HEAD_BYTES]
     named = _WORLD.search(head)
-    said = {what: " ".join(words.split()) for what, words in _SAID.findall(head)}
-    tags = tuple(said.get("tags", "").split()[:MAX_TAGS])
+    begin = named.end() if named else len(head)
+    content = _CONTENT.search(head, begin)
+    said: dict[str, str] = {}
+    for what, words in _SAID.findall(head, begin, content.start() if content else len(head)):
+        said.setdefault(what, " ".join(words.split()))
+    tags = tuple(said.get("tags", "").replace(",", " ").split()[:MAX_TAGS])
     name = named[1] if named else Path(resource.uri).stem
     return WorldResource(name, resource, said.get("description", ""), tags)
 

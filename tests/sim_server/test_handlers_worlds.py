@@ -13,7 +13,7 @@ from proto.result import (
     UnloadWorldCode,
 )
 from proto.services import Resource, State, TagsFilter
-from sim_server.atlas import Atlas
+from sim_server.atlas import Atlas, described
 from sim_server.desk import Desk
 from sim_server.errors import SimError
 from sim_server.handlers.table import handle
@@ -249,6 +249,26 @@ def test_worlds_are_listed_by_folder_and_tag(desk: Desk, folder: Path) -> None:
     assert listed(desk, ask(filter=TagsFilter(("cold", "no")))) == ["b.sdf", "deep/a.world"]
     assert listed(desk, ask(filter=TagsFilter(("cold", "indoor"), 1))) == ["deep/a.world"]
     assert "deep/a.world" in listed(desk, ask(additional_sources=("deep",)))
+
+
+def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(desk: Desk) -> None:
+    response = handle(desk, worlds.GetAvailableWorldsRequest())
+
+    assert isinstance(response, worlds.GetAvailableWorldsResponse)
+    empty = next(world for world in response.worlds if world.world_resource.uri == "empty")
+    assert (empty.description, empty.tags) == (
+        "Flat ground and nothing on it.",
+        ("outdoor", "small"),
+    )
+    nameless = sdf("<frame name='f'><zensim:tags>parking</zensim:tags></frame>")
+    assert loaded(desk, loading(text=nameless)).world.tags == ()
+
+
+def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
+    # Seconds, were each of the frames to look for an end of its own.
+    text = "<world name='w'><zensim:tags>a, b</zensim:tags>" + "<frame>" * 10_000
+
+    assert described(Resource(), text).tags == ("a", "b")
 
 
 @pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])
