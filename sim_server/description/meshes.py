@@ -37,8 +37,8 @@ MAX_SOUP_OF_ALL = 300_000
 """Triangles of all static collisions of a model."""
 MAX_PIECE = 2_500
 """Triangles that the engine takes in a few milliseconds: a static mesh is cut into such pieces."""
-MAX_DRAWN = 60_000
-"""Triangles of a visual: 3 MB."""
+MAX_DRAWN = 20_000
+"""Triangles of a visual: 1 MB, which is sent in one piece."""
 MANY_POINTS = 128
 """Above, a hull is made of the outstanding ones only."""
 MAX_REACHES = 1 << 18

@@ -18,7 +18,7 @@ from spawner.viewer.triangles import Meshes
 MAX_LABELS: Final = 100
 LABEL_GAP_M: Final = 0.03
 MANY_FACES: Final = 2000
-FROM_AFAR: Final = ((8.0, 0.3), (25.0, 0.05))
+FROM_AFAR: Final = ((2.0, 0.4), (6.0, 0.1), (20.0, 0.02))
 """From which distance [m] what has more is drawn with which share of them."""
 
 Click = viser.SceneNodePointerEvent[viser.BatchedMeshHandle]
