@@ -30,8 +30,8 @@ MAX_VISITED = 10_000
 """Files and folders that one listing looks at."""
 MAX_TAGS = 32
 _WORLD = re.compile(r"<world\s[^<>]{0,500}?name\s{0,9}=\s{0,9}[\"']([^\"'<>]{1,200})[\"']")
-_CONTENT = re.compile(r"<(?!/|!--|zensim:)")
-"""What comes after the words of the world itself; frames have words of their own."""
+_CONTENT = re.compile(r"<(?:frame|model)\b")
+"""What follows the words of the world itself; frames have words of their own."""
 _SAID = re.compile(r"<zensim:(description|tags)>([^<]{0,1000})</zensim:")
 
 
