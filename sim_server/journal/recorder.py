@@ -30,6 +30,8 @@ LOG = logging.getLogger(__name__)
 MOTION_S = 0.4
 """Between two recordings of where everything is: with the time of a commit not above 0.5 s."""
 
+PATIENCE_NS = 40_000_000
+"""How long a recording waits for a step that is read anyway."""
 BONDS_S = 10.0
 """How long the holders of bonds have to come back after a restart."""
 
@@ -145,7 +147,7 @@ class Recorder:
         self._drop_durable()
         self._end_lost_bonds()
         self.note()
-        if self._desk.now_ns() >= self._motion_due_ns:
+        if self._is_motion_due():
             self._record_motion()
         return reason
 
@@ -265,6 +267,11 @@ class Recorder:
         )
         return self._clock
 
+    def _is_motion_due(self) -> bool:
+        """Whether to record: best at a step that agents are told of, as reading costs the most."""
+        late_ns = self._desk.now_ns() - self._motion_due_ns
+        return late_ns >= (0 if self._desk.world.is_control_step else PATIENCE_NS)
+
     def _record_motion(self) -> None:
         self._motion_due_ns = self._desk.now_ns() + round(MOTION_S * NANOSECONDS)
         if self._is_failing:
@@ -296,7 +303,6 @@ class Recorder:
         while self._outstanding:
             self._take_back(self._outstanding.pop())
         self.position = self._log.durable
-        self._world = self._clock = None
         self._motion_seen = ()
         self._seen = self._glance()
         return failure[1]
@@ -306,6 +312,8 @@ class Recorder:
 
         A change that stands is found anew, as it is forgotten that it was handed over.
         """
+        self._world = None if record.world is not None else self._world
+        self._clock = None if record.clock is not None else self._clock
         for change in reversed(record.changes):
             self._known.pop(change.name, None)
             if change.before is not None:

@@ -150,7 +150,7 @@ def test_motion_is_kept_often_enough(kept: Journalled) -> None:
     ]
     gaps_s = np.diff(steps) * kept.world.step_ns * 1e-9
     assert len(steps) > 5
-    assert gaps_s.max() <= MOTION_S + 0.01
+    assert gaps_s.max() <= MOTION_S + 0.06
 
 
 def test_nothing_is_written_while_nothing_happens(kept: Journalled) -> None:

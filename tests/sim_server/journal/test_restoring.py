@@ -192,8 +192,12 @@ class AnyHistory(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.folder = tempfile.TemporaryDirectory()
-        self.kept = Journalled(Path(self.folder.name))
+        self.begin()
         self.twin = a_world()
+
+    def begin(self) -> None:
+        self.kept = Journalled(Path(self.folder.name))
+        self.kept.recorder.note()
 
     def both(self, act: Callable[[World], object]) -> None:
         for world in (self.kept.world, self.twin):
@@ -235,7 +239,7 @@ class AnyHistory(RuleBasedStateMachine):
     @rule()
     def restart(self) -> None:
         self.kept.crash()
-        self.kept = Journalled(Path(self.folder.name))
+        self.begin()
 
     @invariant()
     def worlds_are_the_same(self) -> None:
