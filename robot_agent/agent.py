@@ -22,7 +22,7 @@ from robot_agent.upkeep import Upkeep
 LOG = logging.getLogger("zensim.agent")
 IDLE_S = 0.001
 """Pause between looks for a drive state."""
-EAGER_S, EAGER_IDLE_S = 0.02, 0.0002
+EAGER_S, EAGER_IDLE_S = 0.02, 0.0003
 """So long after an awaited state the next one is near, and time stands until it is answered."""
 LOOK_S = 0.01
 """Pause between looks for anything else: none of it is urgent, and each look costs."""

@@ -59,7 +59,10 @@ class Driving:
         """
         if not self._lockstep.is_waiting:
             return False
-        if late := self._lockstep.look(self._desk.now_ns()):
+        late = self._lockstep.look(self._desk.now_ns())
+        if late and self._lockstep.settings.on_miss == "wait":
+            self._tell_again(late)
+        elif late:
             self._miss(late)
         return self._lockstep.is_waiting
 
@@ -78,6 +81,12 @@ class Driving:
             self._lockstep.forget(agent)
         elif not self._lockstep.tell(agent, told, self._desk.now_ns()):
             self._desk.stepping.note_late((agent,))
+
+    def _tell_again(self, late: tuple[str, ...]) -> None:
+        """Repeat what may have been lost on the way: a congested network drops messages."""
+        for agent, state in self._world.drive_states():
+            if agent in late:
+                self._tell(agent, state)
 
     def _miss(self, late: tuple[str, ...]) -> None:
         settings, step = self._lockstep.settings, self._world.steps

@@ -107,20 +107,18 @@ class Lockstep:
     def look(self, now_ns: int) -> tuple[str, ...]:
         """Let wall time pass; name the agents whose time for an answer has just run out.
 
-        With `wait` none ever does.
+        With `wait` they go on owing it, and their time begins anew.
         """
         passed_ns = min(now_ns - self._looked_ns, LONGEST_LOOK_NS)
         self._looked_ns = now_ns
-        late = []
-        for agent in self.awaited:
+        for agent in self._owing:
             self._told[agent].waited_ns += passed_ns
-            if self._is_late(self._told[agent]):
-                late.append(agent)
+        late = tuple(agent for agent in self.awaited if self._is_late(agent))
         for agent in late:
-            self._misses[agent] = self._misses.get(agent, 0) + 1
-            self._silent.add(agent)
-            self._owing.discard(agent)
-        return tuple(late)
+            self._told[agent].waited_ns = 0
+            if self.settings.on_miss != "wait":
+                self._give_up(agent)
+        return late
 
     def forget(self, agent: str) -> None:
         """Owe nothing: the agent has gone, or drives nothing any more."""
@@ -129,7 +127,10 @@ class Lockstep:
         self._owing.discard(agent)
         self._silent.discard(agent)
 
-    def _is_late(self, told: _Told) -> bool:
-        if self.settings.on_miss == "wait":
-            return False
-        return told.waited_ns >= self.settings.timeout_s * NANOSECONDS
+    def _is_late(self, agent: str) -> bool:
+        return self._told[agent].waited_ns >= self.settings.timeout_s * NANOSECONDS
+
+    def _give_up(self, agent: str) -> None:
+        self._misses[agent] = self._misses.get(agent, 0) + 1
+        self._silent.add(agent)
+        self._owing.discard(agent)

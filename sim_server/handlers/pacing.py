@@ -50,6 +50,8 @@ def cancel_steps(desk: Desk, request: stepping.CancelStepsRequest) -> stepping.C
 def run_to(desk: Desk, request: stepping.RunToRequest) -> Later:
     """Make steps of a paused world until a time is reached; a reset meanwhile ends the run."""
     world = desk.world
+    if desk.stepping:
+        raise IncorrectState("steps that were asked for before wait; try again when they are made")
     wanted_ns, epoch = ns_from_time(request.time), world.epoch
     if wanted_ns < world.time_ns:
         raise Refused(

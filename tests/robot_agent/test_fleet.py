@@ -37,6 +37,17 @@ def test_fleet_answers_a_state_claim_by_claim() -> None:
     assert targets_of(command) == pytest.approx((2.0, 2.0, 1.0, 1.0))
 
 
+def test_fleet_knows_the_newest_claim_that_it_holds() -> None:
+    fleet = a_fleet(MemoryBus(), 5, 9, 7)
+    held = fleet.newest_claim
+
+    fleet.lose_all_but(struct.pack("<2I", 5, 7))
+    left = fleet.newest_claim
+    fleet.lose_all_but(b"")
+
+    assert (held, left, fleet.newest_claim) == (9, 7, 0)
+
+
 def test_fleet_answers_for_the_robots_that_are_left() -> None:
     fleet = a_fleet(MemoryBus(), 1, 2)
     fleet.advance(a_state(1, (1, 2)))

@@ -24,7 +24,7 @@ def a_locked_stage(
     *names: str, factor: float = 0.0, is_on: bool = True, on_miss: OnMiss = "hold"
 ) -> Stage:
     """A stage whose carts have an agent each, of their names, that does not answer by itself."""
-    stage = a_stage(*names, factor=factor)
+    stage = a_stage(*names, factor=factor, cost_ns=1_000_000)
     stage.desk.lockstep = Lockstep(LockstepSettings(is_on, TIMEOUT_S, on_miss))
     stage.loop = Loop(stage.desk, stage.inbox, stage.outlet, stage.wall)
     for name in names:
@@ -173,6 +173,24 @@ def test_waiting_loop_waits_until_the_token_goes() -> None:
 
     assert waited == 0
     assert stage.world.steps > 0
+
+
+def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
+    stage = a_locked_stage("r0", on_miss="wait")
+    turn(stage, 10)
+    stage.loop.turn()
+    while not stage.desk.lockstep.is_waiting:
+        stage.loop.turn()
+    stage.outlet.drive_states.clear()
+    steps = stage.world.steps
+
+    stage.turn_for(2.5 * TIMEOUT_S)
+    repeated = [(state.step, state.is_awaited) for _, state in stage.outlet.drive_states]
+    answer_states(stage)
+    stage.turn_for(0.01)
+
+    assert repeated == [(steps, True)] * 2
+    assert stage.world.steps > steps
 
 
 def test_failing_loop_stands_still_and_says_so() -> None:

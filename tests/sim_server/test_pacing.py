@@ -255,6 +255,16 @@ def test_run_to_a_time_that_is_past_is_refused() -> None:
     assert result.error_message == "0.5 s is past: it is 1 s; reset to go back"
 
 
+def test_run_is_refused_while_other_steps_wait() -> None:
+    stage = a_paused_stage()
+    simulate(stage, 10)
+    call = stage.ask("run_to", RunToRequest(Time(1)))
+
+    turn(stage, 1)
+
+    assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
+
+
 def test_run_is_refused_while_time_runs() -> None:
     stage = a_stage()
     call = stage.ask("run_to", RunToRequest(Time(1)))
