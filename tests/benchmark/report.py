@@ -17,6 +17,7 @@ NAMES = (
     "bundle",
     "isolation",
     "services",
+    "journal",
     "flat_out",
     "codec",
 )
