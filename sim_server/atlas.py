@@ -86,11 +86,20 @@ class Atlas:
         return self._from_file(name, resource.uri)
 
     def started(self, name: str, model_name: str) -> WorldResource:
-        """Say how to ask for the world that the server was started with."""
+        """Say how to ask for the world that a server has at its start.
+
+        Args:
+            name: That its command line gives.
+            model_name: Of the world; another one when a journal brought it back.
+        """
         try:
-            return self.find(Resource(name)).resource
+            found = self.find(Resource(name)).resource
         except Refused:  # restored, and its file has gone
-            return WorldResource(model_name, Resource(name))
+            found = WorldResource()
+        if found.name == model_name:
+            return found
+        alike = (world for world in self.default().worlds if world.name == model_name)
+        return next(alike, WorldResource(model_name))
 
     def default(self) -> Listing:
         """List what ships and what is in the operator's folders."""

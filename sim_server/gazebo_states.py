@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from proto.gazebo import LinkStates, ModelStates
@@ -48,7 +49,8 @@ def _motions(world: World, alike: Sequence[Entity]) -> dict[str, FloatArray]:
     first = roster.joint_start[rows]
     joints = first[:, None] + np.arange(len(alike[0].model.joints), dtype=np.intp)
     return motion_of(
-        alike[0].model,
+        # Merged links are not told, and cost as much as the others.
+        msgspec.structs.replace(alike[0].model, frames=()),
         reading.base[rows],
         reading.joint_positions[joints],
         reading.joint_velocities[joints],

@@ -42,7 +42,7 @@ def moved(base: FloatArray) -> FloatArray:
     found[:3] += base[7:10] * DT_S
     spin = np.append(base[10:13] * DT_S / 2.0, 1.0)
     found[3:7] = multiply(spin / np.linalg.norm(spin), base[3:7])
-    return found
+    return np.asarray(found)
 
 
 @pytest.mark.parametrize("name", ["base", "arm", "hand", "tip"])
