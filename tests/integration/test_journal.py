@@ -9,11 +9,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+import trimesh
 
-from proto.catalog import SPAWN_ENTITY
+from proto.catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
 from proto.geometry import Point, Pose
 from proto.result import ResultCode, ServiceError
 from proto.services import EntityState, Resource, SpawnEntityOrder, State
+from proto.worlds import GetCurrentWorldRequest, LoadWorldRequest
 from sim_server.journal.ledger import DATABASE
 from tests.integration.journals import kept_in, kill_hard, last_line
 from tests.integration.processes import (
@@ -181,6 +183,40 @@ def test_reply_leaves_after_the_disk_has_it(tmp_path: Path) -> None:
 def first(lines: list[str], start: int, *texts: str) -> int:
     """Find the first line from a start on that holds all of these texts."""
     return next(i for i in range(start, len(lines)) if all(text in lines[i] for text in texts))
+
+
+def test_loaded_world_and_meshes_are_there_after_a_kill(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with kept_in(tmp_path / "j", endpoint) as server:
+        server.bus.call(
+            LOAD_WORLD, LoadWorldRequest(Resource("walls")), world="default", timeout_s=20.0
+        )
+        spawned = server.zensim("spawn", str(a_meshed_robot(tmp_path)), "--name", "m0", "-z", "0.5")
+        assert spawned.returncode == 0, spawned.stderr
+        before = server.client.models()
+        kill_hard(server)
+
+    with kept_in(tmp_path / "j", endpoint) as server:
+        current = server.bus.call(GET_CURRENT_WORLD, GetCurrentWorldRequest(), world="default")
+        after = server.client.models()
+
+        assert current.world.world_resource.uri == "walls"
+        assert [one.entity for one in after.entities] == [one.entity for one in before.entities]
+        assert set(after.models) == set(before.models)
+        assert server.client.entity_state("m0").pose.position.z == pytest.approx(0.5, abs=0.01)
+
+
+def a_meshed_robot(folder: Path) -> Path:
+    """Write a robot that is a cube of 1 m by its mesh, placed on the ground."""
+    trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "cube.stl")
+    mesh = '<geometry><mesh filename="cube.stl"/></geometry>'
+    inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+    robot = folder / "cube.urdf"
+    robot.write_text(
+        f'<robot name="cube"><link name="base"><inertial><mass value="1"/>{inertia}</inertial>'
+        f'<collision><origin xyz="0 0 0"/>{mesh}</collision></link></robot>'
+    )
+    return robot
 
 
 @contextmanager
