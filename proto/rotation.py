@@ -29,8 +29,20 @@ def conjugate(turn: FloatArray) -> FloatArray:
 def rotate(turn: FloatArray, vector: FloatArray) -> FloatArray:
     """Rotate vectors (..., 3)."""
     axis, w = turn[..., :3], turn[..., 3:]
-    twice = 2.0 * np.cross(axis, vector)
-    return np.asarray(vector + w * twice + np.cross(axis, twice))
+    twice = 2.0 * _cross(axis, vector)
+    return np.asarray(vector + w * twice + _cross(axis, twice))
+
+
+def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
+    # As numpy's, which takes thrice as long for few vectors.
+    lx, ly, lz = left[..., 0], left[..., 1], left[..., 2]
+    rx, ry, rz = right[..., 0], right[..., 1], right[..., 2]
+    first = ly * rz - lz * ry
+    found = np.empty((*first.shape, 3))
+    found[..., 0] = first
+    found[..., 1] = lz * rx - lx * rz
+    found[..., 2] = lx * ry - ly * rx
+    return found
 
 
 def from_matrix(matrix: FloatArray) -> FloatArray:

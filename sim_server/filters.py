@@ -18,7 +18,7 @@ from sim_server.regions import Region, Sight, overlapping, region_of
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 
 SLICE_NS = 2 * NANOSECONDS // 1000
-"""What a search takes of each turn of the loop, at most: then the world goes on."""
+"""What a search takes of each turn of the loop, or a quarter of a step where that is more."""
 LONGEST_NS = NANOSECONDS
 """What a search may take in all."""
 
@@ -53,7 +53,7 @@ def passing(
     if region is None and pattern is None:
         return answer(tuple(entity.name for entity in found))
     sight = Sight(desk.world.roster(), desk.world.reading(), desk.store.corners)
-    search = _Search(sight, found, desk.now_ns)
+    search = _Search(sight, found, desk.now_ns, desk.meter.share_ns(SLICE_NS))
     search.begin(pattern, region)
     if search.go_on():
         return answer(search.outcome())
@@ -63,10 +63,13 @@ def passing(
 class _Search:
     """Goes on a little whenever it is asked whether it is over."""
 
-    def __init__(self, sight: Sight, entities: Sequence[Entity], now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self, sight: Sight, entities: Sequence[Entity], now_ns: Callable[[], int], slice_ns: int
+    ) -> None:
         self._sight = sight
         self._entities = {entity.name: entity for entity in entities}
         self._now_ns = now_ns
+        self._slice_ns = slice_ns
         self._taken_ns = 0
         self._work: Iterator[None] = iter(())
 
@@ -77,7 +80,7 @@ class _Search:
         start_ns = self._now_ns()
         for _ in self._work:
             took_ns = self._now_ns() - start_ns
-            if took_ns >= SLICE_NS:
+            if took_ns >= self._slice_ns:
                 self._taken_ns += took_ns
                 return self._taken_ns > LONGEST_NS
         return True

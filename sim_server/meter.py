@@ -2,6 +2,8 @@
 
 from proto.header import NANOSECONDS
 
+STEP_SHARE = 4
+
 
 class Meter:
     """Sums over windows of about a second."""
@@ -27,6 +29,13 @@ class Meter:
         self._stepping_ns += took_ns
         self._longest_ns = max(self._longest_ns, took_ns)
         self._latest_ns = max(self._latest_ns, late_ns)
+
+    def share_ns(self, least_ns: int) -> int:
+        """Say for how long work that can be parted may hold up the loop at each turn.
+
+        A quarter of a step where steps take long, so that it ends some time.
+        """
+        return max(least_ns, round(self.step_time_s * NANOSECONDS / STEP_SHARE))
 
     def close_window(self, now_ns: int) -> bool:
         """Turn the sums into figures once a second has passed; say whether it has."""

@@ -15,7 +15,7 @@ from sim_server.entity import Entity, Roster
 from sim_server.errors import SimError
 from sim_server.kinematics import link_poses
 from sim_server.physics.engine import Reading
-from sim_server.solids import CUBE, Corners, Solid, outermost, overlap, solids_at
+from sim_server.solids import CUBE, Corners, Solid, outermost, overlap, reach_of, solids_at
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -134,9 +134,19 @@ def overlapping(sight: Sight, entities: list[Entity], region: Region) -> Iterato
     for entity in entities:
         groups.setdefault(id(entity.model), []).append(entity)
     for group in groups.values():
-        for at in range(0, len(group), TOGETHER):
-            names = [entity.name for entity in group[at : at + TOGETHER]]
-            yield from _of_one_model(sight, group[0].model, names, region)
+        names = _within_reach(sight, group, region)
+        for at in range(0, len(names), TOGETHER):
+            yield from _of_one_model(sight, group[0].model, names[at : at + TOGETHER], region)
+
+
+def _within_reach(sight: Sight, group: list[Entity], region: Region) -> list[str]:
+    """Name the entities of one model whose root is so near that they may reach into a region."""
+    reach = reach_of(group[0].model, sight.corners)
+    rows = [sight.roster.row[entity.name] for entity in group]
+    roots = sight.reading.base[rows, :3]
+    gap = np.maximum(np.maximum(region.low - roots, roots - region.high), 0.0)
+    is_near = (gap * gap).sum(axis=1) <= reach * reach
+    return [entity.name for entity, near in zip(group, is_near, strict=True) if near]
 
 
 def _of_one_model(

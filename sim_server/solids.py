@@ -1,5 +1,6 @@
 """Convex solids: what collisions are made of, how far they reach, and whether two overlap."""
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import combinations
@@ -44,6 +45,11 @@ class Solid:
         points = pose[:3] + rotate(pose[3:], self.points)
         return replace(self, points=points, axis=rotate(pose[3:], self.axis))
 
+    @property
+    def reach(self) -> float:
+        """How far [m] it reaches from the origin, at most."""
+        return float(np.linalg.norm(self.points, axis=1).max()) + self.ball_m + self.disc_m
+
     def farthest(self, direction: FloatArray) -> FloatArray:
         """Find the point (3,) that lies farthest in a direction (3,)."""
         point = self.points[int(np.argmax(self.points @ direction))]
@@ -86,6 +92,19 @@ def solids_at(
     """List the collisions of a model with the poses (n, 7) of their links."""
     for link, solid in solids_of(model, corners):
         yield solid, poses[link]
+
+
+def reach_of(model: Model, corners: Corners) -> float:
+    """Find how far [m] the collisions of a model can be from its root, however its joints stand."""
+    links = {model.links[0].name: 0.0}
+    for joint in model.joints:
+        slide = max(abs(joint.lower), abs(joint.upper)) if joint.kind == "prismatic" else 0.0
+        links[joint.child] = links[joint.parent] + math.hypot(*joint.origin.position) + slide
+        if joint.kind not in ("revolute", "continuous", "fixed") and not slide:
+            links[joint.child] = math.inf
+    return max(
+        (links[link] + solid.reach for link, solid in solids_of(model, corners)), default=0.0
+    )
 
 
 def _solid(shape: Shape, corners: Corners) -> Solid:

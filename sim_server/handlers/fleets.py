@@ -22,7 +22,10 @@ from sim_server.later import Later
 from sim_server.spawning import spawn_model
 
 SLICE_NS = 5 * NANOSECONDS // 1000
-"""What spawning one by one takes of each turn of the loop; the last begun is finished."""
+"""What spawning one by one takes of each turn of the loop; the last begun is finished.
+
+Where a quarter of a step is more, it is that.
+"""
 AHEAD = 64
 """Descriptions that are waited for at once."""
 Read = tuple[Model, str] | SimError
@@ -99,7 +102,7 @@ class _OneByOne(_Fleet):
 
     def go_on(self) -> bool:
         """Spawn for a while; say whether that was the last."""
-        end_ns = self._desk.now_ns() + SLICE_NS
+        end_ns = self._desk.now_ns() + self._desk.meter.share_ns(SLICE_NS)
         for has_spawned in self._work:
             if not has_spawned or self._desk.now_ns() >= end_ns:
                 return False

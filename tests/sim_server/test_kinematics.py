@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from proto.model import Frame, JointKind, Model, Origin
-from proto.rotation import from_rpy
+from proto.rotation import FloatArray, from_rpy
 from sim_server.kinematics import link_poses, placed
 from tests.models import a_cart, a_state, an_arm
 
 HERE = a_state()[:7]
 
 
-def pose(*place: float, yaw: float = 0.0) -> np.ndarray:  # type: ignore[type-arg]
+def pose(*place: float, yaw: float = 0.0) -> FloatArray:
     return np.concatenate([place, from_rpy(0.0, 0.0, yaw)])
 
 

@@ -67,3 +67,12 @@ def test_meter_keeps_its_sums_when_a_window_closes() -> None:
     meter.close_window(SECOND)
 
     assert (meter.slipped_ns, meter.requests) == (5, 6)
+
+
+def test_parted_work_gets_a_quarter_of_a_step_but_no_less_than_it_asks_for() -> None:
+    meter = Meter(0)
+
+    quick = meter.share_ns(2_000_000)
+    meter.step_time_s = 0.1
+
+    assert (quick, meter.share_ns(2_000_000)) == (2_000_000, 25_000_000)

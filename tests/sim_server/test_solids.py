@@ -2,15 +2,18 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import Link, Model, Shape
+from proto.model import JointKind, Link, Model, Origin, Shape
 from proto.rotation import FloatArray, from_rpy
 from sim_server.description.clearance import NO_MESHES
-from sim_server.solids import CUBE, Solid, outermost, overlap, solids_of
+from sim_server.kinematics import link_poses
+from sim_server.solids import CUBE, Solid, outermost, overlap, reach_of, solids_at, solids_of
+from tests.models import an_arm
 
 numbers = st.floats(-2.0, 2.0)
 points = st.tuples(numbers, numbers, numbers)
@@ -101,3 +104,29 @@ def test_outermost_points_are_the_corners_of_a_box() -> None:
     found = outermost(np.vstack([inner, CUBE]))
 
     assert sorted(found.tolist()) == sorted(CUBE.tolist())
+
+
+@given(
+    st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=1),
+    st.sampled_from(["revolute", "prismatic"]),
+)
+def test_reach_is_never_less_than_where_a_collision_is(position: float, kind: JointKind) -> None:
+    arm = an_arm(kind)
+    tip = Link("arm", collisions=(Shape("box", (0.1, 0.2, 0.3), Origin((0.4, 0.0, 0.0))),))
+    model = msgspec.structs.replace(arm, links=(arm.links[0], tip))
+
+    poses = link_poses(model, at(0.0, 0.0, 0.0)[None], np.array([[position]]))
+
+    (solid, places), *_ = solids_at(model, poses, NO_MESHES)
+    farthest = np.linalg.norm(solid.at(places[0]).points, axis=1).max()
+    assert farthest <= reach_of(model, NO_MESHES) + 1e-9
+
+
+def test_reach_of_a_joint_without_limits_has_none() -> None:
+    arm = an_arm("prismatic")
+    free = msgspec.structs.replace(arm.joints[0], lower=0.0, upper=0.0)
+    tip = Link("arm", collisions=(Shape("sphere", (0.1, 0.0, 0.0)),))
+
+    model = msgspec.structs.replace(arm, links=(arm.links[0], tip), joints=(free,))
+
+    assert reach_of(model, NO_MESHES) == math.inf
