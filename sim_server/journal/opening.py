@@ -90,7 +90,7 @@ class Journal:
         sync_folder(self.ledger.folder)
         restored = restore(contents, world, Shelf(self.files, store), now_ns)
         self.kept = tuple(restored.kept)
-        clock = msgspec.structs.replace(self.contents.clock, epoch=world.epoch, steps=world.steps)
+        clock = msgspec.structs.replace(contents.clock, epoch=world.epoch, steps=world.steps)
         seal(self.ledger, restored.refused, clock)
         self._mark.unlink()
         return tuple(row.entity.name for row in restored.refused)
