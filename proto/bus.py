@@ -19,6 +19,7 @@ from proto.catalog import Request, Response, Service
 from proto.codec import Format, decode, encode, encoding_of
 from proto.endpoint import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from proto.result import Result, ResultCode, ServiceError
+from proto.services import MAX_REQUEST_BYTES
 
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
@@ -122,7 +123,10 @@ class Call:
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
         self.key = str(query.key_expr)
-        self.payload = query.payload.to_bytes() if query.payload else b""
+        payload = query.payload or zenoh.ZBytes()
+        self.size = len(payload)
+        # Of one that is too large nobody wants the copy.
+        self.payload = payload.to_bytes() if self.size <= MAX_REQUEST_BYTES else b""
         self.encoding = str(query.encoding) if query.encoding else ""
         self.request_id = query.attachment.to_bytes() if query.attachment else b""
 

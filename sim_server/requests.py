@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import msgspec
 
 from proto.bus import Call
-from proto.catalog import SERVICES
+from proto.catalog import SERVICES, SPAWN_ENTITY
 from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, format_of
 from proto.keys import service as service_key
-from proto.result import ResultCode
+from proto.result import ResultCode, SpawnCode
+from proto.services import MAX_REQUEST_BYTES
 from sim_server.answers import Answer, Answers, is_mutating, told
 from sim_server.desk import Desk
 from sim_server.errors import SimError
@@ -95,6 +96,7 @@ class Requests:
     def _carry_out(self, call: Call) -> None:
         self._note_the_unasked()
         try:
+            _check_size(call)
             request = decode(_request_type(call.name), call.payload, call.encoding)
             response = handle(self._desk, request)
         except SimError as error:
@@ -188,6 +190,24 @@ def _request_type(name: str) -> type[msgspec.Struct]:
     if (service := SERVICES.get(name)) is None:
         raise SimUnknown(name)
     return service.request
+
+
+def _check_size(call: Call) -> None:
+    if call.size > MAX_REQUEST_BYTES:
+        raise RequestTooLarge(call.name, call.size)
+
+
+class RequestTooLarge(SimError):
+    """A request that is not even decoded."""
+
+    slug = "request.size"
+
+    def __init__(self, name: str, size: int) -> None:
+        super().__init__(
+            f"a request of {size} bytes; send {MAX_REQUEST_BYTES} at most, and meshes as files"
+        )
+        if name == SPAWN_ENTITY.name:
+            self.code = SpawnCode.RESOURCE_PARSE_ERROR
 
 
 class SimUnknown(SimError):

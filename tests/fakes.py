@@ -179,6 +179,7 @@ class MemoryCall:
     def __init__(self, key: str, payload: bytes, encoding: str, request_id: bytes) -> None:
         self.key = key
         self.payload = payload
+        self.size = len(payload)
         self.encoding = encoding
         self.request_id = request_id
         self.answers: list[Sample] = []
