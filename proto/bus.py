@@ -30,6 +30,7 @@ CALL_BYTES: Final = TAKEN_BYTES // 32
 """What a request counts for beside its payload."""
 MAX_ANSWERS: Final = 16384
 """To one question, kept in a queue: a ring loses what is left in it when the last has come."""
+NOTHING: Final = zenoh.ZBytes(b"")
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample: for one publisher on one key."""
 
@@ -123,7 +124,7 @@ class Call:
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
         self.key = str(query.key_expr)
-        payload = query.payload or zenoh.ZBytes()
+        payload = query.payload or NOTHING
         self.size = len(payload)
         # Of one that is too large nobody wants the copy.
         self.payload = payload.to_bytes() if self.size <= MAX_REQUEST_BYTES else b""
