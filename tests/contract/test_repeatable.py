@@ -1,0 +1,48 @@
+"""PyBullet gives the same numbers again, whatever the world has been through before."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from sim_server.physics.engine import Engine, EngineConfig
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from tests.engines import STEP_NS, advance
+from tests.models import a_box_bot, box_bot_at
+
+ROBOTS, STEPS, PERIOD = 6, 480, 24
+SPACING_M = 0.11
+"""So near that they touch."""
+
+
+def drive(before: Callable[[Engine], object]) -> bytes:
+    """Drive a heap of robots in an engine with a past; return where all of it is."""
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    before(engine)
+    model, draws = a_box_bot(), np.random.default_rng(1)
+    places = [divmod(i, 3) for i in range(ROBOTS)]
+    bodies = [engine.add(model, box_bot_at(SPACING_M * x, SPACING_M * y)) for x, y in places]
+    for _ in range(STEPS // PERIOD):
+        engine.command(bodies, draws.uniform(-8.0, 8.0, model.target_count * ROBOTS))
+        advance(engine, PERIOD)
+    reading = engine.read(bodies)
+    engine.close()
+    return reading.base.tobytes() + reading.joint_positions.tobytes()
+
+
+def another_came_and_went(engine: Engine) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    advance(engine, 50)
+    engine.remove(body)
+
+
+PASTS: dict[str, Callable[[Engine], object]] = {
+    "none": lambda _: None,
+    "time": lambda engine: advance(engine, 50),
+    "another": another_came_and_went,
+}
+
+
+@pytest.mark.parametrize("past", PASTS.values(), ids=PASTS)
+def test_engine_gives_the_same_bytes_whatever_was_before(past: Callable[[Engine], object]) -> None:
+    assert drive(past) == drive(PASTS["none"])
