@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +20,7 @@ from sim_server.description.strict_xml import MAX_BYTES
 from sim_server.errors import Refused
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
 ENDINGS = (".world", ".sdf")
 SCHEMES = ("zensim://", "file://")
@@ -28,6 +29,8 @@ HEAD_BYTES = 64 << 10
 """Of a file: what is said of the world stands at its beginning."""
 MAX_VISITED = 10_000
 """Files and folders that one listing looks at."""
+FILES_A_TURN = 8
+"""Opened and read at each turn of the loop: 1 ms."""
 MAX_TAGS = 32
 _WORLD = re.compile(r"<world\s[^<>]{0,500}?name\s{0,9}=\s{0,9}[\"']([^\"'<>]{1,200})[\"']")
 _CONTENT = re.compile(r"<(?:frame|model)\b")
@@ -36,11 +39,41 @@ _SAID = re.compile(r"<zensim:(description|tags)>([^<]{0,1000})</zensim:")
 
 
 @dataclass(frozen=True)
-class Listing:
-    """Worlds, and why some places could not be looked into."""
+class Failure:
+    """A place that could not be looked into.
 
-    worlds: tuple[WorldResource, ...] = ()
-    failures: tuple[str, ...] = ()
+    Attributes:
+        is_own: Whether the operator gave it, not a request.
+    """
+
+    reason: str
+    is_own: bool = True
+
+
+Finding = WorldResource | Failure | None
+"""What one file came to."""
+
+
+class Search:
+    """Looks for worlds, a few files at a time."""
+
+    def __init__(self, findings: Iterator[Finding]) -> None:
+        self.worlds: list[WorldResource] = []
+        self.failures: list[Failure] = []
+        self.is_over = False
+        self._findings = findings
+
+    def go_on(self, files: int | None = FILES_A_TURN) -> bool:
+        """Look at so many more files, or at all; say whether there are no more."""
+        looked_at = 0
+        for finding in islice(self._findings, files):
+            looked_at += 1
+            if isinstance(finding, WorldResource):
+                self.worlds.append(finding)
+            elif finding is not None:
+                self.failures.append(finding)
+        self.is_over = files is None or looked_at < files
+        return self.is_over
 
 
 @dataclass(frozen=True)
@@ -98,24 +131,33 @@ class Atlas:
             found = WorldResource()
         if found.name == model_name:
             return found
-        alike = (world for world in self.default().worlds if world.name == model_name)
+        search = self.search()
+        search.go_on(None)
+        alike = (world for world in search.worlds if world.name == model_name)
         return next(alike, WorldResource(model_name))
 
-    def default(self) -> Listing:
-        """List what ships and what is in the operator's folders."""
-        worlds = [described(Resource(name), world_text(name)) for name in shipped_worlds()]
-        start = self._start
-        if start is not None and (started := _listed(start, start.name)) is not None:
-            worlds.append(started)
-        return _joined([Listing(tuple(worlds)), *(_in_folder(one, one) for one in self._folders)])
+    def search(self, sources: Sequence[str] = ()) -> Search:
+        """Look for what ships, in the operator's folders, and in further ones below those."""
+        return Search(self._findings(sources))
 
-    def below(self, source: str) -> Listing:
-        """List what is in a folder below the operator's."""
+    def _findings(self, sources: Sequence[str]) -> Iterator[Finding]:
+        for name in shipped_worlds():
+            yield described(Resource(name), world_text(name))
+        if self._start is not None:
+            yield _listed(self._start, self._start.name)
+        for folder in self._folders:
+            yield from _in_folder(folder, folder)
+        for source in sources:
+            yield from self._below(source)
+
+    def _below(self, source: str) -> Iterator[Finding]:
         name = _without_scheme(source)
         for root in self._folders:
             if (folder := _inside(root, name)) is not None and folder.is_dir():
-                return _in_folder(folder, root)
-        return Listing((), (f"source {source[:120]!r} is no folder below those of --model-path",))
+                yield from _in_folder(folder, root)
+                return
+        reason = f"source {source[:120]!r} is no folder below those of --model-path"
+        yield Failure(reason, is_own=False)
 
     def _from_file(self, name: str, uri: str) -> WorldText:
         file, folders = self._file(name)
@@ -188,28 +230,21 @@ def _inside(root: Path, name: str) -> Path | None:
         return None
 
 
-def _joined(listings: Sequence[Listing]) -> Listing:
-    return Listing(
-        tuple(world for listing in listings for world in listing.worlds),
-        tuple(failure for listing in listings for failure in listing.failures),
-    )
-
-
-def _in_folder(folder: Path, root: Path) -> Listing:
+def _in_folder(folder: Path, root: Path) -> Iterator[Finding]:
     if not os.access(folder, os.R_OK | os.X_OK):
-        return Listing((), (f"folder {str(folder)!r} cannot be looked into",))
-    worlds: list[WorldResource] = []
+        yield Failure(f"folder {str(folder)!r} cannot be looked into")
+        return
     left = MAX_VISITED
     for place, folders, files in os.walk(folder):
         folders.sort()
         left -= len(files) + 1
         if left < 0:
-            failure = f"folder {str(folder)!r} holds more than {MAX_VISITED} files"
-            return Listing(tuple(worlds), (failure,))
-        paths = [Path(place, name) for name in sorted(files) if name.endswith(ENDINGS)]
-        found = [_listed(path, str(path.relative_to(root))) for path in paths if _is_in(root, path)]
-        worlds += [world for world in found if world is not None]
-    return Listing(tuple(worlds))
+            yield Failure(f"folder {str(folder)!r} holds more than {MAX_VISITED} files")
+            return
+        yield None
+        for path in (Path(place, name) for name in sorted(files) if name.endswith(ENDINGS)):
+            is_inside = _is_in(root, path)
+            yield _listed(path, str(path.relative_to(root))) if is_inside else None
 
 
 def _is_in(root: Path, path: Path) -> bool:

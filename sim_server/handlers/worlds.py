@@ -12,7 +12,7 @@ from proto.result import (
     UnloadWorldCode,
 )
 from proto.services import State
-from sim_server.atlas import ONLINE, Listing
+from sim_server.atlas import ONLINE, Search
 from sim_server.description.sdf import WorldModel
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, ModelError, Refused, SimError
@@ -75,42 +75,40 @@ def get_current_world(
     return worlds.GetCurrentWorldResponse(world=desk.resource)
 
 
-def get_available_worlds(
-    desk: Desk, request: worlds.GetAvailableWorldsRequest
-) -> worlds.GetAvailableWorldsResponse:
-    """List the worlds that can be loaded, those of the server first."""
+def get_available_worlds(desk: Desk, request: worlds.GetAvailableWorldsRequest) -> Later:
+    """List the worlds that can be loaded, those of the server first; a few files at each turn."""
     sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
     if len(sources) > MAX_SOURCES:
         raise Refused(
             ResultCode.OPERATION_FAILED,
             f"{len(sources)} sources are too many; use {MAX_SOURCES} or less",
         )
-    default = desk.atlas.default()
-    listings = [default, *(desk.atlas.below(source) for source in sources)]
-    failures = [failure for listing in listings for failure in listing.failures]
-    if failures and not request.continue_on_error:
-        code = GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED
-        raise Refused(
-            code if default.failures else ResultCode.NOT_FOUND,
-            f"{'; '.join(failures[:SHOWN])}; set continue_on_error to do without",
-        )
-    return worlds.GetAvailableWorldsResponse(
-        Result(ResultCode.OK, "; ".join(failures[:SHOWN])), _matching(listings, request.filter)
-    )
+    search = desk.atlas.search(sources)
+    return Later(lambda: search.is_over or search.go_on(), lambda: _listed(search, request))
 
 
 def _is_skipped(source: str, request: worlds.GetAvailableWorldsRequest) -> bool:
     return request.offline_only and source.startswith(ONLINE)
 
 
-def _matching(
-    listings: list[Listing], wanted: services.TagsFilter
-) -> tuple[worlds.WorldResource, ...]:
+def _listed(
+    search: Search, request: worlds.GetAvailableWorldsRequest
+) -> worlds.GetAvailableWorldsResponse:
+    reasons = "; ".join(failure.reason for failure in search.failures[:SHOWN])
+    if search.failures and not request.continue_on_error:
+        is_own = any(failure.is_own for failure in search.failures)
+        raise Refused(
+            GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED if is_own else ResultCode.NOT_FOUND,
+            f"{reasons}; set continue_on_error to do without",
+        )
+    found = {world.world_resource.uri: world for world in search.worlds}
+    wanted = tuple(world for world in found.values() if _passes(world, request.filter))
+    return worlds.GetAvailableWorldsResponse(Result(ResultCode.OK, reasons), wanted)
+
+
+def _passes(world: worlds.WorldResource, wanted: services.TagsFilter) -> bool:
     asks = all if wanted.filter_mode else any
-    found = (world for listing in listings for world in listing.worlds)
-    if wanted.tags:
-        found = (world for world in found if asks(tag in world.tags for tag in wanted.tags))
-    return tuple({world.world_resource.uri: world for world in found}.values())
+    return not wanted.tags or asks(tag in world.tags for tag in wanted.tags)
 
 
 def _checked(answer: TextRead, request: worlds.LoadWorldRequest) -> WorldModel:

@@ -33,7 +33,9 @@ def test_file_of_the_start_is_asked_for_as_it_was_given_or_by_its_name(
     assert (started.name, started.world_resource) == ("yard", Resource(str(yard)))
     for name in (str(yard), again):
         assert atlas.find(Resource(name)).text == YARD
-    assert "a_yard.world" in [world.world_resource.uri for world in atlas.default().worlds]
+    search = atlas.search()
+    assert search.go_on(None)
+    assert "a_yard.world" in [world.world_resource.uri for world in search.worlds]
 
 
 def test_world_that_a_journal_brought_back_is_told_under_its_own_name(yard: Path) -> None:

@@ -13,7 +13,7 @@ from proto.result import (
     UnloadWorldCode,
 )
 from proto.services import Resource, State, TagsFilter
-from sim_server.atlas import Atlas, described
+from sim_server.atlas import FILES_A_TURN, Atlas, described
 from sim_server.desk import Desk
 from sim_server.errors import SimError
 from sim_server.handlers.table import handle
@@ -48,9 +48,19 @@ def loaded(desk: Desk, request: worlds.LoadWorldRequest) -> worlds.LoadWorldRepo
 
 
 def listed(desk: Desk, request: worlds.GetAvailableWorldsRequest) -> list[str]:
-    response = handle(desk, request)
+    return [world.world_resource.uri for world in available(desk, request)]
+
+
+def available(
+    desk: Desk, request: worlds.GetAvailableWorldsRequest
+) -> tuple[worlds.WorldResource, ...]:
+    later = handle(desk, request)
+    assert isinstance(later, Later)
+    while not later.is_ready():
+        pass
+    response = later.outcome()
     assert isinstance(response, worlds.GetAvailableWorldsResponse)
-    return [world.world_resource.uri for world in response.worlds]
+    return response.worlds
 
 
 @pytest.fixture
@@ -252,10 +262,9 @@ def test_worlds_are_listed_by_folder_and_tag(desk: Desk, folder: Path) -> None:
 
 
 def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(desk: Desk) -> None:
-    response = handle(desk, worlds.GetAvailableWorldsRequest())
+    found = available(desk, worlds.GetAvailableWorldsRequest())
 
-    assert isinstance(response, worlds.GetAvailableWorldsResponse)
-    empty = next(world for world in response.worlds if world.world_resource.uri == "empty")
+    empty = next(world for world in found if world.world_resource.uri == "empty")
     assert (empty.description, empty.tags) == (
         "Flat ground and nothing on it.",
         ("outdoor", "small"),
@@ -269,6 +278,20 @@ def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
     text = "<world name='w'><zensim:tags>a, b</zensim:tags>" + "<frame>" * 10_000
 
     assert described(Resource(), text).tags == ("a", "b")
+
+
+def test_many_files_are_looked_at_a_few_at_a_turn(desk: Desk, folder: Path) -> None:
+    for number in range(3 * FILES_A_TURN):
+        (folder / f"{number:03}.world").write_text(sdf())
+    later = handle(desk, worlds.GetAvailableWorldsRequest())
+    assert isinstance(later, Later)
+
+    turns = 1
+    while not later.is_ready():
+        turns += 1
+
+    assert turns > 3
+    assert len(later.outcome().worlds) == 3 + 3 * FILES_A_TURN  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])
