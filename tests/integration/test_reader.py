@@ -113,6 +113,7 @@ def test_spawn_is_refused_and_the_next_works_when_the_reader_is_killed(server: S
 def test_spawn_works_when_the_reader_was_killed_before(server: Server) -> None:
     reader = reader_of(server)
     reader.kill()
+    eventually(lambda: not psutil.pid_exists(reader.pid), 10.0, "noticing")
 
     assert answer_to(server, an_order("later")) == ""
 
