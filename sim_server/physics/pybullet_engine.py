@@ -7,11 +7,13 @@ import numpy as np
 
 from proto.model import ZERO, Model, Shape
 from sim_server.physics.acceptance import check_blueprint, check_meshes
-from sim_server.physics.actuation import Actuation, actuation_of, imposed
+from sim_server.physics.actuation import actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
 from sim_server.physics.creation import creation_of, solids_of
 from sim_server.physics.engine import MIN_INERTIA, EngineConfig, EngineRefused, FloatArray, Reading
+from sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
 from sim_server.physics.loads import Load, loads_of
+from sim_server.physics.parking import Body, Parking
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
 from sim_server.physics.spreading import ShapeKey, key_of, spread
@@ -23,13 +25,12 @@ with silenced():
 SOLVER_ITERATIONS = 20
 """10 costs 0.8 of this and doubles the sideways drift of a box_bot (1 mm in 2 m); 50 costs 1.4."""
 
-GEAR_FORCE = 1e4
-"""Most that a joint is pushed with to follow another [N or N m]."""
-GEAR_ERP = 0.2
-"""Share of a follower's error that one step mends."""
 MAX_PARTS = 128
 """Bullet reads the states of a body's first 127 joints back and no more."""
 
+TINY = (0.01, 0.01, 0.01)
+ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
+AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
 AT_ORIGIN: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
 OVERLAP_M = 0.001
@@ -41,14 +42,9 @@ KINDS = {
     "prismatic": pybullet.JOINT_PRISMATIC,
     "fixed": pybullet.JOINT_FIXED,
 }
-
-
 GEOMETRIES = {
-    "box": pybullet.GEOM_BOX,
-    "sphere": pybullet.GEOM_SPHERE,
-    "cylinder": pybullet.GEOM_CYLINDER,
-    "capsule": pybullet.GEOM_CAPSULE,
-    "mesh": pybullet.GEOM_MESH,
+    kind: getattr(pybullet, f"GEOM_{kind.upper()}")
+    for kind in ("box", "sphere", "cylinder", "capsule", "mesh")
 }
 
 
@@ -65,30 +61,27 @@ class PyBulletEngine:
     name = "pybullet"
 
     def __init__(self, config: EngineConfig) -> None:
-        self._client = pybullet.connect(pybullet.DIRECT)
+        self._client = client = pybullet.connect(pybullet.DIRECT)
         # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
         self._shapes: dict[ShapeKey, int] = {(): -1}
         self._mesh_folder = config.mesh_folder
-        self._joints: dict[int, list[int]] = {}
-        self._actuations: dict[int, Actuation] = {}
+        self._bodies: dict[int, Body] = {}
+        self._parking = Parking()
         self._twists: dict[int, list[float]] = {}
-        self._gears: dict[int, list[int]] = {}
-        self._loads: dict[int, list[Load]] = {}
+        self._loads: dict[int, Sequence[Load]] = {}
         self._gravity = config.gravity
         self._dt_s = config.step_ns * 1e-9
         self._roots = Roots()
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=config.step_ns * 1e-9,
-            numSubSteps=1,
+            fixedTimeStep=self._dt_s,
             numSolverIterations=SOLVER_ITERATIONS,
             enableConeFriction=0,
             enableFileCaching=0,
-            physicsClientId=self._client,
+            physicsClientId=client,
         )
-        pybullet.setGravity(*config.gravity, physicsClientId=self._client)
-        self._visual = pybullet.createVisualShape(
-            pybullet.GEOM_BOX, halfExtents=[0.01] * 3, physicsClientId=self._client
-        )
+        pybullet.setGravity(*config.gravity, physicsClientId=client)
+        box = pybullet.GEOM_BOX
+        self._visual = pybullet.createVisualShape(box, halfExtents=TINY, physicsClientId=client)
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
 
     def prepare(self, model: Model) -> bool:
@@ -106,32 +99,34 @@ class PyBulletEngine:
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         blueprint = _plan(model, self._mesh_folder)
+        if (parked := self._parking.take(model)) is not None:
+            return self._bring_back(*parked, base)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
             raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
-        self._joints[body] = list(range(len(model.joints)))
-        self._actuations[body] = actuation_of(model)
         self._roots.remember(body, blueprint.parts[0])
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
-        self._set_gears(body, model)
-        if loads := loads_of(blueprint, self._gravity, self._dt_s):
-            self._loads[body] = loads
+        loads = loads_of(blueprint, self._gravity, self._dt_s)
+        gears = [self._make_gear(body, gear) for gear in gears_of(model)]
+        self._admit(body, Body(model, len(blueprint.parts) - 1, actuation_of(model), loads, gears))
         # Made at its place, with joints at zero: placing it again would cost as much as making it.
-        state = self._roots.com_state(body, base).tolist()
-        pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=self._client)
+        self._set_velocity(body, self._roots.com_state(body, base)[7:])
         self._let_go(body)
         return body
 
     def remove(self, body: int) -> None:
-        """See `Engine.remove`."""
-        for gear in self._gears.pop(body, ()):
-            pybullet.removeConstraint(gear, physicsClientId=self._client)
-        pybullet.removeBody(body, physicsClientId=self._client)
-        del self._joints[body], self._actuations[body]
+        """See `Engine.remove`; a body is parked where there is a place for it."""
+        known = self._bodies.pop(body)
         self._twists.pop(body, None)
         self._loads.pop(body, None)
+        if self._parking.has_place_for(known) and self._is_good(body):
+            self._park(body, known)
+            return
+        for gear in known.gears:
+            pybullet.removeConstraint(gear, physicsClientId=self._client)
+        pybullet.removeBody(body, physicsClientId=self._client)
 
     def overlapping(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
@@ -142,7 +137,7 @@ class PyBulletEngine:
         near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
         return [
             other
-            for other in sorted({other for other, _ in near} & self._joints.keys() - {body})
+            for other in sorted({other for other, _ in near} & self._bodies.keys() - {body})
             if pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=client)
         ]
 
@@ -152,7 +147,7 @@ class PyBulletEngine:
         positions: list[float] = []
         velocities: list[float] = []
         for body in bodies:
-            if joints := self._joints[body]:
+            if joints := self._bodies[body].joints:
                 for state in pybullet.getJointStates(body, joints, physicsClientId=client):
                     positions.append(state[0])
                     velocities.append(state[1])
@@ -164,16 +159,15 @@ class PyBulletEngine:
 
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
-        state = self._roots.com_state(body, base).tolist()
-        pybullet.resetBasePositionAndOrientation(
-            body, state[:3], state[3:7], physicsClientId=self._client
-        )
-        pybullet.resetBaseVelocity(body, state[7:10], state[10:], physicsClientId=self._client)
+        state = self._roots.com_state(body, base)
+        place, turn = state[:3].tolist(), state[3:7].tolist()
+        pybullet.resetBasePositionAndOrientation(body, place, turn, physicsClientId=self._client)
+        self._set_velocity(body, state[7:])
 
     def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
         self.place(body, base)
-        joints = self._joints[body]
+        joints = self._bodies[body].joints
         angles = [0.0] * len(joints) if positions is None else positions.tolist()
         for joint, angle in zip(joints, angles, strict=True):
             pybullet.resetJointState(body, joint, angle, 0.0, physicsClientId=self._client)
@@ -184,7 +178,7 @@ class PyBulletEngine:
         numbers = targets.tolist()
         at = 0
         for body in bodies:
-            width = self._actuations[body].width
+            width = self._bodies[body].actuation.width
             if width:
                 self._actuate(body, numbers[at : at + width])
                 at += width
@@ -206,19 +200,52 @@ class PyBulletEngine:
         if self._loads:
             self._apply_loads()
         pybullet.stepSimulation(physicsClientId=self._client)
-        return self._ground is None or self._is_ground_good(self._ground)
+        if self._ground is None or self._is_good(self._ground):
+            return True
+        self.place(self._ground, AT_ORIGIN)
+        return False
 
     def close(self) -> None:
         """See `Engine.close`."""
         pybullet.disconnect(physicsClientId=self._client)
 
+    def _admit(self, body: int, known: Body) -> None:
+        self._bodies[body] = known
+        if known.loads:
+            self._loads[body] = known.loads
+
+    def _set_velocity(self, body: int, velocity: FloatArray) -> None:
+        numbers = velocity.tolist()
+        pybullet.resetBaseVelocity(body, numbers[:3], numbers[3:], physicsClientId=self._client)
+
+    def _park(self, body: int, known: Body) -> None:
+        """Let a body sleep where it touches nothing."""
+        client = self._client
+        for part in range(-1, known.parts):
+            pybullet.setCollisionFilterGroupMask(body, part, 0, 0, physicsClientId=client)
+        base = AT_ORIGIN.copy()
+        base[:3] = self._parking.keep(body, known)
+        self.place(body, base)
+        for state in ASLEEP:
+            pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=client)
+
+    def _bring_back(self, body: int, known: Body, base: FloatArray) -> int:
+        client = self._client
+        for state in AWAKE:
+            pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=client)
+        for part in range(-1, known.parts):
+            pybullet.setCollisionFilterGroupMask(body, part, 1, -1, physicsClientId=client)
+        self._admit(body, known)
+        self.rest(body, base)
+        return body
+
     def _let_go(self, body: int) -> None:
         """Give a body targets of 0, and its own way where a twist moved it."""
-        self.command([body], np.zeros(self._actuations[body].width))
+        self.command([body], np.zeros(self._bodies[body].actuation.width))
         self._twists.pop(body, None)
 
     def _actuate(self, body: int, numbers: list[float]) -> None:
-        plan = self._actuations[body]
+        plan = self._bodies[body].actuation
         if plan.speeds.joints:
             pybullet.setJointMotorControlArray(
                 body,
@@ -246,9 +273,7 @@ class PyBulletEngine:
         turns, arms = self._roots.turns_and_arms(bodies, com)
         twists = np.array(list(self._twists.values()))
         for body, row in zip(bodies, imposed(com[:, 7:], turns, arms, twists), strict=True):
-            pybullet.resetBaseVelocity(
-                body, row[:3].tolist(), row[3:].tolist(), physicsClientId=self._client
-            )
+            self._set_velocity(body, row)
 
     def _apply_loads(self) -> None:
         for body, loads in self._loads.items():
@@ -282,12 +307,9 @@ class PyBulletEngine:
             rows.append((*place, *turn, *linear, *angular))
         return np.array(rows, dtype=np.float64).reshape(len(rows), 13)
 
-    def _is_ground_good(self, ground: int) -> bool:
-        linear, _ = pybullet.getBaseVelocity(ground, physicsClientId=self._client)
-        if math.isfinite(linear[0]):
-            return True
-        self.place(ground, AT_ORIGIN)
-        return False
+    def _is_good(self, body: int) -> bool:
+        linear, _ = pybullet.getBaseVelocity(body, physicsClientId=self._client)
+        return math.isfinite(linear[0])
 
     def _add_ground(self, friction: float) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
@@ -332,9 +354,9 @@ class PyBulletEngine:
             touch = touch_of(part, self._dt_s, is_static=blueprint.is_static)
             pybullet.changeDynamics(body, link, **touch, physicsClientId=client)
             if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
-                inertia = [max(moment, MIN_INERTIA) for moment in part.inertia]
+                least = [max(moment, MIN_INERTIA) for moment in part.inertia]
                 pybullet.changeDynamics(
-                    body, link, localInertiaDiagonal=inertia, physicsClientId=client
+                    body, link, localInertiaDiagonal=least, physicsClientId=client
                 )
             if part.joint is not None:
                 self._set_joint(body, link, part)
@@ -344,56 +366,35 @@ class PyBulletEngine:
         if joint is None or joint.kind == "fixed":
             return
         if joint.kind in ("revolute", "prismatic"):
+            low, high = joint.lower, joint.upper
             pybullet.changeDynamics(
-                body,
-                link,
-                jointLowerLimit=joint.lower,
-                jointUpperLimit=joint.upper,
-                physicsClientId=client,
+                body, link, jointLowerLimit=low, jointUpperLimit=high, physicsClientId=client
             )
         # Every joint is born with a motor that brakes it: leave it only the joint's own friction.
-        pybullet.setJointMotorControl2(
-            body,
-            link,
-            pybullet.VELOCITY_CONTROL,
-            targetVelocity=0.0,
-            force=joint.friction,
-            physicsClientId=client,
-        )
+        mode, friction = pybullet.VELOCITY_CONTROL, joint.friction
+        pybullet.setJointMotorControl2(body, link, mode, force=friction, physicsClientId=client)
 
     def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
-        """Damp joints as an implicit step would: Bullet's own step blows up when d dt > I."""
-        moving = [
-            (link, part.joint)
-            for link, part in enumerate(blueprint.parts, start=-1)
-            if part.joint is not None and part.joint.kind != "fixed"
-        ]
+        client, moving = self._client, moving_joints(blueprint)
         if not any(joint.damping for _, joint in moving):
             return
-        masses = pybullet.calculateMassMatrix(
-            body, [0.0] * len(moving), physicsClientId=self._client
-        )
-        yielding = np.diag(np.linalg.pinv(np.array(masses)))[-len(moving) :].tolist()
-        for (link, joint), lightness in zip(moving, yielding, strict=True):
-            damping = joint.damping / (1.0 + joint.damping * self._dt_s * max(lightness, 0.0))
-            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=self._client)
+        still = [0.0] * len(moving)
+        masses = np.array(pybullet.calculateMassMatrix(body, still, physicsClientId=client))
+        for link, damping in bearable_dampings(moving, masses, self._dt_s):
+            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=client)
 
-    def _set_gears(self, body: int, model: Model) -> None:
-        index = {joint.name: i for i, joint in enumerate(model.joints)}
-        for follower, joint in enumerate(model.joints):
-            if joint.mimic is None:
-                continue
-            gear = pybullet.createConstraint(
-                *(body, follower, body, index[joint.mimic.joint], pybullet.JOINT_GEAR),
-                *(joint.axis, ZERO, ZERO),
-                physicsClientId=self._client,
-            )
-            pybullet.changeConstraint(
-                gear,
-                gearRatio=-joint.mimic.multiplier,
-                relativePositionTarget=joint.mimic.offset,
-                erp=GEAR_ERP,
-                maxForce=GEAR_FORCE,
-                physicsClientId=self._client,
-            )
-            self._gears.setdefault(body, []).append(gear)
+    def _make_gear(self, body: int, gear: Gear) -> int:
+        made: int = pybullet.createConstraint(
+            *(body, gear.follower, body, gear.leader, pybullet.JOINT_GEAR),
+            *(gear.axis, ZERO, ZERO),
+            physicsClientId=self._client,
+        )
+        pybullet.changeConstraint(
+            made,
+            gearRatio=gear.ratio,
+            relativePositionTarget=gear.offset,
+            erp=gear.mended,
+            maxForce=gear.force,
+            physicsClientId=self._client,
+        )
+        return made

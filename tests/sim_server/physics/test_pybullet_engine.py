@@ -278,7 +278,37 @@ def test_engine_makes_no_more_shapes_when_robots_come_and_go(engine: PyBulletEng
         engine.remove(engine.add(in_namespace(a_box_bot(), f"r{i}"), box_bot_at()))
 
     assert next_shape(engine) == before
-    assert bodies_in(engine) == 1
+    # The ground, and the one that is parked.
+    assert bodies_in(engine) == 2
+
+
+def test_engine_brings_a_parked_body_back_as_if_new(engine: PyBulletEngine) -> None:
+    fresh = engine.add(a_box_bot(), box_bot_at())
+    engine.command([fresh], np.array([5.0, 3.0]))
+    advance(engine, 240)
+    driven = engine.read([fresh])
+    engine.remove(fresh)
+    advance(engine, 240)
+
+    again = engine.add(a_box_bot(), box_bot_at())
+    assert again == fresh
+    assert engine.read([again]).base[0] == pytest.approx(box_bot_at(), abs=1e-9)
+    engine.command([again], np.array([5.0, 3.0]))
+    advance(engine, 240)
+
+    assert engine.read([again]).base == pytest.approx(driven.base, abs=1e-6)
+    assert engine.read([again]).joint_positions == pytest.approx(driven.joint_positions, abs=1e-6)
+
+
+def test_engine_parked_body_is_in_nobodys_way(engine: PyBulletEngine) -> None:
+    gone = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+    engine.remove(gone)
+    falling = engine.add(a_lopsided_box(), a_state((0.0, 0.0, 0.5)))
+
+    advance(engine, 480)
+
+    assert engine.overlapping(falling) == []
+    assert engine.read([falling]).base[0, 2] < 0.3
 
 
 def test_engine_robot_still_collides_when_its_twin_was_removed(engine: PyBulletEngine) -> None:
