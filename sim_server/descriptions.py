@@ -65,6 +65,12 @@ class Descriptions(Protocol):
     def poll(self) -> bool:
         """Go on; say whether something was read."""
 
+    def reading_of(self, model: Model) -> Reading | None:
+        """Find what a model was read from, if that is still known."""
+
+    def remember(self, reading: Reading, model: Model) -> None:
+        """Take over what another server has read."""
+
     def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
         """Have a text read besides; `poll` calls with the answer, once what it names is kept.
 
@@ -132,6 +138,18 @@ class ReadElsewhere:
             else:
                 self._note(message)
         return self._has_prepared() or bool(messages)
+
+    def reading_of(self, model: Model) -> Reading | None:
+        """See `Descriptions`."""
+        for reading, found in reversed(self._read.items()):
+            if isinstance(found, Read) and found.model is model:
+                return reading
+        return None
+
+    def remember(self, reading: Reading, model: Model) -> None:
+        """See `Descriptions`."""
+        if reading not in self._read:
+            self._keep(reading, self._as_read(model))
 
     def _has_prepared(self) -> bool:
         """Prepare a part of a large model, and rest for twice as long: steps come first."""

@@ -17,6 +17,7 @@ from sim_server.journal.rows import (
     ENCODER,
     AsideRow,
     EntityRow,
+    ReadAs,
     answer_key,
     body_of,
     sha256_of,
@@ -124,6 +125,7 @@ class Keeper:
             belongs_to_world=entity.belongs_to_world,
             bond=kept.bond,
             info=entity.info,
+            read_as=ReadAs(*kept.reading[1:]) if kept.reading is not None else None,
         )
 
     def _keep_model(self, model: Model) -> str:

@@ -96,11 +96,13 @@ class Journal:
         return tuple(row.entity.name for row in restored.refused)
 
     def prepare(self, desk: Desk, now_s: float) -> None:
-        """Give a desk what is no part of its world: answers and bonds."""
+        """Give a desk what is no part of its world: answers, bonds, and what was read."""
         desk.told = self._told(now_s)
         if self.contents is not None:
             desk.resource = self.contents.world.resource
         for kept in self.kept:
+            if kept.reading is not None:
+                desk.descriptions.remember(kept.reading, kept.entity.model)
             if kept.bond:
                 held = desk.bonded.setdefault(kept.bond, [])
                 held.append((kept.entity.name, kept.entity.born_ns))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -218,7 +219,12 @@ class Recorder:
             before = self._known.get(name)
             if before is not None and before.entity is entity:
                 continue
-            after = Kept(self._ordinal_of(before, entity.born_ns), entity, self._bond_of(name))
+            after = Kept(
+                self._ordinal_of(before, entity.born_ns),
+                entity,
+                self._bond_of(name),
+                self._desk.descriptions.reading_of(entity.model),
+            )
             if before is None or not before.is_same(after):
                 changes.append(Change(name, before, after))
             self._known[name] = after
@@ -348,7 +354,7 @@ class Recorder:
         except SimError as error:
             LOG.warning("entity %s could not be put back: %s", entity.name, error)
             return
-        self._known[entity.name] = Kept(kept.ordinal, again, kept.bond)
+        self._known[entity.name] = replace(kept, entity=again)
         if (stand := stand_in(former, entity.name)) is not None:
             world.place(entity.name, *stand)
 

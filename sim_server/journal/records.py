@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from sim_server.descriptions import Reading as TextReading
 from sim_server.entity import Entity
 from sim_server.journal.rows import AnswerRow, ClockRow, MotionRow, WorldRow
 from sim_server.physics.engine import Reading
@@ -17,6 +18,8 @@ class Kept:
     ordinal: int
     entity: Entity
     bond: str = ""
+    reading: TextReading | None = None
+    """What its model was read from."""
 
     def is_same(self, other: "Kept") -> bool:
         """Whether a row of this would be that of the other: bodies of an engine are not kept."""

@@ -12,7 +12,7 @@ import numpy as np
 from proto.model import Model
 from proto.services import State
 from sim_server.birth import Birth
-from sim_server.descriptions import meshes_of
+from sim_server.descriptions import Reading, meshes_of
 from sim_server.errors import SimError
 from sim_server.journal.keeping import CLOCK, MOTION, WORLD
 from sim_server.journal.ledger import JournalError, Ledger
@@ -128,6 +128,13 @@ def _places(motion: MotionRow) -> dict[str, tuple[FloatArray, FloatArray]]:
     }
 
 
+def reading_of(contents: Contents, row: EntityRow) -> Reading | None:
+    """Say what the model of an entity was read from."""
+    if (how := row.read_as) is None:
+        return None
+    return Reading(contents.texts[row.text], how.compat, how.allow_missing, how.assets)
+
+
 def birth_of(contents: Contents, row: EntityRow, born_ns: int) -> Birth:
     """Say how an entity is spawned again."""
     return Birth(
@@ -174,7 +181,7 @@ def _make(
     except (SimError, OSError) as error:
         restored.refused.append(AsideRow(entity=row, reason=" ".join(str(error).split())))
     else:
-        restored.kept.append(Kept(row.ordinal, entity, row.bond))
+        restored.kept.append(Kept(row.ordinal, entity, row.bond, reading_of(contents, row)))
 
 
 def _standing(contents: Contents, row: EntityRow) -> tuple[FloatArray, FloatArray]:

@@ -7,12 +7,22 @@ import hashlib
 
 import msgspec
 
+from proto.assets import AssetRef
 from proto.info import EntityInfo
 from proto.model import Model
+from proto.services import Compat
 from proto.worlds import WorldResource
 from sim_server.description.sdf import WorldModel
 
 ENCODER = msgspec.msgpack.Encoder()
+
+
+class ReadAs(msgspec.Struct, frozen=True):
+    """How a description was read, so that another server need not read it again."""
+
+    compat: Compat
+    allow_missing: bool
+    assets: tuple[AssetRef, ...]
 
 
 class EntityRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -31,6 +41,7 @@ class EntityRow(msgspec.Struct, frozen=True, kw_only=True):
     belongs_to_world: bool = False
     bond: str = ""
     info: EntityInfo | None = None
+    read_as: ReadAs | None = None
 
 
 class WorldRow(msgspec.Struct, frozen=True, kw_only=True):

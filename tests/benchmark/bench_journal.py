@@ -9,10 +9,8 @@ import os
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 
-from proto.bus import BusConfig, BusError, NoServer, open_bus
 from spawner.client import SimClient
 from tests.benchmark.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
 from tests.benchmark.figures import Asked, Figure, table
@@ -26,7 +24,7 @@ from tests.benchmark.fleet import (
     stats_of,
 )
 from tests.integration.journals import kept_in, kill_hard
-from tests.integration.processes import free_endpoint, running
+from tests.integration.processes import START_S, free_endpoint, joined, running
 
 __all__ = ["rows", "table"]
 
@@ -34,7 +32,6 @@ SPAWNS, SPAWNS_WHEN_SHORT = 100, 5
 KEPT, KEPT_WHEN_SHORT = 100, 3
 STARTS, STARTS_WHEN_SHORT = 10, 1
 SYNCED_BYTES = 64 * 1024
-START_S = 60.0
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -96,20 +93,14 @@ def _starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
 
 def _first_list_s(folder: Path, endpoint: str) -> float:
     start_s = time.monotonic()
-    with running("serve", "--listen", endpoint, "--journal", str(folder)) as process:
-        _list_once(endpoint)
+    with (
+        running("serve", "--listen", endpoint, "--journal", str(folder)) as process,
+        joined(endpoint, process) as bus,
+    ):
+        client = SimClient(bus)
+        client.wait_for_server(START_S)
+        client.entities()
         took_s = time.monotonic() - start_s
         process.kill()
         process.wait()
     return took_s
-
-
-def _list_once(endpoint: str) -> tuple[str, ...]:
-    deadline_s = time.monotonic() + START_S
-    config = BusConfig(connect=(endpoint,), open_timeout_s=0.2)
-    while time.monotonic() < deadline_s:
-        with suppress(BusError, NoServer, TimeoutError), open_bus(config) as bus:
-            client = SimClient(bus)
-            client.wait_for_server(START_S)
-            return client.entities()
-    raise TimeoutError(f"nobody answered at {endpoint} within {START_S:g} s")

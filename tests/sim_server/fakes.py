@@ -18,6 +18,7 @@ from sim_server.birth import Birth
 from sim_server.config import ServerConfig
 from sim_server.description.describing import describe
 from sim_server.description.resources import text_of
+from sim_server.descriptions import Reading
 from sim_server.desk import Desk
 from sim_server.founding import founding
 from sim_server.loop import Loop
@@ -69,6 +70,7 @@ class ReadHere:
     def __init__(self, store: AssetStore | None = None) -> None:
         self.is_slow = False
         self.given: Model | None = None
+        self.remembered: dict[int, Reading] = {}
         self.store = store or AssetStore()
         self.unread: list[tuple[TextRead, Callable[[TextRead], None]]] = []
 
@@ -83,6 +85,12 @@ class ReadHere:
             text, assets={}, allow_missing=order.allow_missing, compat=order.compat
         )
         return described.model, text
+
+    def reading_of(self, model: Model) -> Reading | None:
+        return self.remembered.get(id(model))
+
+    def remember(self, reading: Reading, model: Model) -> None:
+        self.remembered[id(model)] = reading
 
     def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
         files = {name: self.store.piece(name, 0, self.store.size(name)) for name in request.files}

@@ -142,3 +142,20 @@ def test_small_model_needs_no_preparation(roomy: Reading) -> None:
     roomy.model(roomy.order())
 
     assert roomy.parts_left == 0
+
+
+def test_description_that_another_server_read_is_not_read_again(roomy: Reading) -> None:
+    order, other = (
+        roomy.order(),
+        ReadElsewhere(roomy.reader, roomy.store, roomy.prepare, roomy.wall.now_ns),
+    )
+    model = roomy.model(order)
+    reading = roomy.descriptions.reading_of(model)
+    assert reading is not None
+
+    other.remember(reading, model)
+
+    assert other.is_read(order)
+    assert other.model(order)[0] is model
+    assert other.reading_of(model) == reading
+    assert other.reading_of(Model("stranger", ())) is None

@@ -14,6 +14,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from proto.info import Category, EntityCategory, EntityInfo
 from proto.model import Model
 from proto.services import ResetScope, State
+from sim_server.descriptions import Reading
 from sim_server.errors import SimError
 from sim_server.journal.ledger import JournalError, open_ledger
 from sim_server.journal.opening import MARK, Journal, open_journal
@@ -88,6 +89,20 @@ def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) ->
         epochs.append(kept.world.epoch)
 
     assert epochs == [1, 2, 3]
+
+
+def test_description_that_was_read_need_not_be_read_again(tmp_path: Path) -> None:
+    kept = Journalled(tmp_path)
+    kept.recorder.note()
+    entity = kept.world.spawn(a_birth("r0"))
+    reading = Reading("<robot/>", "gazebo11", allow_missing=True, assets=())
+    kept.desk.descriptions.remember(reading, entity.model)
+    kept.recorder.note()
+
+    again = restart(kept)
+
+    model = again.world.entity("r0").model
+    assert again.desk.descriptions.reading_of(model) == reading
 
 
 def test_robot_stands_and_what_nobody_drives_moves_on(tmp_path: Path) -> None:
