@@ -160,7 +160,7 @@ def _of_one_model(
     doubts = []
     for solid, places in solids:
         low, high = solid.extents(places)
-        is_near: BoolArray = ((low <= region.high) & (high >= region.low)).all(axis=1)
+        is_near = _all((low <= region.high) & (high >= region.low))
         is_in |= is_near & _is_within(region, low, high)
         doubts.append((solid, places, is_near))
     yield [name for name, known in zip(names, is_in, strict=True) if known]
@@ -173,12 +173,17 @@ def _of_one_model(
 def _is_within(region: Region, low: FloatArray, high: FloatArray) -> BoolArray:
     """Whether boxes are wholly inside a region; False where that is not easily told."""
     if region.is_box:
-        return np.asarray(((low >= region.low) & (high <= region.high)).all(axis=1))
+        return _all((low >= region.low) & (high <= region.high))
     if region.solid.ball_m:
         centre = region.solid.points[0]
         far = np.maximum(np.abs(low - centre), np.abs(high - centre))
         return np.asarray((far * far).sum(axis=1) <= region.solid.ball_m**2)
     return np.zeros(len(low), dtype=np.bool_)
+
+
+def _all(tests: BoolArray) -> BoolArray:
+    """Whether all of each row (n, 3) hold."""
+    return np.asarray(tests.all(axis=1), dtype=np.bool_)
 
 
 def bounds_of(solids: list[tuple[Solid, FloatArray]], wanted: BoundsType) -> Bounds:
