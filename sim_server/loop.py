@@ -52,8 +52,12 @@ class Loop:
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Go on until told to stop, or to quit by a request: its reply has gone out by then."""
-        while not (should_stop() or self._world.state == State.QUITTING):
+        while not (should_stop() or self._has_quit):
             self.turn()
+
+    @property
+    def _has_quit(self) -> bool:
+        return self._world.state == State.QUITTING and not self._requests.has_replies
 
     def turn(self) -> None:
         """Serve what has come, then step if it is time, else wait a little."""

@@ -24,6 +24,9 @@ class Replies:
         self._key_of = key_of
         self._waiting: deque[Waiting] = deque()
 
+    def __len__(self) -> int:
+        return len(self._waiting)
+
     def add(self, waiting: Waiting) -> None:
         """Take a reply in."""
         self._waiting.append(waiting)

@@ -56,6 +56,11 @@ class Requests:
         self._replies = Replies(lambda name: service_key(desk.world.name, name))
         self._reason = ""
 
+    @property
+    def has_replies(self) -> bool:
+        """Whether a reply has not gone out yet."""
+        return len(self._replies) > 0
+
     def take(self, call: Call) -> None:
         """Carry a request out and answer it, or begin to."""
         self._desk.meter.requests += 1

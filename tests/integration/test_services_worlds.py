@@ -88,14 +88,14 @@ def test_worlds_of_the_operator_are_listed_and_loaded_and_no_other_file(tmp_path
     (given / "crate").mkdir(parents=True)
     (given / "crate" / "model.sdf").write_text(CRATE)
     included = "<include><uri>model://crate</uri><pose>0 0 0.5 0 0 0</pose></include>"
-    tags = "<zensim:tags>outdoor</zensim:tags>"
+    tags = "<zensim:tags>fenced</zensim:tags>"
     (given / "yard.world").write_text(sdf(tags + included))
     secret.write_text(sdf(name="secret"))
 
     with serving("--model-path", str(given)) as server:
         worlds = [world.name for world in server.client.available_worlds()]
         assert worlds == ["default", "walls", "warehouse", "yard"]
-        (yard,) = server.client.available_worlds(TagsFilter(("outdoor",)))
+        (yard,) = server.client.available_worlds(TagsFilter(("fenced",)))
         server.client.load_world(yard.world_resource.uri)
         assert server.client.entities() == ("crate",)
         server.client.load_world(text=sdf(included, "mine"))
@@ -144,3 +144,24 @@ def test_server_quits_after_its_answer() -> None:
         server.client.set_simulation_state(State.QUITTING)
 
         assert server.process.wait(10.0) == 0
+
+
+def test_loaded_world_comes_back_from_the_journal_and_so_does_none(tmp_path: Path) -> None:
+    kept = ("--journal", str(tmp_path / "journal"))
+    with serving(*kept) as server:
+        server.client.load_world("walls")
+        server.zensim("spawn", "box_bot", "--name", "r1")
+        server.process.kill()
+        server.process.wait()
+
+    with serving(*kept) as server:
+        assert server.client.current_world().world_resource.uri == "walls"
+        assert server.client.entities() == ("outer_walls", "inner_walls", "r1")
+        assert server.client.simulation_state() == State.STOPPED
+        server.client.unload_world()
+        server.client.set_simulation_state(State.QUITTING)
+        assert server.process.wait(10.0) == 0
+
+    with serving(*kept) as server:
+        assert server.client.simulation_state() == State.NO_WORLD
+        assert server.client.entities() == ()
