@@ -97,9 +97,9 @@ class PyBulletEngine:
         return True
 
     def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`."""
+        """See `Engine.add`; one that slept would lose its velocity in the first step."""
         blueprint = _plan(model, self._mesh_folder)
-        if (parked := self._parking.take(model)) is not None:
+        if not base[7:].any() and (parked := self._parking.take(model)) is not None:
             return self._bring_back(*parked, base)
         try:
             body = self._create(blueprint, base)

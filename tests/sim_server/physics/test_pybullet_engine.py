@@ -300,6 +300,16 @@ def test_engine_brings_a_parked_body_back_as_if_new(engine: PyBulletEngine) -> N
     assert engine.read([again]).joint_positions == pytest.approx(driven.joint_positions, abs=1e-6)
 
 
+def test_engine_body_flies_on_although_its_twin_is_parked(space: PyBulletEngine) -> None:
+    space.remove(space.add(a_box(), a_state()))
+    advance(space, 600)
+
+    body = space.add(a_box(), a_state(linear=(2.0, 0.0, 0.0)))
+    advance(space, 240)
+
+    assert space.read([body]).base[0, 0] == pytest.approx(2.0, abs=1e-3)
+
+
 def test_engine_parked_body_is_in_nobodys_way(engine: PyBulletEngine) -> None:
     gone = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
     engine.remove(gone)
