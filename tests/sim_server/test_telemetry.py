@@ -94,7 +94,7 @@ def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
     assert len(stage.outlet.on("clock")) == pytest.approx(200, abs=4)
 
 
-def test_telemetry_tells_clock_and_snapshot_when_something_has_changed() -> None:
+def test_telemetry_tells_clock_and_where_everything_is_when_something_has_changed() -> None:
     world = a_world("r0")
     telemetry = Telemetry(a_desk(world))
     for i in range(5):
@@ -104,7 +104,12 @@ def test_telemetry_tells_clock_and_snapshot_when_something_has_changed() -> None
     world.step()
 
     assert nothing == []
-    assert due(telemetry, SECOND + 501 * MILLISECOND) == ["clock", "snapshot"]
+    assert due(telemetry, SECOND + 501 * MILLISECOND) == [
+        "clock",
+        "model_states",
+        "link_states",
+        "snapshot",
+    ]
 
 
 def test_clock_tells_time_step_and_epoch() -> None:
