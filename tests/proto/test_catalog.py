@@ -5,7 +5,6 @@ import pytest
 from proto.catalog import GET_ENTITIES, SERVICES, SPAWN_ENTITY
 from proto.result import ResultCode, SpawnCode
 
-
 GAZEBO = {
     "pause_physics": "Empty",
     "unpause_physics": "Empty",
