@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from proto.model import Joint, Model, Origin, Vec3
-from proto.rotation import multiply, rotate
+from proto.model import Joint, Model, Origin
 from sim_server.entity import Entity, Roster
+from sim_server.kinematics import joint_motion, placed, row_of
 from sim_server.physics.engine import FloatArray, Reading
 
 FARTHEST_M = 1e6
@@ -162,17 +162,6 @@ def _fixed(joint: Joint, position: float) -> Joint:
 
 
 def _moved(joint: Joint, position: float) -> Origin:
-    turn, axis = np.array(joint.origin.orientation), np.array(joint.axis)
-    if joint.kind == "prismatic":
-        shift = np.array(joint.origin.position) + rotate(turn, axis * position)
-        return Origin(_vector(shift), joint.origin.orientation)
-    if joint.kind == "fixed":
-        return joint.origin
-    about = np.append(axis * np.sin(position / 2.0), np.cos(position / 2.0))
-    qx, qy, qz, qw = multiply(turn, about).tolist()
-    return Origin(joint.origin.position, (qx, qy, qz, qw))
-
-
-def _vector(numbers: FloatArray) -> Vec3:
-    x, y, z = numbers.tolist()
-    return (x, y, z)
+    moved = placed(row_of(joint.origin), joint_motion(joint, np.array([position])))[0]
+    x, y, z, qx, qy, qz, qw = moved.tolist()
+    return Origin((x, y, z), (qx, qy, qz, qw))
