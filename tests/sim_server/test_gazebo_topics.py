@@ -1,0 +1,43 @@
+"""Gazebo's topics: told while somebody listens, twenty times a second, and on request."""
+
+import msgspec
+import pytest
+
+from proto.gazebo import LinkStates, ModelStates
+from proto.services import GetEntitiesRequest
+from tests.sim_server.fakes import a_stage, answer_of
+
+TOPICS = [("model_states", ModelStates), ("link_states", LinkStates)]
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_topic_is_told_twenty_times_a_second(topic: str, kind: type[msgspec.Struct]) -> None:
+    stage = a_stage("r0", "r1")
+
+    stage.turn_for(1.0)
+
+    told = stage.outlet.on(topic)
+    assert 19 <= len(told) <= 22
+    assert all(isinstance(message, kind) for message in told)
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_topic_is_not_made_when_nobody_listens(topic: str, kind: type[msgspec.Struct]) -> None:
+    stage = a_stage("r0")
+    stage.outlet.unwanted.add(topic)
+
+    stage.turn_for(0.5)
+
+    assert stage.outlet.on(topic) == []
+    assert kind.__name__ == "".join(word.capitalize() for word in topic.split("_"))
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_topic_answers_a_get(topic: str, kind: type[msgspec.Struct]) -> None:
+    stage = a_stage("r0")
+    call = stage.ask(topic, GetEntitiesRequest())
+
+    stage.loop.turn()
+
+    answer = answer_of(call, kind)
+    assert getattr(answer, "name")[0].startswith("r0")  # noqa: B009
