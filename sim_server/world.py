@@ -129,8 +129,7 @@ class World(Chronicle):
         return self._overlapped(self.entity(name).body)
 
     def _overlapped(self, body: int) -> list[str]:
-        if not (bodies := set(self._engine.overlapping(body))):
-            return []
+        bodies = set(self._engine.overlapping(body))
         return [name for name, other in self._entities.items() if other.body in bodies]
 
     def delete(self, name: str) -> None:
