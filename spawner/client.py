@@ -68,6 +68,8 @@ from proto.worlds import (
 from spawner.goals import OnProgress, reach_goal
 
 CALL_TIMEOUT_S = 10.0
+LOAD_TIMEOUT_S = 60.0
+"""For a world: it may hold 2000 models."""
 SPAWN_TIMEOUT_S = 30.0
 """A server on a busy machine takes long over a large description."""
 POLL_S = 0.05
@@ -276,7 +278,12 @@ class SimClient:
     ) -> LoadWorldReport:
         """Put another world in the place of this one: by name, or SDF text; it stands stopped."""
         request = LoadWorldRequest(Resource(uri, text), is_strict, may_lack_assets)
-        return self._call(catalog.LOAD_WORLD, request)
+        return self.bus.call(
+            catalog.LOAD_WORLD,
+            request,
+            world=self.world,
+            timeout_s=max(self._timeout_s, LOAD_TIMEOUT_S),
+        )
 
     def unload_world(self) -> None:
         """Take the world away with everything in it."""

@@ -37,6 +37,8 @@ if TYPE_CHECKING:
 
 EARTH: Vec3 = (0.0, 0.0, -9.8)
 """Gravity [m/s^2] of a world that does not give its own, as SDF has it."""
+STRONGEST = 1000.0
+"""Gravity along an axis [m/s^2]: four times the sun's."""
 MAX_MODELS = 2000
 SUN, GROUND = "model://sun", "model://ground_plane"
 UNUSED = {
@@ -203,9 +205,7 @@ def _take(child: Element, draft: _Draft) -> None:
     elif child.tag == "frame":
         _take_frame(child, draft)
     elif child.tag == "gravity":
-        x, y, z = read_numbers(child.text, counts=(3,), where="gravity", slug="sdf.gravity")
-        report.applied("world: <gravity>", f"{x:g} {y:g} {z:g} m/s^2")
-        draft.world = replace(draft.world, gravity=(x, y, z))
+        draft.world = replace(draft.world, gravity=_gravity(child, report))
     elif child.tag == "physics":
         draft.world = replace(draft.world, pace=read_pace(child, report))
     elif child.tag == "scene":
@@ -220,6 +220,17 @@ def _take(child: Element, draft: _Draft) -> None:
         draft.world = replace(draft.world, scene=scene)
     else:
         _note(child, report)
+
+
+def _gravity(child: Element, report: Report) -> Vec3:
+    x, y, z = read_numbers(child.text, counts=(3,), where="gravity", slug="sdf.gravity")
+    if max(abs(x), abs(y), abs(z)) > STRONGEST:
+        raise ModelError(
+            f"gravity {x:g} {y:g} {z:g} is out of range; use at most {STRONGEST:g} m/s^2",
+            slug="sdf.gravity",
+        )
+    report.applied("world: <gravity>", f"{x:g} {y:g} {z:g} m/s^2")
+    return (x, y, z)
 
 
 def _take_frame(frame: Element, draft: _Draft) -> None:

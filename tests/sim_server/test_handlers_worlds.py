@@ -158,6 +158,11 @@ REFUSED = {
         LoadWorldCode.UNSUPPORTED_ASSETS,
         "world.unusable: 1 unusable: mesh: mesh",
     ),
+    "a gravity that tears all apart": (
+        loading(text=sdf("<gravity>0 0 1e300</gravity>")),
+        LoadWorldCode.RESOURCE_PARSE_ERROR,
+        r"sdf\.gravity: gravity 0 0 1e\+300 is out of range",
+    ),
     "a strange element": (
         loading(text=sdf("<wind/>"), fail_on_unsupported_element=True),
         LoadWorldCode.UNSUPPORTED_ELEMENTS,
