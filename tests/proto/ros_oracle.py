@@ -85,7 +85,8 @@ GAZEBO = {
     "EntityState": "string name; geometry_msgs/Pose pose; geometry_msgs/Twist twist;"
     " string reference_frame",
     "GetEntityState_Request": "string name; string reference_frame",
-    "GetEntityState_Response": "std_msgs/Header header; gazebo_msgs/EntityState state; bool success",
+    "GetEntityState_Response": "std_msgs/Header header; gazebo_msgs/EntityState state;"
+    " bool success",
     "SetEntityState_Request": "gazebo_msgs/EntityState state",
     "SetEntityState_Response": "bool success",
     "ModelStates": "string[] name; geometry_msgs/Pose[] pose; geometry_msgs/Twist[] twist",
