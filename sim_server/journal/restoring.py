@@ -159,17 +159,22 @@ class Restored:
 
 def restore(contents: Contents, world: World, shelf: Shelf, now_ns: int) -> Restored:
     """Put all entities where they were, set time, and begin a new epoch."""
-    restored, rows = Restored(), {row.name: row for row in contents.entities}
+    restored = Restored()
     for row in contents.entities:
         _make(contents, row, world, shelf, now_ns, restored)
+    _place_all(contents, world, restored)
     # What would end the process with its first step does so here, while the mark is up.
     world.step()
-    for kept in restored.kept:
-        row = rows[kept.entity.name]
-        world.place(row.name, *_standing(contents, row))
+    _place_all(contents, world, restored)
     world.steps, world.epoch = contents.steps, contents.clock.epoch + 1
     world.state = State(contents.clock.state)
     return restored
+
+
+def _place_all(contents: Contents, world: World, restored: Restored) -> None:
+    rows = {row.name: row for row in contents.entities}
+    for kept in restored.kept:
+        world.place(kept.entity.name, *_standing(contents, rows[kept.entity.name]))
 
 
 def _make(
