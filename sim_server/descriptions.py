@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
@@ -47,6 +47,8 @@ class Read:
     meshes: frozenset[str]
     is_prepared: bool
     """Whether the engine can take it between two steps."""
+    unseen: list[str] = field(default_factory=list)
+    """Meshes whose corners have to be read before; a spawn asks for them."""
 
 
 class Descriptions(Protocol):
@@ -156,12 +158,20 @@ class ReadElsewhere:
         if not self._unprepared or (start_ns := self._now_ns()) < self._rest_until_ns:
             return False
         read = self._unprepared[0]
-        read.is_prepared = self._prepare(read.model)
+        read.is_prepared = not self._sees_corners(read) and self._prepare(read.model)
         end_ns = self._now_ns()
         self._rest_until_ns = end_ns + RESTS * (end_ns - start_ns)
         if read.is_prepared:
             self._unprepared.pop(0)
         return read.is_prepared
+
+    def _sees_corners(self, read: Read) -> bool:
+        """Read the corners of a mesh, if there is one left."""
+        if not read.unseen:
+            return False
+        if (mesh := read.unseen.pop()) in self._store:
+            self._store.corners(mesh)
+        return True
 
     def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
         """See `Descriptions`."""
@@ -216,6 +226,7 @@ class ReadElsewhere:
         is_small = len(meshes) <= FEW_MESHES and not (model.is_static and meshes)
         read = Read(model, meshes, is_prepared=is_small)
         if not is_small:
+            read.unseen.extend(_colliding(model))
             self._unprepared.append(read)
         return read
 
@@ -237,4 +248,9 @@ class ReadElsewhere:
 def meshes_of(model: Model) -> frozenset[str]:
     """List the sha256 of all meshes that a model names."""
     shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
+    return frozenset(shape.mesh for shape in shapes if shape.mesh)
+
+
+def _colliding(model: Model) -> frozenset[str]:
+    shapes = (shape for link in model.links for shape in link.collisions)
     return frozenset(shape.mesh for shape in shapes if shape.mesh)

@@ -25,10 +25,13 @@ MAX_LAG_NS = 50_000_000
 
 
 class Clock(Protocol):
-    """Wall time."""
+    """Wall time, and the thread's share of it."""
 
     def now_ns(self) -> int:
         """Monotonic time."""
+
+    def used_ns(self) -> int:
+        """CPU time of this thread."""
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
@@ -46,6 +49,7 @@ class Loop:
         self._clock = clock
         self._telemetry = Telemetry(desk)
         self._deadline_ns = clock.now_ns()
+        self._paced_ns = 0
         self._factor = desk.target_real_time_factor
         self._requests = Requests(desk, self._telemetry)
         self._driving = Driving(desk, inbox, outlet)
@@ -61,6 +65,7 @@ class Loop:
 
     def turn(self) -> None:
         """Serve what has come, then step if it is time, else wait a little."""
+        began_ns, self._paced_ns = self._clock.used_ns(), 0
         self.serve()
         if self._driving.must_wait():
             self._clock.sleep(POLL_S)
@@ -68,6 +73,8 @@ class Loop:
             self._finish_goals()
             self._advance(self._clock.now_ns())
         self.publish()
+        busy_ns = self._clock.used_ns() - began_ns
+        self._meter.note_turn(busy_ns=busy_ns, paced_ns=self._paced_ns)
 
     def serve(self) -> None:
         """Take in everything that has come."""
@@ -135,10 +142,11 @@ class Loop:
         if self._factor <= 0.0:
             self._deadline_ns = now_ns
             return
-        self._deadline_ns += round(self._world.step_ns / self._factor)
+        self._paced_ns = round(self._world.step_ns / self._factor)
+        self._deadline_ns += self._paced_ns
         if (lag_ns := now_ns - self._deadline_ns) > MAX_LAG_NS:
             self._meter.slipped_ns += lag_ns
-            self._deadline_ns = now_ns
+            self._deadline_ns, self._paced_ns = now_ns, 0
 
     def _requested_step(self, now_ns: int) -> None:
         self._deadline_ns = now_ns

@@ -13,6 +13,7 @@ class Meter:
         self.step_time_s = 0.0
         self.step_time_max_s = 0.0
         self.late_max_s = 0.0
+        self.busy_max_s = 0.0
         self.slipped_ns = 0
         self.requests = 0
         self._since_ns = now_ns
@@ -21,6 +22,19 @@ class Meter:
         self._stepping_ns = 0
         self._longest_ns = 0
         self._latest_ns = 0
+        self._backlog_ns = 0
+        self._busiest_ns = 0
+
+    def note_turn(self, *, busy_ns: int, paced_ns: int) -> None:
+        """Count one turn.
+
+        Args:
+            busy_ns: CPU time that it took.
+            paced_ns: Wall time that its step stands for; 0 when none was due, so none is late.
+        """
+        self._backlog_ns = busy_ns + (self._backlog_ns if paced_ns else 0)
+        self._busiest_ns = max(self._busiest_ns, self._backlog_ns)
+        self._backlog_ns = max(0, self._backlog_ns - paced_ns) if paced_ns else 0
 
     def note_step(self, *, simulated_ns: int, took_ns: int, late_ns: int) -> None:
         """Count one step."""
@@ -46,7 +60,8 @@ class Meter:
         self.step_time_s = self._stepping_ns / max(self._steps, 1) * 1e-9
         self.step_time_max_s = self._longest_ns * 1e-9
         self.late_max_s = self._latest_ns * 1e-9
+        self.busy_max_s = self._busiest_ns * 1e-9
         self._since_ns = now_ns
         self._simulated_ns = self._steps = self._stepping_ns = 0
-        self._longest_ns = self._latest_ns = 0
+        self._longest_ns = self._latest_ns = self._busiest_ns = 0
         return True

@@ -47,6 +47,10 @@ class WallClock:
         """See `Clock`."""
         return time.monotonic_ns()
 
+    def used_ns(self) -> int:
+        """See `Clock`."""
+        return time.thread_time_ns()
+
     def sleep(self, seconds: float) -> None:
         """See `Clock`."""
         time.sleep(seconds)

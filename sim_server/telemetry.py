@@ -101,6 +101,7 @@ class Telemetry:
             target_real_time_factor=self._desk.target_real_time_factor,
             awaited=self._desk.lockstep.awaited,
             misses=self._desk.lockstep.misses,
+            busy_max_s=meter.busy_max_s,
         )
 
     def _real_time_factor(self) -> float:

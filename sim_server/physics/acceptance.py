@@ -1,8 +1,9 @@
 """Whether an engine can simulate a blueprint: asked before anything of it is made."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path
 
+from proto.model import Shape
 from sim_server.physics.blueprint import Blueprint
 from sim_server.physics.engine import EngineRefused
 
@@ -38,15 +39,15 @@ def _check_kind(blueprint: Blueprint, what: str, kind: str, known: Collection[st
         )
 
 
-def check_meshes(blueprint: Blueprint, folder: str) -> None:
-    """Refuse a mesh whose file is not in the folder.
+def check_meshes(name: str, shapes: Iterable[Shape], folder: str) -> None:
+    """Refuse a mesh of the model of this name whose file is not in the folder.
 
     Raises:
         EngineRefused: One is not.
     """
-    for shape in (shape for part in blueprint.parts for shape in part.shapes if shape.mesh):
-        if not Path(folder, f"{shape.mesh}.stl").is_file():
+    for shape in shapes:
+        if shape.mesh and not Path(folder, f"{shape.mesh}.stl").is_file():
             raise EngineRefused(
-                f"model '{blueprint.name}': collision shape '{shape.kind}' {shape.mesh[:80]!r} is "
+                f"model '{name}': collision shape '{shape.kind}' {shape.mesh[:80]!r} is "
                 "not here; send it again, or use box, sphere, cylinder or capsule"
             )

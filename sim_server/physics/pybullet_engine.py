@@ -6,17 +6,18 @@ from collections.abc import Sequence
 import numpy as np
 
 from proto.model import ZERO, Model, Shape
-from sim_server.physics.acceptance import check_blueprint, check_meshes
+from sim_server.physics.acceptance import check_meshes
 from sim_server.physics.actuation import actuation_of, imposed
-from sim_server.physics.blueprint import Blueprint, Part, blueprint_of
+from sim_server.physics.blueprint import Blueprint, Part
 from sim_server.physics.creation import creation_of, solids_of
 from sim_server.physics.engine import MIN_INERTIA, EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
 from sim_server.physics.loads import Load, loads_of
 from sim_server.physics.parking import Body, Parking
+from sim_server.physics.planning import Planner
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
-from sim_server.physics.spreading import ShapeKey, key_of, spread
+from sim_server.physics.spreading import ShapeKey, key_of
 from sim_server.physics.touch import self_touching, standing_friction, touch_of, touches_itself
 
 with silenced():
@@ -48,13 +49,6 @@ GEOMETRIES = {
 }
 
 
-def _plan(model: Model, mesh_folder: str) -> Blueprint:
-    plan = spread(blueprint_of(model), max_parts=MAX_PARTS)
-    check_blueprint(plan, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
-    check_meshes(plan, mesh_folder)
-    return plan
-
-
 class PyBulletEngine:
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
@@ -67,6 +61,7 @@ class PyBulletEngine:
         self._mesh_folder = config.mesh_folder
         self._bodies: dict[int, Body] = {}
         self._parking = Parking()
+        self._planner = Planner(max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
         self._twists: dict[int, list[float]] = {}
         self._loads: dict[int, Sequence[Load]] = {}
         self._gravity = config.gravity
@@ -87,9 +82,10 @@ class PyBulletEngine:
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`: makes the collision shape of one part."""
         try:
-            plan = _plan(model, self._mesh_folder)
+            plan = self._planner.blueprint(model)
             for part in plan.parts:
                 if key_of(part.shapes, is_static=plan.is_static) not in self._shapes:
+                    check_meshes(plan.name, part.shapes, self._mesh_folder)
                     self._collision(part.shapes, is_static=plan.is_static)
                     return False
         except (EngineRefused, pybullet.error):
@@ -98,7 +94,9 @@ class PyBulletEngine:
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; one that slept would lose its velocity in the first step."""
-        blueprint = _plan(model, self._mesh_folder)
+        blueprint = self._planner.blueprint(model)
+        for part in blueprint.parts:
+            check_meshes(blueprint.name, part.shapes, self._mesh_folder)
         if not base[7:].any() and (parked := self._parking.take(model)) is not None:
             return self._bring_back(*parked, base)
         try:

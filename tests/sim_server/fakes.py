@@ -39,10 +39,14 @@ class WallTime:
 
     def __init__(self, now_ns: int = 5_000_000_000) -> None:
         self.ns = now_ns
+        self.used = 0
         self.slept_s: list[float] = []
 
     def now_ns(self) -> int:
         return self.ns
+
+    def used_ns(self) -> int:
+        return self.used
 
     def sleep(self, seconds: float) -> None:
         self.slept_s.append(seconds)
@@ -61,6 +65,7 @@ class TimedEngine(ObedientEngine):
     def step(self) -> bool:
         self.began_ns.append(self._wall.ns)
         self._wall.ns += self.cost_ns
+        self._wall.used += self.cost_ns
         return super().step()
 
 

@@ -138,6 +138,25 @@ def test_large_model_is_prepared_part_by_part_with_rests(roomy: Reading) -> None
     assert done[19] == (True, 0, True)
 
 
+def test_corners_of_a_large_model_are_read_before_it_is_ready(
+    roomy: Reading, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refs = (AssetRef("a.stl", put(roomy.store, STL)),)
+    scene = MESH_ROBOT.replace("</robot>", "<gazebo><static>true</static></gazebo></robot>")
+    order = SpawnEntityOrder(entity_resource=Resource(resource_string=scene), assets=refs)
+
+    def is_read() -> bool:
+        roomy.wall.sleep(1.0)
+        roomy.descriptions.poll()
+        return roomy.descriptions.is_read(order)
+
+    eventually(is_read, WITHIN_S, "a model")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(roomy.store, "piece", None)
+        assert len(roomy.store.corners(mesh_of(roomy.descriptions.model(order)[0])))
+
+
 def test_small_model_needs_no_preparation(roomy: Reading) -> None:
     roomy.model(roomy.order())
 

@@ -298,3 +298,14 @@ def test_loop_grants_a_claim_that_comes_with_the_token() -> None:
     assert isinstance(response, ClaimEntityResponse)
     assert response.result == Result()
     assert stage.world.claims.agent_of("r0") == "a"
+
+
+def test_loop_tells_the_cpu_time_that_held_a_step_up() -> None:
+    stage = a_stage("r0")
+    stage.engine.cost_ns = 7 * MILLISECOND
+    while not stage.engine.began_ns:
+        stage.loop.turn()
+    stage.engine.cost_ns = 0
+    stage.turn_for(1.1)
+
+    assert stage.desk.meter.busy_max_s == pytest.approx(0.007, abs=1e-3)

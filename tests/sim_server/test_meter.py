@@ -76,3 +76,25 @@ def test_parted_work_gets_a_quarter_of_a_step_but_no_less_than_it_asks_for() -> 
     meter.step_time_s = 0.1
 
     assert (quick, meter.share_ns(2_000_000)) == (2_000_000, 25_000_000)
+
+
+def test_meter_adds_up_what_holds_a_step_up_and_takes_off_the_time_of_each_step() -> None:
+    meter = Meter(0)
+
+    for busy in (10, 6, 3):
+        meter.note_turn(busy_ns=busy * MILLISECOND, paced_ns=4 * MILLISECOND)
+    meter.close_window(SECOND)
+
+    assert meter.busy_max_s == pytest.approx(0.012)
+
+
+def test_meter_forgets_what_was_held_up_once_nothing_is_due() -> None:
+    meter = Meter(0)
+
+    for paced_ns in (4 * MILLISECOND, 0, 4 * MILLISECOND):
+        meter.note_turn(busy_ns=9 * MILLISECOND, paced_ns=paced_ns)
+    meter.close_window(SECOND)
+
+    assert meter.busy_max_s == pytest.approx(0.009)
+    meter.close_window(2 * SECOND)
+    assert meter.busy_max_s == 0.0
