@@ -187,9 +187,11 @@ class SimClient:
         request = GetNamedPoseBoundsRequest(name)
         return self._call(catalog.GET_NAMED_POSE_BOUNDS, request).bounds
 
-    def set_entity_state(self, entity: str, state: EntityState) -> None:
-        """Put an entity at a pose, with a twist."""
-        request = SetEntityStateRequest(entity, state, set_pose=True, set_twist=True)
+    def set_entity_state(
+        self, entity: str, state: EntityState, *, has_pose: bool = True, has_twist: bool = True
+    ) -> None:
+        """Put an entity at a pose, with a twist, or one of both; in the frame of the header."""
+        request = SetEntityStateRequest(entity, state, set_pose=has_pose, set_twist=has_twist)
         self._call(catalog.SET_ENTITY_STATE, request)
 
     def models(self, entities: tuple[str, ...] = ()) -> GetModelsResponse:
@@ -251,11 +253,15 @@ class SimClient:
     def run_to(self, time_ns: int, timeout_s: float | None = None) -> RunToResponse:
         """Advance a paused world to the first step at or after a simulation time [ns]."""
         if timeout_s is None:
-            info = self.info()
-            steps = (time_ns - round(info.sim_time_s * NANOSECONDS)) // max(1, info.step_ns)
-            timeout_s = self._patience_s(steps)
+            timeout_s = self._patience_s(self.steps_until(time_ns))
         request = RunToRequest(time_from_ns(time_ns))
         return self.bus.call(catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
+
+    def steps_until(self, time_ns: int) -> int:
+        """Count the steps up to the first at or after a time [ns]; negative when it is past."""
+        info = self.info()
+        now_ns = round(info.sim_time_s * NANOSECONDS)
+        return -((now_ns - time_ns) // max(1, info.step_ns))
 
     def set_speed(self, real_time_factor: float) -> None:
         """Choose the real-time factor to hold; 0 = as fast as it can."""

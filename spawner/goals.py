@@ -3,9 +3,10 @@
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeout
 
 from proto import keys
-from proto.bus import Bus, Subscription
+from proto.bus import Bus, NoServer, Subscription
 from proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
 from proto.codec import MalformedPayload, decode
 from proto.result import ServiceError
@@ -23,6 +24,14 @@ CANCEL_TIMEOUT_S = 2.0
 OnProgress = Callable[[StepsProgress], None]
 
 
+class GoalInterrupted(KeyboardInterrupt):
+    """Ctrl-C, and the goal was canceled; `made` is how many steps it got to, if that is known."""
+
+    def __init__(self, made: int | None) -> None:
+        super().__init__("the goal was canceled")
+        self.made = made
+
+
 def reach_goal(
     bus: Bus,
     world: str,
@@ -37,6 +46,7 @@ def reach_goal(
     request again joins it.
 
     Raises:
+        GoalInterrupted: Instead of KeyboardInterrupt.
         ServiceError: It was refused, canceled or aborted.
         TimeoutError: It is not over in time.
         NoServer: Nothing serves this world.
@@ -49,6 +59,9 @@ def reach_goal(
             )
             try:
                 _listen(progress, request.goal_id, answer, on_progress)
+            except KeyboardInterrupt as interrupt:
+                _cancel(bus, world, request.goal_id)
+                raise GoalInterrupted(_made(answer)) from interrupt
             except BaseException:
                 _cancel(bus, world, request.goal_id)
                 raise
@@ -81,6 +94,17 @@ def _listen(
 def _cancel(bus: Bus, world: str, goal_id: str) -> None:
     try:
         bus.call(CANCEL_STEPS, CancelStepsRequest(goal_id), world=world, timeout_s=CANCEL_TIMEOUT_S)
-    except (ServiceError, TimeoutError):
+    except (ServiceError, TimeoutError, NoServer):
         # Over already, or out of reach: the caller has something better to hear.
         return
+
+
+def _made(answer: "Future[SimulateStepsResponse]") -> int | None:
+    """Tell how far a goal came that was ended."""
+    try:
+        return answer.result(CANCEL_TIMEOUT_S).completed_steps
+    except ServiceError as error:
+        found = error.response
+        return found.completed_steps if isinstance(found, SimulateStepsResponse) else None
+    except (FutureTimeout, TimeoutError, NoServer):
+        return None

@@ -11,7 +11,6 @@ from importlib.metadata import version as installed_version
 from typing import Annotated
 
 import typer
-from typer.models import CommandInfo
 
 from deploy.parent import die_with_parent
 
@@ -28,12 +27,18 @@ VERBS: dict[str, tuple[str, str]] = {
     "drive": ("spawner.cli.topics", "Send a robot velocity commands."),
     "echo": ("spawner.cli.topics", "Print what is published on a key."),
     "hz": ("spawner.cli.topics", "Measure how often something is published on a key."),
-    "list": ("spawner.cli.entities", "List the entities of the world."),
+    "list": ("spawner.cli.listing", "List the entities of the world."),
     "inspect": ("spawner.cli.entities", "Show one entity."),
     "delete": ("spawner.cli.entities", "Take entities out of the world."),
+    "state": ("spawner.cli.state", "Tell where an entity is, or put it somewhere."),
+    "info": ("spawner.cli.info", "Tell what an entity is, or say it."),
     "pause": ("spawner.cli.simulation", "Let time stand."),
     "play": ("spawner.cli.simulation", "Let time run."),
+    "step": ("spawner.cli.pacing", "Make steps of a paused world."),
+    "run-to": ("spawner.cli.pacing", "Make steps until a simulation time is reached."),
+    "speed": ("spawner.cli.pacing", "Choose the real-time factor to hold."),
     "reset": ("spawner.cli.simulation", "Go back to the start."),
+    "world": ("spawner.cli.world", "Load, list or unload worlds."),
     "features": ("spawner.cli.simulation", "List what the server can do."),
     "doctor": ("spawner.cli.doctor", "Say what is wrong when nothing answers."),
     "view": ("spawner.cli.view", "Show the world on a 3D page."),
@@ -54,18 +59,23 @@ def build(called: str) -> typer.Typer:
     app.callback(invoke_without_command=True)(_options)
     for verb, (module, line) in VERBS.items():
         if verb == called:
-            app.registered_commands.append(_load(module, verb))
+            _load(app, module, verb, line)
         else:
             app.command(verb, help=line)(_not_loaded)
     return app
 
 
-def _load(module: str, verb: str) -> CommandInfo:
-    commands: list[CommandInfo] = importlib.import_module(module).app.registered_commands
-    for command in commands:
+def _load(app: typer.Typer, module: str, verb: str, line: str) -> None:
+    """Add a command of a module; a module whose app has the verb's name is a group of commands."""
+    found: typer.Typer = importlib.import_module(module).app
+    if found.info.name == verb:
+        app.add_typer(found, name=verb, help=line)
+        return
+    for command in found.registered_commands:
         name = command.name or (command.callback.__name__ if command.callback else "")
         if name == verb:
-            return command
+            app.registered_commands.append(command)
+            return
     raise LookupError(f"{module} has no command '{verb}'")
 
 

@@ -1,14 +1,19 @@
-"""`zensim list`, `inspect`, `delete`."""
+"""`zensim inspect` and `delete`."""
 
-import math
-from typing import Annotated
+import sys
+from collections.abc import Sequence
+from typing import Annotated, Any
 
 import msgspec
 import typer
-from rich.table import Table
 
-from proto.services import EntityState
-from proto.telemetry import EntityModel
+from proto.exits import Exit, line_of, one_line_failures, status_of
+from proto.result import ResultCode, ServiceError
+from proto.services import Bounds, BoundsType, EntityFilters
+from spawner.angles import yaw_of
+from spawner.cli.completion import Name, entity_names
+from spawner.cli.kinds import category_word
+from spawner.cli.report_table import print_report
 from spawner.cli.session import (
     AsJson,
     Connect,
@@ -22,86 +27,169 @@ from spawner.client import SimClient
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-@app.command("list")
-def list_entities(
-    *,
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
-    """List the entities of the world."""
-    with client_for("list", connect, world_name, timeout) as client:
-        rows = [_row(client, model) for model in client.models().entities]
-    if as_json:
-        typer.echo(msgspec.json.encode(rows).decode())
-        return
-    table = Table("name", "namespace", "agent", "x [m]", "y [m]", "yaw [rad]", box=None)
-    for row in rows:
-        numbers = (f"{row[key]:.3f}" for key in ("x", "y", "yaw"))
-        table.add_row(str(row["name"]), str(row["namespace"]), str(row["agent"] or "-"), *numbers)
-    data_console.print(table)
+class Deletion(msgspec.Struct, frozen=True):
+    """What became of one entity that was to go."""
 
-
-def _row(client: SimClient, model: EntityModel) -> dict[str, str | float]:
-    state = client.entity_state(model.entity)
-    place = state.pose.position
-    return {
-        "name": model.entity,
-        "namespace": model.namespace,
-        "agent": model.agent,
-        "x": place.x,
-        "y": place.y,
-        "z": place.z,
-        "yaw": _yaw(state),
-    }
-
-
-def _yaw(state: EntityState) -> float:
-    q = state.pose.orientation
-    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z))
+    name: str
+    code: int = ResultCode.OK
+    message: str = ""
 
 
 @app.command()
 def delete(
-    names: Annotated[list[str], typer.Argument(help="Entities to take out.")],
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Entities to take out.", autocompletion=entity_names),
+    ] = None,
     *,
+    everything: Annotated[bool, typer.Option("--all", help="Take all of them out.")] = False,
+    pattern: Annotated[
+        str, typer.Option("--pattern", metavar="REGEX", help="Those with this in their name.")
+    ] = "",
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Do not ask before --all.")] = False,
+    as_json: AsJson = False,
     timeout: Timeout = 10.0,
     connect: Connect = "",
     world_name: WorldName = "default",
 ) -> None:
-    """Take entities out of the world."""
+    """Take entities out of the world: by name, by a pattern, or all of them."""
+    with one_line_failures("delete"):
+        _check_one_way(names or (), everything=everything, pattern=pattern)
     with client_for("delete", connect, world_name, timeout) as client:
-        for name in names:
-            client.delete(name)
-            typer.echo(f"deleted {name}")
+        names = list(dict.fromkeys(names or ()))
+        if not names:
+            names = list(client.entities(EntityFilters(pattern)))
+            if everything and names and not yes:
+                _confirm(len(names))
+        failures = _deleted(client, names, as_json=as_json)
+    if pattern and not names:
+        typer.echo(f"zensim delete: NOT_FOUND (3): no name has {pattern!r} in it", err=True)
+        raise typer.Exit(Exit.NOT_FOUND)
+    if failures:
+        raise typer.Exit(_status(failures, len(names)))
+
+
+def _status(failures: Sequence[ServiceError], count: int) -> Exit:
+    """Choose the exit status: partial, or the one that all failures share."""
+    if len(failures) < count:
+        return Exit.PARTIAL
+    statuses = {status_of(error) for error in failures}
+    return statuses.pop() if len(statuses) == 1 else Exit.FAILED
+
+
+def _check_one_way(names: Sequence[str], *, everything: bool, pattern: str) -> None:
+    if sum(map(bool, (names, everything, pattern))) != 1:
+        raise ValueError("give names, or --pattern REGEX, or --all; one of these")
+
+
+def _confirm(count: int) -> None:
+    """Ask a person; a program has said what it wants."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return
+    try:
+        is_meant = typer.confirm(f"Delete all {count} entities?", err=True)
+    except typer.Abort:
+        raise KeyboardInterrupt from None
+    if not is_meant:
+        typer.echo("nothing was deleted", err=True)
+        raise typer.Exit(Exit.FAILED)
+
+
+def _deleted(client: SimClient, names: Sequence[str], *, as_json: bool) -> list[ServiceError]:
+    """Delete one after another, say how each went, and return the failures."""
+    outcomes, failures = [], []
+    for name in names:
+        if (error := _refusal(client, name)) is not None:
+            failures.append(error)
+            outcomes.append(Deletion(name, error.code, error.message))
+            typer.echo(f"zensim delete: {line_of(error)}", err=True)
+        else:
+            outcomes.append(Deletion(name))
+            if not as_json:
+                typer.echo(f"deleted {name}")
+    if as_json:
+        typer.echo(msgspec.json.encode(outcomes).decode())
+    return failures
+
+
+def _refusal(client: SimClient, name: str) -> ServiceError | None:
+    try:
+        client.delete(name)
+    except ServiceError as error:
+        return error
+    return None
 
 
 @app.command()
 def inspect(
-    name: Annotated[str, typer.Argument(help="Entity to look at.")],
+    name: Name,
     *,
     as_json: AsJson = False,
     timeout: Timeout = 10.0,
     connect: Connect = "",
     world_name: WorldName = "default",
 ) -> None:
-    """Show one entity: where it is, who drives it, what it is made of."""
+    """Show one entity: what and where it is, who drives it, what it is made of."""
     with client_for("inspect", connect, world_name, timeout) as client:
-        models = client.models((name,))
-        row = _row(client, models.entities[0])
-        model = models.models[0]
-    facts = {
-        **row,
-        "model": model.name,
-        "mass_kg": model.mass_kg,
-        "links": [link.name for link in model.links],
-        "joints": [joint.name for joint in model.joints],
-        "drive": msgspec.to_builtins(model.drive),
-        "report": msgspec.to_builtins(model.report),
-    }
+        found = client.models((name,))
+        model = found.models[0]
+        facts = {**_place(client, name), **_info(client, name)}
+    facts.update(
+        namespace=found.entities[0].namespace,
+        agent=found.entities[0].agent,
+        model=model.name,
+        mass_kg=model.mass_kg,
+        links=[link.name for link in model.links],
+        joints=[joint.name for joint in model.joints],
+        drive=msgspec.to_builtins(model.drive),
+    )
     if as_json:
-        typer.echo(msgspec.json.encode(facts).decode())
+        report = msgspec.to_builtins(model.report)
+        typer.echo(msgspec.json.encode({**facts, "report": report}).decode())
         return
-    for key, value in facts.items():
-        typer.echo(f"{key}: {value}")
+    kind = (facts["drive"] or {}).get("kind")
+    for key, value in {**facts, "drive": kind}.items():
+        typer.echo(f"{key}: {_shown(value)}")
+    print_report(model.report, data_console)
+
+
+def _place(client: SimClient, name: str) -> dict[str, Any]:
+    state = client.entity_state(name)
+    place = state.pose.position
+    return {
+        "name": name,
+        "x": place.x,
+        "y": place.y,
+        "z": place.z,
+        "yaw": yaw_of(state.pose.orientation),
+        "twist": msgspec.to_builtins(state.twist),
+    }
+
+
+def _info(client: SimClient, name: str) -> dict[str, Any]:
+    info, bounds = client.entity_info(name), client.entity_bounds(name)
+    return {
+        "category": category_word(info.category),
+        "tags": info.tags,
+        "description": info.description,
+        "bounds": _bounds(bounds),
+    }
+
+
+def _bounds(bounds: Bounds) -> dict[str, list[float]] | None:
+    """Write a box down as its corners [m], in the frame of the base link."""
+    if bounds.type != BoundsType.BOX:
+        return None
+    upper, lower = ([point.x, point.y, point.z] for point in bounds.points)
+    return {"lower": lower, "upper": upper}
+
+
+def _shown(value: object) -> str:
+    """Write a value for people: numbers short, lists without brackets, nothing as -."""
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, dict):
+        return "  ".join(f"{key} {_shown(part)}" for key, part in value.items())
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_shown, value)) or "-"
+    return "-" if value in (None, "") else str(value)

@@ -6,12 +6,14 @@ from contextlib import contextmanager
 from rich.progress import (
     BarColumn,
     DownloadColumn,
+    MofNCompleteColumn,
     Progress,
     ProgressColumn,
     TextColumn,
     TimeElapsedColumn,
 )
 
+from proto.stepping import StepsProgress
 from spawner.cli.session import progress_console
 
 
@@ -25,6 +27,14 @@ def upload_progress() -> Iterator[Callable[[int, int], None]]:
             progress.update(task, advance=count, total=total, visible=True)
 
         yield advance
+
+
+@contextmanager
+def step_progress(total: int) -> Iterator[Callable[[StepsProgress], None]]:
+    """Show how many steps of how many are made."""
+    with _progress(MofNCompleteColumn()) as progress:
+        task = progress.add_task("stepping", total=total)
+        yield lambda told: progress.update(task, completed=told.completed_steps)
 
 
 def _progress(figures: ProgressColumn) -> Progress:

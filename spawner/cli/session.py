@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.table import Table
 
 from proto.bus import BusConfig, open_bus
 from proto.endpoint import DEFAULT_ENDPOINT
@@ -24,11 +25,20 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard out
 
 SHORTEST_S, LONGEST_S = 0.01, 86_400.0
 OPEN_TIMEOUT_S = 0.1
+WIDEST = 10_000
+"""Characters of a line that no terminal shows."""
 
 progress_console = Console(stderr=True)
 """People's side: progress and notes go to standard error."""
 data_console = Console(soft_wrap=True, markup=False)
 """Programs' side: data goes to standard output."""
+
+
+def print_table(table: Table) -> None:
+    """Print a table as data: as wide as it is unless a terminal bounds it."""
+    is_bounded = data_console.is_terminal
+    console = data_console if is_bounded else Console(soft_wrap=True, markup=False, width=WIDEST)
+    console.print(table)
 
 
 @contextmanager

@@ -1,42 +1,11 @@
-"""`zensim list`, `inspect` and `delete` against a real server."""
+"""`zensim inspect` and `delete` against a real server."""
 
 import pytest
 
 from proto.exits import Exit
 from spawner.cli.entities import app
-from spawner.cli.spawn import app as spawn_app
 from tests.integration.processes import Server
-from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
-
-
-@pytest.fixture
-def two(server: Server) -> Server:
-    """A server with two robots."""
-    run_at(server, spawn_app, "spawn", "box_bot", "-n", "r1", "-x", "1", "-Y", "0.5")
-    run_at(server, spawn_app, "spawn", "box_bot", "-n", "r2", "-ns", "team/r2", "-y", "-3")
-    return server
-
-
-def test_list_shows_a_line_for_each_entity(two: Server) -> None:
-    done = run_at(two, app, "list")
-
-    head, first, second = done.out.splitlines()
-    assert done.status == Exit.OK
-    assert head.split() == ["name", "namespace", "agent", "x", "[m]", "y", "[m]", "yaw", "[rad]"]
-    assert first.split() == ["r1", "r1", "-", "1.000", "0.000", "0.500"]
-    assert second.split() == ["r2", "team/r2", "-", "0.000", "-3.000", "0.000"]
-
-
-def test_list_prints_json(two: Server) -> None:
-    first, second = run_at(two, app, "list", "--json").json()
-
-    assert (first["name"], first["namespace"], first["agent"]) == ("r1", "r1", "")
-    assert (first["x"], first["yaw"]) == pytest.approx((1.0, 0.5))
-    assert second["y"] == pytest.approx(-3.0)
-
-
-def test_list_is_empty_when_nobody_is_there(server: Server) -> None:
-    assert run_at(server, app, "list", "--json").json() == []
+from tests.spawner.cli.commands import assert_failed, run_at
 
 
 def test_delete_takes_entities_out(two: Server) -> None:
@@ -54,6 +23,53 @@ def test_delete_says_who_does_not_exist(two: Server) -> None:
     assert two.client.entities() == ("r1", "r2")
 
 
+@pytest.mark.parametrize(
+    ("names", "status", "failures"),
+    [(("r1", "r9"), Exit.PARTIAL, 1), (("r8", "r9"), Exit.NOT_FOUND, 2)],
+)
+def test_delete_goes_on_after_a_failure(
+    two: Server, names: tuple[str, ...], status: Exit, failures: int
+) -> None:
+    done = run_at(two, app, "delete", *names)
+
+    assert done.status == status
+    assert done.err.count("zensim delete: NOT_FOUND (2): ") == done.err.count("\n") == failures
+    assert ("r1" in two.client.entities()) == ("r1" not in names)
+
+
+def test_delete_takes_those_that_match_a_pattern(two: Server) -> None:
+    done = run_at(two, app, "delete", "--pattern", "^r[13]$", "--json")
+
+    assert done.json() == [{"name": "r1", "code": 1, "message": ""}]
+    assert two.client.entities() == ("r2",)
+
+
+def test_delete_says_so_when_nothing_matches(two: Server) -> None:
+    done = run_at(two, app, "delete", "--pattern", "x")
+
+    assert_failed(done, Exit.NOT_FOUND, "zensim delete: NOT_FOUND (3): no name has 'x' in it")
+    assert two.client.entities() == ("r1", "r2")
+
+
+def test_delete_takes_all_and_is_content_when_nobody_is_left(two: Server) -> None:
+    first, second = (run_at(two, app, "delete", "--all") for _ in range(2))
+
+    assert (first.status, first.out) == (Exit.OK, "deleted r1\ndeleted r2\n")
+    assert (second.status, second.out) == (Exit.OK, "")
+
+
+@pytest.mark.parametrize(
+    "arguments", [(), ("r1", "--all"), ("r1", "--pattern", "r"), ("--all", "--pattern", "r")]
+)
+def test_delete_is_refused_when_it_is_not_clear_what_is_meant(
+    two: Server, arguments: tuple[str, ...]
+) -> None:
+    done = run_at(two, app, "delete", *arguments)
+
+    assert_failed(done, Exit.USAGE, "zensim delete: USAGE (2): give names, or --pattern REGEX")
+    assert two.client.entities() == ("r1", "r2")
+
+
 def test_inspect_shows_what_an_entity_is_made_of(two: Server) -> None:
     facts = run_at(two, app, "inspect", "r2", "--json").json()
 
@@ -68,6 +84,17 @@ def test_inspect_is_read_by_people_too(two: Server) -> None:
 
     assert "name: r1" in lines
     assert "model: box_bot" in lines
+    assert "category: robot" in lines
+    assert "drive: diff_drive" in lines
+    assert any("applied" in line for line in lines)
+
+
+def test_inspect_tells_what_an_entity_is_and_how_large(two: Server) -> None:
+    facts = run_at(two, app, "inspect", "r1", "--json").json()
+
+    assert (facts["category"], facts["tags"], facts["description"]) == ("robot", [], "box_bot")
+    assert facts["bounds"]["lower"][0] < 0.0 < facts["bounds"]["upper"][0]
+    assert facts["twist"]["linear"] == {"x": 0.0, "y": 0.0, "z": 0.0}
 
 
 def test_inspect_says_who_does_not_exist(two: Server) -> None:
@@ -76,13 +103,7 @@ def test_inspect_says_who_does_not_exist(two: Server) -> None:
     assert_failed(done, Exit.NOT_FOUND, "zensim inspect: NOT_FOUND (2): ")
 
 
-def test_command_says_so_when_nobody_listens() -> None:
-    done = run(app, "list", "--connect", NOWHERE)
-
-    assert_failed(done, Exit.UNREACHABLE, "zensim list: UNREACHABLE (4): nobody listens at")
-
-
-@pytest.mark.parametrize("arguments", [("list",), ("delete", "r1"), ("inspect", "r1")], ids=str)
+@pytest.mark.parametrize("arguments", [("delete", "r1"), ("inspect", "r1")], ids=str)
 def test_command_says_so_when_nobody_serves_that_world(
     server: Server, arguments: tuple[str, ...]
 ) -> None:

@@ -1,0 +1,176 @@
+"""`zensim list`."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Group
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from proto.bus import NoServer
+from proto.exits import one_line_failures
+from proto.header import NANOSECONDS, ns_from_time
+from proto.services import EntityFilters
+from spawner.angles import yaw_of
+from spawner.cli.kinds import filters_of
+from spawner.cli.session import (
+    AsJson,
+    Connect,
+    Timeout,
+    WorldName,
+    client_for,
+    data_console,
+    print_table,
+)
+from spawner.client import SimClient
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+HEAD = ("name", "namespace", "agent", "x [m]", "y [m]", "yaw [rad]")
+WATCH_TIMEOUT_S = 2.0
+"""Of a call while watching: who watches wants to see soon that nobody answers."""
+
+
+class Row(msgspec.Struct, frozen=True):
+    """One entity as a line."""
+
+    name: str
+    namespace: str
+    agent: str
+    x: float
+    y: float
+    z: float
+    yaw: float
+
+
+class Listing(msgspec.Struct, frozen=True):
+    """All lines, of one step; the simulation time [s] is None when there are none."""
+
+    rows: tuple[Row, ...]
+    sim_time_s: float | None
+
+
+Ask = Callable[[], Listing]
+Show = Callable[[Listing], None]
+
+
+@app.command("list")
+def list_entities(
+    *,
+    pattern: Annotated[
+        str, typer.Option("--filter", metavar="REGEX", help="Found anywhere in the name.")
+    ] = "",
+    category: Annotated[
+        list[str] | None, typer.Option("--category", help="robot, object, …; repeatable: any.")
+    ] = None,
+    tag: Annotated[list[str] | None, typer.Option("--tag", help="Repeatable: any of them.")] = None,
+    watch: Annotated[bool, typer.Option("--watch", "-w", help="Go on until Ctrl-C.")] = False,
+    every: Annotated[
+        float, typer.Option(min=0.05, max=3600.0, help="Seconds between looks.")
+    ] = 0.5,
+    as_json: AsJson = False,
+    timeout: Timeout = 10.0,
+    connect: Connect = "",
+    world_name: WorldName = "default",
+) -> None:
+    """List the entities of the world, all of them or those that pass every filter."""
+    with one_line_failures("list"):
+        filters = filters_of(pattern, category or (), tag or ())
+    timeout = min(timeout, WATCH_TIMEOUT_S) if watch else timeout
+    with client_for("list", connect, world_name, timeout) as client:
+        ask = partial(listing, client, filters)
+        show = _print_json if as_json else _print_table
+        if not watch:
+            show(ask())
+        elif as_json or not data_console.is_terminal:
+            _follow(ask, show, _note_silence, every)
+        else:
+            _redraw(ask, every)
+
+
+def listing(client: SimClient, filters: EntityFilters) -> Listing:
+    """Ask where entities are, and who drives them."""
+    states = client.entity_states(filters)
+    if not states:
+        return Listing((), None)
+    # Asked second: of what has gone in between there is nothing to tell.
+    models = {model.entity: model for model in client.models().entities}
+    rows = tuple(
+        Row(
+            name,
+            models[name].namespace,
+            models[name].agent,
+            (place := state.pose.position).x,
+            place.y,
+            place.z,
+            yaw_of(state.pose.orientation),
+        )
+        for name, state in states.items()
+        if name in models
+    )
+    (first, *_) = states.values()
+    return Listing(rows, ns_from_time(first.header.stamp) / NANOSECONDS)
+
+
+def _follow(ask: Ask, show: Show, note: Callable[[], None], every_s: float) -> None:
+    """Ask for ever; a server that went away after the first answer may come back."""
+    show(ask())
+    was_there = True
+    while True:
+        time.sleep(every_s)
+        try:
+            found = ask()
+        except (NoServer, TimeoutError):
+            if was_there:
+                note()
+            was_there = False
+        else:
+            was_there = True
+            show(found)
+
+
+def _redraw(ask: Ask, every_s: float) -> None:
+    shown: list[Listing] = []
+    with Live(console=data_console, auto_refresh=False) as live:
+
+        def show(found: Listing) -> None:
+            shown[:] = [found]
+            live.update(Group(_table(found), _foot(found)), refresh=True)
+
+        def note() -> None:
+            silence = Text("no server answers; this is the last that was heard", "bold yellow")
+            live.update(Group(_table(shown[0]), silence), refresh=True)
+
+        _follow(ask, show, note, every_s)
+
+
+def _note_silence() -> None:
+    typer.echo("zensim list: note: no server answers; waiting for it", err=True)
+
+
+def _print_json(found: Listing) -> None:
+    typer.echo(msgspec.json.encode(found.rows).decode())
+
+
+def _print_table(found: Listing) -> None:
+    print_table(_table(found))
+
+
+def _foot(found: Listing) -> Text:
+    when = "" if found.sim_time_s is None else f" at {found.sim_time_s:.2f} s"
+    return Text(f"{len(found.rows)} entities{when}; Ctrl-C ends", "dim")
+
+
+def _table(found: Listing) -> Table:
+    table = Table(*HEAD[:3], box=None)
+    for title in HEAD[3:]:
+        table.add_column(title, justify="right")
+    for row in found.rows:
+        numbers = (f"{number:.3f}" for number in (row.x, row.y, row.yaw))
+        table.add_row(row.name, row.namespace, row.agent or "-", *numbers)
+    return table
