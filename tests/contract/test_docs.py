@@ -13,7 +13,9 @@ from tests.contract.repository import ROOT, files, shown, text_of
 
 LINK = re.compile(r"\]\((?!https?:|mailto:|#)([^)#\s]+)")
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"(?:^|`|\s)(?:\.venv/bin/)?zensim ([a-z][a-z-]*)([^`\n|&;#]*)")
+COMMAND = re.compile(
+    r"(?:^|`|\s)(?:\.venv/bin/)?zensim ((?:(?:state|info|world) )?[a-z][a-z-]*)([^`\n|&;#]*)"
+)
 OPTION = re.compile(r"(?<=\s)--?[A-Za-z][\w-]*")
 CHANGES = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
 MAX_ADR_LINES = 45
@@ -43,7 +45,7 @@ def code_of(text: str) -> list[str]:
 
 def help_of(verb: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [Path(sys.executable).with_name("zensim"), verb, "--help"],
+        [Path(sys.executable).with_name("zensim"), *verb.split(), "--help"],
         check=False,
         capture_output=True,
         text=True,

@@ -64,6 +64,14 @@ def test_version_is_that_of_the_package() -> None:
     assert (done.exit_code, done.stdout) == (Exit.OK, f"zensim {version('zensim')}\n")
 
 
+@pytest.mark.parametrize("verb", ["state", "info", "world"])
+def test_group_lists_its_commands_when_none_is_named(verb: str) -> None:
+    done = zensim(verb)
+
+    assert f"Usage: zensim {verb} [OPTIONS] COMMAND" in done.stdout + done.stderr
+    assert done.returncode == Exit.USAGE
+
+
 def test_unknown_verb_is_refused() -> None:
     done = zensim("levitate")
 
@@ -103,7 +111,12 @@ def test_up_says_why_when_its_server_does_not_come_up() -> None:
 
 @pytest.mark.parametrize(
     ("line", "word", "offered"),
-    [("zensim p", 1, "pause\nplay\n"), ("zensim spawn --str", 2, "--strict\n")],
+    [
+        ("zensim p", 1, "pause\nplay\n"),
+        ("zensim spawn --str", 2, "--strict\n"),
+        ("zensim state ", 2, "get\nset\n"),
+        ("zensim world load --al", 3, "--allow-missing\n"),
+    ],
 )
 def test_shell_completes_verbs_and_their_options(line: str, word: int, offered: str) -> None:
     asked = {"_ZENSIM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(word)}

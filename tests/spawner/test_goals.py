@@ -82,6 +82,15 @@ def test_goal_that_is_refused_says_so() -> None:
         served.reach(0, lambda _: None)
 
 
+def test_client_counts_the_steps_to_a_time() -> None:
+    served = Served()
+    served.client.step(24)
+
+    steps = [served.client.steps_until(round(time_s * 1e9)) for time_s in (0.0, 0.1, 0.2, 0.201)]
+
+    assert steps == [-24, 0, 24, 25]
+
+
 def test_client_runs_to_a_time_and_cancels_what_is_not_there() -> None:
     served = Served()
 
