@@ -163,7 +163,8 @@ def _print_table(found: Listing) -> None:
 
 def _foot(found: Listing) -> Text:
     when = "" if found.sim_time_s is None else f" at {found.sim_time_s:.2f} s"
-    return Text(f"{len(found.rows)} entities{when}; Ctrl-C ends", "dim")
+    noun = "entity" if len(found.rows) == 1 else "entities"
+    return Text(f"{len(found.rows)} {noun}{when}; Ctrl-C ends", "dim")
 
 
 def _table(found: Listing) -> Table:

@@ -89,8 +89,9 @@ def _make(verb: str, client: SimClient, steps: int) -> int:
         with step_progress(steps) as on_progress:
             answer = client.simulate_steps(steps, on_progress=on_progress)
     except GoalInterrupted as interrupt:
-        made = "an unknown number" if interrupt.made is None else interrupt.made
-        typer.echo(f"zensim {verb}: canceled after {made} of {steps} steps", err=True)
+        came = f"canceled after {interrupt.made} of {steps} steps"
+        silent = "the server did not answer; it may go on stepping"
+        typer.echo(f"zensim {verb}: {silent if interrupt.made is None else came}", err=True)
         raise
     _note(verb, answer)
     return answer.completed_steps
