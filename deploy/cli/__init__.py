@@ -34,6 +34,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "info": ("spawner.cli.info", "Tell what an entity is, or say it."),
     "pause": ("spawner.cli.simulation", "Let time stand."),
     "play": ("spawner.cli.simulation", "Let time run."),
+    "stop": ("spawner.cli.simulation", "Let time stand at the start: what was spawned goes."),
     "step": ("spawner.cli.pacing", "Make steps of a paused world."),
     "run-to": ("spawner.cli.pacing", "Make steps until a simulation time is reached."),
     "speed": ("spawner.cli.pacing", "Choose the real-time factor to hold."),

@@ -1,4 +1,4 @@
-"""`zensim pause`, `play`, `step`, `reset`, `features`."""
+"""`zensim pause`, `play`, `stop`, `reset`, `features`."""
 
 from enum import IntEnum
 from typing import Annotated
@@ -26,6 +26,14 @@ def play(
 ) -> None:
     """Let time run."""
     _set_state("play", State.PLAYING, connect, world_name, timeout)
+
+
+@app.command()
+def stop(
+    *, timeout: Timeout = 10.0, connect: Connect = "", world_name: WorldName = "default"
+) -> None:
+    """Let time stand at the start: what was spawned goes."""
+    _set_state("stop", State.STOPPED, connect, world_name, timeout)
 
 
 def _set_state(verb: str, state: State, connect: str, world: str, timeout_s: float) -> None:

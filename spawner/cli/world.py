@@ -1,4 +1,4 @@
-"""`zensim world load`, `list`, `current` and `unload`."""
+"""`zensim world load`, `list`, `current`, `poses` and `unload`."""
 
 import os
 from collections.abc import Sequence
@@ -10,7 +10,9 @@ import typer
 from rich.table import Table
 
 from proto.exits import one_line_failures
+from proto.services import TagsFilter
 from proto.worlds import WorldResource
+from spawner.angles import yaw_of
 from spawner.cli.completion import world_names
 from spawner.cli.report_table import print_report
 from spawner.cli.session import (
@@ -117,6 +119,29 @@ def current_world(
         typer.echo(msgspec.json.encode(found).decode())
     else:
         typer.echo(_called(found))
+
+
+@app.command("poses")
+def named_poses(
+    *,
+    tag: Annotated[list[str] | None, typer.Option("--tag", help="Repeatable: any of them.")] = None,
+    as_json: AsJson = False,
+    timeout: Timeout = 10.0,
+    connect: Connect = "",
+    world_name: WorldName = "default",
+) -> None:
+    """List the named poses of the world: where robots may be put."""
+    with client_for("world poses", connect, world_name, timeout) as client:
+        found = client.named_poses(TagsFilter(tuple(tag or ())))
+    if as_json:
+        typer.echo(msgspec.json.encode(found).decode())
+        return
+    table = Table("name", "tags", "x [m]", "y [m]", "z [m]", "yaw [rad]", "what it is", box=None)
+    for one in found:
+        place, yaw = one.pose.position, yaw_of(one.pose.orientation)
+        numbers = (f"{number:.3f}" for number in (place.x, place.y, place.z, yaw))
+        table.add_row(one.name, ", ".join(one.tags) or "-", *numbers, one.description)
+    print_table(table)
 
 
 @app.command("unload")

@@ -1,4 +1,4 @@
-"""`zensim pause`, `play`, `reset` and `features` against a real server."""
+"""`zensim pause`, `play`, `stop`, `reset` and `features` against a real server."""
 
 import pytest
 
@@ -19,6 +19,17 @@ def test_time_runs_after_play_and_stands_after_pause(server: Server) -> None:
 
     assert (done.status, done.out.split()[0]) == (Exit.OK, "paused")
     assert server.client.simulation_state() == State.PAUSED
+
+
+def test_stop_goes_back_to_the_start(server: Server) -> None:
+    server.zensim("spawn", "box_bot", "--name", "r1")
+    server.client.step(3)
+
+    done = run_at(server, app, "stop")
+
+    assert (done.status, done.out) == (Exit.OK, "stopped at 0.000 s\n")
+    assert server.client.entities() == ()
+    assert run_at(server, app, "stop").status == Exit.OK
 
 
 def test_pause_is_content_when_time_stands_already(server: Server) -> None:

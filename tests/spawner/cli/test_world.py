@@ -1,4 +1,4 @@
-"""`zensim world load`, `list`, `current` and `unload` against a real server."""
+"""`zensim world load`, `list`, `current`, `poses` and `unload` against a real server."""
 
 from pathlib import Path
 
@@ -44,6 +44,18 @@ def test_world_is_loaded_from_a_file_of_this_host(server: Server, tmp_path: Path
     assert loaded["world"]["name"] == "mine"
     assert server.client.entities() == ("block",)
     assert run_at(server, app, "current", "--json").json()["name"] == "mine"
+
+
+def test_named_poses_are_listed(server: Server) -> None:
+    run_at(server, app, "load", "walls")
+
+    head, *lines = run_at(server, app, "poses").out.splitlines()
+    found = run_at(server, app, "poses", "--json").json()
+
+    assert head.split()[:2] == ["name", "tags"]
+    assert [line.split()[0] for line in lines] == [one["name"] for one in found]
+    assert {"centre", "corner"} <= {one["name"] for one in found}
+    assert run_at(server, app, "poses", "--tag", "nowhere", "--json").json() == []
 
 
 def test_world_is_unloaded_once(server: Server) -> None:
