@@ -118,8 +118,16 @@ GAZEBO = {
 }
 ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
-    " uint8[] joint_positions; uint8[] joint_velocities",
+    " uint8[] joint_positions; uint8[] joint_velocities; uint32 newest_claim; bool is_awaited",
     "DriveCommand": "uint32 epoch; uint64 step; uint8[] claims; uint8[] targets",
+    "SimulateSteps_Request": "uint64 steps; string goal_id",
+    "CancelSteps_Request": "string goal_id",
+    "CancelSteps_Response": "simulation_interfaces/Result result; string[] goal_ids",
+    "RunTo_Request": "builtin_interfaces/Time time",
+    "RunTo_Response": "simulation_interfaces/Result result; builtin_interfaces/Time time;"
+    " uint64 completed_steps",
+    "SetSpeed_Request": "float64 real_time_factor",
+    "SetSpeed_Response": "simulation_interfaces/Result result",
     "Info_Request": EMPTY,
     "GetModels_Request": "string[] entities",
     "MissingAssets_Request": "string[] sha256s",

@@ -127,7 +127,7 @@ REFUSED = {
     "filter": (
         services.GetEntitiesRequest(services.EntityFilters("r(")),
         ResultCode.OPERATION_FAILED,
-        "'r(' is no POSIX extended regular expression",
+        r"'r\(' is no POSIX extended regular expression",
     ),
     "ask for the state of nobody": (
         entities.GetEntityStateOrder("r7"),
