@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 KEPT = 512
 KEPT_CHARACTERS = 64 << 20
 FEW_MESHES = 16
-"""So many hulls are made in a moment."""
+"""Collisions: so many hulls are made in a moment, be they of one mesh or of many."""
 RESTS = 2
 TRANSIENT = frozenset({"reader.crashed", "reader.timeout"})
 """Faults that another try may not have."""
@@ -222,11 +222,11 @@ class ReadElsewhere:
             self._transient.append(reading)
 
     def _as_read(self, model: Model) -> Read:
-        meshes = meshes_of(model)
-        is_small = len(meshes) <= FEW_MESHES and not (model.is_static and meshes)
-        read = Read(model, meshes, is_prepared=is_small)
+        colliding = _colliding(model)
+        is_small = len(colliding) <= FEW_MESHES and not (model.is_static and colliding)
+        read = Read(model, meshes_of(model), is_prepared=is_small)
         if not is_small:
-            read.unseen.extend(_colliding(model))
+            read.unseen.extend(set(colliding))
             self._unprepared.append(read)
         return read
 
@@ -251,6 +251,6 @@ def meshes_of(model: Model) -> frozenset[str]:
     return frozenset(shape.mesh for shape in shapes if shape.mesh)
 
 
-def _colliding(model: Model) -> frozenset[str]:
-    shapes = (shape for link in model.links for shape in link.collisions)
-    return frozenset(shape.mesh for shape in shapes if shape.mesh)
+def _colliding(model: Model) -> list[str]:
+    """List the mesh of each collision: an engine makes a hull for every one of them anew."""
+    return [shape.mesh for link in model.links for shape in link.collisions if shape.mesh]

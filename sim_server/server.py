@@ -1,5 +1,6 @@
 """The composition root: bus, engine, world and loop of one server process."""
 
+import gc
 import logging
 import time
 from collections.abc import Callable
@@ -83,6 +84,7 @@ def serve(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
                 "stop it, or use --world-name with another"
             )
+        _spare_what_stays()
         _run(config, loaded, journal, bus, should_stop, on_ready)
 
 
@@ -139,6 +141,12 @@ def _run(
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
+
+
+def _spare_what_stays() -> None:
+    """Let Python's collector pass over what is here by now: it would hold steps up."""
+    gc.collect()
+    gc.freeze()
 
 
 def _wait_for_reader(reader: Reader, clock: WallClock, should_stop: Callable[[], bool]) -> None:

@@ -3,8 +3,7 @@
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from proto.model import Shape
-from sim_server.physics.blueprint import Blueprint
+from sim_server.physics.blueprint import Blueprint, Part
 from sim_server.physics.engine import EngineRefused
 
 
@@ -39,13 +38,13 @@ def _check_kind(blueprint: Blueprint, what: str, kind: str, known: Collection[st
         )
 
 
-def check_meshes(name: str, shapes: Iterable[Shape], folder: str) -> None:
+def check_meshes(name: str, parts: Iterable[Part], folder: str) -> None:
     """Refuse a mesh of the model of this name whose file is not in the folder.
 
     Raises:
         EngineRefused: One is not.
     """
-    for shape in shapes:
+    for shape in (shape for part in parts for shape in part.shapes):
         if shape.mesh and not Path(folder, f"{shape.mesh}.stl").is_file():
             raise EngineRefused(
                 f"model '{name}': collision shape '{shape.kind}' {shape.mesh[:80]!r} is "

@@ -83,11 +83,10 @@ class PyBulletEngine:
         """See `Engine.prepare`: makes the collision shape of one part."""
         try:
             plan = self._planner.blueprint(model)
-            for part in plan.parts:
-                if key_of(part.shapes, is_static=plan.is_static) not in self._shapes:
-                    check_meshes(plan.name, part.shapes, self._mesh_folder)
-                    self._collision(part.shapes, is_static=plan.is_static)
-                    return False
+            for part in self._unmade(plan)[:1]:
+                check_meshes(plan.name, [part], self._mesh_folder)
+                self._collision(plan, part.shapes)
+                return False
         except (EngineRefused, pybullet.error):
             return True
         return True
@@ -95,8 +94,7 @@ class PyBulletEngine:
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; one that slept would lose its velocity in the first step."""
         blueprint = self._planner.blueprint(model)
-        for part in blueprint.parts:
-            check_meshes(blueprint.name, part.shapes, self._mesh_folder)
+        check_meshes(blueprint.name, self._unmade(blueprint), self._mesh_folder)
         if not base[7:].any() and (parked := self._parking.take(model)) is not None:
             return self._bring_back(*parked, base)
         try:
@@ -316,21 +314,25 @@ class PyBulletEngine:
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
         return ground
 
-    def _collision(self, shapes: tuple[Shape, ...], *, is_static: bool) -> int:
-        key = key_of(shapes, is_static=is_static)
+    def _collision(self, plan: Blueprint, shapes: tuple[Shape, ...]) -> int:
+        key = key_of(shapes, is_static=plan.is_static)
         if (known := self._shapes.get(key)) is not None:
             return known
         # Only what never moves may have dents.
-        dented = pybullet.GEOM_FORCE_CONCAVE_TRIMESH if is_static else 0
+        dented = pybullet.GEOM_FORCE_CONCAVE_TRIMESH if plan.is_static else 0
         self._shapes[key] = pybullet.createCollisionShapeArray(
             **solids_of(shapes, folder=self._mesh_folder, kinds=GEOMETRIES, mesh_flag=dented),
             physicsClientId=self._client,
         )
         return self._shapes[key]
 
+    def _unmade(self, plan: Blueprint) -> list[Part]:
+        """List the parts whose shapes Bullet has not yet."""
+        keys = {key_of(part.shapes, is_static=plan.is_static): part for part in plan.parts}
+        return [part for key, part in keys.items() if key not in self._shapes]
+
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
-        static = blueprint.is_static
-        shapes = [self._collision(part.shapes, is_static=static) for part in blueprint.parts]
+        shapes = [self._collision(blueprint, part.shapes) for part in blueprint.parts]
         creation = creation_of(blueprint, base, shapes=shapes, visual=self._visual, kinds=KINDS)
         if not touches_itself(blueprint.links):
             return pybullet.createMultiBody(**creation, physicsClientId=self._client)

@@ -1,7 +1,7 @@
 """Ten box_bots and what drives them, as real processes; and how to watch them closely."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
@@ -60,13 +60,21 @@ def stats_of(found: Fleet) -> Subscription:
 
 def observed(stats: Subscription, act: Callable[[], object]) -> list[Stats]:
     """Act, and return the statistics of the seconds that it took."""
+    return next(observed_in_turn(stats, [act]))
+
+
+def observed_in_turn(
+    stats: Subscription, acts: Iterable[Callable[[], object]]
+) -> Iterator[list[Stats]]:
+    """Carry out one act after another; return the statistics of the seconds of each."""
     # From the end of a window of the server on, to the end of the one in which it ends.
     stats.take()
     soon(stats.newest)
-    act()
-    seen = stats.take()
-    seen += soon(lambda: stats.take() or None)
-    return [decode(Stats, sample.payload, sample.encoding) for sample in seen]
+    for act in acts:
+        act()
+        seen = stats.take()
+        seen += soon(lambda: stats.take() or None)
+        yield [decode(Stats, sample.payload, sample.encoding) for sample in seen]
 
 
 def latest_steps(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
@@ -75,6 +83,13 @@ def latest_steps(when: str, seen: list[Stats], asked: Asked | None = None) -> Fi
     return Figure(
         what=f"latest step of each second, {when}", unit="ms", samples=samples, asked=asked
     )
+
+
+def longest_work(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
+    """Say for how long the loop's own work held a step up in each second: CPU time."""
+    samples = tuple(stats.busy_max_s * MILLISECONDS for stats in seen)
+    what = f"longest own work before a step of each second, {when}"
+    return Figure(what=what, unit="CPU ms", samples=samples, asked=asked)
 
 
 def soon(ask: Callable[[], T | None], within_s: float = 10.0) -> T:

@@ -9,7 +9,7 @@ from proto.assets import AssetRef
 from proto.model import Model
 from proto.services import Resource, SpawnEntityOrder
 from sim_server.assets import AssetStore
-from sim_server.descriptions import ReadElsewhere
+from sim_server.descriptions import FEW_MESHES, ReadElsewhere
 from sim_server.errors import ModelError
 from sim_server.reader import Reader
 from tests.integration.processes import eventually
@@ -155,6 +155,27 @@ def test_corners_of_a_large_model_are_read_before_it_is_ready(
     with monkeypatch.context() as patch:
         patch.setattr(roomy.store, "piece", None)
         assert len(roomy.store.corners(mesh_of(roomy.descriptions.model(order)[0])))
+
+
+def test_moving_model_of_many_collisions_is_prepared_though_they_are_one_mesh(
+    roomy: Reading,
+) -> None:
+    roomy.parts_left = 1
+    refs = (AssetRef("a.stl", put(roomy.store, STL)),)
+    start, end = MESH_ROBOT.index("<collision>"), MESH_ROBOT.index("</collision>")
+    end += len("</collision>")
+    collision = MESH_ROBOT[start:end]
+    text = MESH_ROBOT.replace(collision, collision * (FEW_MESHES + 1))
+    order = SpawnEntityOrder(entity_resource=Resource(resource_string=text), assets=refs)
+
+    def is_prepared() -> bool:
+        roomy.wall.sleep(1.0)
+        roomy.descriptions.poll()
+        return roomy.descriptions.is_read(order)
+
+    eventually(is_prepared, WITHIN_S, "a model")
+
+    assert roomy.parts_left == 0
 
 
 def test_small_model_needs_no_preparation(roomy: Reading) -> None:
