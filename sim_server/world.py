@@ -248,9 +248,9 @@ class World(Chronicle):
         """Go back to the start: time, states, spawned entities, by the bits of `ResetScope`."""
         bits = scope or ResetScope.ALL
         if bits & ResetScope.SPAWNED:
-            for entity in self.entities:
-                if not entity.belongs_to_world:
-                    self.delete(entity.name)
+            for name in [entity.name for entity in self.entities if not entity.belongs_to_world]:
+                self.delete(name)
+            self._engine.forget_removed()
         if bits & ResetScope.STATE:
             self.reading()  # so that what has gone bad is mended before
             for entity in self.entities:

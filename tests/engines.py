@@ -57,6 +57,9 @@ class ObedientEngine:
     def remove(self, body: int) -> None:
         del self._bodies[body]
 
+    def forget_removed(self) -> None:
+        pass
+
     def overlapping(self, body: int) -> Sequence[int]:
         place = self._bodies[body].base[:3]
         return [

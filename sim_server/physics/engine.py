@@ -77,6 +77,9 @@ class Engine(Protocol):
     def remove(self, body: int) -> None:
         """Take a body out; its number may be used again."""
 
+    def forget_removed(self) -> None:
+        """Keep nothing of what was taken out: bodies made from now on repeat a fresh run's bits."""
+
     def overlapping(self, body: int) -> Sequence[int]:
         """Name the other bodies that a body reaches into; the ground is none."""
 

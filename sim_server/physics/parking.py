@@ -67,6 +67,13 @@ class Parking:
         number, body = parked.pop()
         return number, replace(body, model=model, actuation=actuation_of(model))
 
+    def take_all(self) -> list[int]:
+        """Take all that are parked."""
+        taken = [number for parked in self._parked.values() for number, _ in parked]
+        self._parked.clear()
+        self._count = 0
+        return taken
+
 
 def _build_of(model: Model) -> Build:
     return model.links, model.joints, model.is_static

@@ -37,12 +37,8 @@ AT_ORIGIN: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 OVERLAP_M = 0.001
 """Bodies that only touch do not overlap."""
 
-KINDS = {
-    "revolute": pybullet.JOINT_REVOLUTE,
-    "continuous": pybullet.JOINT_REVOLUTE,
-    "prismatic": pybullet.JOINT_PRISMATIC,
-    "fixed": pybullet.JOINT_FIXED,
-}
+KINDS = {kind: getattr(pybullet, f"JOINT_{kind.upper()}") for kind in ("prismatic", "fixed")}
+KINDS["revolute"] = KINDS["continuous"] = pybullet.JOINT_REVOLUTE
 GEOMETRIES = {
     kind: getattr(pybullet, f"GEOM_{kind.upper()}")
     for kind in ("box", "sphere", "cylinder", "capsule", "mesh")
@@ -123,6 +119,11 @@ class PyBulletEngine:
         for gear in known.gears:
             pybullet.removeConstraint(gear, physicsClientId=self._client)
         pybullet.removeBody(body, physicsClientId=self._client)
+
+    def forget_removed(self) -> None:
+        """See `Engine.forget_removed`."""
+        for body in self._parking.take_all():
+            pybullet.removeBody(body, physicsClientId=self._client)
 
     def overlapping(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
@@ -334,11 +335,9 @@ class PyBulletEngine:
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
         shapes = [self._collision(blueprint, part.shapes) for part in blueprint.parts]
         creation = creation_of(blueprint, base, shapes=shapes, visual=self._visual, kinds=KINDS)
-        if not touches_itself(blueprint.links):
-            return pybullet.createMultiBody(**creation, physicsClientId=self._client)
-        flags = pybullet.URDF_USE_SELF_COLLISION
+        flags = pybullet.URDF_USE_SELF_COLLISION if touches_itself(blueprint.links) else 0
         body = pybullet.createMultiBody(**creation, flags=flags, physicsClientId=self._client)
-        for one, other, do_touch in self_touching(blueprint):
+        for one, other, do_touch in self_touching(blueprint) if flags else ():
             pybullet.setCollisionFilterPair(
                 body, body, one, other, int(do_touch), physicsClientId=self._client
             )

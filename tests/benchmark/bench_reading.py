@@ -9,6 +9,7 @@ PyBullet as the first and as the thousandth of a world.
 import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import numpy as np
@@ -17,13 +18,15 @@ from proto.model import Model, ReportStatus
 from sim_server.description import urdf
 from sim_server.description.describing import describe
 from sim_server.description.library import model_text
-from sim_server.description.meshes import Files
 from sim_server.description.report import Report
 from sim_server.description.urdf import read_urdf
 from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.benchmark import huge
 from tests.benchmark.figures import Asked, Figure, table
+
+if TYPE_CHECKING:
+    from sim_server.description.meshes import Files
 
 __all__ = ["rows", "table"]
 

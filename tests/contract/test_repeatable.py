@@ -34,6 +34,7 @@ def another_came_and_went(engine: Engine) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
     advance(engine, 50)
     engine.remove(body)
+    engine.forget_removed()
 
 
 PASTS: dict[str, Callable[[Engine], object]] = {

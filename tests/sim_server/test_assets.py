@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
-from sim_server.assets import AssetStore
 from proto.stl import write_corners
+from sim_server.assets import AssetStore
 from sim_server.errors import AssetRefused
 
 DATA = b"solid zensim\nendsolid\n" * 10
