@@ -25,6 +25,7 @@ NAMES = (
     "lockstep",
     "killed",
     "history",
+    "damage",
 )
 PAGE = machine.ROOT / "docs" / "chaos.md"
 HEAD = """# Faults

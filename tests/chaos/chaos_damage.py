@@ -1,0 +1,117 @@
+"""A journal that is damaged
+
+A server with robots is killed; its journal is copied, and one file of the copy is cut at a random
+place or has one bit flipped. `zensim journal verify` must call it whole or say in one line what is
+wrong; of every twentieth copy a server is started, which must come up or
+end with one line.
+"""
+
+import random
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from tests.benchmark.figures import Asked, Figure
+from tests.integration.journals import kept_in, kill_hard
+from tests.integration.processes import command_line, end, eventually, free_endpoint, zensim
+
+COPIES, COPIES_WHEN_SHORT = 200, 4
+STARTED_EVERY = 20
+ROBOTS = 10
+SEED = 41
+START_S = 30.0
+
+Damage = Callable[[bytes, random.Random], bytes]
+
+
+def cut(data: bytes, chance: random.Random) -> bytes:
+    """Cut a file at a random place."""
+    return data[: chance.randrange(len(data))]
+
+
+def flip(data: bytes, chance: random.Random) -> bytes:
+    """Flip one bit."""
+    found = bytearray(data)
+    found[chance.randrange(len(found))] ^= 1 << chance.randrange(8)
+    return bytes(found)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Damage copies of a journal."""
+    copies = COPIES_WHEN_SHORT if is_short else COPIES
+    with tempfile.TemporaryDirectory() as scratch:
+        whole = Path(scratch, "whole")
+        _fill(whole)
+        for what, damage in (("cut", cut), ("with a flipped bit", flip)):
+            faults, refused = _suffer(whole, Path(scratch), damage, copies)
+            yield Figure(
+                what=f"journals {what} that led to anything but a start or one line, of {copies}",
+                unit="",
+                samples=(float(faults),),
+                asked=Asked("max", "<=", 0.0),
+            )
+            yield Figure(
+                what=f"journals {what} that were refused", unit="", samples=(float(refused),)
+            )
+
+
+def _fill(folder: Path) -> None:
+    with kept_in(folder, free_endpoint()) as server:
+        server.zensim("fleet", "box_bot", "--count", str(ROBOTS))
+        for i in range(ROBOTS):
+            if i % 4 == 0:
+                server.client.delete(f"box_bot{i}")
+        begin = server.steps()
+        eventually(lambda: server.steps() > begin + 240, 10.0, "a second")
+        kill_hard(server)
+
+
+def _suffer(whole: Path, scratch: Path, damage: Damage, copies: int) -> tuple[int, int]:
+    chance, faults, refused = random.Random(SEED), 0, 0
+    for number in range(copies):
+        folder = scratch / "copy"
+        shutil.copytree(whole, folder)
+        files = sorted(path for path in folder.rglob("*") if path.is_file() and _is_kept(path))
+        chosen = chance.choice([path for path in files if path.stat().st_size])
+        chosen.write_bytes(damage(chosen.read_bytes(), chance))
+        done = zensim("journal", "verify", str(folder))
+        faults += not _is_clear(done.returncode, done.stderr)
+        refused += done.returncode != 0
+        if number % STARTED_EVERY == 0:
+            faults += not _starts_or_says_why(folder)
+        shutil.rmtree(folder)
+    return faults, refused
+
+
+def _is_kept(path: Path) -> bool:
+    """Whether a file outlives the power: not what is shared in memory."""
+    return not path.name.endswith("-shm")
+
+
+def _is_clear(status: int, stderr: str) -> bool:
+    if "Traceback" in stderr:
+        return False
+    return status == 0 or (status == 1 and stderr.count("\n") == 1)
+
+
+def _starts_or_says_why(folder: Path) -> bool:
+    command = command_line(["serve", "--listen", free_endpoint(), "--journal", str(folder)])
+    process = subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        text=True,
+    )
+    said: list[str] = []
+    try:
+        assert process.stderr is not None
+        for line in process.stderr:
+            said.append(line)
+            if line.startswith("zensim serve: world "):
+                return True
+        return _is_clear(process.wait(START_S), said[-1] if said else "")
+    finally:
+        end(process)
