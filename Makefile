@@ -49,18 +49,19 @@ packages: # Debian packages that the tests use
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
 
-# These start real processes and wait for them: side by side they would starve each other.
-SERIAL := tests/integration tests/chaos tests/benchmark tests/deploy tests/spawner/cli
+# These look at the clock: nothing else may run beside them.
+ALONE := tests/chaos tests/benchmark
+BESIDE := -n auto --dist loadfile $(ALONE:%=--ignore=%)
 
 test: setup packages ## all tests
-	$(BIN)/python -m pytest -n auto $(SERIAL:%=--ignore=%)
-	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest $(SERIAL); \
+	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest $(BESIDE); \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(BIN)/python -m pytest -m "not root" $(SERIAL) && \
-		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root $(SERIAL); \
+	else $(BIN)/python -m pytest -m "not root" $(BESIDE) && \
+		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root tests/integration; \
 	fi
+	$(BIN)/python -m pytest $(ALONE)
 
 lint: setup ## style of the code
 	$(BIN)/ruff check

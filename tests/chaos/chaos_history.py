@@ -28,10 +28,10 @@ from tests.chaos.persistence import POLL_S, Mortal, ask, mortal
 from tests.integration.processes import START_S
 
 CLIENTS, CLIENTS_WHEN_SHORT = 10, 4
-OPERATIONS, OPERATIONS_WHEN_SHORT = 1000, 40
+OPERATIONS, OPERATIONS_WHEN_SHORT = 1000, 150
 NAMES = tuple(f"n{i}" for i in range(8))
 KINDS: tuple[Kind, ...] = ("spawn", "delete", "look")
-LIFE_S = (1.0, 5.0)
+LIFE_S, LIFE_WHEN_SHORT_S = (1.0, 5.0), (0.2, 0.4)
 """From the first answer to the kill."""
 SEED = 31
 
@@ -40,8 +40,9 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Let clients and faults loose, then look for what cannot have happened."""
     clients = CLIENTS_WHEN_SHORT if is_short else CLIENTS
     operations = OPERATIONS_WHEN_SHORT if is_short else OPERATIONS
+    life_s = LIFE_WHEN_SHORT_S if is_short else LIFE_S
     with tempfile.TemporaryDirectory() as folder:
-        histories, kills = _loose(Path(folder), clients, operations)
+        histories, kills = _loose(Path(folder), clients, operations, life_s)
     faults = [name for name, history in histories.items() if first_fault(history) is not None]
     yield Figure(
         what="names whose history nothing explains",
@@ -64,24 +65,28 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     )
 
 
-def _loose(folder: Path, clients: int, operations: int) -> tuple[dict[str, list[Operation]], int]:
+def _loose(
+    folder: Path, clients: int, operations: int, life_s: tuple[float, float]
+) -> tuple[dict[str, list[Operation]], int]:
     histories: dict[str, list[Operation]] = {name: [] for name in NAMES}
     with mortal(folder) as (server, endpoint), ThreadPoolExecutor(clients) as pool:
         with open_bus(BusConfig(connect=(endpoint,))) as bus:
             SimClient(bus).wait_for_server(START_S)
         work = [pool.submit(_client, endpoint, i, operations) for i in range(clients)]
-        kills = _kill_until(server, endpoint, lambda: all(one.done() for one in work))
+        kills = _kill_until(server, endpoint, life_s, lambda: all(one.done() for one in work))
         for one in work:
             for name, operation in one.result():
                 histories[name].append(operation)
     return histories, kills
 
 
-def _kill_until(server: Mortal, endpoint: str, is_over: Callable[[], bool]) -> int:
+def _kill_until(
+    server: Mortal, endpoint: str, life_s: tuple[float, float], is_over: Callable[[], bool]
+) -> int:
     """Kill the server again and again, each time some time after it has answered."""
     moment, kills = random.Random(SEED), 0
     while not is_over():
-        _wait(moment.uniform(*LIFE_S), is_over)
+        _wait(moment.uniform(*life_s), is_over)
         if is_over():
             break
         server.die()

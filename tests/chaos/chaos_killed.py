@@ -142,8 +142,9 @@ def _toll(folder: Path, rounds: int, robots: int) -> Toll:
 
 
 def _kill_once(server: Mortal, bus: Bus, clock: Subscription, churn: Churn, toll: Toll) -> None:
+    heard = eventually(lambda: _clocks(clock), START_S, "a clock")
     server.die()
-    last = _clocks(clock)[-1]
+    last = [*heard, *_clocks(clock)][-1]
     begin_s = time.monotonic()
     before = churn.acknowledged()
     server.rise()
