@@ -49,19 +49,18 @@ packages: # Debian packages that the tests use
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
 
-# These look at the clock: nothing else may run beside them.
-ALONE := tests/chaos tests/benchmark
-BESIDE := -n auto --dist loadfile $(ALONE:%=--ignore=%)
+# These start real processes and wait for them: side by side they would starve each other.
+SERIAL := tests/integration tests/chaos tests/benchmark tests/deploy tests/spawner/cli
 
 test: setup packages ## all tests
-	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest $(BESIDE); \
+	$(BIN)/python -m pytest -n auto $(SERIAL:%=--ignore=%)
+	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest $(SERIAL); \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(BIN)/python -m pytest -m "not root" $(BESIDE) && \
-		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root tests/integration; \
+	else $(BIN)/python -m pytest -m "not root" $(SERIAL) && \
+		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root $(SERIAL); \
 	fi
-	$(BIN)/python -m pytest $(ALONE)
 
 lint: setup ## style of the code
 	$(BIN)/ruff check
