@@ -84,8 +84,9 @@ class Requests:
 
     def _joins_pending(self, call: Call) -> bool:
         """Let a retry take the place of a request that is still being carried out."""
+        this = (call.name, call.request_id)
         for pending in self._pending:
-            if call.request_id and pending.call.request_id == call.request_id:
+            if call.request_id and (pending.call.name, pending.call.request_id) == this:
                 pending.call = call
                 return True
         return False

@@ -264,3 +264,16 @@ def test_loop_refuses_a_request_that_is_too_large_to_decode(service: str, code: 
 
     assert refusal_in(call)[0] == code
     assert refusal_in(call)[1].startswith(f"request.size: a request of {MAX_REQUEST_BYTES + 1}")
+
+
+def test_request_of_another_service_does_not_take_the_place_of_one_that_waits() -> None:
+    stage = a_stage()
+    stage.world.pause()
+    steps = stage.ask("step_simulation", StepSimulationRequest(2))
+    other = stage.ask("get_entities", GetEntitiesRequest())
+    steps.request_id = other.request_id = b"same"
+
+    for _ in range(6):
+        stage.loop.turn()
+
+    assert (len(steps.answers), len(other.answers)) == (1, 1)
