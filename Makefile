@@ -95,7 +95,7 @@ fuzz: setup ## damaged bytes for every reader, and property tests with many more
 pins: ## resolve requirements/ anew
 	@$(FIND_PYTHON); $$python -m venv build/pins
 	build/pins/bin/python -m pip --disable-pip-version-check install -q uv
-	@set -e; for name in dev server viewer xacro base; do \
+	@set -e; for name in dev server mujoco viewer xacro base; do \
 		case $$name in \
 			dev) choice="--all-extras" ;; \
 			base) choice="-c requirements/dev.txt" ;; \
