@@ -14,7 +14,7 @@ from proto.exits import one_line_failures
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
-from sim_server.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
+from sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
 
 SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
 

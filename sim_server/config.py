@@ -6,7 +6,7 @@ from proto.bus import BusConfig
 from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from proto.names import check_name
-from sim_server.lockstep import LockstepSettings
+from sim_server.pacing.lockstep import LockstepSettings
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most, as often as a Gazebo drive updates by default."""

@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 from proto.result import ResultCode
 from proto.services import State
 from proto.worlds import WorldResource
-from sim_server.assets import AssetStore
-from sim_server.atlas import Atlas
 from sim_server.description.sdf import WorldModel
-from sim_server.descriptions import Descriptions, meshes_of
 from sim_server.durable import Durable, Told
 from sim_server.errors import Refused
-from sim_server.lockstep import Lockstep
-from sim_server.meter import Meter
-from sim_server.stepping import Stepping
-from sim_server.world import World
+from sim_server.pacing.lockstep import Lockstep
+from sim_server.pacing.meter import Meter
+from sim_server.pacing.stepping import Stepping
+from sim_server.reading.assets import AssetStore
+from sim_server.reading.descriptions import Descriptions, meshes_of
+from sim_server.world.world import World
+from sim_server.worlds.atlas import Atlas
 
 
 @dataclass(frozen=True)

@@ -16,25 +16,25 @@ from proto.catalog import INFO
 from proto.header import NANOSECONDS
 from proto.joining import join
 from proto.telemetry import InfoRequest
-from sim_server.assets import AssetStore
-from sim_server.atlas import Atlas, start_file
-from sim_server.beginning import begin
 from sim_server.config import AlreadyServed, ServerConfig, checked
 from sim_server.description.sdf import WorldModel
-from sim_server.descriptions import ReadElsewhere
 from sim_server.desk import Desk
-from sim_server.founding import founding
-from sim_server.inbox import BusInbox
 from sim_server.journal.opening import Journal, open_journal
-from sim_server.lockstep import Lockstep
-from sim_server.loop import Loop
-from sim_server.meter import Meter
-from sim_server.outlets import BusOutlet
+from sim_server.loading.beginning import begin
+from sim_server.loading.founding import founding
+from sim_server.loading.world_files import LoadedWorld, furnish
+from sim_server.pacing.lockstep import Lockstep
+from sim_server.pacing.meter import Meter
 from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.reader import Reader
-from sim_server.world import World
-from sim_server.world_files import LoadedWorld, furnish
+from sim_server.reading.assets import AssetStore
+from sim_server.reading.descriptions import ReadElsewhere
+from sim_server.reading.reader import Reader
+from sim_server.traffic.inbox import BusInbox
+from sim_server.traffic.loop import Loop
+from sim_server.traffic.outlets import BusOutlet
+from sim_server.world.world import World
+from sim_server.worlds.atlas import Atlas, start_file
 
 ASK_TIMEOUT_S = 2.0
 READER_START_S, READER_POLL_S = 30.0, 0.005

@@ -3,8 +3,8 @@
 from proto import entities
 from proto.services import BoundsType
 from sim_server.desk import Desk
-from sim_server.regions import BoundsUnsupported, Sight, bounds_of
-from sim_server.solids import solids_at
+from sim_server.geometry.solids import solids_at
+from sim_server.lookup.regions import BoundsUnsupported, Sight, bounds_of
 
 
 def get_bounds(

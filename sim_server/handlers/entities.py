@@ -3,9 +3,9 @@
 from proto import services, telemetry
 from proto.result import Result
 from sim_server.desk import Desk
-from sim_server.filters import passing
 from sim_server.later import Later
-from sim_server.poses import pose_of
+from sim_server.lookup.filters import passing
+from sim_server.world.poses import pose_of
 
 
 def delete(desk: Desk, request: services.DeleteEntityRequest) -> services.DeleteEntityResponse:

@@ -6,11 +6,11 @@ from proto.result import Result, ResultCode
 from proto.services import ResetScope, SimulationState, State
 from sim_server.desk import Desk
 from sim_server.errors import Refused
-from sim_server.frames import SCOPE, seen_from
 from sim_server.handlers.states import set_state
 from sim_server.handlers.transitions import set_simulation_state
-from sim_server.poses import WORLD_FRAMES, pose_of, twist_of
-from sim_server.scoped import link_of, state_of
+from sim_server.lookup.frames import SCOPE, seen_from
+from sim_server.lookup.scoped import link_of, state_of
+from sim_server.world.poses import WORLD_FRAMES, pose_of, twist_of
 
 
 def pause_physics(desk: Desk, _: gazebo.PausePhysicsRequest) -> gazebo.EmptyReport:

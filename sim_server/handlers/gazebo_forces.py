@@ -11,11 +11,11 @@ from proto.result import ResultCode
 from proto.rotation import FloatArray, rotate
 from sim_server.desk import Desk
 from sim_server.errors import Refused
-from sim_server.frames import frame_pose
-from sim_server.poses import MAX_POSITION_M, WORLD_FRAMES
-from sim_server.pushes import JointPush, LinkPush, Span, span_of
-from sim_server.scoped import ScopedLink, joint_of, link_of, state_of
-from sim_server.world import World
+from sim_server.lookup.frames import frame_pose
+from sim_server.lookup.scoped import ScopedLink, joint_of, link_of, state_of
+from sim_server.world.poses import MAX_POSITION_M, WORLD_FRAMES
+from sim_server.world.pushes import JointPush, LinkPush, Span, span_of
+from sim_server.world.world import World
 
 MOST = 1e6
 """Of a force [N], a torque or an effort [N m]."""

@@ -16,8 +16,8 @@ from proto.result import ResultCode
 from proto.rotation import conjugate, rotate
 from sim_server.desk import Desk
 from sim_server.errors import Refused
-from sim_server.poses import pose_row
-from sim_server.scoped import ScopedJoint, ScopedLink, joint_of, link_of
+from sim_server.lookup.scoped import ScopedJoint, ScopedLink, joint_of, link_of
+from sim_server.world.poses import pose_row
 
 TYPES = {
     "revolute": JointType.REVOLUTE,

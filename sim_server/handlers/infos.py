@@ -2,7 +2,7 @@
 
 from proto import entities
 from sim_server.desk import Desk
-from sim_server.infos import checked
+from sim_server.world.infos import checked
 
 
 def get_info(desk: Desk, request: entities.GetEntityInfoRequest) -> entities.GetEntityInfoResponse:

@@ -6,7 +6,7 @@ from proto.result import Result, ResultCode
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, Refused
 from sim_server.later import Later
-from sim_server.stepping import Goal
+from sim_server.pacing.stepping import Goal
 
 MAX_STEPS = 10_000_000
 MAX_GOALS = 64

@@ -7,10 +7,10 @@ from proto.services import BoundsType, Resource, SpawnEntityOrder
 from sim_server.description.library import shipped_models
 from sim_server.desk import Desk
 from sim_server.errors import Refused
-from sim_server.filters import tags_test
+from sim_server.geometry.solids import solids_at
 from sim_server.later import Later
-from sim_server.regions import bounds_of, links_at_zero
-from sim_server.solids import solids_at
+from sim_server.lookup.filters import tags_test
+from sim_server.lookup.regions import bounds_of, links_at_zero
 
 SHIPPED = "zensim://"
 

@@ -10,11 +10,11 @@ from proto.result import SetEntityStateCode
 from proto.rotation import FloatArray
 from sim_server.desk import Desk
 from sim_server.errors import PoseRefused, Refused, Unsupported
-from sim_server.filters import passing
-from sim_server.frames import frame_pose, in_world, seen_from, twist_in_world
 from sim_server.later import Later
-from sim_server.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
-from sim_server.world import World
+from sim_server.lookup.filters import passing
+from sim_server.lookup.frames import frame_pose, in_world, seen_from, twist_in_world
+from sim_server.world.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
+from sim_server.world.world import World
 
 
 def get_state(desk: Desk, request: entities.GetEntityStateOrder) -> services.GetEntityStateResponse:

@@ -5,7 +5,7 @@ from proto.result import SetSimulationStateCode
 from proto.services import State
 from sim_server.desk import Desk
 from sim_server.errors import Refused, SimError
-from sim_server.phases import LEADS_TO, NAMES, why_not
+from sim_server.world.phases import LEADS_TO, NAMES, why_not
 
 
 def get_simulation_state(

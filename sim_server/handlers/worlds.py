@@ -12,13 +12,13 @@ from proto.result import (
     UnloadWorldCode,
 )
 from proto.services import State
-from sim_server.atlas import ONLINE, Search
 from sim_server.description.sdf import WorldModel
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, ModelError, Refused, SimError
 from sim_server.later import Later
-from sim_server.reader_messages import TextRead
-from sim_server.world_reading import WorldReading
+from sim_server.reading.messages import TextRead
+from sim_server.worlds.atlas import ONLINE, Search
+from sim_server.worlds.world_reading import WorldReading
 
 NOTHING = WorldModel("", gravity=(0.0, 0.0, 0.0))
 SHOWN = 3

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from proto.model import Model
-from sim_server.descriptions import meshes_of
 from sim_server.journal.ledger import FILES, sync_folder
 from sim_server.journal.rows import (
     ENCODER,
@@ -22,6 +21,7 @@ from sim_server.journal.rows import (
     body_of,
     sha256_of,
 )
+from sim_server.reading.descriptions import meshes_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

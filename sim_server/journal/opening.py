@@ -30,11 +30,11 @@ from sim_server.journal.writer import Writer
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim_server.assets import AssetStore
     from sim_server.desk import Desk
     from sim_server.journal.records import Kept
     from sim_server.physics.engine import Engine
-    from sim_server.world import World
+    from sim_server.reading.assets import AssetStore
+    from sim_server.world.world import World
 
 LOG = logging.getLogger(__name__)
 MARK = "restoring"

@@ -15,10 +15,10 @@ import numpy as np
 
 from proto.header import NANOSECONDS
 from proto.services import State
-from sim_server.birth import Birth
 from sim_server.errors import SimError
 from sim_server.journal.records import Change, Kept, Motion, Record
 from sim_server.journal.rows import AnswerRow, ClockRow, WorldRow
+from sim_server.world.birth import Birth
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -11,8 +11,6 @@ import numpy as np
 
 from proto.model import Model
 from proto.services import State
-from sim_server.birth import Birth
-from sim_server.descriptions import Reading, meshes_of
 from sim_server.errors import SimError
 from sim_server.journal.keeping import CLOCK, MOTION, WORLD
 from sim_server.journal.ledger import JournalError, Ledger
@@ -26,13 +24,15 @@ from sim_server.journal.rows import (
     MotionRow,
     WorldRow,
 )
+from sim_server.reading.descriptions import Reading, meshes_of
+from sim_server.world.birth import Birth
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sim_server.assets import AssetStore
     from sim_server.physics.engine import FloatArray
-    from sim_server.world import World
+    from sim_server.reading.assets import AssetStore
+    from sim_server.world.world import World
 
 LOG = logging.getLogger(__name__)
 Row = TypeVar("Row", bound=msgspec.Struct)

@@ -15,11 +15,11 @@ from proto import assets
 from proto.codec import Format, MalformedPayload, decode, encode, offers
 from proto.example import example_of
 from proto.schema import spoken_types
-from sim_server.assets import AssetStore
 from sim_server.description.formats import read_robot
 from sim_server.description.library import model_text
 from sim_server.description.mesh_formats import read_mesh
 from sim_server.errors import ModelError, SimError
+from sim_server.reading.assets import AssetStore
 from tests.hostile.corpus import corpus
 from tests.hostile.sdf import sdf_cases
 from tests.hostile.test_fuzz import damaged

@@ -50,7 +50,7 @@ def reader_of(server: Server) -> psutil.Process:
     (reader,) = [
         child
         for child in psutil.Process(server.process.pid).children()
-        if "sim_server.reader_process" in child.cmdline()
+        if "sim_server.reading.process" in child.cmdline()
     ]
     return reader
 

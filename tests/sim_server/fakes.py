@@ -13,20 +13,20 @@ from proto.keys import drive_command
 from proto.model import Model
 from proto.services import SpawnEntityOrder
 from proto.telemetry import Event
-from sim_server.assets import AssetStore
-from sim_server.birth import Birth
 from sim_server.config import ServerConfig
 from sim_server.description.describing import describe
 from sim_server.description.resources import text_of
-from sim_server.descriptions import Reading
 from sim_server.desk import Desk
-from sim_server.founding import founding
-from sim_server.loop import Loop
-from sim_server.meter import Meter
+from sim_server.loading.founding import founding
+from sim_server.pacing.meter import Meter
 from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.reader_messages import ReadRequest, TextRead
-from sim_server.reader_process import read
-from sim_server.world import World
+from sim_server.reading.assets import AssetStore
+from sim_server.reading.descriptions import Reading
+from sim_server.reading.messages import ReadRequest, TextRead
+from sim_server.reading.process import read
+from sim_server.traffic.loop import Loop
+from sim_server.world.birth import Birth
+from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground

@@ -9,7 +9,7 @@ from proto.bus import BusConfig
 from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, paced, server_bus
-from sim_server.lockstep import LockstepSettings
+from sim_server.pacing.lockstep import LockstepSettings
 
 DEFAULTS = ServerConfig(bus=BusConfig())
 

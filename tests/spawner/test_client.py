@@ -15,9 +15,9 @@ from proto.services import (
     SpawnEntityOrder,
     State,
 )
-from sim_server.inbox import BusInbox
-from sim_server.loop import Loop
-from sim_server.outlets import BusOutlet
+from sim_server.traffic.inbox import BusInbox
+from sim_server.traffic.loop import Loop
+from sim_server.traffic.outlets import BusOutlet
 from spawner.client import SimClient
 from tests.fakes import MemoryBus
 from tests.sim_server.fakes import WallTime, a_desk, a_world, names_in

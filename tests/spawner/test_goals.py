@@ -6,9 +6,9 @@ import pytest
 
 from proto.result import ServiceError
 from proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
-from sim_server.inbox import BusInbox
-from sim_server.loop import Loop
-from sim_server.outlets import BusOutlet
+from sim_server.traffic.inbox import BusInbox
+from sim_server.traffic.loop import Loop
+from sim_server.traffic.outlets import BusOutlet
 from spawner.client import SimClient
 from spawner.goals import OnProgress, reach_goal
 from tests.fakes import MemoryBus
@@ -16,7 +16,7 @@ from tests.sim_server.fakes import WallTime, a_desk, a_world
 
 if TYPE_CHECKING:
     from proto.bus import Bus
-    from sim_server.world import World
+    from sim_server.world.world import World
 
 
 class Served:

@@ -4,15 +4,15 @@ import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 
-from sim_server.assets import AssetStore
 from sim_server.journal.keeping import Keeper
 from sim_server.journal.ledger import Ledger, open_ledger
 from sim_server.journal.opening import Journal
 from sim_server.journal.recorder import Recorder
 from sim_server.journal.records import Record
 from sim_server.journal.restoring import Contents, contents_of
-from sim_server.loop import Loop
-from sim_server.world import World
+from sim_server.reading.assets import AssetStore
+from sim_server.traffic.loop import Loop
+from sim_server.world.world import World
 from tests.sim_server.fakes import RecordingOutlet, ScriptedInbox, Stage, WallTime, a_desk, a_world
 
 DISK_FULL = "database or disk is full"

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from proto.model import Link, Model, Shape
-from sim_server.entity import Entity
 from sim_server.journal.keeping import Keeper
 from sim_server.journal.ledger import FILES, Ledger, open_ledger
 from sim_server.journal.records import Change, Kept, Record
 from sim_server.journal.rows import EntityRow
+from sim_server.world.entity import Entity
 from tests.models import a_body
 
 MESH = "ab" * 32

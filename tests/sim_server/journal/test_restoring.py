@@ -14,13 +14,13 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from proto.info import Category, EntityCategory, EntityInfo
 from proto.model import Model
 from proto.services import ResetScope, State
-from sim_server.descriptions import Reading
 from sim_server.errors import SimError
 from sim_server.journal.ledger import JournalError, open_ledger
 from sim_server.journal.opening import MARK, Journal, open_journal
 from sim_server.journal.restoring import contents_of
 from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray
-from sim_server.world import World
+from sim_server.reading.descriptions import Reading
+from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_birth, a_world, names_in

@@ -10,7 +10,7 @@ import pytest
 from proto.rotation import yaw_of
 from sim_server.physics.engine import EngineConfig, FloatArray
 from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.world import World
+from sim_server.world.world import World
 from tests.engines import STEP_NS
 from tests.models import a_box_bot, box_bot_at
 from tests.sim_server.fakes import a_birth, a_command

@@ -11,7 +11,7 @@ from sim_server.description.urdf import read_urdf
 from sim_server.errors import IncorrectState
 from sim_server.physics.engine import EngineConfig, FloatArray
 from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.world import World
+from sim_server.world.world import World
 from tests.engines import STEP_NS
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial

@@ -9,8 +9,8 @@ import pytest
 from proto.model import Inertial, Model
 from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.pushes import JointPush, LinkPush, Span
-from sim_server.world import World
+from sim_server.world.pushes import JointPush, LinkPush, Span
+from sim_server.world.world import World
 from tests.engines import STEP_NS
 from tests.models import a_box, a_box_bot, a_lopsided_box, a_state, an_arm, box_bot_at
 from tests.sim_server.fakes import a_birth

@@ -1,0 +1,45 @@
+"""Making the physics of a world that is put in the place of another."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from proto.result import ResultCode
+from sim_server.config import ConfigError, paced
+from sim_server.desk import Founded
+from sim_server.errors import Refused
+from sim_server.loading.world_files import furnish
+from sim_server.world.world import World
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from sim_server.config import ServerConfig
+    from sim_server.description.sdf import WorldModel
+    from sim_server.desk import Founding
+    from sim_server.physics.engine import Engine
+
+
+def founding(
+    config: ServerConfig, make_engine: Callable[[ServerConfig, WorldModel], Engine]
+) -> Founding:
+    """Make worlds as this server makes them: what its start did not fix, each world chooses."""
+    asked = config.asked or config
+
+    def found(model: WorldModel) -> Founded:
+        pace = model.pace
+        chosen = paced(asked, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
+        world = World(
+            make_engine(chosen, model),
+            name=chosen.world,
+            step_ns=chosen.step_ns,
+            control_steps=chosen.control_steps,
+        )
+        try:
+            furnish(world, model)
+        except ConfigError as error:
+            world.close()
+            raise Refused(ResultCode.OPERATION_FAILED, str(error)) from error
+        return Founded(world, chosen.real_time_factor or 0.0)
+
+    return found

@@ -1,0 +1,87 @@
+"""The world that a server begins with: found, read elsewhere, and put into an engine."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from sim_server.config import ConfigError
+from sim_server.description.library import shipped_worlds, world_text
+from sim_server.description.sdf import WorldModel, read_world
+from sim_server.errors import SimError
+from sim_server.world.birth import Birth
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from proto.model import ReportEntry
+    from sim_server.world.world import World
+
+COMMAND = (sys.executable, "-m", "sim_server.loading.world_loading")
+
+
+class LoadedWorld(msgspec.Struct, frozen=True):
+    """A world, and the meshes that its models name, by sha256."""
+
+    model: WorldModel
+    meshes: dict[str, bytes] = {}
+
+
+class WorldOrder(msgspec.Struct, frozen=True):
+    """What is to be read: a shipped world or a file, and where the files that it names may be."""
+
+    name: str
+    model_paths: tuple[str, ...] = ()
+    is_strict: bool = False
+
+
+class WorldOutcome(msgspec.Struct, frozen=True):
+    """The world, or why there is none."""
+
+    loaded: LoadedWorld | None = None
+    fault: str = ""
+
+
+def loaded_elsewhere(order: WorldOrder) -> LoadedWorld:
+    """Have a world read by a process of its own: parsers of files and meshes are large.
+
+    Raises:
+        ConfigError: There is none, or it cannot be read.
+    """
+    if order.name in shipped_worlds():
+        return LoadedWorld(read_world(world_text(order.name)))
+    payload = msgspec.msgpack.encode(order)
+    done = subprocess.run(COMMAND, input=payload, stdout=subprocess.PIPE, check=False)
+    if done.returncode:
+        raise ConfigError(
+            f"world '{order.name}' ended the process that read it (status {done.returncode}); "
+            "make it simpler"
+        )
+    outcome = msgspec.msgpack.decode(done.stdout, type=WorldOutcome)
+    if outcome.loaded is None:
+        raise ConfigError(outcome.fault)
+    return outcome.loaded
+
+
+def doubts(report: Iterable[ReportEntry]) -> list[str]:
+    """List what is suspicious."""
+    return [f"{entry.subject}: {entry.reason}" for entry in report if entry.status == "suspicious"]
+
+
+def furnish(world: World, model: WorldModel) -> None:
+    """Put the models of a world file where they stand.
+
+    Raises:
+        ConfigError: The engine cannot simulate one.
+    """
+    for placed in model.models:
+        base = np.zeros(13)
+        base[:3], base[3:7] = placed.origin.position, placed.origin.orientation
+        try:
+            world.spawn(Birth(placed.name, "", placed.model, base, belongs_to_world=True))
+        except SimError as error:
+            raise ConfigError(f"model '{placed.name}' of the world: {error}") from error

@@ -1,0 +1,92 @@
+"""World files and the files that they name, read where a server's own process stays free of it.
+
+`python -m sim_server.loading.world_loading`: an order in on stdin, what came of it out on stdout.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from sim_server.config import ConfigError
+from sim_server.description.describing import describe_world
+from sim_server.description.library import shipped_worlds, world_text
+from sim_server.errors import SimError
+from sim_server.loading.world_files import LoadedWorld, WorldOrder, WorldOutcome, doubts
+from sim_server.reading.process import die_with_parent
+from sim_server.worlds.model_path import bytes_in, models_in
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+SHOWN = 5
+"""Entries of the report that a refusal repeats."""
+
+
+def main() -> None:
+    """Read the world that is asked for."""
+    die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    order = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=WorldOrder)
+    try:
+        loaded = load_world(order.name, order.model_paths, is_strict=order.is_strict)
+        outcome = WorldOutcome(loaded)
+    except ConfigError as error:
+        outcome = WorldOutcome(fault=str(error))
+    sys.stdout.buffer.write(msgspec.msgpack.encode(outcome))
+
+
+def load_world(
+    name: str, model_paths: Iterable[str] = (), *, is_strict: bool = False
+) -> LoadedWorld:
+    """Read a shipped world by name, or a world file by path, and the files that it names.
+
+    Args:
+        name: Of the world.
+        model_paths: Folders to look for models and meshes in, beside that of the world file.
+        is_strict: Refuse a world of which something was left out or is suspicious.
+
+    Raises:
+        ConfigError: There is none, or it cannot be read.
+    """
+    folders = [Path(path) for path in model_paths]
+    try:
+        if name in shipped_worlds():
+            loaded = _loaded(world_text(name), folders)
+        else:
+            file = Path(name)
+            text = file.read_text(encoding="utf-8")
+            loaded = _loaded(text, [file.resolve().parent, *folders])
+    except SimError as error:
+        raise ConfigError(f"world '{name}': {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        shipped = ", ".join(shipped_worlds())
+        raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
+    if is_strict and (faults := doubts(loaded.model.report)):
+        raise ConfigError(
+            f"world '{name}' is refused by --strict: {'; '.join(faults[:SHOWN])}"
+            + (f"; and {len(faults) - SHOWN} more" if len(faults) > SHOWN else "")
+        )
+    return loaded
+
+
+def _loaded(text: str, folders: Sequence[Path]) -> LoadedWorld:
+    read = bytes_in(folders)
+
+    @cache
+    def find_mesh(uri: str) -> tuple[str, bytes] | None:
+        data = read(uri)
+        return None if data is None else (sha256(data).hexdigest(), data)
+
+    described = describe_world(text, resolve=models_in(folders), find_mesh=find_mesh)
+    return LoadedWorld(described.world, described.meshes)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""How steps follow one another: goals, lockstep, and how the loop is doing."""

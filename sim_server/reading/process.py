@@ -1,0 +1,167 @@
+"""The reader: a process that turns strangers' texts into Models and can do nothing else.
+
+Its rights go before the first request comes: no new file or socket, bounded memory and CPU time;
+it dies with the server. `python -m sim_server.reading.process`: frames in on stdin, out on stdout.
+"""
+
+import ctypes
+import os
+import resource
+import signal
+from pathlib import Path
+
+import msgspec
+
+from proto.result import SpawnCode
+from sim_server.description.describing import describe, describe_world, warm_up
+from sim_server.errors import ModelError
+from sim_server.reading.messages import LENGTH, MeshMade, ReaderReady, ReadRequest, TextRead, framed
+
+PR_SET_PDEATHSIG = 1
+MEMORY_BYTES = 1 << 30
+"""Address space on top of what the imports took."""
+CPU_S = 10
+"""For each request."""
+STDIN, STDOUT, STDERR = 0, 1, 2
+
+
+def main() -> None:
+    """Serve until the server closes its end."""
+    die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    answers = os.dup(STDOUT)
+    os.dup2(STDERR, STDOUT)
+    warm_up()
+    give_up_rights()
+    write_all(answers, framed(ReaderReady()))
+    while (frame := read_frame(STDIN)) is not None:
+        serve(frame, answers)
+
+
+def die_with_parent() -> None:
+    """Ask the kernel to end this process when its parent ends."""
+    ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def give_up_rights() -> None:
+    """Take away new files, sockets, processes, big files, core dumps, and most memory."""
+    most = used_bytes() + MEMORY_BYTES
+    for kind in (resource.RLIMIT_NOFILE, resource.RLIMIT_FSIZE, resource.RLIMIT_CORE):
+        resource.setrlimit(kind, (0, 0))
+    resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+def used_bytes() -> int:
+    """Measure this process's address space."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    return pages * resource.getpagesize()
+
+
+def serve(frame: bytes, answers: int) -> None:
+    """Answer one request; running out of memory is an answer, too."""
+    limit_cpu()
+    request = msgspec.msgpack.decode(frame, type=ReadRequest)
+    try:
+        answer, meshes = read(
+            request, {sha256: read_frame(STDIN) or b"" for sha256 in request.files}
+        )
+        for sha256, data in meshes.items():
+            write_all(answers, framed(MeshMade(sha256, data)))
+    except MemoryError:
+        answer = TextRead(
+            request.number,
+            None,
+            SpawnCode.RESOURCE_PARSE_ERROR,
+            slug="reader.memory",
+            message=f"reading took more than {MEMORY_BYTES >> 20} MiB; make the meshes smaller",
+        )
+    write_all(answers, framed(answer))
+
+
+Files = dict[str, bytes]
+Wanted = dict[str, None]
+
+
+def read(request: ReadRequest, files: Files) -> tuple[TextRead, Files]:
+    """Read a robot or a world; find the answer, and the meshes that were made for it."""
+    wanted: Wanted = {}
+    try:
+        return (read_world if request.is_world else read_model)(request, files, wanted)
+    except ModelError as error:
+        message = error.message.removeprefix(f"{error.slug}: ")
+        said = (request.number, None, int(error.code), error.slug, message)
+        return TextRead(*said, wanted=tuple(wanted)), {}
+
+
+def read_model(request: ReadRequest, files: Files, _: Wanted) -> tuple[TextRead, Files]:
+    """Read a robot, and make its meshes."""
+    described = describe(
+        request.text,
+        assets={ref.uri: (ref.sha256, files.get(ref.sha256)) for ref in request.assets},
+        allow_missing=request.allow_missing,
+        compat=request.compat,
+    )
+    return TextRead(request.number, described.model), described.meshes
+
+
+def read_world(request: ReadRequest, files: Files, wanted: Wanted) -> tuple[TextRead, Files]:
+    """Read a world, and make its meshes; note in `wanted` which files it names and lacks."""
+    sha256s = {ref.uri: ref.sha256 for ref in request.assets if ref.sha256 in files}
+
+    def find(uri: str) -> tuple[str, bytes] | None:
+        if (sha256 := sha256s.get(uri)) is None:
+            wanted[uri] = None
+            return None
+        return sha256, files[sha256]
+
+    def resolve(uri: str) -> str | None:
+        found = find(uri)
+        return found[1].decode("utf-8", "replace") if found else None
+
+    described = describe_world(
+        request.text, resolve=resolve, find_mesh=find, allow_missing=request.allow_missing
+    )
+    answer = TextRead(
+        request.number,
+        world=described.world,
+        wanted=tuple(wanted),
+        unusable=described.unusable,
+    )
+    return answer, described.meshes
+
+
+def limit_cpu() -> None:
+    """Allow so many CPU seconds from now on."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    most = int(used.ru_utime + used.ru_stime) + CPU_S + 1
+    resource.setrlimit(resource.RLIMIT_CPU, (most, resource.RLIM_INFINITY))
+
+
+def read_frame(stream: int) -> bytes | None:
+    """Read a frame; None when the other end was closed."""
+    if (head := _read_exactly(stream, LENGTH.size)) is None:
+        return None
+    return _read_exactly(stream, LENGTH.unpack(head)[0])
+
+
+def _read_exactly(stream: int, length: int) -> bytes | None:
+    parts = []
+    while length:
+        part = os.read(stream, min(length, 1 << 20))
+        if not part:
+            return None
+        parts.append(part)
+        length -= len(part)
+    return b"".join(parts)
+
+
+def write_all(stream: int, data: bytes) -> None:
+    """Write everything, however often the pipe is full."""
+    left = memoryview(data)
+    while left:
+        left = left[os.write(stream, left) :]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+"""The server's side of the reader process: hands texts over, takes models back, never waits.
+
+One request is under way at a time. A reader that dies or takes too long is replaced, and what it
+was reading is refused.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import subprocess
+import sys
+from collections import deque
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+
+from proto.header import NANOSECONDS
+from proto.result import ResultCode
+from sim_server.reading.messages import (
+    LENGTH,
+    MeshMade,
+    ReaderMessage,
+    ReaderReady,
+    ReadRequest,
+    TextRead,
+    framed,
+)
+from sim_server.reading.own_time import ReaderTime
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+LOG = logging.getLogger(__name__)
+
+COMMAND = (sys.executable, "-m", "sim_server.reading.process")
+DEADLINE_S = 9.0
+"""From handing a request over to its answer, in the reader's own time: callers wait for 10 s."""
+START_S = 60.0
+TOO_LONG = f"reading took more than {DEADLINE_S:g} s; make the description smaller, or try again"
+PIECE_BYTES = 1 << 20
+"""Written or read in one turn of the loop, at most."""
+NICENESS = 10
+"""Physics comes first when cores are few."""
+DECODER = msgspec.msgpack.Decoder(ReaderMessage)
+
+
+class Files(Protocol):
+    """Where the bytes of a sha256 are."""
+
+    def size(self, sha256: str) -> int:
+        """Length of a file."""
+
+    def piece(self, sha256: str, offset: int, most: int) -> bytes:
+        """Read a piece of a file."""
+
+
+class Reader:
+    """A reader process and the requests that wait for it."""
+
+    def __init__(
+        self, files: Files, now_ns: Callable[[], int], command: Sequence[str] = COMMAND
+    ) -> None:
+        self._files = files
+        self._time = ReaderTime(now_ns)
+        self._command = command
+        self._queue: deque[tuple[ReadRequest, int]] = deque()
+        self._ended: list[subprocess.Popen[bytes]] = []
+        self._begin()
+
+    @property
+    def process_id(self) -> int:
+        """Of the reader that is up."""
+        return self._process.pid
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the process has started and reads nothing now."""
+        return self._is_ready and self._current is None
+
+    def submit(self, request: ReadRequest) -> None:
+        """Hand a request over; it is read after those before it."""
+        self._queue.append((request, self._time.now_ns + round(DEADLINE_S * NANOSECONDS)))
+
+    def poll(self) -> list[MeshMade | TextRead]:
+        """Move some bytes each way, and take what is read."""
+        self._ended = [process for process in self._ended if process.poll() is None]
+        self._time.look()
+        answers = self._received()
+        if self._process.poll() is not None:
+            return answers + self._ended_itself()
+        if self._time.now_ns > self._deadline_ns:
+            return answers + self._replaced(TOO_LONG, slug="reader.timeout")
+        answers += self._overdue()
+        self._next()
+        self._send()
+        return answers
+
+    def close(self) -> None:
+        """End the process."""
+        self._end()
+        for process in self._ended:
+            process.wait()
+
+    def _begin(self) -> None:
+        self._process = subprocess.Popen(
+            self._command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            bufsize=0,
+            start_new_session=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._time.watch(self._process.pid)
+        os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
+        self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
+        for stream in (self._in, self._out):
+            os.set_blocking(stream, False)
+        self._current: ReadRequest | None = None
+        self._is_ready = False
+        self._outgoing = memoryview(b"")
+        self._to_send: deque[tuple[str, int]] = deque()
+        self._incoming = bytearray()
+        self._deadline_ns = self._time.now_ns + round(START_S * NANOSECONDS)
+
+    def _end(self) -> None:
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                stream.close()
+        self._process.kill()
+        self._ended.append(self._process)
+
+    def _ended_itself(self) -> list[MeshMade | TextRead]:
+        status = self._process.returncode
+        if status == -signal.SIGXCPU:
+            return self._replaced(TOO_LONG, slug="reader.timeout")
+        message = f"the reader ended (status {status}) over it; make it simpler"
+        return self._replaced(message, slug="reader.crashed")
+
+    def _replaced(self, message: str, *, slug: str) -> list[MeshMade | TextRead]:
+        current = self._current
+        LOG.warning("reader replaced reason=%s status=%s", slug, self._process.returncode)
+        self._end()
+        self._begin()
+        if current is None:
+            return []
+        return [_refused(current, message, slug=slug)]
+
+    def _next(self) -> None:
+        if self._current is not None or not self._queue or not self._is_ready:
+            return
+        self._current, self._deadline_ns = self._queue.popleft()
+        self._outgoing = memoryview(framed(self._current))
+        self._to_send = deque((sha256, -1) for sha256 in self._current.files)
+
+    def _overdue(self) -> list[MeshMade | TextRead]:
+        """Refuse what has waited for too long behind others, or for a new reader to start."""
+        answers: list[MeshMade | TextRead] = []
+        while self._queue and self._time.now_ns > self._queue[0][1]:
+            late, _ = self._queue.popleft()
+            answers.append(_refused(late, TOO_LONG, slug="reader.timeout"))
+        return answers
+
+    def _send(self) -> None:
+        left = PIECE_BYTES
+        while left > 0 and (self._outgoing or self._fill()):
+            try:
+                written = os.write(self._in, self._outgoing[:left])
+            except (BlockingIOError, BrokenPipeError):
+                return
+            self._outgoing = self._outgoing[written:]
+            left -= written
+
+    def _fill(self) -> bool:
+        if not self._to_send:
+            return False
+        sha256, offset = self._to_send.popleft()
+        size = self._files.size(sha256)
+        if offset < 0:
+            self._outgoing = memoryview(LENGTH.pack(size))
+        else:
+            self._outgoing = memoryview(self._files.piece(sha256, offset, PIECE_BYTES))
+        following = max(offset, 0) if offset < 0 else offset + len(self._outgoing)
+        if following < size:
+            self._to_send.appendleft((sha256, following))
+        return True
+
+    def _received(self) -> list[MeshMade | TextRead]:
+        try:
+            self._incoming += os.read(self._out, PIECE_BYTES)
+        except BlockingIOError:
+            return []
+        answers = []
+        while (message := self._next_message()) is not None:
+            if isinstance(message, ReaderReady):
+                self._note_free()
+                continue
+            if isinstance(message, TextRead):
+                self._note_free()
+            answers.append(message)
+        return answers
+
+    def _note_free(self) -> None:
+        self._is_ready = True
+        self._current = None
+        self._deadline_ns = sys.maxsize
+
+    def _next_message(self) -> ReaderMessage | None:
+        if len(self._incoming) < LENGTH.size:
+            return None
+        end = LENGTH.size + LENGTH.unpack_from(self._incoming)[0]
+        if len(self._incoming) < end:
+            return None
+        message: ReaderMessage = DECODER.decode(memoryview(self._incoming)[LENGTH.size : end])
+        self._incoming = self._incoming[end:]
+        return message
+
+
+def _refused(request: ReadRequest, message: str, *, slug: str) -> TextRead:
+    return TextRead(request.number, None, ResultCode.OPERATION_FAILED, slug, message)

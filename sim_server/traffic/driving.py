@@ -1,0 +1,134 @@
+"""The loop's dealings with agents: who is there, what each is told, what it commands."""
+
+import logging
+
+import msgspec
+
+from proto.bus import Sample
+from proto.claims import DriveCommand, DriveState
+from proto.codec import MalformedPayload, decode
+from proto.keys import agent_of
+from proto.services import State
+from proto.telemetry import Event
+from sim_server.desk import Desk
+from sim_server.traffic.inbox import Inbox
+from sim_server.traffic.outlets import Outlet
+
+LOG = logging.getLogger(__name__)
+
+
+class Driving:
+    """Tells agents where their entities are, takes their commands, and waits where it must."""
+
+    def __init__(self, desk: Desk, inbox: Inbox, outlet: Outlet) -> None:
+        self._desk = desk
+        self._world = desk.world
+        self._lockstep = desk.lockstep
+        self._inbox = inbox
+        self._outlet = outlet
+        self._told_of = self._seen
+
+    def serve(self) -> None:
+        """Take in who came and went, and what was commanded."""
+        for agent, is_alive in self._inbox.take_agents():
+            self._note_agent(agent, is_alive=is_alive)
+        for bond, is_alive in self._inbox.take_bonds():
+            self._note_bond(bond, is_alive=is_alive)
+        for sample in self._inbox.take_commands():
+            self._command(sample)
+
+    def tell(self) -> None:
+        """Tell every agent: this is a control step."""
+        for agent, state in self._world.drive_states():
+            self._tell(agent, state)
+        self._told_of = self._seen
+
+    def tell_changes(self) -> None:
+        """Tell those whose claims or whose epoch are others than when they were told last."""
+        if self._told_of == self._seen:
+            return
+        for agent, state in self._world.drive_states():
+            if not self._lockstep.has_told(agent, state):
+                self._tell(agent, state)
+        self._told_of = self._seen
+
+    def must_wait(self) -> bool:
+        """Whether time stands until agents have answered; those that are too late are dealt with.
+
+        What to do then is `LockstepSettings.on_miss`.
+        """
+        if not self._lockstep.is_waiting:
+            return False
+        late = self._lockstep.look(self._desk.now_ns())
+        if late and self._lockstep.settings.on_miss == "wait":
+            self._tell_again(late)
+        elif late:
+            self._miss(late)
+        return self._lockstep.is_waiting
+
+    @property
+    def _seen(self) -> tuple[int, int]:
+        return self._world.epoch, self._world.claims.changes
+
+    def _tell(self, agent: str, state: DriveState) -> None:
+        told = msgspec.structs.replace(
+            state,
+            newest_claim=self._world.claims.newest,
+            is_awaited=self._lockstep.settings.is_on or len(self._desk.stepping) > 0,
+        )
+        self._outlet.tell_agent(agent, told)
+        if not told.claims:
+            self._lockstep.forget(agent)
+        elif not self._lockstep.tell(agent, told, self._desk.now_ns()):
+            self._desk.stepping.note_late((agent,))
+
+    def _tell_again(self, late: tuple[str, ...]) -> None:
+        """Repeat what may have been lost on the way: a congested network drops messages."""
+        for agent, state in self._world.drive_states():
+            if agent in late:
+                self._tell(agent, state)
+
+    def _miss(self, late: tuple[str, ...]) -> None:
+        settings, step = self._lockstep.settings, self._world.steps
+        for agent in late:
+            text = f"agent '{agent}' did not answer step {step} within {settings.timeout_s:g} s"
+            LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
+            event = Event("missed", "", agent, step, self._world.epoch, text)
+            self._outlet.tell("events", event)
+        if settings.on_miss == "fail":
+            self._stand_still(f"{text}; see that it runs, and go on")
+        else:
+            self._desk.stepping.note_late(late)
+
+    def _stand_still(self, reason: str) -> None:
+        self._desk.stepping.abort(reason)
+        if self._world.state == State.PLAYING:
+            self._world.pause()
+
+    def _note_agent(self, agent: str, *, is_alive: bool) -> None:
+        if is_alive:
+            self._desk.alive_agents.add(agent)
+            return
+        self._desk.alive_agents.discard(agent)
+        self._world.release(agent)
+        self._lockstep.forget(agent)
+        self._outlet.forget_agent(agent)
+
+    def _note_bond(self, bond: str, *, is_alive: bool) -> None:
+        if is_alive:
+            self._desk.alive_bonds.add(bond)
+        else:
+            self._desk.end_bond(bond)
+
+    def _command(self, sample: Sample) -> None:
+        agent = agent_of(sample.key)
+        try:
+            command = decode(DriveCommand, sample.payload, sample.encoding)
+        except MalformedPayload as error:
+            self._world.claims.dropped += 1
+            LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
+            return
+        if not self._lockstep.answer(agent, command):
+            self._world.claims.dropped += 1
+        elif self._world.command(agent, command):
+            self._world.note_ready(agent, self._desk.now_ns())

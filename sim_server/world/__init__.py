@@ -1,0 +1,1 @@
+"""The pure core: entities and simulation time over an engine."""

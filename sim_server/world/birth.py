@@ -1,0 +1,38 @@
+"""A checked wish to spawn, and the names that it would get."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from proto.info import EntityInfo
+from proto.model import Model
+from sim_server.physics.engine import FloatArray
+from sim_server.world.entity import Entity
+from sim_server.world.naming import free_name, free_namespace
+
+
+@dataclass(frozen=True)
+class Birth:
+    """A checked wish to spawn."""
+
+    name: str
+    namespace: str
+    model: Model
+    base: FloatArray
+    description: str = ""
+    allow_renaming: bool = False
+    born_ns: int = 0
+    belongs_to_world: bool = False
+    info: EntityInfo | None = None
+
+    def names_among(self, entities: Mapping[str, Entity]) -> tuple[str, str]:
+        """Find the name and the namespace that it would get beside others.
+
+        Raises:
+            NameNotUnique: The name is taken and may not be changed.
+            NameRefused: The name is not valid.
+            NamespaceRefused: The namespace is not valid, or another entity has it.
+        """
+        name = free_name(self.name, entities, allow_renaming=self.allow_renaming)
+        if self.belongs_to_world and self.model.drive is None:
+            return name, ""
+        return name, free_namespace(self.namespace or name, entities.values())

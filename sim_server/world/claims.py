@@ -1,0 +1,116 @@
+"""Who drives what, and the newest targets of each agent. No physics, no network."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from proto.claims import DriveCommand, OnRelease
+from sim_server.physics.engine import FloatArray
+from sim_server.world.entity import Entity, Fleet, Hold, Roster, fleet_of
+
+
+class Claims:
+    """The holds on entities; each entity has one driver at most."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        """Commands that did not fit."""
+        self.taken = 0
+        self.changes = 0
+        """Counts claims that were granted or ended."""
+        self._holds: dict[str, Hold] = {}
+        self._next_claim = 1
+        self._targets: dict[str, FloatArray] = {}
+        self._emptied: set[str] = set()
+        self._fleets: dict[str, Fleet] | None = None
+
+    def __len__(self) -> int:
+        return len(self._holds)
+
+    @property
+    def newest(self) -> int:
+        """The claim that was granted last; 0 before the first."""
+        return self._next_claim - 1
+
+    @property
+    def agents(self) -> tuple[str, ...]:
+        """Agents that hold something."""
+        return tuple(dict.fromkeys(hold.agent for hold in self._holds.values()))
+
+    def agent_of(self, name: str) -> str:
+        """Who drives an entity; empty when nobody does."""
+        hold = self._holds.get(name)
+        return hold.agent if hold else ""
+
+    def held_by(self, agent: str) -> list[tuple[str, Hold]]:
+        """What an agent drives, in the order of claiming."""
+        return [(name, hold) for name, hold in self._holds.items() if hold.agent == agent]
+
+    def grant(self, agent: str, name: str, on_release: OnRelease) -> Hold:
+        """Make an agent the driver of an entity, under a new claim."""
+        hold = Hold(self._next_claim, agent, on_release)
+        self._next_claim += 1
+        self._holds[name] = hold
+        self.changes += 1
+        self.forget_rows()
+        self._targets.pop(agent, None)
+        self._emptied.discard(agent)
+        return hold
+
+    def drop(self, name: str) -> None:
+        """End the claim on an entity, if there is one; an agent left with nothing is told so."""
+        if (hold := self._holds.pop(name, None)) is None:
+            return
+        self.changes += 1
+        self.forget_rows()
+        self._targets.pop(hold.agent, None)
+        if not self.held_by(hold.agent):
+            self._emptied.add(hold.agent)
+
+    def forget_agent(self, agent: str) -> None:
+        """Leave nobody to be told: the agent has gone."""
+        self._emptied.discard(agent)
+
+    def take_emptied(self) -> list[str]:
+        """Take the agents that have lost their last entity and still are to be told."""
+        emptied, self._emptied = sorted(self._emptied), set()
+        return emptied
+
+    def forget_rows(self) -> None:
+        """Cut the fleets anew: entities or claims have changed."""
+        self._fleets = None
+
+    def fleets(self, roster: Roster, entities: Mapping[str, Entity]) -> dict[str, Fleet]:
+        """What each agent drives, cut out of a roster."""
+        if self._fleets is None:
+            members: dict[str, list[tuple[Entity, Hold]]] = {}
+            for name, hold in self._holds.items():
+                members.setdefault(hold.agent, []).append((entities[name], hold))
+            self._fleets = {agent: fleet_of(roster, held) for agent, held in members.items()}
+        return self._fleets
+
+    def command(self, agent: str, fleet: Fleet | None, command: DriveCommand) -> bool:
+        """Keep an agent's targets until they are taken; drop and count those that do not fit."""
+        targets = None if fleet is None else _targets(fleet, command)
+        if targets is None:
+            self.dropped += 1
+            return False
+        self._targets[agent] = targets
+        self.taken += 1
+        return True
+
+    def take_targets(self) -> Iterator[tuple[str, FloatArray]]:
+        """Take what the agents want of the next step."""
+        targets, self._targets = self._targets, {}
+        yield from targets.items()
+
+    def forget_targets(self) -> None:
+        """Drop what the agents wanted: it was meant for another time."""
+        self._targets = {}
+
+
+def _targets(fleet: Fleet, command: DriveCommand) -> FloatArray | None:
+    if command.claims != fleet.claims or len(command.targets) != 8 * fleet.target_count:
+        return None
+    targets = np.frombuffer(command.targets, dtype="<f8")
+    return targets if np.isfinite(targets).all() else None

@@ -1,0 +1,167 @@
+"""Entities gone bad: which they are, where each was last good, and what stands in for a frozen one.
+
+An entity is bad once its state holds a number that is not finite, or lies out of the world. Engines
+cannot be relied on to carry such a body on, so it is made anew at rest where it was last good.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from proto.model import Joint, Model, Origin
+from sim_server.geometry.kinematics import joint_motion, placed, row_of
+from sim_server.physics.engine import FloatArray, Reading
+from sim_server.world.entity import Entity, Roster
+
+FARTHEST_M = 1e6
+"""From the origin along an axis: ten times as far as a pose may be asked for."""
+PROBATION_NS = 1_000_000_000
+"""An entity that goes bad again within this simulation time is frozen."""
+FROZEN = (
+    "frozen where it was last good: its state was not finite or out of the world; "
+    "set its state, reset the world, or delete it"
+)
+SET_BACK = "put back at rest where it was last good: it went bad together with another"
+
+
+@dataclass(frozen=True)
+class Stand:
+    """How an entity stands still.
+
+    Attributes:
+        base: State row (13,), velocities 0.
+        positions: Of its joints, in the order of `Model.joints`.
+    """
+
+    base: FloatArray
+    positions: FloatArray
+
+
+class Watch:
+    """Remembers the last good reading, and which entities are frozen."""
+
+    def __init__(self) -> None:
+        self._frozen: dict[str, Stand] = {}
+        self._struck_ns: dict[str, int] = {}
+        self._newcomers: set[str] = set()
+        self._roster: Roster | None = None
+        self._reading: Reading | None = None
+
+    def is_frozen(self, name: str) -> bool:
+        """Whether an entity is frozen."""
+        return name in self._frozen
+
+    def bad(self, roster: Roster, reading: Reading) -> list[str]:
+        """Name the entities that have gone bad, but for those that are frozen already."""
+        if _is_good(reading):
+            return []
+        base = reading.base
+        is_bad = ~np.isfinite(base).all(axis=1) | (np.abs(base[:, :3]) > FARTHEST_M).any(axis=1)
+        owner = np.repeat(np.arange(len(roster.names)), roster.joint_count)
+        rows = set(np.flatnonzero(is_bad).tolist())
+        for numbers in (reading.joint_positions, reading.joint_velocities):
+            rows.update(owner[~np.isfinite(numbers)].tolist())
+        names = [roster.names[row] for row in sorted(rows)]
+        return [name for name in names if name not in self._frozen]
+
+    def culprits(self, bad: Sequence[Entity], time_ns: int) -> set[str]:
+        """Choose whom to freeze of those that went bad together; the others were pulled along.
+
+        It is those that are bad again after a short time, or else the one that was fastest. What
+        cannot move did not begin it.
+        """
+        names = [entity.name for entity in bad if can_move(entity.model)]
+        again = {
+            name
+            for name in names
+            if time_ns - self._struck_ns.get(name, -PROBATION_NS) < PROBATION_NS
+        }
+        self._struck_ns.update(dict.fromkeys(names, time_ns))
+        return again or set(sorted(names, key=self._speed_of)[-1:])
+
+    def last_good(self, entity: Entity) -> Stand:
+        """Find where an entity was last good; where it was spawned if it never was."""
+        base, positions = entity.initial, np.zeros(len(entity.model.joints))
+        if (found := self._last(entity.name)) is not None:
+            base, positions, _ = found
+        row = base.copy()
+        row[7:] = 0.0
+        return Stand(row, positions.copy())
+
+    def freeze(self, entity: Entity) -> Stand:
+        """Note that an entity is frozen from now on."""
+        return self._frozen.setdefault(entity.name, self.last_good(entity))
+
+    def thaw(self, name: str) -> Stand | None:
+        """Note that an entity lives again; None when it was not frozen."""
+        self._struck_ns.pop(name, None)
+        return self._frozen.pop(name, None)
+
+    def forget(self, name: str) -> None:
+        """Note that an entity is gone: another of its name has nothing to do with it."""
+        self.thaw(name)
+        self._newcomers.add(name)
+
+    def forget_all(self) -> None:
+        """Note that the world starts again; who is frozen remains so."""
+        self._struck_ns.clear()
+        self._roster = self._reading = None
+
+    def remember(self, roster: Roster, reading: Reading) -> Reading:
+        """Keep a good reading; return it with the joints of frozen entities as they froze."""
+        for name, stand in self._frozen.items():
+            reading.joint_positions[roster.joints_of(name)] = stand.positions
+        self._roster, self._reading = roster, reading
+        self._newcomers.clear()
+        return reading
+
+    def _last(self, name: str) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        roster, reading = self._roster, self._reading
+        if roster is None or reading is None or name in self._newcomers:
+            return None
+        if (row := roster.row.get(name)) is None:
+            return None
+        joints = roster.joints_of(name)
+        return reading.base[row], reading.joint_positions[joints], reading.joint_velocities[joints]
+
+    def _speed_of(self, name: str) -> float:
+        if (found := self._last(name)) is None:
+            return np.inf
+        base, _, velocities = found
+        return float(np.abs(np.concatenate([base[7:], velocities])).max())
+
+
+def _is_good(reading: Reading) -> bool:
+    # Finite as a rule: one pass over each array then tells all.
+    return (
+        bool(np.isfinite(reading.base).all())
+        and bool((np.abs(reading.base[:, :3]) <= FARTHEST_M).all())
+        and bool(np.isfinite(reading.joint_positions).all())
+        and bool(np.isfinite(reading.joint_velocities).all())
+    )
+
+
+def can_move(model: Model) -> bool:
+    """Whether any part of a model moves by itself."""
+    return not model.is_static or any(joint.kind != "fixed" for joint in model.joints)
+
+
+def still(model: Model, positions: FloatArray) -> Model:
+    """Make a model whose links never move: its joints are fixed where they are."""
+    joints = tuple(
+        _fixed(joint, position)
+        for joint, position in zip(model.joints, positions.tolist(), strict=True)
+    )
+    return msgspec.structs.replace(model, joints=joints, drive=None, is_static=True)
+
+
+def _fixed(joint: Joint, position: float) -> Joint:
+    return msgspec.structs.replace(joint, kind="fixed", origin=_moved(joint, position), mimic=None)
+
+
+def _moved(joint: Joint, position: float) -> Origin:
+    moved = placed(row_of(joint.origin), joint_motion(joint, np.array([position])))[0]
+    x, y, z, qx, qy, qz, qw = moved.tolist()
+    return Origin((x, y, z), (qx, qy, qz, qw))

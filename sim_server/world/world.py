@@ -1,0 +1,400 @@
+"""The World: entities and simulation time, over an engine. No network, no clock, no files."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from proto.claims import Claim, DriveCommand, DriveState, OnRelease
+from proto.info import EntityInfo
+from proto.model import Model
+from proto.result import ClaimCode
+from proto.services import ResetScope, State
+from proto.telemetry import Snapshot
+from sim_server.errors import EntityNotFound, IncorrectState, Refused, SimError
+from sim_server.physics.actuation import standing
+from sim_server.physics.engine import Engine, FloatArray, Reading
+from sim_server.world.birth import Birth
+from sim_server.world.chronicle import Chronicle
+from sim_server.world.claims import Claims
+from sim_server.world.entity import Entity, Fleet, Roster, info_of, roster_of
+from sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, still
+from sim_server.world.pushes import Pushes
+
+
+class World(Chronicle):
+    """One engine, one time, its entities, and who drives them."""
+
+    def __init__(self, engine: Engine, *, name: str, step_ns: int, control_steps: int) -> None:
+        super().__init__(step_ns=step_ns)
+        self.name = name
+        self.control_steps = control_steps
+        self.roster_number = self.placed = 0
+        self.ready_s: dict[str, float] = {}
+        self._engine = engine
+        self._entities: dict[str, Entity] = {}
+        self.claims = Claims()
+        self.pushes = Pushes()
+        self._roster: Roster | None = None
+        self._reading: Reading | None = None
+        self._watch = Watch()
+
+    @property
+    def engine_name(self) -> str:
+        """Which physics this world has."""
+        return self._engine.name
+
+    @property
+    def entities(self) -> tuple[Entity, ...]:
+        """All entities in the order of spawning."""
+        return tuple(self._entities.values())
+
+    @property
+    def is_control_step(self) -> bool:
+        """Whether agents are told at this step."""
+        return self.steps % self.control_steps == 0
+
+    def entity(self, name: str) -> Entity:
+        """Find an entity.
+
+        Raises:
+            EntityNotFound: There is none of this name.
+        """
+        if (found := self._entities.get(name)) is None:
+            raise EntityNotFound(name)
+        return found
+
+    def prepare(self, model: Model) -> bool:
+        """Make a part of what `spawn` needs for a model; say whether nothing is left."""
+        return self._engine.prepare(model)
+
+    def spawn(self, birth: Birth) -> Entity:
+        """Put an entity into the world.
+
+        Raises:
+            NameNotUnique: The name is taken and may not be changed.
+            NameRefused: The name is not valid.
+            NamespaceRefused: The namespace is not valid, or another entity has it.
+            EngineRefused: The engine cannot simulate the model.
+        """
+        name, namespace = self.names_for(birth)
+        body = self._engine.add(birth.model, birth.base)
+        entity = Entity(
+            *(name, namespace, birth.model, body, birth.base.copy(), birth.description),
+            born_ns=birth.born_ns,
+            belongs_to_world=birth.belongs_to_world,
+            info=birth.info or info_of(birth.model),
+        )
+        self._entities[name] = entity
+        self._changed()
+        self._tell("spawned", entity=name)
+        return entity
+
+    def names_for(self, birth: Birth) -> tuple[str, str]:
+        """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
+        return birth.names_among(self._entities)
+
+    @contextmanager
+    def all_or_none(self) -> Iterator[None]:
+        """Take back what is spawned in this block when it is refused; nobody is told of it."""
+        before, told = set(self._entities), len(self._events)
+        try:
+            yield
+        except SimError:
+            for name in [name for name in self._entities if name not in before]:
+                self._engine.remove(self._entities.pop(name).body)
+            del self._events[told:]
+            self._changed()
+            raise
+
+    def describe(self, name: str, info: EntityInfo) -> None:
+        """Say what an entity is; raises EntityNotFound."""
+        self._entities[name] = replace(self.entity(name), info=info)
+
+    def rehearse(self, birth: Birth) -> list[str]:
+        """Spawn and take back at once; name the entities that it overlaps; raises as `spawn` does.
+
+        Nobody is told.
+        """
+        self.names_for(birth)
+        body = self._engine.add(birth.model, birth.base)
+        try:
+            return self._overlapped(body)
+        finally:
+            self._engine.remove(body)
+
+    def overlapped(self, name: str) -> list[str]:
+        """Name the entities that an entity overlaps."""
+        return self._overlapped(self.entity(name).body)
+
+    def _overlapped(self, body: int) -> list[str]:
+        bodies = set(self._engine.overlapping(body))
+        return [name for name, other in self._entities.items() if other.body in bodies]
+
+    def delete(self, name: str) -> None:
+        """Take an entity out; its claim ends.
+
+        Raises:
+            EntityNotFound: There is none of this name.
+        """
+        entity = self.entity(name)
+        self.claims.drop(name)
+        self._watch.forget(name)
+        self.pushes.forget(name)
+        self._engine.remove(entity.body)
+        del self._entities[name]
+        self.ready_s.pop(name, None)
+        self._changed()
+        self._tell("deleted", entity=name)
+
+    def state_of(self, name: str) -> FloatArray:
+        """Read one entity's state row (13,)."""
+        return np.asarray(self.reading().base[self.roster().row[self.entity(name).name]])
+
+    def place(self, name: str, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """Put an entity's root link at a state row (13,), and its joints at rest if told where.
+
+        A frozen one lives again; raises EntityNotFound.
+        """
+        self._thaw(self.entity(name))
+        body = self._entities[name].body
+        if positions is None:
+            self._engine.place(body, base)
+        else:
+            self._engine.rest(body, base, positions)
+        self.placed += 1
+        self._reading = None
+
+    def remodel(self, name: str, model: Model) -> None:
+        """Make an entity of another model with the same links and joints; it goes on as it was.
+
+        Its joints are at rest for a moment.
+
+        Raises:
+            EntityNotFound: There is none of this name.
+            IncorrectState: It is frozen.
+            EngineRefused: The engine cannot simulate the model.
+        """
+        entity = self.entity(name)
+        if self._watch.is_frozen(name):
+            raise IncorrectState(f"entity '{name}' is {FROZEN}")
+        positions = self.reading().joint_positions[self.roster().joints_of(name)]
+        stand = Stand(self.state_of(name), positions.copy())
+        self._engine.remove(self._engine.add(model, stand.base))  # else it would be gone if refused
+        self._stand_up(replace(entity, model=model), stand)
+        self._changed()
+
+    def claim(self, agent: str, names: tuple[str, ...], on_release: OnRelease) -> tuple[Claim, ...]:
+        """Make an agent the only driver of some entities, all or none.
+
+        Raises:
+            EntityNotFound: One does not exist.
+            IncorrectState: One is frozen.
+            Refused: Another agent drives one.
+        """
+        wanted = [self.entity(name) for name in dict.fromkeys(names)]
+        for entity in wanted:
+            if self._watch.is_frozen(entity.name):
+                raise IncorrectState(f"entity '{entity.name}' is {FROZEN}")
+            if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
+                raise Refused(
+                    ClaimCode.ALREADY_CLAIMED,
+                    f"entity '{entity.name}' is driven by agent '{holder}'; stop that agent first",
+                )
+        return tuple(self._grant(agent, entity, on_release) for entity in wanted)
+
+    def release(self, agent: str) -> None:
+        """End all claims of an agent, as each of them said it should end."""
+        for name, hold in self.claims.held_by(agent):
+            entity = self._entities[name]
+            self.claims.drop(name)
+            self._tell("released", entity=name, agent=agent)
+            if hold.on_release == "stop":
+                positions = self._engine.read([entity.body]).joint_positions
+                self._engine.command([entity.body], standing(entity.model, positions))
+            elif hold.on_release == "delete":
+                self.delete(name)
+        self.claims.forget_agent(agent)
+
+    def command(self, agent: str, command: DriveCommand) -> bool:
+        """Take an agent's targets for the next step; one that does not fit is dropped and counted.
+
+        Returns:
+            Whether it was taken.
+        """
+        is_of_now = command.epoch == self.epoch
+        return self.claims.command(agent, self.fleets().get(agent) if is_of_now else None, command)
+
+    def note_ready(self, agent: str, now_ns: int) -> None:
+        """Remember how long each entity of an agent took from spawn to its first command."""
+        for name, _ in self.claims.held_by(agent):
+            if name not in self.ready_s:
+                self.ready_s[name] = (now_ns - self._entities[name].born_ns) * 1e-9
+
+    def step(self) -> None:
+        """Advance by one step: commands, then physics."""
+        for agent, targets in self.claims.take_targets():
+            if (fleet := self.fleets().get(agent)) is not None:
+                self._engine.command(fleet.bodies, targets)
+        self.pushes.apply(self._engine, self._entities, self.time_ns)
+        is_well = self._engine.step()
+        self.steps += 1
+        self._reading = None
+        if not is_well:
+            self.reading()
+
+    def reset(self, scope: int) -> None:
+        """Go back to the start: time, states, spawned entities, by the bits of `ResetScope`."""
+        bits = scope or ResetScope.ALL
+        if bits & ResetScope.SPAWNED:
+            for name in [entity.name for entity in self.entities if not entity.belongs_to_world]:
+                self.delete(name)
+            self._engine.forget_removed()
+        if bits & ResetScope.STATE:
+            self.reading()  # so that what has gone bad is mended before
+            for entity in self.entities:
+                self._thaw(entity)
+                self._engine.rest(self._entities[entity.name].body, entity.initial)
+            self._watch.forget_all()
+        if bits & ResetScope.TIME:
+            self.steps = 0
+        self.epoch += 1
+        self.claims.forget_targets()
+        self.pushes.forget_all()
+        self._reading = None
+        self._tell("reset", message=f"scope={scope}")
+
+    def roster(self) -> Roster:
+        """Where each entity stands in the arrays."""
+        if self._roster is None:
+            self._roster = roster_of(self.entities)
+        return self._roster
+
+    def reading(self) -> Reading:
+        """Read every entity back, once a step at most; those that have gone bad are mended."""
+        if self._reading is None:
+            reading = self._engine.read(self.roster().bodies)
+            if bad := self._watch.bad(self.roster(), reading):
+                self._mend(bad)
+                reading = self._engine.read(self.roster().bodies)
+            self._reading = self._watch.remember(self.roster(), reading)
+        return self._reading
+
+    def fleets(self) -> dict[str, Fleet]:
+        """What each agent drives."""
+        return self.claims.fleets(self.roster(), self._entities)
+
+    def drive_states(self) -> Iterator[tuple[str, DriveState]]:
+        """Tell each agent where its entities are; an agent that lost its last is told once."""
+        reading = self.reading()
+        for agent, fleet in self.fleets().items():
+            yield (
+                agent,
+                DriveState(
+                    self.epoch,
+                    self.steps,
+                    self.time_ns,
+                    fleet.claims,
+                    reading.base[fleet.rows].tobytes(),
+                    reading.joint_positions[fleet.joints].tobytes(),
+                    reading.joint_velocities[fleet.joints].tobytes(),
+                ),
+            )
+        for agent in self.claims.take_emptied():
+            yield agent, DriveState(self.epoch, self.steps, self.time_ns, b"", b"", b"", b"")
+
+    def snapshot(self, real_time_factor: float) -> Snapshot:
+        """Tell everybody where every entity is."""
+        reading = self.reading()
+        return Snapshot(
+            self.epoch,
+            self.steps,
+            self.time_ns,
+            self.roster_number,
+            self.roster().names,
+            reading.base.tobytes(),
+            reading.joint_positions.tobytes(),
+            real_time_factor,
+            self.state_name,
+        )
+
+    def become(self, other: "World", state: State) -> None:
+        """Take over another world's engine, entities and step, at time 0 of a new epoch.
+
+        What was here is gone; the other world is not to be used any more.
+        """
+        for name in self._entities:
+            self.claims.drop(name)
+            self._tell("deleted", entity=name)
+        self._engine.close()
+        self.claims.forget_targets()
+        self.pushes.forget_all()
+        self.ready_s.clear()
+        self._engine, self._entities = other.give_up()
+        self.step_ns, self.control_steps = other.step_ns, other.control_steps
+        self._watch, self.state = Watch(), state
+        self.steps, self.epoch = 0, self.epoch + 1
+        self._tell("unloaded" if state == State.NO_WORLD else "loaded")
+        for name in self._entities:
+            self._tell("spawned", entity=name)
+        self._changed()
+
+    def give_up(self) -> tuple[Engine, dict[str, Entity]]:
+        """Hand engine and entities over to the world that takes this one's place."""
+        return self._engine, self._entities
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._engine.close()
+
+    def _mend(self, bad: list[str]) -> None:
+        entities = [self._entities[name] for name in bad]
+        culprits = self._watch.culprits(entities, self.time_ns)
+        for entity in entities:
+            if entity.name in culprits:
+                self._freeze(entity)
+            else:
+                self._stand_up(entity, self._watch.last_good(entity))
+                self.warn(entity.name, SET_BACK)
+
+    def _freeze(self, entity: Entity) -> None:
+        stand = self._watch.freeze(entity)
+        self.pushes.forget(entity.name)
+        self._make_anew(entity, still(entity.model, stand.positions), stand.base)
+        if agent := self.claims.agent_of(entity.name):
+            self.claims.drop(entity.name)
+            self._tell("released", entity=entity.name, agent=agent)
+        self.warn(entity.name, FROZEN)
+
+    def _thaw(self, entity: Entity) -> None:
+        if (stand := self._watch.thaw(entity.name)) is not None:
+            self._stand_up(entity, stand)
+
+    def _stand_up(self, entity: Entity, stand: Stand) -> None:
+        self._make_anew(entity, entity.model, stand.base)
+        self._engine.rest(self._entities[entity.name].body, stand.base, stand.positions)
+
+    def _make_anew(self, entity: Entity, model: Model, base: FloatArray) -> None:
+        """Give an entity another body: an engine may never let go of numbers that went bad."""
+        self._engine.remove(entity.body)
+        self._entities[entity.name] = replace(entity, body=self._engine.add(model, base))
+        self.claims.forget_rows()
+        self._roster = self._reading = None
+
+    def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:
+        hold = self.claims.grant(agent, entity.name, on_release)
+        self._tell("claimed", entity=entity.name, agent=agent)
+        return Claim(
+            hold.claim,
+            entity.name,
+            entity.namespace,
+            entity.model,
+            entity.description,
+            tuple(entity.initial.tolist()),
+        )
+
+    def _changed(self) -> None:
+        self.roster_number += 1
+        self.claims.forget_rows()
+        self._roster = self._reading = None

@@ -1,0 +1,147 @@
+"""Lockstep: who owes an answer, which command is one, and what becomes of those who are late."""
+
+import pytest
+
+from proto.claims import DriveCommand, DriveState
+from sim_server.pacing.lockstep import LONGEST_LOOK_NS, Lockstep, LockstepSettings, OnMiss
+
+SECOND = 1_000_000_000
+CLAIMS = b"\x01\0\0\0"
+
+
+def state(
+    step: int, *, epoch: int = 0, claims: bytes = CLAIMS, is_awaited: bool = True
+) -> DriveState:
+    return DriveState(epoch, step, step, claims, b"", b"", b"", is_awaited=is_awaited)
+
+
+def command(step: int, *, epoch: int = 0, claims: bytes = CLAIMS) -> DriveCommand:
+    return DriveCommand(epoch, step, claims, b"")
+
+
+def a_lockstep(on_miss: OnMiss = "hold") -> Lockstep:
+    return Lockstep(LockstepSettings(is_on=True, timeout_s=1.0, on_miss=on_miss))
+
+
+def look_for(lockstep: Lockstep, seconds: float, start_ns: int = 0) -> list[str]:
+    """Look again and again for so long; name those who became late."""
+    late: list[str] = []
+    for now_ns in range(start_ns, start_ns + round(seconds * SECOND), LONGEST_LOOK_NS // 2):
+        late += lockstep.look(now_ns)
+    return late
+
+
+def test_agents_are_awaited_until_they_answer() -> None:
+    lockstep = a_lockstep()
+    lockstep.tell("b", state(3), 0)
+    lockstep.tell("a", state(3), 0)
+    both = lockstep.awaited
+
+    assert lockstep.answer("b", command(3))
+
+    assert both == ("a", "b")
+    assert lockstep.awaited == ("a",)
+
+
+def test_agent_that_is_told_of_an_unawaited_state_owes_nothing() -> None:
+    lockstep = a_lockstep()
+
+    lockstep.tell("a", state(3, is_awaited=False), 0)
+
+    assert not lockstep.is_waiting
+    assert lockstep.answer("a", command(1))
+
+
+@pytest.mark.parametrize(
+    "other", [command(2), command(4), command(3, epoch=1), command(3, claims=b"\x02\0\0\0")]
+)
+def test_command_for_another_state_is_no_answer_to_an_awaited_one(other: DriveCommand) -> None:
+    lockstep = a_lockstep()
+    lockstep.tell("a", state(3), 0)
+
+    assert not lockstep.answer("a", other)
+    assert lockstep.awaited == ("a",)
+
+
+def test_late_agent_is_named_once_and_counted() -> None:
+    lockstep = a_lockstep()
+    lockstep.tell("a", state(3), 0)
+
+    early = look_for(lockstep, 0.9)
+    late = look_for(lockstep, 1.0, round(0.9 * SECOND))
+
+    assert (early, late) == ([], ["a"])
+    assert lockstep.misses == {"a": 1}
+    assert not lockstep.is_waiting
+
+
+def test_late_answer_is_carried_out_as_long_as_nothing_newer_was_told() -> None:
+    lockstep = a_lockstep()
+    lockstep.tell("a", state(3), 0)
+    look_for(lockstep, 2.0)
+
+    assert lockstep.answer("a", command(3))
+
+
+def test_waiting_lockstep_waits_for_ever() -> None:
+    lockstep = a_lockstep("wait")
+    lockstep.tell("a", state(3), 0)
+
+    assert look_for(lockstep, 4.5) == ["a"] * 4
+    assert lockstep.awaited == ("a",)
+    assert lockstep.misses == {}
+
+
+def test_silent_agent_is_held_without_waiting_until_it_is_heard_again() -> None:
+    lockstep = a_lockstep("hold")
+    lockstep.tell("a", state(3), 0)
+    look_for(lockstep, 2.0)
+
+    is_owed = lockstep.tell("a", state(6), 0)
+    lockstep.answer("a", command(3))
+    lockstep.tell("a", state(9), 0)
+
+    assert not is_owed
+    assert lockstep.misses == {"a": 2}
+    assert lockstep.awaited == ("a",)
+
+
+def test_failing_lockstep_waits_for_a_silent_agent_again() -> None:
+    lockstep = a_lockstep("fail")
+    lockstep.tell("a", state(3), 0)
+    look_for(lockstep, 2.0)
+
+    lockstep.tell("a", state(6), 0)
+
+    assert lockstep.awaited == ("a",)
+
+
+def test_agent_that_has_gone_is_not_awaited_and_has_missed_nothing() -> None:
+    lockstep = a_lockstep()
+    lockstep.tell("a", state(3), 0)
+    look_for(lockstep, 2.0)
+    lockstep.tell("b", state(3), 0)
+
+    lockstep.forget("a")
+    lockstep.forget("b")
+
+    assert (lockstep.awaited, lockstep.misses) == ((), {})
+
+
+def test_time_in_which_the_server_itself_was_stopped_does_not_count() -> None:
+    lockstep = a_lockstep()
+    lockstep.tell("a", state(3), 0)
+
+    assert lockstep.look(60 * SECOND) == ()
+    assert lockstep.awaited == ("a",)
+
+
+def test_agent_knows_what_it_was_told_in_this_epoch() -> None:
+    lockstep = a_lockstep()
+    unknown = lockstep.has_told("a", state(3))
+    lockstep.tell("a", state(3), 0)
+
+    assert not unknown
+    assert lockstep.has_told("a", state(6))
+    assert not lockstep.has_told("a", state(6, epoch=1))
+    assert not lockstep.has_told("a", state(6, claims=b""))

@@ -1,0 +1,72 @@
+"""Lockstep under any order of agents that answer, fall silent, go, come, and of requests."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from proto.claims import ClaimEntityRequest
+from proto.services import State
+from sim_server.pacing.lockstep import OnMiss
+from tests.models import on_ground
+from tests.sim_server.fakes import CONTROL_STEPS, Stage, a_birth
+from tests.sim_server.traffic.test_loop_lockstep import TIMEOUT_S, a_locked_stage, answer_states
+
+AGENTS = ("r0", "r1", "r2")
+ACTS = st.one_of(
+    st.tuples(st.just("answer"), st.sets(st.sampled_from(AGENTS))),
+    st.tuples(st.sampled_from(("go", "come", "delete", "spawn")), st.sampled_from(AGENTS)),
+    st.tuples(st.just("reset"), st.sampled_from((1, 2, 3))),
+    st.tuples(st.just("wait"), st.sampled_from((0.001, 0.6 * TIMEOUT_S, 1.1 * TIMEOUT_S))),
+)
+
+
+def act(stage: Stage, what: str, whom: object) -> None:
+    """Let one thing happen, then turn the loop a few times."""
+    if what == "answer" and isinstance(whom, set):
+        answer_states(stage, silent=tuple(whom))
+    elif what == "reset" and isinstance(whom, int):
+        stage.world.reset(whom)
+    elif what == "wait" and isinstance(whom, float):
+        stage.turn_for(whom)
+    else:
+        _come_or_go(stage, what, str(whom))
+    for _ in range(CONTROL_STEPS + 1):
+        stage.loop.turn()
+
+
+def _come_or_go(stage: Stage, what: str, name: str) -> None:
+    is_there = name in {entity.name for entity in stage.world.entities}
+    if what in ("go", "come"):
+        stage.inbox.agents.append((name, what == "come"))
+        if what == "come":
+            stage.ask("claim_entity", ClaimEntityRequest(name, (name,)))
+    elif what == "delete" and is_there:
+        stage.world.delete(name)
+    elif what == "spawn" and not is_there:
+        stage.world.spawn(a_birth(name, base=on_ground(float(AGENTS.index(name)))))
+
+
+@settings(max_examples=40)
+@given(st.lists(ACTS, max_size=12), st.sampled_from(("wait", "hold", "fail")))
+def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
+    acts: list[tuple[str, object]], on_miss: OnMiss
+) -> None:
+    stage = a_locked_stage(*AGENTS, on_miss=on_miss)
+    moments = [(0, 0)]
+
+    for what, whom in acts:
+        act(stage, what, whom)
+        moments.append((stage.world.epoch, stage.world.steps))
+        assert set(stage.desk.lockstep.awaited) <= set(stage.world.claims.agents)
+
+    assert moments == sorted(moments)
+    if stage.world.state == State.PAUSED:
+        stage.world.play()
+    stage.outlet.drive_states.clear()
+    before = stage.world.steps
+    stage.turn_for(1.1 * TIMEOUT_S)
+    for _ in range(4 * CONTROL_STEPS):
+        answer_states(stage)
+        if stage.world.state == State.PAUSED:
+            stage.world.play()
+        stage.loop.turn()
+    assert stage.world.steps > before + CONTROL_STEPS

@@ -1,0 +1,130 @@
+"""Goals of steps: their order, their ends, their progress."""
+
+import pytest
+
+from proto.stepping import StepsProgress
+from sim_server.pacing.stepping import KEPT, Stepping
+
+SECOND = 1_000_000_000
+
+
+def make(stepping: Stepping, steps: int) -> None:
+    for _ in range(steps):
+        stepping.note_step()
+        stepping.settle()
+
+
+def told(stepping: Stepping, now_ns: int) -> list[StepsProgress]:
+    return list(stepping.due_progress(now_ns))
+
+
+def test_goals_are_reached_one_after_another() -> None:
+    stepping = Stepping()
+    first, second = stepping.add(2), stepping.add(1)
+
+    make(stepping, 2)
+    between = (first.status, second.status, len(stepping))
+    make(stepping, 1)
+
+    assert between == ("succeeded", "executing", 1)
+    assert second.status == "succeeded"
+    assert not stepping.wants_step
+
+
+def test_goal_is_not_over_before_it_is_settled() -> None:
+    stepping = Stepping()
+    goal = stepping.add(1)
+
+    stepping.note_step()
+
+    assert (goal.left, goal.is_over, stepping.wants_step) == (0, False, False)
+
+
+def test_goal_of_no_steps_is_over_when_it_is_settled() -> None:
+    stepping = Stepping()
+    goal = stepping.add(0)
+
+    stepping.settle()
+
+    assert goal.status == "succeeded"
+
+
+def test_cancel_ends_the_goal_of_an_id_and_leaves_the_others() -> None:
+    stepping = Stepping()
+    first, second = stepping.add(10, "a"), stepping.add(10, "b")
+    make(stepping, 4)
+
+    canceled = stepping.cancel("a")
+
+    assert canceled == [first]
+    assert (first.status, first.made, first.left) == ("canceled", 4, 6)
+    assert second.status == "executing"
+
+
+def test_cancel_without_an_id_ends_all_goals() -> None:
+    stepping = Stepping()
+    goals = [stepping.add(1), stepping.add(1, "b")]
+
+    assert stepping.cancel("") == goals
+    assert not stepping
+
+
+def test_abort_ends_all_goals_with_a_reason() -> None:
+    stepping = Stepping()
+    goal = stepping.add(5, "a")
+
+    stepping.abort("no more time")
+
+    assert (goal.status, goal.reason) == ("aborted", "no more time")
+
+
+def test_progress_is_told_ten_times_a_second_at_most_and_at_the_end() -> None:
+    stepping = Stepping()
+    stepping.add(300, "a")
+    seen = []
+
+    for step in range(300):
+        make(stepping, 1)
+        seen += told(stepping, step * SECOND // 100)
+
+    assert len(seen) == pytest.approx(31, abs=1)
+    assert seen[-1] == StepsProgress("a", 300, 0, "succeeded")
+    assert all(one.completed_steps + one.remaining_steps == 300 for one in seen)
+
+
+def test_progress_of_goals_without_an_id_is_not_told() -> None:
+    stepping = Stepping()
+    stepping.add(1)
+
+    first = told(stepping, 0)
+    make(stepping, 1)
+
+    assert first + told(stepping, SECOND) == []
+
+
+def test_progress_of_a_canceled_goal_is_told_once() -> None:
+    stepping = Stepping()
+    stepping.add(5, "a")
+    stepping.cancel("a")
+
+    assert told(stepping, 0) == [StepsProgress("a", 0, 5, "canceled")]
+    assert told(stepping, SECOND) == []
+
+
+def test_goals_that_are_over_are_known_until_many_others_are() -> None:
+    stepping = Stepping()
+    for i in range(KEPT + 10):
+        stepping.add(1, f"goal{i}")
+        make(stepping, 1)
+
+    assert stepping.known("goal0") is None
+    assert stepping.known(f"goal{KEPT + 9}") is not None
+
+
+def test_late_agents_are_noted_for_the_goal_that_is_under_way() -> None:
+    stepping = Stepping()
+    first, second = stepping.add(1), stepping.add(1)
+
+    stepping.note_late(("a",))
+
+    assert (first.late, second.late) == ({"a"}, set())

@@ -1,0 +1,162 @@
+"""The reader, a real process: what kills it is refused, and costs nothing more."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+from proto.assets import AssetRef
+from sim_server.reading.assets import AssetStore
+from sim_server.reading.messages import MeshMade, ReadRequest, TextRead
+from sim_server.reading.reader import DEADLINE_S, Reader
+from tests.integration.processes import eventually
+from tests.sim_server.description.robots import a_link, a_robot
+from tests.sim_server.description.test_meshes import BOX, exported
+from tests.sim_server.fakes import WallTime
+from tests.sim_server.reading.test_assets import put
+
+WITHIN_S = 30.0
+ROBOT = a_robot(a_link("base"))
+MESH_ROBOT = (
+    '<robot name="m"><link name="base"><inertial><mass value="1"/>'
+    '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    '<collision><geometry><mesh filename="a.stl"/></geometry></collision></link></robot>'
+)
+SLEEPER = (sys.executable, "-c", "import sys; sys.stdin.read()")
+
+
+@pytest.fixture
+def store() -> Iterator[AssetStore]:
+    found = AssetStore()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def reader(store: AssetStore) -> Iterator[Reader]:
+    found = Reader(store, time.monotonic_ns)
+    yield found
+    found.close()
+
+
+def read(reader: Reader, request: ReadRequest) -> list[MeshMade | TextRead]:
+    """Hand a request over and poll until it is answered."""
+    reader.submit(request)
+    return answered(reader, request.number)
+
+
+def answered(reader: Reader, number: int) -> list[MeshMade | TextRead]:
+    found: list[MeshMade | TextRead] = []
+
+    def is_answered() -> bool:
+        found.extend(reader.poll())
+        return any(isinstance(one, TextRead) and one.number == number for one in found)
+
+    eventually(is_answered, WITHIN_S, "an answer")
+    return found
+
+
+def polled_for(reader: Reader, wall: WallTime, seconds: float) -> list[MeshMade | TextRead]:
+    """Poll ten times a second until so much wall time is over."""
+    found = []
+    for _ in range(round(seconds / 0.1)):
+        wall.sleep(0.1)
+        found.extend(reader.poll())
+    return found
+
+
+def test_reader_gives_the_model_of_a_text(reader: Reader) -> None:
+    (answer,) = read(reader, ReadRequest(1, ROBOT))
+
+    assert isinstance(answer, TextRead)
+    assert answer.model is not None
+    assert answer.model.links[0].name == "base"
+
+
+def test_reader_says_why_there_is_no_model(reader: Reader) -> None:
+    (answer,) = read(reader, ReadRequest(1, "<robot"))
+
+    assert isinstance(answer, TextRead)
+    assert (answer.model, answer.slug) == (None, "xml.syntax")
+
+
+def test_reader_sends_meshes_before_the_model_that_names_them(
+    reader: Reader, store: AssetStore
+) -> None:
+    name = put(store, exported(BOX, "stl"))
+    refs = (AssetRef("a.stl", name),)
+
+    mesh, answer = read(reader, ReadRequest(1, MESH_ROBOT, assets=refs, files=(name,)))
+
+    assert isinstance(mesh, MeshMade)
+    assert isinstance(answer, TextRead)
+    assert answer.model is not None
+    assert answer.model.links[0].collisions[0].mesh == mesh.sha256
+
+
+def test_reader_is_replaced_when_it_dies_and_reads_on(reader: Reader) -> None:
+    read(reader, ReadRequest(1, ROBOT))
+    first = reader.process_id
+    reader.submit(ReadRequest(2, ROBOT))
+    reader.poll()
+    os.kill(first, signal.SIGKILL)
+
+    (refused,) = answered(reader, 2)
+    (answer,) = read(reader, ReadRequest(3, ROBOT))
+
+    # It may have answered before it died.
+    assert isinstance(refused, TextRead)
+    assert refused.slug in ("reader.crashed", "")
+    assert isinstance(answer, TextRead)
+    assert answer.model is not None
+    assert reader.process_id != first
+
+
+def test_reader_can_open_no_file_and_take_no_more_memory(reader: Reader) -> None:
+    read(reader, ReadRequest(1, ROBOT))
+
+    process = psutil.Process(reader.process_id)
+
+    assert process.rlimit(psutil.RLIMIT_NOFILE) == (0, 0)
+    assert process.rlimit(psutil.RLIMIT_FSIZE) == (0, 0)
+    assert 0 < process.rlimit(psutil.RLIMIT_AS)[0] < 8 << 30
+    assert 0 < process.rlimit(psutil.RLIMIT_CPU)[0] < 60
+    assert process.net_connections() == []
+
+
+def test_request_is_refused_when_the_reader_never_gets_ready(store: AssetStore) -> None:
+    wall = WallTime()
+    reader = Reader(store, wall.now_ns, SLEEPER)
+    reader.submit(ReadRequest(1, ROBOT))
+    before = reader.poll()
+
+    (answer,) = polled_for(reader, wall, DEADLINE_S + 1.0)
+
+    assert before == []
+    assert isinstance(answer, TextRead)
+    assert answer.slug == "reader.timeout"
+    reader.close()
+
+
+def test_reader_is_gone_when_closed(store: AssetStore) -> None:
+    reader = Reader(store, time.monotonic_ns, SLEEPER)
+    number = reader.process_id
+
+    reader.close()
+
+    assert not psutil.pid_exists(number)
+
+
+def test_polling_never_waits(reader: Reader) -> None:
+    reader.submit(ReadRequest(1, ROBOT))
+    longest_s = 0.0
+    for _ in range(100):
+        before = time.thread_time()
+        reader.poll()
+        longest_s = max(longest_s, time.thread_time() - before)
+
+    assert longest_s < 0.02

@@ -1,0 +1,46 @@
+"""Every feature that is announced works, and none that works is kept quiet."""
+
+from typing import TYPE_CHECKING, cast
+
+import pytest
+
+from proto.catalog import SERVICES
+from proto.services import Feature
+from sim_server.handlers.offers import FEATURES, OFFERS
+from sim_server.traffic.inbox import BusInbox
+from sim_server.traffic.loop import Loop
+from sim_server.traffic.outlets import BusOutlet
+from spawner.client import SimClient
+from tests.fakes import MemoryBus
+from tests.features import PROOFS
+from tests.sim_server.fakes import WallTime, a_desk, a_world
+
+if TYPE_CHECKING:
+    from proto.bus import Bus
+
+
+def a_client() -> SimClient:
+    """Make a client of a world of fakes, whose server turns while the client waits."""
+    network, wall = MemoryBus(), WallTime()
+    bus = cast("Bus", network)
+    inbox, outlet = BusInbox(bus, "default"), BusOutlet(bus, "default")
+    network.pumps.append(Loop(a_desk(a_world(), wall), inbox, outlet, wall).turn)
+    return SimClient(bus)
+
+
+def test_features_are_announced_once_and_in_order() -> None:
+    assert list(FEATURES) == sorted(set(FEATURES))
+    assert a_client().features().features == tuple(FEATURES)
+
+
+def test_each_service_is_offered_once() -> None:
+    assert sorted(one.service.name for one in OFFERS) == sorted(SERVICES)
+
+
+def test_every_feature_is_announced_and_shown() -> None:
+    assert set(FEATURES) == set(PROOFS) == set(Feature)
+
+
+@pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.name)
+def test_announced_feature_works(feature: Feature) -> None:
+    PROOFS[feature](a_client())

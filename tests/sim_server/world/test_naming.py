@@ -1,0 +1,63 @@
+"""Names and namespaces: free, taken, or none."""
+
+import pytest
+
+from sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
+from sim_server.world.entity import Entity
+from sim_server.world.naming import MAX_RENAMES, free_name, free_namespace
+from tests.models import a_box, a_state
+
+
+def an_entity(name: str, namespace: str) -> Entity:
+    return Entity(name, namespace, a_box(), 1, a_state(), "", 0)
+
+
+def test_name_is_kept_when_it_is_free() -> None:
+    assert free_name("r1", {"r2"}, allow_renaming=True) == "r1"
+
+
+def test_name_is_refused_when_it_is_taken() -> None:
+    with pytest.raises(NameNotUnique, match="'r1' already exists; choose another name or set"):
+        free_name("r1", {"r1"}, allow_renaming=False)
+
+
+def test_name_gets_the_first_free_number_when_it_may() -> None:
+    taken = {"r", "r_1", "r_3"}
+
+    assert free_name("r", taken, allow_renaming=True) == "r_2"
+
+
+def test_name_stays_valid_with_any_number() -> None:
+    longest = "a" * 64
+    taken = {longest, *(f"{longest[:56]}_{i}" for i in range(1, MAX_RENAMES - 1))}
+
+    renamed = free_name(longest, taken, allow_renaming=True)
+
+    assert renamed == f"{longest[:56]}_{MAX_RENAMES - 1}"
+    assert len(renamed) <= 64
+
+
+@pytest.mark.parametrize("name", ["", "1r", "r 1", "r/1", "é", "a" * 65])
+@pytest.mark.parametrize("allow_renaming", [True, False])
+def test_name_is_refused_when_it_is_none(name: str, *, allow_renaming: bool) -> None:
+    with pytest.raises(NameRefused, match="is not valid; use a letter"):
+        free_name(name, set(), allow_renaming=allow_renaming)
+
+
+@pytest.mark.parametrize(("given", "bare"), [("r1", "r1"), ("/r1", "r1"), ("/team/r1", "team/r1")])
+def test_namespace_is_returned_without_a_leading_slash(given: str, bare: str) -> None:
+    assert free_namespace(given, [an_entity("r2", "r2")]) == bare
+
+
+@pytest.mark.parametrize("namespace", ["r1", "/r1"])
+def test_namespace_is_refused_when_it_is_taken(namespace: str) -> None:
+    entities = [an_entity("box", "r1")]
+
+    with pytest.raises(NamespaceRefused, match="'r1' belongs to entity 'box'; choose another"):
+        free_namespace(namespace, entities)
+
+
+@pytest.mark.parametrize("namespace", ["", "/", "a//b", "a b", "sim", "/world/r", "a/" * 8 + "a"])
+def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
+    with pytest.raises(NamespaceRefused, match="use"):
+        free_namespace(namespace, [])

@@ -1,0 +1,79 @@
+"""States of the simulation: every pair of them, asked for by every number."""
+
+import pytest
+
+from proto.result import SetSimulationStateCode
+from proto.services import SetSimulationStateRequest, SimulationState, State
+from sim_server.errors import Refused
+from sim_server.handlers.table import handle
+from sim_server.world.phases import ENTERED, LEADS_TO, NAMES
+from tests.sim_server.fakes import a_desk, a_world, kinds_of_events, names_in
+
+STANDING = {State.STOPPED, State.PAUSED}
+
+
+def asked(state: int) -> SetSimulationStateRequest:
+    return SetSimulationStateRequest(SimulationState(state))
+
+
+@pytest.mark.parametrize("table", [NAMES, ENTERED, LEADS_TO])
+def test_every_state_is_told_of(table: dict[State, object]) -> None:
+    assert set(table) == set(State)
+
+
+@pytest.mark.parametrize("present", State)
+@pytest.mark.parametrize("wanted", State)
+def test_state_follows_another_as_the_table_says(present: State, wanted: State) -> None:
+    desk = a_desk(a_world("r0"))
+    desk.world.state = present
+
+    try:
+        handle(desk, asked(wanted))
+        code = None
+    except Refused as refused:
+        code = refused.code
+
+    if wanted == present:
+        assert code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
+    elif wanted in LEADS_TO[present]:
+        assert (code, desk.world.state) == (None, wanted)
+    else:
+        assert (code, desk.world.state) == (SetSimulationStateCode.INCORRECT_TRANSITION, present)
+
+
+@pytest.mark.parametrize("present", State)
+@pytest.mark.parametrize("wanted", [6, 77, 255])
+def test_state_that_is_none_is_refused_with_those_that_are(present: State, wanted: int) -> None:
+    desk = a_desk(a_world())
+    desk.world.state = present
+
+    with pytest.raises(Refused, match=f"{wanted}, which is no state; use") as refused:
+        handle(desk, asked(wanted))
+
+    assert refused.value.code == SetSimulationStateCode.INCORRECT_TRANSITION
+
+
+def test_world_is_never_asked_for_as_a_state() -> None:
+    for present, following in LEADS_TO.items():
+        assert not following & {State.NO_WORLD, State.LOADING_WORLD, present}
+
+
+def test_stop_goes_back_to_the_start() -> None:
+    desk = a_desk(a_world("r0"))
+    desk.world.step()
+    goal = desk.stepping.add(5)
+
+    handle(desk, asked(State.STOPPED))
+
+    assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (0, 1, [])
+    assert goal.is_over
+    assert kinds_of_events(desk.world) == ["deleted", "reset", "stopped"]
+
+
+def test_pause_keeps_everything_where_it_is() -> None:
+    desk = a_desk(a_world("r0"))
+    desk.world.step()
+
+    handle(desk, asked(State.PAUSED))
+
+    assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (1, 0, ["r0"])

@@ -1,0 +1,59 @@
+"""A world that takes the place of another: nothing of the old one is left, whatever it was."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto.services import State
+from sim_server.physics.engine import EngineConfig
+from sim_server.world.pushes import LinkPush, Span
+from sim_server.world.world import World
+from tests.engines import STEP_NS, ObedientEngine
+from tests.sim_server.fakes import a_command, a_world, kinds_of_events, names_in
+
+names = st.lists(st.sampled_from(["a", "b", "c", "d"]), unique=True)
+
+
+def a_pair(old: list[str], new: list[str]) -> tuple[World, ObedientEngine, ObedientEngine]:
+    """Make a world, and let it become another; give both engines."""
+    engines = (ObedientEngine(EngineConfig(STEP_NS)), ObedientEngine(EngineConfig(STEP_NS)))
+    world, other = a_world(*old, engine=engines[0]), a_world(*new, engine=engines[1])
+    if old:
+        world.claim("agent", tuple(old), "stop")
+        world.pushes.add(LinkPush(old[0], 0, np.zeros(6), Span(0, None)))
+    world.step()
+    world.take_events()
+    world.become(other, State.STOPPED)
+    return world, *engines
+
+
+@given(old=names, new=names)
+def test_world_holds_what_the_other_held_and_nothing_else(old: list[str], new: list[str]) -> None:
+    world, before, after = a_pair(old, new)
+
+    assert names_in(world) == new
+    assert before.is_closed
+    assert not after.is_closed
+    assert [entity.body for entity in world.entities] == list(after.bodies)
+    assert (len(world.claims), len(world.pushes)) == (0, 0)
+    assert (world.steps, world.epoch, world.state) == (0, 1, State.STOPPED)
+    told = ["deleted"] * len(old) + ["loaded"] + ["spawned"] * len(new)
+    assert kinds_of_events(world) == told
+    assert len(world.reading().base) == len(new)
+
+
+def test_command_for_the_old_world_is_dropped() -> None:
+    world, _, _ = a_pair(["a"], ["a"])
+    stale = a_command(world, "agent", 1.0, 1.0)
+    world.claim("agent", ("a",), "stop")
+
+    assert not world.command("agent", stale)
+
+
+def test_agent_that_lost_everything_is_told_so() -> None:
+    world, _, _ = a_pair(["a", "b"], [])
+
+    told = dict(world.drive_states())
+
+    assert told["agent"].claims == b""
+    assert told["agent"].epoch == 1
