@@ -86,6 +86,13 @@ class ObedientEngine:
         self._bodies[body].velocities[:] = 0.0
         self._bodies[body].targets = None
 
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        self.place(body, base)
+        self._bodies[body].positions[:] = positions
+        self._bodies[body].velocities[:] = velocities
+
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         at = 0
         for number in bodies:

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+import pytest
 
 from proto.drives import DiffDrive, PlanarMove, TricycleDrive, WheelPair
 from proto.model import Inertial, Joint, JointKind, Link, Model, Origin, Shape
@@ -116,6 +117,12 @@ def box_bot_at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
 def angle_between(left: FloatArray, right: FloatArray) -> float:
     """Find the angle [rad] between two orientations, whatever their signs."""
     return 2.0 * math.acos(min(1.0, abs(float(np.dot(left, right)))))
+
+
+def assert_same_state(found: FloatArray, expected: FloatArray) -> None:
+    assert found[:3] == pytest.approx(expected[:3], abs=1e-9)
+    assert angle_between(found[3:7], expected[3:7]) < 1e-7
+    assert found[7:] == pytest.approx(expected[7:], abs=1e-9)
 
 
 def a_puck(name: str = "puck") -> Model:

@@ -1,11 +1,12 @@
 """What Bullet is asked to make of a blueprint."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TypedDict
 
 from proto.model import Shape
 from sim_server.physics.blueprint import Blueprint, Part
-from sim_server.physics.engine import MIN_MASS_KG, FloatArray
+from sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
+from sim_server.physics.touch import Dynamics, touch_of
 
 
 class Solids(TypedDict):
@@ -106,6 +107,20 @@ def creation_of(
         linkJointTypes=[kinds[part.joint_kind] for part in rest],
         linkJointAxis=[part.joint.axis if part.joint else (0.0, 0.0, 1.0) for part in rest],
     )
+
+
+def dynamics_of(blueprint: Blueprint, dt_s: float) -> Iterator[tuple[int, Dynamics]]:
+    """Lay out how the parts of a blueprint move and touch; parts are numbered from -1, the root."""
+    # Damping belongs to the whole body; passing it for a link rewrites the root's friction.
+    yield -1, Dynamics(linearDamping=0.0, angularDamping=0.0)
+    for number, part in enumerate(blueprint.parts, start=-1):
+        found = touch_of(part, dt_s, is_static=blueprint.is_static)
+        if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
+            found["localInertiaDiagonal"] = [max(moment, MIN_INERTIA) for moment in part.inertia]
+        if part.joint is not None and part.joint.kind in ("revolute", "prismatic"):
+            found["jointLowerLimit"] = part.joint.lower
+            found["jointUpperLimit"] = part.joint.upper
+        yield number, found
 
 
 def _link_mass(part: Part) -> float:

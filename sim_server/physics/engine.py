@@ -95,6 +95,18 @@ class Engine(Protocol):
         A twist is imposed no more, until it is commanded again.
         """
 
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """Give a body a whole state; its targets stay as commanded, and one that sleeps wakes.
+
+        Args:
+            body: What is put there.
+            base: (13,) of its root link.
+            positions: Of its joints, in the order of `Model.joints`.
+            velocities: Likewise.
+        """
+
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """Set the targets of `Model.actuators`, body by body; they hold until set again.
 

@@ -23,6 +23,16 @@ class Gear(NamedTuple):
     mended: float = 0.2
     """Share of its error that one step mends."""
 
+    @property
+    def hold(self) -> dict[str, float]:
+        """Arguments of changeConstraint."""
+        return {
+            "gearRatio": self.ratio,
+            "relativePositionTarget": self.offset,
+            "erp": self.mended,
+            "maxForce": self.force,
+        }
+
 
 def gears_of(model: Model) -> Iterator[Gear]:
     """List the joints of a model that follow others."""

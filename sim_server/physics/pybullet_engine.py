@@ -9,8 +9,8 @@ from proto.model import ZERO, Model, Shape
 from sim_server.physics.acceptance import check_meshes
 from sim_server.physics.actuation import actuation_of, imposed
 from sim_server.physics.blueprint import Blueprint, Part
-from sim_server.physics.creation import creation_of, solids_of
-from sim_server.physics.engine import MIN_INERTIA, EngineConfig, EngineRefused, FloatArray, Reading
+from sim_server.physics.creation import creation_of, dynamics_of, solids_of
+from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
 from sim_server.physics.loads import Load, loads_of
 from sim_server.physics.parking import Body, Parking
@@ -18,7 +18,7 @@ from sim_server.physics.planning import Planner
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
 from sim_server.physics.spreading import ShapeKey, key_of
-from sim_server.physics.touch import self_touching, standing_friction, touch_of, touches_itself
+from sim_server.physics.touch import self_touching, standing_friction, touches_itself
 
 with silenced():
     import pybullet
@@ -60,6 +60,7 @@ class PyBulletEngine:
         self._planner = Planner(max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
         self._twists: dict[int, list[float]] = {}
         self._loads: dict[int, Sequence[Load]] = {}
+        self._brought_back: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._gravity = config.gravity
         self._dt_s = config.step_ns * 1e-9
         self._roots = Roots()
@@ -113,6 +114,7 @@ class PyBulletEngine:
         known = self._bodies.pop(body)
         self._twists.pop(body, None)
         self._loads.pop(body, None)
+        self._brought_back.pop(body, None)
         if self._parking.has_place_for(known) and self._is_good(body):
             self._park(body, known)
             return
@@ -161,13 +163,20 @@ class PyBulletEngine:
         pybullet.resetBasePositionAndOrientation(body, place, turn, physicsClientId=self._client)
         self._set_velocity(body, state[7:])
 
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """See `Engine.put`; one brought back in this step stands still until the next."""
+        self.place(body, base)
+        self._set_joints(body, positions, velocities)
+        if body in self._brought_back:
+            self._brought_back[body] = self._roots.com_state(body, base)[7:], velocities.copy()
+
     def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
         self.place(body, base)
-        joints = self._bodies[body].joints
-        angles = [0.0] * len(joints) if positions is None else positions.tolist()
-        for joint, angle in zip(joints, angles, strict=True):
-            pybullet.resetJointState(body, joint, angle, 0.0, physicsClientId=self._client)
+        zeros = np.zeros(len(self._bodies[body].joints))
+        self._set_joints(body, zeros if positions is None else positions, zeros)
         self._let_go(body)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
@@ -197,6 +206,8 @@ class PyBulletEngine:
         if self._loads:
             self._apply_loads()
         pybullet.stepSimulation(physicsClientId=self._client)
+        if self._brought_back:
+            self._set_off()
         if self._ground is None or self._is_good(self._ground):
             return True
         self.place(self._ground, AT_ORIGIN)
@@ -214,6 +225,11 @@ class PyBulletEngine:
     def _set_velocity(self, body: int, velocity: FloatArray) -> None:
         numbers = velocity.tolist()
         pybullet.resetBaseVelocity(body, numbers[:3], numbers[3:], physicsClientId=self._client)
+
+    def _set_joints(self, body: int, positions: FloatArray, velocities: FloatArray) -> None:
+        joints = self._bodies[body].joints
+        for joint, at, speed in zip(joints, positions.tolist(), velocities.tolist(), strict=True):
+            pybullet.resetJointState(body, joint, at, speed, physicsClientId=self._client)
 
     def _park(self, body: int, known: Body) -> None:
         """Let a body sleep where it touches nothing."""
@@ -233,8 +249,18 @@ class PyBulletEngine:
         for part in range(-1, known.parts):
             pybullet.setCollisionFilterGroupMask(body, part, 1, -1, physicsClientId=client)
         self._admit(body, known)
+        self._brought_back[body] = np.zeros(6), np.zeros(len(known.joints))
         self.rest(body, base)
         return body
+
+    def _set_off(self) -> None:
+        """Move what was brought back: Bullet stops what slept in the first step after its sleep."""
+        for body, (velocity, speeds) in self._brought_back.items():
+            if velocity.any() or speeds.any():
+                positions = self.read([body]).joint_positions
+                self._set_velocity(body, velocity)
+                self._set_joints(body, positions, speeds)
+        self._brought_back.clear()
 
     def _let_go(self, body: int) -> None:
         """Give a body targets of 0, and its own way where a twist moved it."""
@@ -345,33 +371,14 @@ class PyBulletEngine:
 
     def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
         client = self._client
-        # Damping belongs to the whole body; passing it for a link rewrites the root's friction.
-        pybullet.changeDynamics(
-            body, -1, linearDamping=0.0, angularDamping=0.0, physicsClientId=client
-        )
-        for link, part in enumerate(blueprint.parts, start=-1):
-            touch = touch_of(part, self._dt_s, is_static=blueprint.is_static)
-            pybullet.changeDynamics(body, link, **touch, physicsClientId=client)
-            if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
-                least = [max(moment, MIN_INERTIA) for moment in part.inertia]
-                pybullet.changeDynamics(
-                    body, link, localInertiaDiagonal=least, physicsClientId=client
-                )
-            if part.joint is not None:
-                self._set_joint(body, link, part)
-
-    def _set_joint(self, body: int, link: int, part: Part) -> None:
-        joint, client = part.joint, self._client
-        if joint is None or joint.kind == "fixed":
-            return
-        if joint.kind in ("revolute", "prismatic"):
-            low, high = joint.lower, joint.upper
-            pybullet.changeDynamics(
-                body, link, jointLowerLimit=low, jointUpperLimit=high, physicsClientId=client
-            )
+        for link, numbers in dynamics_of(blueprint, self._dt_s):
+            pybullet.changeDynamics(body, link, **numbers, physicsClientId=client)
         # Every joint is born with a motor that brakes it: leave it only the joint's own friction.
-        mode, friction = pybullet.VELOCITY_CONTROL, joint.friction
-        pybullet.setJointMotorControl2(body, link, mode, force=friction, physicsClientId=client)
+        mode = pybullet.VELOCITY_CONTROL
+        for link, joint in moving_joints(blueprint):
+            pybullet.setJointMotorControl2(
+                body, link, mode, force=joint.friction, physicsClientId=client
+            )
 
     def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
         client, moving = self._client, moving_joints(blueprint)
@@ -388,12 +395,5 @@ class PyBulletEngine:
             *(gear.axis, ZERO, ZERO),
             physicsClientId=self._client,
         )
-        pybullet.changeConstraint(
-            made,
-            gearRatio=gear.ratio,
-            relativePositionTarget=gear.offset,
-            erp=gear.mended,
-            maxForce=gear.force,
-            physicsClientId=self._client,
-        )
+        pybullet.changeConstraint(made, **gear.hold, physicsClientId=self._client)
         return made

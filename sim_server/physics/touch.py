@@ -1,6 +1,6 @@
 """How parts touch, in the numbers that Bullet takes; which of them touch each other."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import TypedDict
 
@@ -15,7 +15,7 @@ ground would jump out of it, by 1.2 m where stiff.
 """
 
 
-class Touch(TypedDict, total=False):
+class Dynamics(TypedDict, total=False):
     """Arguments of changeDynamics."""
 
     lateralFriction: float
@@ -25,13 +25,18 @@ class Touch(TypedDict, total=False):
     contactStiffness: float
     contactDamping: float
     anisotropicFriction: tuple[float, float, float]
+    linearDamping: float
+    angularDamping: float
+    localInertiaDiagonal: Sequence[float]
+    jointLowerLimit: float
+    jointUpperLimit: float
 
 
-def touch_of(part: Part, dt_s: float, *, is_static: bool) -> Touch:
+def touch_of(part: Part, dt_s: float, *, is_static: bool) -> Dynamics:
     """Find how a part touches."""
     contact = part.contact
     friction = standing_friction(part.friction) if is_static else part.friction
-    touch = Touch(
+    touch = Dynamics(
         lateralFriction=friction, spinningFriction=0.0, rollingFriction=0.0, restitution=0.0
     )
     if contact.stiffness > 0.0:

@@ -17,6 +17,7 @@ from tests.models import (
     a_state,
     an_arm,
     angle_between,
+    assert_same_state,
     on_ground,
 )
 
@@ -42,12 +43,6 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 def state_of(engine: Engine, body: int) -> FloatArray:
     return np.asarray(engine.read([body]).base[0])
-
-
-def assert_same_state(found: FloatArray, expected: FloatArray) -> None:
-    assert found[:3] == pytest.approx(expected[:3], abs=1e-9)
-    assert angle_between(found[3:7], expected[3:7]) < 1e-7
-    assert found[7:] == pytest.approx(expected[7:], abs=1e-9)
 
 
 def test_engine_body_keeps_pose_when_not_commanded(engine: Engine) -> None:
@@ -131,46 +126,6 @@ def test_engine_moves_a_body_by_its_velocity(engine: Engine) -> None:
     advance(engine, 240)
 
     assert state_of(engine, body)[:2] == pytest.approx([3.0, -2.0], abs=1e-4)
-
-
-def test_engine_keeps_joints_when_it_places_a_robot(engine: Engine) -> None:
-    body = engine.add(a_cart(), on_ground())
-    engine.command([body], np.array([4.0, 4.0]))
-    advance(engine, 120)
-    before = engine.read([body])
-
-    engine.place(body, on_ground(5.0))
-
-    after = engine.read([body])
-    assert after.joint_positions == pytest.approx(before.joint_positions, abs=1e-12)
-    assert abs(after.joint_positions).min() > 0.5
-
-
-def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) -> None:
-    body = engine.add(a_cart(), on_ground())
-    engine.command([body], np.array([6.0, 2.0]))
-    advance(engine, 120)
-
-    engine.rest(body, on_ground(5.0, 1.0, 0.3))
-
-    reading = engine.read([body])
-    assert_same_state(reading.base[0], on_ground(5.0, 1.0, 0.3))
-    assert not reading.joint_positions.any()
-    assert not reading.joint_velocities.any()
-    advance(engine, 120)
-    assert state_of(engine, body)[:3] == pytest.approx(on_ground(5.0, 1.0)[:3], abs=2e-3)
-
-
-def test_engine_rests_a_robot_with_joints_where_it_is_told(engine: Engine) -> None:
-    body = engine.add(a_cart(), on_ground())
-    engine.command([body], np.array([6.0, 2.0]))
-    advance(engine, 120)
-
-    engine.rest(body, on_ground(5.0), np.array([0.5, -2.0]))
-
-    reading = engine.read([body])
-    assert reading.joint_positions == pytest.approx([0.5, -2.0], abs=1e-12)
-    assert not reading.joint_velocities.any()
 
 
 def test_engine_says_that_all_is_well(engine: Engine) -> None:

@@ -1,0 +1,111 @@
+"""What every engine owes those who put its bodies somewhere: place, rest and put."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from sim_server.physics.engine import Engine, FloatArray
+from tests.engines import ENGINES, advance, running
+from tests.models import a_cart, assert_same_state, on_ground
+
+
+@pytest.fixture(params=ENGINES, ids=lambda make: make.name)
+def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+    with running(request.param) as made:
+        yield made
+
+
+def state_of(engine: Engine, body: int) -> FloatArray:
+    return np.asarray(engine.read([body]).base[0])
+
+
+def test_engine_keeps_joints_when_it_places_a_robot(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([4.0, 4.0]))
+    advance(engine, 120)
+    before = engine.read([body])
+
+    engine.place(body, on_ground(5.0))
+
+    after = engine.read([body])
+    assert after.joint_positions == pytest.approx(before.joint_positions, abs=1e-12)
+    assert abs(after.joint_positions).min() > 0.5
+
+
+def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([6.0, 2.0]))
+    advance(engine, 120)
+
+    engine.rest(body, on_ground(5.0, 1.0, 0.3))
+
+    reading = engine.read([body])
+    assert_same_state(reading.base[0], on_ground(5.0, 1.0, 0.3))
+    assert not reading.joint_positions.any()
+    assert not reading.joint_velocities.any()
+    advance(engine, 120)
+    assert state_of(engine, body)[:3] == pytest.approx(on_ground(5.0, 1.0)[:3], abs=2e-3)
+
+
+def test_engine_rests_a_robot_with_joints_where_it_is_told(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    engine.command([body], np.array([6.0, 2.0]))
+    advance(engine, 120)
+
+    engine.rest(body, on_ground(5.0), np.array([0.5, -2.0]))
+
+    reading = engine.read([body])
+    assert reading.joint_positions == pytest.approx([0.5, -2.0], abs=1e-12)
+    assert not reading.joint_velocities.any()
+
+
+def test_engine_puts_a_robot_as_it_was_and_it_goes_on_alike(engine: Engine) -> None:
+    went, other = (engine.add(a_cart(), on_ground(y=y)) for y in (0.0, 50.0))
+    engine.command([went, other], np.array([4.0, 5.0, 4.0, 5.0]))
+    advance(engine, 100)
+    reading = engine.read([went])
+    beside = reading.base[0].copy()
+    beside[1] += 50.0
+
+    engine.put(other, beside, reading.joint_positions, reading.joint_velocities)
+
+    found = engine.read([other])
+    assert_same_state(found.base[0], beside)
+    assert found.joint_positions == pytest.approx(reading.joint_positions, abs=1e-9)
+    assert found.joint_velocities == pytest.approx(reading.joint_velocities, abs=1e-9)
+    advance(engine, 100)
+    rows = engine.read([went, other]).base
+    assert rows[1] - rows[0] == pytest.approx([0.0, 50.0, *[0.0] * 11], abs=1e-6)
+
+
+def test_engine_puts_a_robot_that_was_taken_out_and_brought_back(engine: Engine) -> None:
+    twin = engine.add(a_cart(), on_ground())
+    advance(engine, 10)
+    engine.remove(twin)
+    advance(engine, 10)
+    body = engine.add(a_cart(), on_ground())
+    moving = on_ground()
+    moving[7], speed = 0.5, 0.5 / 0.05
+
+    engine.command([body], np.array([speed, speed]))
+    engine.put(body, moving, np.array([1.0, 2.0]), np.array([speed, speed]))
+    engine.step()
+
+    reading = engine.read([body])
+    assert reading.base[0, 7] == pytest.approx(0.5, rel=0.02)
+    assert reading.joint_velocities == pytest.approx([speed, speed], rel=0.02)
+    advance(engine, 239)
+    assert state_of(engine, body)[0] == pytest.approx(0.5, abs=0.01)
+
+
+def test_engine_does_not_change_what_it_was_given_to_put(engine: Engine) -> None:
+    body = engine.add(a_cart(), on_ground())
+    base, positions, velocities = on_ground(1.0), np.array([0.1, 0.2]), np.array([3.0, 3.0])
+    kept = base.copy(), positions.copy(), velocities.copy()
+
+    engine.put(body, base, positions, velocities)
+    advance(engine, 5)
+
+    for found, expected in zip((base, positions, velocities), kept, strict=True):
+        assert np.array_equal(found, expected)
