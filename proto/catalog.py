@@ -237,6 +237,13 @@ CLAIM_ENTITY = Service(
     ClaimCode,
     is_mutating=True,
 )
+CLAIM_SHARE = Service(
+    "claim_share",
+    claims.ClaimShareRequest,
+    claims.ClaimShareResponse,
+    ClaimCode,
+    is_mutating=True,
+)
 GET_MODELS = Service("get_models", telemetry.GetModelsRequest, telemetry.GetModelsResponse)
 MISSING_ASSETS = Service(
     "missing_assets", assets.MissingAssetsRequest, assets.MissingAssetsResponse
@@ -288,6 +295,7 @@ SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
         SET_LINK_PROPERTIES,
         GET_SIMULATOR_FEATURES,
         CLAIM_ENTITY,
+        CLAIM_SHARE,
         GET_MODELS,
         MISSING_ASSETS,
         PUT_ASSET,

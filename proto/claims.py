@@ -3,10 +3,12 @@
 Arrays travel as little-endian bytes: `<f8` for numbers, `<u4` for claim ids.
 """
 
+from collections.abc import Sequence
 from typing import ClassVar, Literal
 
 import msgspec
 
+from proto.cdr_read import MalformedPayload
 from proto.model import Model
 from proto.result import Result
 from proto.widths import UInt32, UInt64
@@ -29,7 +31,7 @@ class ClaimEntityRequest(msgspec.Struct, frozen=True):
 
 
 class Claim(msgspec.Struct, frozen=True):
-    """What an agent needs to know of one entity that it drives."""
+    """What an agent needs to know of one entity that it drives; it travels as a `Grant`."""
 
     claim: UInt32
     """Never used twice by one server: a command under an old claim is dropped."""
@@ -41,16 +43,121 @@ class Claim(msgspec.Struct, frozen=True):
     """State at spawn, `STATE_COLUMNS` numbers."""
 
 
+class Grant(msgspec.Struct, frozen=True):
+    """A claim as it travels: what many entities share is said once, beside it."""
+
+    claim: UInt32
+    entity: str
+    namespace: str
+    model: UInt32
+    """Index into `models` of the response."""
+    robot_description: UInt32
+    """Index into `robot_descriptions` of the response."""
+    spawn_state: tuple[float, ...] = ()
+
+
 class ClaimEntityResponse(msgspec.Struct, frozen=True):
-    """The claims, and the clock that the drive runs by."""
+    """The claims, each model and text once, and the clock that the drive runs by."""
 
     ros_type: ClassVar[str] = "zensim/srv/ClaimEntity_Response"
 
     result: Result = Result()
-    claims: tuple[Claim, ...] = ()
+    grants: tuple[Grant, ...] = ()
+    models: tuple[Model, ...] = ()
+    robot_descriptions: tuple[str, ...] = ()
     step_ns: UInt64 = 0
     control_steps: UInt32 = 0
     """Steps between two drive states."""
+
+
+class ClaimShareRequest(msgspec.Struct, frozen=True):
+    """Ask, as a pool, for a fair share of all robots that nobody drives by name.
+
+    The shares of all pools that are up differ by one robot at most, but for `limit`; what a pool
+    has beyond its share goes to the pool that asks.
+    """
+
+    ros_type: ClassVar[str] = "zensim/srv/ClaimShare_Request"
+
+    agent: str = ""
+    """Unique; its liveliness token must be up."""
+    limit: UInt32 = 0
+    """Most robots that it drives; 0 = any number."""
+    on_release: OnRelease = "stop"
+
+
+class ClaimShareResponse(ClaimEntityResponse, frozen=True):
+    """What was granted now, beside what the pool has already."""
+
+    ros_type: ClassVar[str] = "zensim/srv/ClaimShare_Response"
+
+    is_more: bool = False
+    """Whether the rest of the share waits for another request: replies have a largest size."""
+
+
+class _Shared:
+    """Models and texts, each once, and where each stands."""
+
+    def __init__(self) -> None:
+        self.models: list[Model] = []
+        self.texts: dict[str, int] = {}
+        self._place: dict[int, int] = {}
+        self._of_bytes: dict[bytes, int] = {}
+
+    def model(self, model: Model) -> int:
+        """Find the place of a model; two that say the same are one."""
+        if (place := self._place.get(id(model))) is None:
+            said = msgspec.msgpack.encode(model)
+            place = self._place[id(model)] = self._of_bytes.setdefault(said, len(self.models))
+            if place == len(self.models):
+                self.models.append(model)
+        return place
+
+    def text(self, text: str) -> int:
+        """Find the place of a text."""
+        return self.texts.setdefault(text, len(self.texts))
+
+
+def granted(
+    claims: Sequence[Claim],
+) -> tuple[tuple[Grant, ...], tuple[Model, ...], tuple[str, ...]]:
+    """Write claims down for a response: grants, models and texts."""
+    shared = _Shared()
+    grants = tuple(
+        Grant(
+            one.claim,
+            one.entity,
+            one.namespace,
+            shared.model(one.model),
+            shared.text(one.robot_description),
+            one.spawn_state,
+        )
+        for one in claims
+    )
+    return grants, tuple(shared.models), tuple(shared.texts)
+
+
+def claims_of(response: ClaimEntityResponse) -> tuple[Claim, ...]:
+    """Read the claims of a response; those of one model share it.
+
+    Raises:
+        MalformedPayload: A grant speaks of a model or text that is not there.
+    """
+    models, texts = response.models, response.robot_descriptions
+    try:
+        return tuple(
+            Claim(
+                one.claim,
+                one.entity,
+                one.namespace,
+                models[one.model],
+                texts[one.robot_description],
+                one.spawn_state,
+            )
+            for one in response.grants
+        )
+    except IndexError as error:
+        raise MalformedPayload("a grant speaks of a model or text that is not there") from error
 
 
 class DriveState(msgspec.Struct, frozen=True):

@@ -9,7 +9,7 @@ import msgspec
 from proto import keys
 from proto.bus import NoServer
 from proto.catalog import CLAIM_ENTITY
-from proto.claims import Claim, ClaimEntityRequest, OnRelease
+from proto.claims import Claim, ClaimEntityRequest, OnRelease, claims_of
 from proto.codec import MalformedPayload, decode
 from proto.result import ClaimCode, ResultCode, ServiceError
 from proto.telemetry import Event
@@ -125,7 +125,7 @@ class Claimer:
             timeout_s = min(timeout_s, max(SHORTEST_CALL_S, self._give_up_s - now_s))
         request = ClaimEntityRequest(wish.agent, entities, wish.on_release)
         response = self._network.call(CLAIM_ENTITY, request, world=wish.world, timeout_s=timeout_s)
-        return response.claims
+        return claims_of(response)
 
     def _put_off(self, error: Exception, now_s: float, *, is_passing: bool) -> None:
         is_over = self._give_up_s is not None and now_s >= self._give_up_s

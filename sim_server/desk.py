@@ -50,6 +50,8 @@ class Desk:
     target_real_time_factor: float = 1.0
     seed: int = 0
     alive_agents: set[str] = field(default_factory=set)
+    pools: dict[str, int] = field(default_factory=dict)
+    """Agents that have asked for a share, in that order, and the most robots that each drives."""
     alive_bonds: set[str] = field(default_factory=set)
     stepping: Stepping = field(default_factory=Stepping)
     lockstep: Lockstep = field(default_factory=Lockstep)

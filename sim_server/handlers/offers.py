@@ -149,6 +149,7 @@ OFFERS = (
     offer(catalog.SET_LINK_PROPERTIES, gazebo_properties.set_link_properties),
     offer(catalog.GET_SIMULATOR_FEATURES, features),
     offer(catalog.CLAIM_ENTITY, agents.claim),
+    offer(catalog.CLAIM_SHARE, agents.claim_share),
     offer(catalog.GET_MODELS, entities.get_models),
     offer(catalog.MISSING_ASSETS, files.missing_assets),
     offer(catalog.PUT_ASSET, files.put_asset),

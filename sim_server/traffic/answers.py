@@ -5,12 +5,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from proto.bus import Call
-from proto.catalog import CLAIM_ENTITY, SERVICES
+from proto.catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES
 from sim_server.durable import Told
 
 KEPT = 4096
 KEPT_BYTES = 32 << 20
-PASSING = frozenset({CLAIM_ENTITY.name})
+PASSING = frozenset({CLAIM_ENTITY.name, CLAIM_SHARE.name})
 """Services whose answers mean nothing to another server."""
 
 

@@ -110,6 +110,7 @@ class Driving:
             self._desk.alive_agents.add(agent)
             return
         self._desk.alive_agents.discard(agent)
+        self._desk.pools.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
         self._outlet.forget_agent(agent)

@@ -1,5 +1,6 @@
 """Who drives what, and the newest targets of each agent. No physics, no network."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -19,6 +20,7 @@ class Claims:
         self.changes = 0
         """Counts claims that were granted or ended."""
         self._holds: dict[str, Hold] = {}
+        self._counts: Counter[str] = Counter()
         self._next_claim = 1
         self._targets: dict[str, FloatArray] = {}
         self._emptied: set[str] = set()
@@ -50,7 +52,10 @@ class Claims:
         """Make an agent the driver of an entity, under a new claim."""
         hold = Hold(self._next_claim, agent, on_release)
         self._next_claim += 1
+        if (before := self._holds.get(name)) is not None:
+            self._counts[before.agent] -= 1
         self._holds[name] = hold
+        self._counts[agent] += 1
         self.changes += 1
         self.forget_rows()
         self._targets.pop(agent, None)
@@ -61,10 +66,12 @@ class Claims:
         """End the claim on an entity, if there is one; an agent left with nothing is told so."""
         if (hold := self._holds.pop(name, None)) is None:
             return
+        self._counts[hold.agent] -= 1
         self.changes += 1
         self.forget_rows()
         self._targets.pop(hold.agent, None)
-        if not self.held_by(hold.agent):
+        if not self._counts[hold.agent]:
+            del self._counts[hold.agent]
             self._emptied.add(hold.agent)
 
     def forget_agent(self, agent: str) -> None:

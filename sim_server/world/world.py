@@ -38,7 +38,7 @@ class World(Chronicle):
         self.pushes = Pushes()
         self._roster: Roster | None = None
         self._reading: Reading | None = None
-        self._watch = Watch()
+        self.watch = Watch()
 
     @property
     def engine_name(self) -> str:
@@ -140,7 +140,7 @@ class World(Chronicle):
         """
         entity = self.entity(name)
         self.claims.drop(name)
-        self._watch.forget(name)
+        self.watch.forget(name)
         self.pushes.forget(name)
         self._engine.remove(entity.body)
         del self._entities[name]
@@ -177,7 +177,7 @@ class World(Chronicle):
             EngineRefused: The engine cannot simulate the model.
         """
         entity = self.entity(name)
-        if self._watch.is_frozen(name):
+        if self.watch.is_frozen(name):
             raise IncorrectState(f"entity '{name}' is {FROZEN}")
         positions = self.reading().joint_positions[self.roster().joints_of(name)]
         stand = Stand(self.state_of(name), positions.copy())
@@ -195,7 +195,7 @@ class World(Chronicle):
         """
         wanted = [self.entity(name) for name in dict.fromkeys(names)]
         for entity in wanted:
-            if self._watch.is_frozen(entity.name):
+            if self.watch.is_frozen(entity.name):
                 raise IncorrectState(f"entity '{entity.name}' is {FROZEN}")
             if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
                 raise Refused(
@@ -256,7 +256,7 @@ class World(Chronicle):
             for entity in self.entities:
                 self._thaw(entity)
                 self._engine.rest(self._entities[entity.name].body, entity.initial)
-            self._watch.forget_all()
+            self.watch.forget_all()
         if bits & ResetScope.TIME:
             self.steps = 0
         self.epoch += 1
@@ -275,10 +275,10 @@ class World(Chronicle):
         """Read every entity back, once a step at most; those that have gone bad are mended."""
         if self._reading is None:
             reading = self._engine.read(self.roster().bodies)
-            if bad := self._watch.bad(self.roster(), reading):
+            if bad := self.watch.bad(self.roster(), reading):
                 self._mend(bad)
                 reading = self._engine.read(self.roster().bodies)
-            self._reading = self._watch.remember(self.roster(), reading)
+            self._reading = self.watch.remember(self.roster(), reading)
         return self._reading
 
     def fleets(self) -> dict[str, Fleet]:
@@ -333,7 +333,7 @@ class World(Chronicle):
         self.ready_s.clear()
         self._engine, self._entities = other.give_up()
         self.step_ns, self.control_steps = other.step_ns, other.control_steps
-        self._watch, self.state = Watch(), state
+        self.watch, self.state = Watch(), state
         self.steps, self.epoch = 0, self.epoch + 1
         self._tell("unloaded" if state == State.NO_WORLD else "loaded")
         for name in self._entities:
@@ -350,16 +350,16 @@ class World(Chronicle):
 
     def _mend(self, bad: list[str]) -> None:
         entities = [self._entities[name] for name in bad]
-        culprits = self._watch.culprits(entities, self.time_ns)
+        culprits = self.watch.culprits(entities, self.time_ns)
         for entity in entities:
             if entity.name in culprits:
                 self._freeze(entity)
             else:
-                self._stand_up(entity, self._watch.last_good(entity))
+                self._stand_up(entity, self.watch.last_good(entity))
                 self.warn(entity.name, SET_BACK)
 
     def _freeze(self, entity: Entity) -> None:
-        stand = self._watch.freeze(entity)
+        stand = self.watch.freeze(entity)
         self.pushes.forget(entity.name)
         self._make_anew(entity, still(entity.model, stand.positions), stand.base)
         if agent := self.claims.agent_of(entity.name):
@@ -368,7 +368,7 @@ class World(Chronicle):
         self.warn(entity.name, FROZEN)
 
     def _thaw(self, entity: Entity) -> None:
-        if (stand := self._watch.thaw(entity.name)) is not None:
+        if (stand := self.watch.thaw(entity.name)) is not None:
             self._stand_up(entity, stand)
 
     def _stand_up(self, entity: Entity, stand: Stand) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from proto import keys
-from proto.claims import ClaimEntityRequest, ClaimEntityResponse, DriveCommand, DriveState
+from proto.claims import ClaimEntityRequest, ClaimEntityResponse, DriveCommand, DriveState, granted
 from proto.codec import Format, decode, encode, encoding_of
 from proto.result import ClaimCode, Result, ResultCode
 from proto.telemetry import Event, EventKind
@@ -76,12 +76,11 @@ class StandInServer:
                 return refused(ResultCode.NOT_FOUND, f"entity '{entity}' does not exist")
             if self.drivers.get(entity, request.agent) != request.agent:
                 return refused(ClaimCode.ALREADY_CLAIMED, f"entity '{entity}' is driven")
-        return ClaimEntityResponse(
-            claims=tuple(
-                a_claim(self._grant(entity, request.agent), entity, self.entities[entity])
-                for entity in request.entities
-            )
-        )
+        claims = [
+            a_claim(self._grant(entity, request.agent), entity, self.entities[entity])
+            for entity in request.entities
+        ]
+        return ClaimEntityResponse(Result(), *granted(claims))
 
     def _grant(self, entity: str, agent: str) -> int:
         self.drivers[entity] = agent

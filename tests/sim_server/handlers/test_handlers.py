@@ -170,7 +170,7 @@ def test_claim_tells_model_and_clock() -> None:
     response = handle(desk, claims.ClaimEntityRequest("a", ("r0",)))
 
     assert isinstance(response, claims.ClaimEntityResponse)
-    assert [claim.entity for claim in response.claims] == ["r0"]
+    assert [claim.entity for claim in response.grants] == ["r0"]
     assert (response.step_ns, response.control_steps) == (desk.world.step_ns, 3)
 
 
