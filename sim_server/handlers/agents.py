@@ -4,9 +4,9 @@ from proto import claims
 from proto.names import InvalidName, check_name
 from proto.result import ClaimCode, Result
 from sim_server.desk import Desk
-from sim_server.entity import Entity
 from sim_server.errors import IncorrectState, Refused
 from sim_server.handlers.shares import moves_to
+from sim_server.world.entity import Entity
 
 ANY_NUMBER = 1 << 32
 SHARE_TEXT = 2 << 20

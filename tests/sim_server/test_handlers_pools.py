@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from proto import claims
+from proto.codec import MalformedPayload
 from sim_server.desk import Desk
 from sim_server.errors import IncorrectState, Refused
 from sim_server.handlers import agents
@@ -118,5 +119,5 @@ def test_claims_of_a_response_share_models_and_refuse_what_is_not_there() -> Non
     one, other = claims.claims_of(response)
 
     assert one.model is other.model
-    with pytest.raises(claims.MalformedPayload, match="not there"):
+    with pytest.raises(MalformedPayload, match="not there"):
         claims.claims_of(msgspec.structs.replace(response, models=()))
