@@ -19,6 +19,7 @@ NAMES = (
     "services",
     "journal",
     "flat_out",
+    "fleet",
     "codec",
 )
 HEAD = """# Benchmarks

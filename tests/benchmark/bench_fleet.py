@@ -1,0 +1,121 @@
+"""Fleets flat out
+
+Box_bots drive circles in one world: in a real server at `--rtf 0`, whose drive states one other
+process answers and whose snapshots it takes, and in a plain PyBullet loop with the best settings,
+driven and read at the same control periods, without a network (the floor). The two take turns. CPU
+is that of the loop's thread; `floor / served` compares it turn by turn, and is the engine's share.
+Where a step's time goes is measured in turns of its own, since looking costs.
+"""
+
+import statistics
+from collections.abc import Iterator
+
+from tests.benchmark.bodies import CONFIG
+from tests.benchmark.figures import Asked, Figure, table
+from tests.benchmark.fleet import CIRCLE, MILLISECONDS
+from tests.benchmark.plain import PlainLoop, Turn
+from tests.benchmark.served import Served, Spent, served
+
+__all__ = ["rows", "table"]
+
+COUNTS = (1, 10, 50, 100, 200, 500, 1000)
+COUNTS_WHEN_SHORT = (2,)
+TURNS, LOOKS = 5, 2
+TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.6, 2.5, 0.1
+LONG_FROM = 500
+"""Robots from which a step takes so long that a turn needs more time."""
+PARTS = ("engine", "command", "read-back", "messages", "encode", "put", "take")
+"""`messages`: drive states and snapshots made from arrays; `take`: what has come is taken in."""
+MOVES = 0.5
+"""Of the speed that was commanded; below it a robot does not count as driving."""
+SHARE = Asked("median", ">=", 0.9)
+SHARE_AT = 100
+GROWTH = Asked("median", "<=", 1.3)
+GROWTH_FROM, GROWTH_TO = 100, 1000
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure fleets of several sizes, and how the cost of a robot grows with them."""
+    costs: dict[int, float] = {}
+    for count in COUNTS_WHEN_SHORT if is_short else COUNTS:
+        turns, floors, looks = _taken_in_turn(count, is_short=is_short)
+        costs[count] = statistics.median(turn.cpu_s / turn.steps for turn in turns) / count
+        yield from _figures(count, turns, floors)
+        yield from _parts(count, looks)
+    if GROWTH_TO in costs:
+        yield Figure(
+            what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
+            unit="",
+            samples=(costs[GROWTH_TO] / costs[GROWTH_FROM],),
+            asked=GROWTH,
+        )
+
+
+def _taken_in_turn(count: int, *, is_short: bool) -> tuple[list[Spent], list[Turn], list[Spent]]:
+    turn_s = LONG_TURN_S if count >= LONG_FROM else TURN_S
+    turn_s = TURN_WHEN_SHORT_S if is_short else turn_s
+    with served(count) as server:
+        plain = PlainLoop(count, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps)
+        try:
+            _begin(server, plain, count)
+            pairs = [(server.turn(turn_s), plain.turn(turn_s)) for _ in range(TURNS)]
+        finally:
+            plain.close()
+        server.look_inside()
+        looks = [server.turn(turn_s) for _ in range(LOOKS)]
+        return [spent for spent, _ in pairs], [floor for _, floor in pairs], looks
+
+
+def _begin(server: Served, plain: PlainLoop, count: int) -> None:
+    """Go on until all drive.
+
+    Raises:
+        RuntimeError: Some do not.
+    """
+    least = MOVES * CIRCLE[0]
+    for loop in (server, plain):
+        for _ in range(TURNS):
+            loop.turn(TURN_S)
+            driving = sum(speed > least for speed in loop.speeds())
+            if driving == count:
+                break
+        else:
+            raise RuntimeError(f"{driving} of {count} robots drive, in {type(loop).__name__}")
+
+
+def _figures(count: int, turns: list[Spent], floors: list[Turn]) -> Iterator[Figure]:
+    whom, step_s = _whom(count), CONFIG.step_ns * 1e-9
+    each: dict[str, list[Turn]] = {"served": [*turns], "floor": floors}
+    for what, some in each.items():
+        factors = tuple(turn.steps * step_s / turn.wall_s for turn in some)
+        yield Figure(what=f"{whom}, {what}: real-time factor", unit="", samples=factors)
+        costs = tuple(_cpu_ms(turn) for turn in some)
+        yield Figure(what=f"{whom}, {what}: a step", unit="CPU ms", samples=costs)
+    network = tuple((turn.process_cpu_s - turn.cpu_s) / turn.steps * MILLISECONDS for turn in turns)
+    yield Figure(what=f"{whom}, served: a step, other threads", unit="CPU ms", samples=network)
+    yield Figure(
+        what=f"{whom}: floor / served",
+        unit="",
+        samples=tuple(
+            _cpu_ms(floor) / _cpu_ms(turn) for turn, floor in zip(turns, floors, strict=True)
+        ),
+        asked=SHARE if count == SHARE_AT else None,
+    )
+
+
+def _parts(count: int, looks: list[Spent]) -> Iterator[Figure]:
+    for part in PARTS:
+        samples = tuple(look.parts_s.get(part, 0.0) / look.steps * MILLISECONDS for look in looks)
+        yield Figure(what=f"{_whom(count)}, of a step: {part}", unit="CPU ms", samples=samples)
+    rest = tuple(
+        (look.cpu_s - sum(look.parts_s.values())) / look.steps * MILLISECONDS for look in looks
+    )
+    yield Figure(what=f"{_whom(count)}, of a step: the rest", unit="CPU ms", samples=rest)
+
+
+def _cpu_ms(turn: Turn) -> float:
+    return turn.cpu_s / turn.steps * MILLISECONDS
+
+
+def _whom(count: int) -> str:
+    return "1 robot" if count == 1 else f"{count} robots"

@@ -1,0 +1,73 @@
+"""A process that drives box_bots in circles, all in one claim, as cheaply as it can be done.
+
+`python -m tests.benchmark.circling ENDPOINT COUNT` takes box_bot0 and so on, says so in a line, and
+answers every drive state with the same wheel speeds. It also takes the world's snapshots.
+"""
+
+import os
+import sys
+import time
+from collections.abc import Iterator
+from typing import NoReturn
+
+import numpy as np
+
+from deploy.parent import die_with_parent
+from proto import keys
+from proto.bus import Bus, BusConfig, open_bus
+from proto.catalog import CLAIM_ENTITY
+from proto.claims import Claim, ClaimEntityRequest, DriveCommand, DriveState
+from proto.codec import Format, decode, encode, encoding_of
+from proto.result import ResultCode, ServiceError
+from tests.benchmark.fleet import POLL_S, soon
+
+WORLD, AGENT = "default", "circling"
+CLAIMED_AT_ONCE = 100
+"""A claim carries its model: a thousand in one answer would be too large for a message."""
+CALL_TIMEOUT_S = 20.0
+WHEEL_SPEEDS = (4.93, 6.5)
+"""Left and right [rad/s]: `fleet.CIRCLE` of a box_bot."""
+
+
+def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
+    """Claim robots, then drive them until told to end."""
+    states = bus.subscribe(keys.drive_state(WORLD, AGENT))
+    snapshots = bus.subscribe(keys.snapshot(WORLD))
+    encoding = encoding_of(DriveCommand, Format.MSGPACK)
+    commands = bus.advertise(keys.drive_command(WORLD, AGENT), encoding)
+    count = len(list(_claimed(bus, names)))
+    sys.stdout.write(f"claimed {count}\n")
+    sys.stdout.flush()
+    speeds = np.tile(WHEEL_SPEEDS, count).astype("<f8").tobytes()
+    while True:
+        snapshots.newest()
+        sample = states.newest()
+        if sample is None:
+            time.sleep(POLL_S)
+            continue
+        state = decode(DriveState, sample.payload, sample.encoding)
+        command = DriveCommand(state.epoch, state.step, state.claims, speeds)
+        commands.send(encode(command, Format.MSGPACK))
+
+
+def _claimed(bus: Bus, names: tuple[str, ...]) -> Iterator[Claim]:
+    for start in range(0, len(names), CLAIMED_AT_ONCE):
+        request = ClaimEntityRequest(AGENT, names[start : start + CLAIMED_AT_ONCE])
+        yield from soon(lambda request=request: _claim(bus, request))  # type: ignore[misc]
+
+
+def _claim(bus: Bus, request: ClaimEntityRequest) -> tuple[Claim, ...] | None:
+    """Claim, or find that the server has not seen the token yet."""
+    try:
+        return bus.call(CLAIM_ENTITY, request, world=WORLD, timeout_s=CALL_TIMEOUT_S).claims
+    except ServiceError as error:
+        if error.code != ResultCode.INCORRECT_STATE:
+            raise
+        return None
+
+
+if __name__ == "__main__":
+    die_with_parent(os.environ)
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined:
+        token = joined.token(keys.alive_agent(WORLD, AGENT))
+        drive(joined, tuple(f"box_bot{i}" for i in range(int(sys.argv[2]))))

@@ -1,0 +1,132 @@
+"""A server with a fleet in it that drives circles, started and stopped in short turns."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import msgspec
+
+from deploy.parent import PARENT
+from proto.services import SpawnEntityOrder, State
+from spawner.client import SimClient
+from spawner.launch import read_cargo, spawn_all
+from spawner.placement import fleet_places
+from tests.benchmark.fleet import SPACING_M
+from tests.benchmark.machine import ROOT
+from tests.benchmark.plain import Turn
+from tests.benchmark.watched_server import Used, mark
+from tests.integration.processes import START_S, end, free_endpoint, joined
+
+CALL_TIMEOUT_S = 60.0
+"""A step of a large fleet takes long, and so does what waits for it."""
+
+
+@dataclass(frozen=True)
+class Spent(Turn):
+    """What the steps of a turn took of a server."""
+
+    process_cpu_s: float
+    """With the router's threads."""
+    parts_s: dict[str, float]
+
+
+class Served:
+    """One watched server."""
+
+    def __init__(self, process: "subprocess.Popen[str]", client: SimClient) -> None:
+        self.process = process
+        self.client = client
+
+    def turn(self, seconds: float) -> Spent:
+        """Let time run for a while."""
+        before = self._enter(State.PLAYING)
+        time.sleep(seconds)
+        after = self._enter(State.PAUSED)
+        return Spent(
+            steps=after.steps - before.steps,
+            wall_s=after.wall_s - before.wall_s,
+            cpu_s=after.loop_cpu_s - before.loop_cpu_s,
+            process_cpu_s=after.process_cpu_s - before.process_cpu_s,
+            parts_s={
+                part: spent_s - before.parts_s.get(part, 0.0)
+                for part, spent_s in after.parts_s.items()
+            },
+        )
+
+    def look_inside(self) -> None:
+        """Have the parts of the loop timed too, from the next turn on."""
+        self.process.send_signal(signal.SIGUSR1)
+
+    def speeds(self) -> list[float]:
+        """Ask how fast each robot goes [m/s]."""
+        linear = [state.twist.linear for state in self.client.entity_states().values()]
+        return [math.hypot(one.x, one.y) for one in linear]
+
+    def _enter(self, state: State) -> Used:
+        self.client.set_simulation_state(state)
+        line = _line_with(mark(state), self.process)
+        return msgspec.json.decode(line.removeprefix(mark(state)), type=Used)
+
+
+@contextmanager
+def served(count: int, *serve_arguments: str) -> Iterator[Served]:
+    """Run a server that stands, with robots far apart and one process that drives them all."""
+    endpoint = free_endpoint()
+    arguments = ("--paused", "--rtf", "0", "--listen", endpoint, *serve_arguments)
+    with ExitStack() as stack:
+        process = stack.enter_context(_program("watched_server", *arguments))
+        bus = stack.enter_context(joined(endpoint, process))
+        found = Served(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
+        found.client.wait_for_server(START_S)
+        spawn(found.client, count)
+        driver = stack.enter_context(_program("circling", endpoint, str(count)))
+        _line_with(f"claimed {count}", driver)
+        yield found
+
+
+def spawn(client: SimClient, count: int) -> None:
+    """Put robots on a grid, all between two steps.
+
+    Raises:
+        RuntimeError: Some were refused.
+    """
+    places = fleet_places("box_bot", count, "grid", SPACING_M)
+    outcomes = spawn_all(client, read_cargo("box_bot"), places, SpawnEntityOrder())
+    if refused := [outcome for outcome in outcomes if outcome.message]:
+        raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
+
+
+@contextmanager
+def _program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
+    process = subprocess.Popen(
+        [sys.executable, "-m", f"tests.benchmark.{name}", *arguments],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, PARENT: str(os.getpid())},
+    )
+    try:
+        yield process
+    finally:
+        end(process)
+
+
+def _line_with(beginning: str, process: "subprocess.Popen[str]") -> str:
+    """Read lines until one begins so.
+
+    Raises:
+        RuntimeError: The process ended before.
+    """
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith(beginning):
+            return line
+    raise RuntimeError(f"no '{beginning}' came from {process.args!r}")
