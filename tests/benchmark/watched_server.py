@@ -15,9 +15,9 @@ from deploy.cli import main
 from deploy.parent import die_with_parent
 from proto.bus import Publisher
 from proto.services import State
-from sim_server import outlets
-from sim_server.driving import Driving
-from sim_server.world import World
+from sim_server.traffic import outlets
+from sim_server.traffic.driving import Driving
+from sim_server.world.world import World
 from tests.benchmark.stopwatch import Stopwatch
 
 ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
