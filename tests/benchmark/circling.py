@@ -7,7 +7,6 @@ answers every drive state with the same wheel speeds. It also takes the world's 
 import os
 import sys
 import time
-from collections.abc import Iterator
 from typing import NoReturn
 
 import numpy as np
@@ -16,14 +15,12 @@ from deploy.parent import die_with_parent
 from proto import keys
 from proto.bus import Bus, BusConfig, open_bus
 from proto.catalog import CLAIM_ENTITY
-from proto.claims import Claim, ClaimEntityRequest, DriveCommand, DriveState
+from proto.claims import ClaimEntityRequest, DriveCommand, DriveState
 from proto.codec import Format, decode, encode, encoding_of
 from proto.result import ResultCode, ServiceError
 from tests.benchmark.fleet import POLL_S, soon
 
 WORLD, AGENT = "default", "circling"
-CLAIMED_AT_ONCE = 100
-"""A claim carries its model: a thousand in one answer would be too large for a message."""
 CALL_TIMEOUT_S = 20.0
 WHEEL_SPEEDS = (4.93, 6.5)
 """Left and right [rad/s]: `fleet.CIRCLE` of a box_bot."""
@@ -35,7 +32,7 @@ def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
     snapshots = bus.subscribe(keys.snapshot(WORLD))
     encoding = encoding_of(DriveCommand, Format.MSGPACK)
     commands = bus.advertise(keys.drive_command(WORLD, AGENT), encoding)
-    count = len(list(_claimed(bus, names)))
+    count = soon(lambda: _claim(bus, names), CALL_TIMEOUT_S)
     sys.stdout.write(f"claimed {count}\n")
     sys.stdout.flush()
     speeds = np.tile(WHEEL_SPEEDS, count).astype("<f8").tobytes()
@@ -50,20 +47,16 @@ def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
         commands.send(encode(command, Format.MSGPACK))
 
 
-def _claimed(bus: Bus, names: tuple[str, ...]) -> Iterator[Claim]:
-    for start in range(0, len(names), CLAIMED_AT_ONCE):
-        request = ClaimEntityRequest(AGENT, names[start : start + CLAIMED_AT_ONCE])
-        yield from soon(lambda request=request: _claim(bus, request))  # type: ignore[misc]
-
-
-def _claim(bus: Bus, request: ClaimEntityRequest) -> tuple[Claim, ...] | None:
-    """Claim, or find that the server has not seen the token yet."""
+def _claim(bus: Bus, names: tuple[str, ...]) -> int | None:
+    """Claim robots, and say how many; None when the server has not seen the token yet."""
+    request = ClaimEntityRequest(AGENT, names)
     try:
-        return bus.call(CLAIM_ENTITY, request, world=WORLD, timeout_s=CALL_TIMEOUT_S).claims
+        found = bus.call(CLAIM_ENTITY, request, world=WORLD, timeout_s=CALL_TIMEOUT_S)
     except ServiceError as error:
         if error.code != ResultCode.INCORRECT_STATE:
             raise
         return None
+    return len(found.grants)
 
 
 if __name__ == "__main__":
