@@ -4,7 +4,13 @@ import pytest
 
 from proto.model import Contact, Joint, Link, Model, Shape
 from sim_server.physics.blueprint import Part, blueprint_of
-from sim_server.physics.touch import self_touching, standing_friction, touch_of, touches_itself
+from sim_server.physics.touch import (
+    REACH_M,
+    self_touching,
+    standing_friction,
+    touch_of,
+    touches_itself,
+)
 from tests.models import a_body
 
 DT_S = 0.004
@@ -34,6 +40,7 @@ def test_rigid_part_has_its_friction_and_nothing_else() -> None:
         "spinningFriction": 0.0,
         "rollingFriction": 0.0,
         "restitution": 0.0,
+        "contactProcessingThreshold": REACH_M,
     }
 
 
