@@ -20,6 +20,8 @@ NAMES = (
     "journal",
     "flat_out",
     "fleet",
+    "fleet_spawn",
+    "fleet_latency",
     "codec",
 )
 HEAD = """# Benchmarks

@@ -90,13 +90,22 @@ def served(count: int, *serve_arguments: str) -> Iterator[Served]:
         yield found
 
 
-def spawn(client: SimClient, count: int) -> None:
-    """Put robots on a grid, all between two steps.
+def spawn(
+    client: SimClient,
+    count: int,
+    *,
+    prefix: str = "box_bot",
+    at: tuple[float, float] = (0.0, 0.0),
+) -> None:
+    """Put robots on a grid that begins somewhere [m], all between two steps.
 
     Raises:
         RuntimeError: Some were refused.
     """
-    places = fleet_places("box_bot", count, "grid", SPACING_M)
+    places = [
+        msgspec.structs.replace(place, x=place.x + at[0], y=place.y + at[1])
+        for place in fleet_places(prefix, count, "grid", SPACING_M)
+    ]
     outcomes = spawn_all(client, read_cargo("box_bot"), places, SpawnEntityOrder())
     if refused := [outcome for outcome in outcomes if outcome.message]:
         raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")

@@ -1,0 +1,114 @@
+"""Fleets: spawning
+
+Box_bots are spawned by one request, all between two steps or none, while a robot far away drives at
+real-time factor 1. `longest wait` is how much later than due the robot's next state came at worst,
+in an equal time before the request (quiet) and from the request to its answer. Memory is what the
+server's process alone holds (USS), before and after. Floor: the same bodies put into PyBullet.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import psutil
+
+from proto.services import State
+from tests.benchmark.bodies import CONFIG
+from tests.benchmark.figures import Asked, Figure, table
+from tests.benchmark.fleet import milliseconds
+from tests.benchmark.lateness import Lateness, watched
+from tests.benchmark.plain import PlainLoop
+from tests.benchmark.served import Served, served, spawn
+
+__all__ = ["rows", "table"]
+
+RUNS = 3
+COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
+KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
+GOAL = 1000
+SPAWNED = Asked("median", "<=", 3.0)
+WAITED = Asked("max", "<=", 50.0)
+MEMORY = Asked("median", "<=", 150.0)
+FAR_M, APART_M = 1000.0, 10.0
+"""A fleet begins this far from the robot that drives, and from the other: so much times its size."""
+
+
+@dataclass
+class Spawns:
+    """What fleets of one size took."""
+
+    took_s: list[float] = field(default_factory=list)
+    quiet_ms: list[float] = field(default_factory=list)
+    waited_ms: list[float] = field(default_factory=list)
+    robot_kib: list[float] = field(default_factory=list)
+    floor_s: list[float] = field(default_factory=list)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure fleets of two sizes, the larger beside the smaller."""
+    counts = COUNTS_WHEN_SHORT if is_short else COUNTS
+    seen = {count: Spawns() for count in counts}
+    for _ in range(1 if is_short else RUNS):
+        with served(1, "--rtf", "1") as server, watched(server.client.bus) as lateness:
+            for count, spawns in seen.items():
+                _spawn(server, lateness, count, spawns)
+        for count, spawns in seen.items():
+            spawns.floor_s.append(_floor_s(count))
+    for count, spawns in seen.items():
+        yield from _figures(count, spawns)
+
+
+def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
+    """Spawn a fleet while time runs, and let it stand afterwards: it may be too large to pace."""
+    process, client = psutil.Process(server.process.pid), server.client
+    before = process.memory_full_info().uss
+    client.set_simulation_state(State.PLAYING)
+    quiet_s = spawns.took_s[-1] if spawns.took_s else 1.0
+    time.sleep(quiet_s)
+    start_s = time.perf_counter()
+    spawn(client, count, prefix=f"of{count}_", at=(FAR_M, count * APART_M))
+    end_s = time.perf_counter()
+    client.set_simulation_state(State.PAUSED)
+    held = process.memory_full_info().uss - before
+    spawns.took_s.append(end_s - start_s)
+    spawns.quiet_ms.append(lateness.longest_ms(start_s - quiet_s, start_s))
+    spawns.waited_ms.append(lateness.longest_ms(start_s, end_s))
+    spawns.robot_kib.append(held / count * KIBIBYTES)
+
+
+def _floor_s(count: int) -> float:
+    loops: list[PlainLoop] = []
+
+    def build() -> None:
+        loops.append(PlainLoop(count, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps))
+
+    took_ms = milliseconds(build)
+    loops[0].close()
+    return took_ms * SECONDS
+
+
+def _figures(count: int, spawns: Spawns) -> Iterator[Figure]:
+    is_goal = count == GOAL
+    whom = f"{count} robots"
+    yield Figure(
+        what=f"{whom}: request to all spawned",
+        unit="s",
+        samples=tuple(spawns.took_s),
+        asked=SPAWNED if is_goal else None,
+    )
+    floor = tuple(spawns.floor_s)
+    yield Figure(what=f"{whom}: floor, put into PyBullet", unit="s", samples=floor)
+    quiet = tuple(spawns.quiet_ms)
+    yield Figure(what=f"{whom}: longest wait, quiet", unit="ms", samples=quiet)
+    yield Figure(
+        what=f"{whom}: longest wait, spawning",
+        unit="ms",
+        samples=tuple(spawns.waited_ms),
+        asked=WAITED if is_goal else None,
+    )
+    yield Figure(
+        what=f"{whom}: memory a robot",
+        unit="KiB",
+        samples=tuple(spawns.robot_kib),
+        asked=MEMORY if is_goal else None,
+    )
