@@ -1,4 +1,4 @@
-"""The Zenoh boundary: open, advertise, subscribe, serve, call. The only file that imports zenoh.
+"""The Zenoh boundary: open, advertise, subscribe, serve, call. One door with `channels`.
 
 Everything arrives through channels that Zenoh's own threads fill and the caller drains, so that no
 Python callback runs on a network thread and no open session can hang the interpreter's exit.
@@ -7,30 +7,53 @@ Python callback runs on a network thread and no open session can hang the interp
 import json
 import time
 import uuid
-from collections.abc import Iterator
 from typing import Final, Literal
 
 import msgspec
 import zenoh
-from zenoh.handlers import FifoChannel, Handler, RingChannel
+from zenoh.handlers import FifoChannel, RingChannel
 
 from proto import keys
 from proto.catalog import Request, Response, Service
+from proto.channels import (
+    Call,
+    CallQueue,
+    Publisher,
+    Sample,
+    Subscription,
+    Token,
+    TokenWatch,
+    sample_of,
+)
 from proto.codec import Format, decode, encode, encoding_of
 from proto.endpoint import DEFAULT_ENDPOINT, check_endpoint, with_free_port
 from proto.result import Result, ResultCode, ServiceError
-from proto.services import MAX_REQUEST_BYTES
+
+__all__ = [
+    "LATEST",
+    "MAX_MESSAGE_BYTES",
+    "Bus",
+    "BusConfig",
+    "BusError",
+    "Call",
+    "CallQueue",
+    "EndpointTaken",
+    "NoServer",
+    "Publisher",
+    "Sample",
+    "Subscription",
+    "Token",
+    "TokenWatch",
+    "Unreachable",
+    "open_bus",
+    "settings_of",
+]
 
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """After a reconnect a query may end empty at first (zenoh#2767): ask again with the same id."""
-TAKEN_BYTES: Final = 1 << 20
-"""Of requests at once, so that who takes them can do something else in between."""
-CALL_BYTES: Final = TAKEN_BYTES // 32
-"""What a request counts for beside its payload."""
 MAX_ANSWERS: Final = 16384
 """To one question, kept in a queue: a ring loses what is left in it when the last has come."""
-NOTHING: Final = zenoh.ZBytes(b"")
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample: for one publisher on one key."""
 
@@ -63,138 +86,6 @@ class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
     open_timeout_s: float = 2.0
 
 
-class Sample(msgspec.Struct, frozen=True):
-    """One message as it came."""
-
-    key: str
-    payload: bytes
-    encoding: str
-
-
-class Publisher:
-    """One key to put on. Never blocks: what a slow network cannot take is dropped."""
-
-    def __init__(self, publisher: zenoh.Publisher) -> None:
-        self._publisher = publisher
-
-    @property
-    def is_matched(self) -> bool:
-        """Whether anybody listens."""
-        # The stub says bool; it is a MatchingStatus.
-        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
-
-    def send(self, payload: bytes) -> None:
-        """Put one message."""
-        self._publisher.put(payload)
-
-    def close(self) -> None:
-        """Withdraw the publisher."""
-        self._publisher.undeclare()
-
-
-class Subscription:
-    """Messages on a key expression; when nobody takes them the oldest are dropped."""
-
-    def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
-        self._subscriber = subscriber
-
-    def take(self) -> list[Sample]:
-        """Take all that have come, oldest first."""
-        return list(self._drain())
-
-    def newest(self) -> Sample | None:
-        """Take all and keep the last."""
-        found = None
-        for found in self._drain():  # noqa: B007  the last one is the result
-            pass
-        return found
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._subscriber.undeclare()
-
-    def _drain(self) -> Iterator[Sample]:
-        while (sample := self._subscriber.try_recv()) is not None:
-            yield _sample(sample)
-
-
-class Call:
-    """A request that waits for its answer; reply once, or the caller gets nothing."""
-
-    def __init__(self, query: zenoh.Query) -> None:
-        self._query = query
-        self.key = str(query.key_expr)
-        payload = query.payload or NOTHING
-        self.size = len(payload)
-        # Of one that is too large nobody wants the copy.
-        self.payload = payload.to_bytes() if self.size <= MAX_REQUEST_BYTES else b""
-        self.encoding = str(query.encoding) if query.encoding else ""
-        self.request_id = query.attachment.to_bytes() if query.attachment else b""
-
-    @property
-    def name(self) -> str:
-        """The service asked for: the last chunk of the key."""
-        return keys.last_chunk(self.key)
-
-    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """Answer, and let the caller go; `key` when the request's is a pattern."""
-        with self._query as query:
-            query.reply(key or self.key, payload, encoding=encoding)
-
-    def drop(self) -> None:
-        """Let the caller go without an answer."""
-        self._query.drop()
-
-
-class CallQueue:
-    """Requests on a key expression; when nobody takes them the oldest are let go unanswered."""
-
-    def __init__(self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]") -> None:
-        self._queryable = queryable
-
-    def take(self) -> list[Call]:
-        """Take what has come, oldest first; of very much, the beginning."""
-        calls: list[Call] = []
-        room = TAKEN_BYTES
-        while room > 0 and (query := self._queryable.try_recv()) is not None:
-            calls.append(Call(query))
-            room -= CALL_BYTES + len(calls[-1].payload)
-        return calls
-
-    def close(self) -> None:
-        """Stop serving."""
-        self._queryable.undeclare()
-
-
-class Token:
-    """Says that this process is alive, until closed or until the process is gone."""
-
-    def __init__(self, token: zenoh.LivelinessToken) -> None:
-        self._token = token
-
-    def close(self) -> None:
-        """Withdraw the token."""
-        self._token.undeclare()
-
-
-class TokenWatch:
-    """Comings and goings of tokens."""
-
-    def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
-        self._subscriber = subscriber
-
-    def take(self) -> list[tuple[str, bool]]:
-        """Take all changes: key, and whether it is alive."""
-        changes = []
-        while (sample := self._subscriber.try_recv()) is not None:
-            changes.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
-        return changes
-
-    def close(self) -> None:
-        """Stop watching."""
-        self._subscriber.undeclare()
-
-
 class Bus:
     """One session on the network. Close it: use `with open_bus(...) as bus`."""
 
@@ -215,6 +106,20 @@ class Bus:
         """Where this bus listens, or else connects."""
         return (self.config.listen or self.config.connect or ("",))[0]
 
+    @property
+    def zid(self) -> str:
+        """The session's own id, in hexadecimal digits."""
+        return str(self._session.info.zid())
+
+    def beside(self) -> "Bus":
+        """Open another session to the same network; close it too.
+
+        Raises:
+            BusError: As `open_bus` does.
+        """
+        at = self.config.listen if self.config.mode == "router" else self.config.connect
+        return open_bus(msgspec.structs.replace(self.config, mode="client", connect=at, listen=()))
+
     def close(self) -> None:
         """End the session; tokens go, queues close."""
         self._session.close()
@@ -232,7 +137,10 @@ class Bus:
 
     def serve(self, key: str, depth: int = 4096) -> CallQueue:
         """Answer requests on a key expression."""
-        return CallQueue(self._session.declare_queryable(key, RingChannel(depth), complete=True))
+        declared = self._session.declare_queryable(
+            _expression(key), RingChannel(depth), complete=True
+        )
+        return CallQueue(declared, self._session.new_timestamp)
 
     def token(self, key: str) -> Token:
         """Declare this process alive under a key."""
@@ -253,7 +161,7 @@ class Bus:
         replies = self._session.get(
             _expression(key), FifoChannel(MAX_ANSWERS), payload=payload or None, timeout=timeout_s
         )
-        return [_sample(reply.ok) for reply in replies if reply.ok]
+        return [sample_of(reply.ok) for reply in replies if reply.ok]
 
     def call(
         self,
@@ -300,7 +208,7 @@ class Bus:
                 timeout=timeout_s,
             ):
                 if reply.ok:
-                    return _sample(reply.ok)
+                    return sample_of(reply.ok)
                 raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
             time.sleep(pause_s)
         raise NoServer(f"nothing answers {key} at {self.endpoint}; start one with 'zensim serve'")
@@ -371,10 +279,6 @@ def _open_error(config: BusConfig, text: str) -> BusError:
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
     return Unreachable(f"nobody listens at {where}; start one with 'zensim serve' or use --connect")
-
-
-def _sample(sample: zenoh.Sample) -> Sample:
-    return Sample(str(sample.key_expr), sample.payload.to_bytes(), str(sample.encoding))
 
 
 def _raise_unless_ok(service: Service[Request, Response], response: Response) -> None:

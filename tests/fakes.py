@@ -49,6 +49,13 @@ class MemoryBus:
         for token in list(self._tokens):
             token.close()
 
+    @property
+    def zid(self) -> str:
+        return "ab12"
+
+    def beside(self) -> "MemoryBus":
+        return self
+
     def advertise(self, key: str, encoding: str) -> "MemoryPublisher":
         return MemoryPublisher(self, key, encoding)
 
@@ -114,11 +121,11 @@ class MemoryBus:
         """Whether anybody answers on a key."""
         return any(intersect(key, queue.key) for queue in self._queues)
 
-    def put(self, key: str, payload: bytes, encoding: str = "") -> None:
+    def put(self, key: str, payload: bytes, encoding: str = "", attachment: bytes = b"") -> None:
         """Send raw bytes to whoever listens."""
         for subscription in self._subscriptions:
             if intersect(key, subscription.key):
-                subscription.samples.append(Sample(key, payload, encoding))
+                subscription.samples.append(Sample(key, payload, encoding, attachment))
 
     def put_message(self, key: str, message: msgspec.Struct, format_: Format = Format.CDR) -> None:
         """Send a message to whoever listens."""
@@ -149,8 +156,8 @@ class MemoryPublisher:
     def is_matched(self) -> bool:
         return self._bus.is_heard(self.key)
 
-    def send(self, payload: bytes) -> None:
-        self._bus.put(self.key, payload, self.encoding)
+    def send(self, payload: bytes, attachment: bytes = b"") -> None:
+        self._bus.put(self.key, payload, self.encoding, attachment)
 
     def close(self) -> None:
         pass
@@ -189,8 +196,14 @@ class MemoryCall:
     def name(self) -> str:
         return keys.last_chunk(self.key)
 
-    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        self.answers.append(Sample(key or self.key, payload, encoding))
+    def covers(self, key: str) -> bool:
+        return intersect(self.key, key)
+
+    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
+        self.answers.append(Sample(key, payload, encoding, attachment))
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        self.answers.append(Sample(key or self.key, payload, encoding, attachment))
         self.is_over = True
 
     def drop(self) -> None:

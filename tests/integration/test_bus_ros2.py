@@ -1,0 +1,105 @@
+"""What ROS 2 needs of the bus: attachments, stamped replies on other keys, sessions beside."""
+
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+import zenoh.ext
+
+from proto.bus import Bus, BusConfig, Call, CallQueue, Sample, open_bus
+from tests.integration.processes import eventually, free_endpoint
+
+KEY = "0/r1/tf_static/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369"
+ATTACHMENT = b"a" * 33
+
+
+@pytest.fixture
+def router() -> Iterator[Bus]:
+    with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as bus:
+        yield bus
+
+
+@pytest.fixture
+def stranger(router: Bus) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{router.endpoint}"]')
+    with zenoh.open(config) as session:
+        yield session
+
+
+def one_call(queue: CallQueue) -> Call:
+    found: list[Call] = []
+
+    def has_come() -> bool:
+        found.extend(queue.take())
+        return bool(found)
+
+    eventually(has_come, 5.0, "being asked")
+    return found[0]
+
+
+def test_attachment_travels_with_its_sample(router: Bus) -> None:
+    heard = router.subscribe("r1/odom", depth=10)
+    with router.beside() as beside:
+        publisher = beside.advertise("r1/odom", "")
+        eventually(lambda: publisher.is_matched, 5.0, "matching")
+
+        publisher.send(b"1", ATTACHMENT)
+        publisher.send(b"2")
+
+        samples: list[Sample] = []
+
+        def have_come() -> bool:
+            samples.extend(heard.take())
+            return len(samples) == 2
+
+        eventually(have_come, 5.0, "arriving")
+    assert [sample.attachment for sample in samples] == [ATTACHMENT, b""]
+
+
+def test_session_beside_has_an_id_of_its_own(router: Bus) -> None:
+    with router.beside() as beside, beside.beside() as another:
+        assert len({router.zid, beside.zid, another.zid}) == 3
+
+
+def test_late_joiner_takes_stamped_replies_on_the_key_it_hears(
+    router: Bus, stranger: zenoh.Session
+) -> None:
+    queue = router.serve(f"0/**/tf_static/*/*/@adv/pub/{router.zid}/1/_")
+    got: list[zenoh.Sample] = []
+    joiner = zenoh.ext.declare_advanced_subscriber(
+        stranger, KEY, got.append, history=zenoh.ext.HistoryConfig(max_samples=1)
+    )
+
+    call = one_call(queue)
+    call.add_reply(KEY, b"fixed", "", ATTACHMENT)
+    call.drop()
+
+    eventually(lambda: bool(got), 5.0, "the last value")
+    joiner.undeclare()
+    assert call.covers(f"{KEY}/@adv/pub/{router.zid}/1/_")
+    assert [(str(s.key_expr), s.payload.to_bytes()) for s in got] == [(KEY, b"fixed")]
+    assert got[0].attachment is not None
+    assert got[0].attachment.to_bytes() == ATTACHMENT
+
+
+def test_reply_on_a_key_that_nobody_wants_is_left_out(router: Bus, stranger: zenoh.Session) -> None:
+    queue = router.serve("a")
+    replies = stranger.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
+
+    call = one_call(queue)
+    call.add_reply("b", b"other", "", ATTACHMENT)
+    call.drop()
+
+    assert [reply for reply in replies if reply.ok] == []
+
+
+def test_reply_carries_an_attachment(router: Bus, stranger: zenoh.Session) -> None:
+    queue = router.serve("a")
+    replies = stranger.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
+
+    one_call(queue).reply(b"yes", "", attachment=ATTACHMENT)
+
+    answers = [reply.ok for reply in replies if reply.ok]
+    assert [bytes(answer.attachment.to_bytes()) for answer in answers] == [ATTACHMENT]
