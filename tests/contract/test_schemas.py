@@ -10,7 +10,13 @@ import proto
 from proto import schema
 
 MAX_BYTES = 400 * 1024
-WITHOUT_MESSAGES = {"proto.bus", "proto.catalog", "proto.commands", "proto.cdr_layout"}
+WITHOUT_MESSAGES = {
+    "proto.bus",
+    "proto.catalog",
+    "proto.channels",
+    "proto.commands",
+    "proto.cdr_layout",
+}
 """Modules whose structs do not travel by themselves."""
 
 
