@@ -30,7 +30,7 @@ SPAWNED = Asked("median", "<=", 3.0)
 WAITED = Asked("max", "<=", 50.0)
 MEMORY = Asked("median", "<=", 150.0)
 FAR_M, APART_M = 1000.0, 10.0
-"""A fleet begins this far from the robot that drives, and from the other: so much times its size."""
+"""How far fleets begin from the robot that drives; from each other, times their sizes."""
 
 
 @dataclass
