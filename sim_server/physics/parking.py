@@ -6,6 +6,7 @@ touches it costs a step about a microsecond, and comes back in a tenth of the ti
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from proto.model import Joint, Link, Model
 from sim_server.physics.actuation import Actuation, actuation_of
@@ -36,10 +37,10 @@ class Body:
     loads: Sequence[Load]
     gears: Sequence[int]
 
-    @property
-    def joints(self) -> range:
+    @cached_property
+    def joints(self) -> tuple[int, ...]:
         """Bullet's numbers of its joints, in the order of `Model.joints`."""
-        return range(len(self.model.joints))
+        return tuple(range(len(self.model.joints)))
 
 
 class Parking:

@@ -13,8 +13,10 @@ from sim_server.physics.creation import creation_of, dynamics_of, solids_of
 from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
 from sim_server.physics.loads import Load, loads_of
+from sim_server.physics.orders import Orders
 from sim_server.physics.parking import Body, Parking
 from sim_server.physics.planning import Planner
+from sim_server.physics.readback import base_states, joint_states
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
 from sim_server.physics.spreading import ShapeKey, key_of
@@ -64,6 +66,7 @@ class PyBulletEngine:
         self._gravity = config.gravity
         self._dt_s = config.step_ns * 1e-9
         self._roots = Roots()
+        self._orders = Orders(lambda body: self._bodies[body].actuation.width)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=self._dt_s,
             numSolverIterations=SOLVER_ITERATIONS,
@@ -142,19 +145,9 @@ class PyBulletEngine:
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
-        client = self._client
-        positions: list[float] = []
-        velocities: list[float] = []
-        for body in bodies:
-            if joints := self._bodies[body].joints:
-                for state in pybullet.getJointStates(body, joints, physicsClientId=client):
-                    positions.append(state[0])
-                    velocities.append(state[1])
-        return Reading(
-            self._roots.states(bodies, self._com_states(bodies)),
-            np.array(positions, dtype=np.float64),
-            np.array(velocities, dtype=np.float64),
-        )
+        jointed = [(body, found) for body in bodies if (found := self._bodies[body].joints)]
+        base = self._roots.states(bodies, self._com_states(bodies))
+        return Reading(base, *joint_states(jointed, self._client, pybullet.getJointStates))
 
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
@@ -181,13 +174,8 @@ class PyBulletEngine:
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        numbers = targets.tolist()
-        at = 0
-        for body in bodies:
-            width = self._bodies[body].actuation.width
-            if width:
-                self._actuate(body, numbers[at : at + width])
-                at += width
+        for body, numbers in self._orders.news(bodies, targets):
+            self._actuate(body, numbers)
 
     def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.push_link`."""
@@ -264,7 +252,8 @@ class PyBulletEngine:
 
     def _let_go(self, body: int) -> None:
         """Give a body targets of 0, and its own way where a twist moved it."""
-        self.command([body], np.zeros(self._bodies[body].actuation.width))
+        self._orders.forget(body)
+        self._actuate(body, [0.0] * self._bodies[body].actuation.width)
         self._twists.pop(body, None)
 
     def _actuate(self, body: int, numbers: list[float]) -> None:
@@ -322,13 +311,8 @@ class PyBulletEngine:
         return list(state[0]), np.array(state[1]), np.array([*state[6], *state[7]])
 
     def _com_states(self, bodies: Sequence[int]) -> FloatArray:
-        client = self._client
-        rows: list[tuple[float, ...]] = []
-        for body in bodies:
-            place, turn = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
-            linear, angular = pybullet.getBaseVelocity(body, physicsClientId=client)
-            rows.append((*place, *turn, *linear, *angular))
-        return np.array(rows, dtype=np.float64).reshape(len(rows), 13)
+        place_of, velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+        return base_states(bodies, self._client, place_of, velocity_of)
 
     def _is_good(self, body: int) -> bool:
         linear, _ = pybullet.getBaseVelocity(body, physicsClientId=self._client)

@@ -1,12 +1,26 @@
 """Root links and their centres of mass: the world speaks of the ones, Bullet of the others."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from proto.rotation import conjugate, multiply, rotate
 from sim_server.physics.blueprint import Part
 from sim_server.physics.engine import FloatArray
+
+ROUND = np.array([0, 1, 2, 0, 1])
+"""Rows of vectors as columns (3, n), written on so that cross products are products of slices."""
+
+
+@dataclass(frozen=True)
+class _Offsets:
+    """Of some bodies: where their centres are, (5, n) as `ROUND` says, and how they are turned."""
+
+    com_in_root: FloatArray
+    root_from_com: FloatArray
+    is_turned: bool
+    is_off: bool
 
 
 class Roots:
@@ -15,6 +29,7 @@ class Roots:
     def __init__(self) -> None:
         self._com_in_root: FloatArray = np.zeros((64, 3))
         self._root_from_com: FloatArray = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
+        self._known: tuple[Sequence[int], _Offsets] | None = None
 
     def remember(self, body: int, root: Part) -> None:
         """Take the root of a new body."""
@@ -23,24 +38,59 @@ class Roots:
             self._root_from_com = np.concatenate([self._root_from_com, self._root_from_com])
         self._com_in_root[body] = root.com
         self._root_from_com[body] = conjugate(np.array(root.principal))
+        self._known = None
 
     def com_state(self, body: int, base: FloatArray) -> FloatArray:
         """Find the state (13,) of the centre of mass of a root link at `base` (13,)."""
         arm = rotate(base[3:7], self._com_in_root[body])
         turn = multiply(base[3:7], conjugate(self._root_from_com[body]))
-        linear = base[7:10] + np.cross(base[10:13], arm)
-        return np.concatenate([base[:3] + arm, turn, linear, base[10:13]])
+        (ax, ay, az), (wx, wy, wz) = arm.tolist(), base[10:13].tolist()
+        swing = np.array([wy * az - wz * ay, wz * ax - wx * az, wx * ay - wy * ax])
+        return np.concatenate([base[:3] + arm, turn, base[7:10] + swing, base[10:13]])
 
     def turns_and_arms(
         self, bodies: Sequence[int], com: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Find orientations (n, 4) of the root links, and from them to their centres (n, 3)."""
-        rows = np.asarray(bodies, dtype=np.intp)
-        turns = multiply(com[:, 3:7], self._root_from_com[rows])
-        return turns, rotate(turns, self._com_in_root[rows])
+        offsets = self._offsets(bodies)
+        turns = multiply(com[:, 3:7], offsets.root_from_com) if offsets.is_turned else com[:, 3:7]
+        return turns, _turned(turns, offsets.com_in_root).T
 
     def states(self, bodies: Sequence[int], com: FloatArray) -> FloatArray:
-        """Find the states (n, 13) of root links whose centres have the states `com` (n, 13)."""
-        turns, arms = self.turns_and_arms(bodies, com)
-        linear = com[:, 7:10] - np.cross(com[:, 10:13], arms)
-        return np.concatenate([com[:, :3] - arms, turns, linear, com[:, 10:13]], axis=1)
+        """Find the states (n, 13) of root links whose centres have the states `com` (n, 13).
+
+        `com` becomes them.
+        """
+        offsets = self._offsets(bodies)
+        if offsets.is_turned:
+            com[:, 3:7] = multiply(com[:, 3:7], offsets.root_from_com)
+        if offsets.is_off:
+            arms = _turned(com[:, 3:7], offsets.com_in_root)
+            com[:, :3] -= arms.T
+            com[:, 7:10] -= _crossed(com.T[10:13].take(ROUND, axis=0), arms.take(ROUND, axis=0)).T
+        return com
+
+    def _offsets(self, bodies: Sequence[int]) -> _Offsets:
+        """Look the offsets of bodies up: those of the same tuple are at hand."""
+        if self._known is not None and self._known[0] is bodies:
+            return self._known[1]
+        rows = np.asarray(bodies, dtype=np.intp)
+        coms, turns = self._com_in_root[rows], self._root_from_com[rows]
+        found = _Offsets(
+            coms.T.take(ROUND, axis=0), turns, bool(turns[:, :3].any()), bool(coms.any())
+        )
+        if isinstance(bodies, tuple):
+            self._known = bodies, found
+        return found
+
+
+def _turned(turns: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Rotate vectors (5, n) by quaternions (n, 4), into (3, n)."""
+    axes = turns.T[:3].take(ROUND, axis=0)
+    twice = 2.0 * _crossed(axes, vectors)
+    return np.asarray(vectors[:3] + turns.T[3] * twice + _crossed(axes, twice.take(ROUND, axis=0)))
+
+
+def _crossed(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Find the cross products (3, n) of vectors (5, n)."""
+    return np.asarray(left[1:4] * right[2:5] - left[2:5] * right[1:4])
