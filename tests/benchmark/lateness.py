@@ -1,10 +1,10 @@
 """How long a driven robot waits for its next step, seen from outside."""
 
-import itertools
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 
 from proto import keys
 from proto.bus import Bus
@@ -38,7 +38,7 @@ class Lateness:
         came.append((end_s, came[-1][1] + PERIOD_S))
         waits = [
             (after[0] - before[0]) - (after[1] - before[1])
-            for before, after in itertools.pairwise(came)
+            for before, after in pairwise(came)
             if after[0] >= start_s
         ]
         return max(waits) * MILLISECONDS

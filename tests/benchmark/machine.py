@@ -59,6 +59,12 @@ def others_cores(before: Work, after: Work) -> float:
     return max(0.0, others_s / (after.wall_s - before.wall_s))
 
 
+def used_s(pid: int) -> float:
+    """Tell the CPU time [s] of a running process, all of its threads, to the nanosecond."""
+    # How Linux numbers the clock of another process.
+    return time.clock_gettime((~pid << 3) | 2)
+
+
 def _cpu_model() -> str:
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))

@@ -22,6 +22,7 @@ NAMES = (
     "fleet",
     "fleet_spawn",
     "fleet_latency",
+    "fleet_traffic",
     "codec",
 )
 HEAD = """# Benchmarks

@@ -70,7 +70,7 @@ class Served:
 
     def _enter(self, state: State) -> Used:
         self.client.set_simulation_state(state)
-        line = _line_with(mark(state), self.process)
+        line = line_with(mark(state), self.process)
         return msgspec.json.decode(line.removeprefix(mark(state)), type=Used)
 
 
@@ -80,13 +80,13 @@ def served(count: int, *serve_arguments: str) -> Iterator[Served]:
     endpoint = free_endpoint()
     arguments = ("--paused", "--rtf", "0", "--listen", endpoint, *serve_arguments)
     with ExitStack() as stack:
-        process = stack.enter_context(_program("watched_server", *arguments))
+        process = stack.enter_context(program("watched_server", *arguments))
         bus = stack.enter_context(joined(endpoint, process))
         found = Served(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
         found.client.wait_for_server(START_S)
         spawn(found.client, count)
-        driver = stack.enter_context(_program("circling", endpoint, str(count)))
-        _line_with(f"claimed {count}", driver)
+        driver = stack.enter_context(program("circling", endpoint, str(count)))
+        line_with(f"claimed {count}", driver)
         yield found
 
 
@@ -112,7 +112,8 @@ def spawn(
 
 
 @contextmanager
-def _program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
+def program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
+    """Run a program of the benchmarks until the end of the block."""
     process = subprocess.Popen(
         [sys.executable, "-m", f"tests.benchmark.{name}", *arguments],
         cwd=ROOT,
@@ -128,7 +129,7 @@ def _program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
         end(process)
 
 
-def _line_with(beginning: str, process: "subprocess.Popen[str]") -> str:
+def line_with(beginning: str, process: "subprocess.Popen[str]") -> str:
     """Read lines until one begins so.
 
     Raises:
