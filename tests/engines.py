@@ -12,6 +12,7 @@ from proto.model import Model
 from proto.rotation import multiply, yaw_of
 from sim_server.physics.actuation import actuation_of, imposed
 from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
+from sim_server.physics.mujoco_engine import MujocoEngine
 from sim_server.physics.pybullet_engine import PyBulletEngine
 
 STEP_NS = 4_166_667
@@ -169,7 +170,7 @@ def _turned_by(angles: FloatArray) -> FloatArray:
     return np.append(angles / angle * math.sin(angle / 2.0), math.cos(angle / 2.0))
 
 
-ENGINES: tuple[MakeEngine, ...] = (PyBulletEngine, ObedientEngine)
+ENGINES: tuple[MakeEngine, ...] = (PyBulletEngine, MujocoEngine, ObedientEngine)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from sim_server.physics.engine import EngineRefused
 
 def check_blueprint(
     blueprint: Blueprint,
+    engine: str,
     *,
     max_parts: int,
     joint_kinds: Collection[str],
@@ -25,15 +26,17 @@ def check_blueprint(
             f"use at most {max_parts}"
         )
     for part in blueprint.parts:
-        _check_kind(blueprint, "joint", part.joint_kind, joint_kinds)
+        _check_kind(blueprint, engine, "joint", part.joint_kind, joint_kinds)
         for shape in part.shapes:
-            _check_kind(blueprint, "collision shape", shape.kind, shape_kinds)
+            _check_kind(blueprint, engine, "collision shape", shape.kind, shape_kinds)
 
 
-def _check_kind(blueprint: Blueprint, what: str, kind: str, known: Collection[str]) -> None:
+def _check_kind(
+    blueprint: Blueprint, engine: str, what: str, kind: str, known: Collection[str]
+) -> None:
     if kind not in known:
         raise EngineRefused(
-            f"model '{blueprint.name}': {what} '{kind}' is not supported by pybullet here; "
+            f"model '{blueprint.name}': {what} '{kind}' is not supported by {engine} here; "
             f"use {', '.join(known)}"
         )
 

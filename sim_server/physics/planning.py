@@ -12,8 +12,14 @@ class Planner:
     """Plans models for one engine."""
 
     def __init__(
-        self, *, max_parts: int, joint_kinds: Collection[str], shape_kinds: Collection[str]
+        self,
+        engine: str,
+        *,
+        max_parts: int,
+        joint_kinds: Collection[str],
+        shape_kinds: Collection[str],
     ) -> None:
+        self._engine = engine
         self._max_parts = max_parts
         self._joint_kinds = joint_kinds
         self._shape_kinds = shape_kinds
@@ -33,6 +39,7 @@ class Planner:
         plan = spread(blueprint_of(model), max_parts=self._max_parts)
         check_blueprint(
             plan,
+            self._engine,
             max_parts=self._max_parts,
             joint_kinds=self._joint_kinds,
             shape_kinds=self._shape_kinds,

@@ -59,7 +59,9 @@ class PyBulletEngine:
         self._mesh_folder = config.mesh_folder
         self._bodies: dict[int, Body] = {}
         self._parking = Parking()
-        self._planner = Planner(max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES)
+        self._planner = Planner(
+            self.name, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES
+        )
         self._twists: dict[int, list[float]] = {}
         self._loads: dict[int, Sequence[Load]] = {}
         self._brought_back: dict[int, tuple[FloatArray, FloatArray]] = {}

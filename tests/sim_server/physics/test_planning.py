@@ -10,7 +10,9 @@ from tests.models import a_box, a_cart
 
 
 def a_planner(max_parts: int = 128) -> Planner:
-    return Planner(max_parts=max_parts, joint_kinds=("fixed", "continuous"), shape_kinds=("box",))
+    return Planner(
+        "mine", max_parts=max_parts, joint_kinds=("fixed", "continuous"), shape_kinds=("box",)
+    )
 
 
 def test_model_is_planned_once_while_it_is_the_last() -> None:

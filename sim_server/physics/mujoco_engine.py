@@ -1,0 +1,391 @@
+"""The Engine over MuJoCo. The only file that imports mujoco."""
+
+import math
+from collections import OrderedDict
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass
+from functools import cache, partial
+from itertools import count
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from proto.model import Model, Shape
+from proto.rotation import conjugate, rotate
+from proto.stl import read_corners
+from sim_server.physics.acceptance import check_meshes
+from sim_server.physics.actuation import actuation_of
+from sim_server.physics.casting.contact import GRIPPING_ROWS, sliding, soft
+from sim_server.physics.casting.gathering import XYZ_XYZW
+from sim_server.physics.casting.hulls import Points, pieces_of
+from sim_server.physics.casting.make import NONE, Make, make_of
+from sim_server.physics.casting.mjcf import mjcf_of
+from sim_server.physics.casting.plan import Plan, plan_of
+from sim_server.physics.casting.seat import Seat
+from sim_server.physics.casting.selection import Body, Selection, selection_of
+from sim_server.physics.casting.slots import Cast, Slots
+from sim_server.physics.casting.stock import stock_of
+from sim_server.physics.casting.switching import carry, empty, fill, man
+from sim_server.physics.casting.wishes import no_wishes
+from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
+from sim_server.physics.loads import loads_of
+from sim_server.physics.planning import Planner
+
+# They would be said on the terminal, and in a file of the working directory.
+mujoco.set_mju_user_warning(lambda _: None)
+
+MAX_PARTS = 256
+OVERLAP_M = 0.001
+"""Bodies that only touch do not overlap."""
+FARTHEST = 1e9
+"""A state with larger numbers is taken for broken: MuJoCo bears 1e10."""
+KEPT_CASTS, KEPT_SELECTIONS = 16, 4096
+JOINTS = ("revolute", "continuous", "prismatic", "fixed")
+SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
+
+
+@dataclass(frozen=True)
+class Casting:
+    """A compiled cast; each engine works on a copy of its model, where slots may be empty."""
+
+    model: mujoco.MjModel
+    plan: Plan
+
+
+class MujocoEngine:
+    """MuJoCo's constraints solved by Newton's method, one MjData."""
+
+    name = "mujoco"
+
+    def __init__(self, config: EngineConfig) -> None:
+        self._config = config
+        self._dt_s = config.step_ns * 1e-9
+        self._weight = math.hypot(*config.gravity)
+        self._planner = Planner(
+            self.name, max_parts=MAX_PARTS, joint_kinds=JOINTS, shape_kinds=SHAPES
+        )
+        self._bodies: dict[int, Body] = {}
+        self._broken: set[int] = set()
+        self._numbers = count(1)
+        self._slots = Slots()
+        self._is_pushed = False
+        self._use(_casting((), config))
+
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`: compiles what is missing, all at once."""
+        try:
+            cast = self._slots.with_one_more(self._make(model))
+            if cast == self._slots.cast or (cast, self._config) in _CASTINGS:
+                return True
+            _casting(cast, self._config)
+        except EngineRefused:
+            return True
+        return False
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """See `Engine.add`."""
+        make = self._make(model)
+        casting = _casting(self._slots.with_one_more(make), self._config, model.name)
+        number = next(self._numbers)
+        slot = self._slots.take(make, number)
+        if casting is not self._casting:
+            self._recast(casting)
+        loads = loads_of(self._planner.blueprint(model), self._config.gravity, self._dt_s)
+        seat = casting.plan.seat(make, slot)
+        body = self._bodies[number] = Body(model, make, slot, seat, actuation_of(model), loads)
+        self._fill(body)
+        zeros = np.zeros(len(model.joints))
+        self.put(number, base, zeros, zeros)
+        return number
+
+    def remove(self, body: int) -> None:
+        """See `Engine.remove`; its slot is empty then."""
+        gone = self._bodies.pop(body)
+        self._broken.discard(body)
+        self._empty(gone.seat)
+        self._slots.release(gone.make, gone.slot)
+
+    def forget_removed(self) -> None:
+        """See `Engine.forget_removed`."""
+        self._slots = Slots()
+        for number, body in self._bodies.items():
+            body.slot = self._slots.take(body.make, number)
+        self._recast(_casting(self._slots.cast, self._config))
+
+    def overlapping(self, body: int) -> Sequence[int]:
+        """See `Engine.overlapping`."""
+        model, data = self._model, self._data
+        mujoco.mj_kinematics(model, data)
+        owners = {
+            geometry: number
+            for number, other in self._bodies.items()
+            if number != body and number not in self._broken
+            for geometry in other.seat.geometries.tolist()
+        }
+        others = np.array(list(owners), np.intp)
+        found: set[int] = set()
+        for own in self._bodies[body].seat.geometries.tolist():
+            gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[own], axis=1)
+            reach = model.geom_rbound[others] + model.geom_rbound[own]
+            for other in others[gaps <= reach].tolist():
+                if owners[other] not in found and self._depth(own, other) > OVERLAP_M:
+                    found.add(owners[other])
+        return sorted(found)
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        """See `Engine.read`; what is broken reads as NaN where it is not what broke it."""
+        chosen, data = self._selection(bodies), self._data
+        base = chosen.bases(data.qpos, data.qvel)
+        for body in self._broken.intersection(bodies):
+            base[bodies.index(body)] = self._bodies[body].stand
+        return Reading(
+            base,
+            chosen.gathering.of_joints(data.qpos, chosen.gathering.positions),
+            chosen.gathering.of_joints(data.qvel, chosen.gathering.velocities),
+        )
+
+    def place(self, body: int, base: FloatArray) -> None:
+        """See `Engine.place`."""
+        placed = self._bodies[body]
+        if placed.make.is_static:
+            self._nail(placed, base)
+            return
+        if not _is_bearable(base):
+            self._break(body, base)
+            return
+        if body in self._broken:
+            self._broken.discard(body)
+            self._fill(placed)
+        first, rate = placed.seat.begins.positions, placed.seat.begins.velocities
+        self._data.qpos[first + XYZ_XYZW] = base[:7]
+        self._data.qvel[rate : rate + 3] = base[7:10]
+        self._data.qvel[rate + 3 : rate + 6] = rotate(conjugate(base[3:7]), base[10:])
+        self._data.qacc_warmstart[placed.seat.velocities] = 0.0
+
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """See `Engine.put`."""
+        self.place(body, base)
+        moving, place, rate = self._bodies[body].seat.joints
+        if body not in self._broken:
+            self._data.qpos[place] = positions[moving]
+            self._data.qvel[rate] = velocities[moving]
+
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.rest`."""
+        zeros = np.zeros(len(self._bodies[body].model.joints))
+        self.put(body, base, zeros if positions is None else positions, zeros)
+        self.command([body], np.zeros(self._bodies[body].actuation.width))
+        self._wishes.is_moved[self._bodies[body].seat.velocities] = False
+        self._is_changed = True
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """See `Engine.command`."""
+        if self._selection(bodies).telling.tell(self._wishes, targets):
+            self._is_changed = True
+
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.push_link`."""
+        seat = self._bodies[body].seat
+        self._data.xfrc_applied[seat.begins.bodies + seat.layout.bodies[link]] += wrench
+        self._is_pushed = True
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.push_joint`."""
+        if (place := self._bodies[body].seat.joint_velocity(joint)) != NONE:
+            self._data.qfrc_applied[place] += effort
+            self._is_pushed = True
+
+    def step(self) -> bool:
+        """See `Engine.step`; lets other threads run meanwhile."""
+        model, data = self._model, self._data
+        if self._is_changed:
+            self._take_stock()
+        stock = self._stock
+        if len(stock.moved.free):
+            stock.impose(self._wishes, data.qpos, data.qvel)
+        mujoco.mj_step1(model, data)
+        if len(stock.pulls):
+            self._pull()
+        if len(stock.motors):
+            self._drive()
+        if data.ncon:
+            self._hold_down()
+        mujoco.mj_step2(model, data)
+        if self._is_pushed or len(stock.pulls):
+            data.xfrc_applied[:] = 0.0
+            data.qfrc_applied[:] = 0.0
+            self._is_pushed = False
+        if not math.isfinite(data.qvel.sum()):
+            self._find_broken()
+        return not self._broken
+
+    def close(self) -> None:
+        """See `Engine.close`."""
+        self._bodies.clear()
+        self._use(_casting((), self._config))
+
+    def _make(self, model: Model) -> Make:
+        blueprint = self._planner.blueprint(model)
+        make = make_of(blueprint)
+        if make not in self._casting.plan.begins:
+            check_meshes(blueprint.name, blueprint.parts, self._config.mesh_folder)
+        return make
+
+    def _use(self, casting: Casting) -> None:
+        """Begin with a cast of which every slot is empty."""
+        self._casting = casting
+        self._model = copy(casting.model)
+        self._data = mujoco.MjData(self._model)
+        self._wishes = no_wishes(self._model.nv)
+        self._is_changed = True
+        self._selections: dict[tuple[int, ...], Selection] = {}
+        for _, seat in casting.plan.seats():
+            self._empty(seat)
+
+    def _recast(self, casting: Casting) -> None:
+        """Go on with a cast that has other slots; what is in them stays as it is."""
+        model, data, wishes, plan = self._model, self._data, self._wishes, casting.plan
+        old = [body.seat for body in self._bodies.values()]
+        self._use(casting)
+        for number, body in self._bodies.items():
+            body.seat = plan.seat(body.make, body.slot)
+            if number not in self._broken:
+                self._fill(body)
+        new = [body.seat for body in self._bodies.values()]
+        self._wishes = carry(
+            (model, data, old), (self._model, self._data, new), (wishes, self._model.nv)
+        )
+
+    def _fill(self, body: Body) -> None:
+        """Let what is in a slot touch, fall and be driven."""
+        fill(self._model, self._data, self._casting.model, body.seat)
+        man(self._model, self._wishes, body.seat, body.actuation)
+        self._is_changed = True
+
+    def _empty(self, seat: Seat) -> None:
+        """Let what is in a slot touch nothing, hang still, and wish for nothing."""
+        empty(self._model, self._data, seat)
+        self._wishes.forget(seat.velocities)
+        self._is_changed = True
+
+    def _nail(self, body: Body, base: FloatArray) -> None:
+        body.stand = np.concatenate([base[:7], np.zeros(6)])
+        if _is_bearable(base):
+            root = body.seat.begins.bodies
+            self._model.body_pos[root] = base[:3]
+            self._model.body_quat[root] = base[[6, 3, 4, 5]]
+
+    def _break(self, number: int, base: FloatArray) -> None:
+        """Take a body out of reach of the others: MuJoCo cannot bear its numbers."""
+        body = self._bodies[number]
+        body.stand = np.where(np.abs(base) <= FARTHEST, base, np.nan)
+        self._empty(body.seat)
+        self._broken.add(number)
+
+    def _find_broken(self) -> None:
+        for number, body in self._bodies.items():
+            state = self._data.qpos[body.seat.positions], self._data.qvel[body.seat.velocities]
+            if not np.isfinite(np.concatenate(state)).all():
+                self._break(number, np.full(13, np.nan))
+
+    def _take_stock(self) -> None:
+        """Work out anew what a step has to do beside MuJoCo."""
+        model = self._model
+        self._is_changed = False
+        self._stock = stock_of(
+            (body for number, body in self._bodies.items() if number not in self._broken),
+            self._wishes,
+            model.dof_frictionloss,
+            model.jnt_qposadr[model.dof_jntid].astype(np.intp),
+        )
+
+    def _drive(self) -> None:
+        """Give each motor the speed that it is to reach in this step.
+
+        A motor is a friction about a speed: MuJoCo pushes with up to the effort against a speed of
+        0, which is shifted here, where the rows of constraints are ready and not yet solved.
+        """
+        data = self._data
+        speeds = self._stock.speeds(self._wishes, data.qpos, self._dt_s)
+        data.efc_aref[data.ne : data.ne + data.nf] += speeds / self._dt_s
+
+    def _hold_down(self) -> None:
+        """See `sliding`: corrects the rows of contacts before they are solved."""
+        contacts = self._data.contact
+        rows = contacts.efc_address[chosen := contacts.dim == GRIPPING_ROWS]
+        sliding(self._data.efc_aref, rows, contacts.friction[chosen, 0], self._weight)
+
+    def _pull(self) -> None:
+        data, bodies = self._data, self._stock.pulls.bodies
+        spins = data.cvel[bodies, :3]
+        # MuJoCo's velocities are about the centre of mass of the whole robot.
+        arms = data.xipos[bodies] - data.subtree_com[self._model.body_rootid[bodies]]
+        linear = data.cvel[bodies, 3:] + np.cross(spins, arms)
+        turns = data.ximat[bodies].reshape(-1, 3, 3)
+        data.xfrc_applied[bodies] += self._stock.pulls.wrenches(turns, linear, spins)
+
+    def _depth(self, one: int, other: int) -> float:
+        """Find how deep [m] a geometry is in another."""
+        return -float(mujoco.mj_geomDistance(self._model, self._data, one, other, 1.0, None))
+
+    def _selection(self, bodies: Sequence[int]) -> Selection:
+        key = tuple(bodies)
+        if (known := self._selections.get(key)) is not None:
+            return known
+        made = selection_of([self._bodies[body] for body in bodies])
+        if len(self._selections) >= KEPT_SELECTIONS:
+            self._selections.clear()
+        self._selections[key] = made
+        return made
+
+
+def _is_bearable(base: FloatArray) -> bool:
+    return bool((np.abs(base) <= FARTHEST).all())
+
+
+_CASTINGS: OrderedDict[tuple[Cast, EngineConfig], Casting] = OrderedDict()
+"""Compiled casts, the last used last: engines of a process that are alike share them."""
+
+
+def _casting(cast: Cast, config: EngineConfig, name: str = "") -> Casting:
+    """Compile a cast, or find it compiled.
+
+    Raises:
+        EngineRefused: MuJoCo cannot; it is for the model of this name that it was tried.
+    """
+    key = cast, config
+    if key not in _CASTINGS:
+        try:
+            _CASTINGS[key] = _compiled(cast, config)
+        except ValueError as error:
+            raise EngineRefused(f"model '{name}' was refused by MuJoCo: {error}") from error
+    _CASTINGS.move_to_end(key)
+    while len(_CASTINGS) > KEPT_CASTS:
+        _CASTINGS.popitem(last=False)
+    return _CASTINGS[key]
+
+
+def _compiled(cast: Cast, config: EngineConfig) -> Casting:
+    pieces = partial(_pieces, config.mesh_folder)
+    plan = plan_of(cast, config, pieces)
+    model = mujoco.MjModel.from_xml_string(mjcf_of(cast, config, pieces))
+    if lopsided := list(plan.lopsided()):
+        for body, moments in lopsided:
+            model.body_inertia[body] = moments
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    for geometry, part in plan.yielding():
+        lightness = float(model.body_invweight0[model.geom_bodyid[geometry], 0])
+        how = soft(part, config.step_ns * 1e-9, lightness or 1.0 / part.mass_kg)
+        model.geom_solref[geometry] = how.stiffness, how.damping
+        model.geom_solimp[geometry, :2] = how.impedance
+    return Casting(model, plan)
+
+
+@cache
+def _pieces(folder: str, shape: Shape, is_static: bool) -> tuple[Points, ...]:  # noqa: FBT001
+    corners = read_corners(Path(folder, f"{shape.mesh}.stl").read_bytes()) * np.array(shape.size)
+    return tuple(pieces_of(corners, is_static=is_static))

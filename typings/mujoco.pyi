@@ -1,0 +1,67 @@
+"""The part of MuJoCo 4.0 that the engine calls; SI units, quaternions w x y z."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+_Floats = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int32]
+
+class MjModel:
+    nv: int
+    qpos0: _Floats
+    body_pos: _Floats
+    body_quat: _Floats
+    body_inertia: _Floats
+    body_invweight0: _Floats
+    body_gravcomp: _Floats
+    body_rootid: _Ints
+    body_contype: _Ints
+    body_conaffinity: _Ints
+    geom_bodyid: _Ints
+    geom_contype: _Ints
+    geom_conaffinity: _Ints
+    geom_rbound: _Floats
+    geom_solref: _Floats
+    geom_solimp: _Floats
+    jnt_qposadr: _Ints
+    dof_jntid: _Ints
+    dof_frictionloss: _Floats
+    @staticmethod
+    def from_xml_string(xml: str) -> MjModel: ...
+    def __copy__(self) -> MjModel: ...
+
+class _Contacts:
+    dim: _Ints
+    efc_address: _Ints
+    friction: _Floats
+
+class MjData:
+    ne: int
+    nf: int
+    ncon: int
+    qpos: _Floats
+    qvel: _Floats
+    qacc_warmstart: _Floats
+    qfrc_applied: _Floats
+    xfrc_applied: _Floats
+    eq_active: npt.NDArray[np.uint8]
+    efc_aref: _Floats
+    geom_xpos: _Floats
+    cvel: _Floats
+    xipos: _Floats
+    ximat: _Floats
+    subtree_com: _Floats
+    contact: _Contacts
+    def __init__(self, model: MjModel) -> None: ...
+
+def mj_step1(m: MjModel, d: MjData) -> None: ...
+def mj_step2(m: MjModel, d: MjData) -> None: ...
+def mj_kinematics(m: MjModel, d: MjData) -> None: ...
+def mj_setConst(m: MjModel, d: MjData) -> None: ...
+def mj_geomDistance(
+    m: MjModel, d: MjData, geom1: int, geom2: int, distmax: float, fromto: _Floats | None
+) -> float: ...
+def set_mju_user_warning(handler: Callable[[str], Any]) -> None: ...
