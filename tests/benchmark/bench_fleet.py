@@ -4,28 +4,34 @@ Box_bots drive circles in one world: in a real server at `--rtf 0`, whose drive 
 process answers and whose snapshots it takes, and in a plain PyBullet loop with the best settings,
 driven and read at the same control periods, without a network (the floor). The two take turns. CPU
 is that of the loop's thread; `floor / served` compares it turn by turn, and is the engine's share.
-Where a step's time goes is measured in turns of its own, since looking costs.
+Where a step's time goes is measured in turns of its own, since looking costs: `messages` are drive
+states and snapshots made from arrays, `take` is taking in what has come.
 """
 
 import statistics
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 
+import msgspec
+
+from tests.benchmark import figures
 from tests.benchmark.bodies import CONFIG
-from tests.benchmark.figures import Asked, Figure, table
+from tests.benchmark.figures import Asked, Figure, written
 from tests.benchmark.fleet import CIRCLE, MILLISECONDS
 from tests.benchmark.plain import PlainLoop, Turn
 from tests.benchmark.served import Served, Spent, served
 
-__all__ = ["rows", "table"]
-
 COUNTS = (1, 10, 50, 100, 200, 500, 1000)
 COUNTS_WHEN_SHORT = (2,)
-TURNS, LOOKS = 5, 2
-TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.6, 2.5, 0.1
+TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.5, 0.1
+TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 5, 3
+"""Short and many: what else runs on the machine then harms both sides alike."""
 LONG_FROM = 500
 """Robots from which a step takes so long that a turn needs more time."""
+LOOKS = 3
+BEGIN_S = 0.6
+TRIES = 5
 PARTS = ("engine", "command", "read-back", "messages", "encode", "put", "take")
-"""`messages`: drive states and snapshots made from arrays; `take`: what has come is taken in."""
+REST = "the rest"
 MOVES = 0.5
 """Of the speed that was commanded; below it a robot does not count as driving."""
 SHARE = Asked("median", ">=", 0.9)
@@ -34,14 +40,21 @@ GROWTH = Asked("median", "<=", 1.3)
 GROWTH_FROM, GROWTH_TO = 100, 1000
 
 
-def rows(*, is_short: bool) -> Iterator[Figure]:
+class Parts(msgspec.Struct, frozen=True):
+    """Where the time of a step goes: medians [CPU ms]."""
+
+    whom: str
+    own_ms: Mapping[str, float]
+
+
+def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
     """Measure fleets of several sizes, and how the cost of a robot grows with them."""
     costs: dict[int, float] = {}
     for count in COUNTS_WHEN_SHORT if is_short else COUNTS:
         turns, floors, looks = _taken_in_turn(count, is_short=is_short)
         costs[count] = statistics.median(turn.cpu_s / turn.steps for turn in turns) / count
         yield from _figures(count, turns, floors)
-        yield from _parts(count, looks)
+        yield _parts(count, looks)
     if GROWTH_TO in costs:
         yield Figure(
             what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
@@ -51,14 +64,28 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         )
 
 
+def table(found: Iterable[Figure | Parts]) -> str:
+    """Write the figures, and below them a row of parts for each size."""
+    all_rows = list(found)
+    head = f"| of a step [CPU ms] | {' | '.join((*PARTS, REST))} |\n|{'---|' * (len(PARTS) + 2)}\n"
+    lines = "".join(
+        f"| {row.whom} | {' | '.join(written(ms) for ms in row.own_ms.values())} |\n"
+        for row in all_rows
+        if isinstance(row, Parts)
+    )
+    return figures.table(row for row in all_rows if isinstance(row, Figure)) + f"\n{head}{lines}"
+
+
 def _taken_in_turn(count: int, *, is_short: bool) -> tuple[list[Spent], list[Turn], list[Spent]]:
-    turn_s = LONG_TURN_S if count >= LONG_FROM else TURN_S
-    turn_s = TURN_WHEN_SHORT_S if is_short else turn_s
+    turn_s, turns = (LONG_TURN_S, LONG_TURNS) if count >= LONG_FROM else (TURN_S, TURNS)
+    if is_short:
+        turn_s, turns = TURN_WHEN_SHORT_S, TURNS_WHEN_SHORT
     with served(count) as server:
         plain = PlainLoop(count, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps)
         try:
-            _begin(server, plain, count)
-            pairs = [(server.turn(turn_s), plain.turn(turn_s)) for _ in range(TURNS)]
+            begin(server, count)
+            begin(plain, count)
+            pairs = [(server.turn(turn_s), plain.turn(turn_s)) for _ in range(turns)]
         finally:
             plain.close()
         server.look_inside()
@@ -66,21 +93,18 @@ def _taken_in_turn(count: int, *, is_short: bool) -> tuple[list[Spent], list[Tur
         return [spent for spent, _ in pairs], [floor for _, floor in pairs], looks
 
 
-def _begin(server: Served, plain: PlainLoop, count: int) -> None:
-    """Go on until all drive.
+def begin(loop: Served | PlainLoop, count: int) -> None:
+    """Go on until all robots drive.
 
     Raises:
         RuntimeError: Some do not.
     """
-    least = MOVES * CIRCLE[0]
-    for loop in (server, plain):
-        for _ in range(TURNS):
-            loop.turn(TURN_S)
-            driving = sum(speed > least for speed in loop.speeds())
-            if driving == count:
-                break
-        else:
-            raise RuntimeError(f"{driving} of {count} robots drive, in {type(loop).__name__}")
+    for _ in range(TRIES):
+        loop.turn(BEGIN_S)
+        driving = sum(speed > MOVES * CIRCLE[0] for speed in loop.speeds())
+        if driving == count:
+            return
+    raise RuntimeError(f"{driving} of {count} robots drive, in {type(loop).__name__}")
 
 
 def _figures(count: int, turns: list[Spent], floors: list[Turn]) -> Iterator[Figure]:
@@ -103,14 +127,17 @@ def _figures(count: int, turns: list[Spent], floors: list[Turn]) -> Iterator[Fig
     )
 
 
-def _parts(count: int, looks: list[Spent]) -> Iterator[Figure]:
-    for part in PARTS:
-        samples = tuple(look.parts_s.get(part, 0.0) / look.steps * MILLISECONDS for look in looks)
-        yield Figure(what=f"{_whom(count)}, of a step: {part}", unit="CPU ms", samples=samples)
-    rest = tuple(
-        (look.cpu_s - sum(look.parts_s.values())) / look.steps * MILLISECONDS for look in looks
+def _parts(count: int, looks: list[Spent]) -> Parts:
+    own_ms = {
+        part: statistics.median(look.parts_s.get(part, 0.0) / look.steps for look in looks)
+        * MILLISECONDS
+        for part in PARTS
+    }
+    rest = (look.cpu_s - sum(look.parts_s.values()) for look in looks)
+    own_ms[REST] = statistics.median(
+        rest_s / look.steps * MILLISECONDS for rest_s, look in zip(rest, looks, strict=True)
     )
-    yield Figure(what=f"{_whom(count)}, of a step: the rest", unit="CPU ms", samples=rest)
+    return Parts(_whom(count), own_ms)
 
 
 def _cpu_ms(turn: Turn) -> float:

@@ -23,6 +23,7 @@ NAMES = (
     "fleet_spawn",
     "fleet_latency",
     "fleet_traffic",
+    "fleet_physics",
     "codec",
 )
 HEAD = """# Benchmarks

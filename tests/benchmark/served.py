@@ -11,6 +11,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 import msgspec
+import psutil
 
 from deploy.parent import PARENT
 from proto.services import SpawnEntityOrder, State
@@ -18,7 +19,7 @@ from spawner.client import SimClient
 from spawner.launch import read_cargo, spawn_all
 from spawner.placement import fleet_places
 from tests.benchmark.fleet import SPACING_M
-from tests.benchmark.machine import ROOT
+from tests.benchmark.machine import ROOT, used_s
 from tests.benchmark.plain import Turn
 from tests.benchmark.watched_server import Used, mark
 from tests.integration.processes import START_S, end, free_endpoint, joined
@@ -33,6 +34,8 @@ class Spent(Turn):
 
     process_cpu_s: float
     """With the router's threads."""
+    all_cpu_s: float
+    """With the processes that it started."""
     parts_s: dict[str, float]
 
 
@@ -45,6 +48,7 @@ class Served:
 
     def turn(self, seconds: float) -> Spent:
         """Let time run for a while."""
+        used_before_s = self._used_s()
         before = self._enter(State.PLAYING)
         time.sleep(seconds)
         after = self._enter(State.PAUSED)
@@ -53,6 +57,7 @@ class Served:
             wall_s=after.wall_s - before.wall_s,
             cpu_s=after.loop_cpu_s - before.loop_cpu_s,
             process_cpu_s=after.process_cpu_s - before.process_cpu_s,
+            all_cpu_s=self._used_s() - used_before_s,
             parts_s={
                 part: spent_s - before.parts_s.get(part, 0.0)
                 for part, spent_s in after.parts_s.items()
@@ -67,6 +72,10 @@ class Served:
         """Ask how fast each robot goes [m/s]."""
         linear = [state.twist.linear for state in self.client.entity_states().values()]
         return [math.hypot(one.x, one.y) for one in linear]
+
+    def _used_s(self) -> float:
+        process = psutil.Process(self.process.pid)
+        return sum(used_s(one.pid) for one in (process, *process.children(recursive=True)))
 
     def _enter(self, state: State) -> Used:
         self.client.set_simulation_state(state)
