@@ -135,10 +135,16 @@ class Bus:
         """Listen to a key expression, keeping the newest `depth` messages in all."""
         return Subscription(self._session.declare_subscriber(_expression(key), RingChannel(depth)))
 
-    def serve(self, key: str, depth: int = 4096) -> CallQueue:
-        """Answer requests on a key expression."""
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> CallQueue:
+        """Answer requests on a key expression.
+
+        Args:
+            key: What may be asked for.
+            depth: How many requests may wait.
+            is_complete: Nobody else has a part of the answer; otherwise all who serve are asked.
+        """
         declared = self._session.declare_queryable(
-            _expression(key), RingChannel(depth), complete=True
+            _expression(key), RingChannel(depth), complete=is_complete
         )
         return CallQueue(declared, self._session.new_timestamp)
 

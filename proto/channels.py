@@ -1,6 +1,6 @@
 """What a bus hands out: publishers, subscriptions, requests, tokens. One door with `proto.bus`."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
@@ -103,6 +103,12 @@ class Call:
         """Answer, and let the caller go; `key` when the request's is a pattern."""
         with self._query as query:
             query.reply(key or self.key, payload, encoding=encoding, attachment=attachment or None)
+
+    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        """Answer with many values, each on a key of its own, and let the caller go."""
+        with self._query as query:
+            for key, payload in answers:
+                query.reply(key, payload, encoding=encoding)
 
     def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
         """Answer with one sample of several, stamped; `drop` ends the answer.

@@ -63,6 +63,8 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Of commands; 0 = every step that the agent is told of."""
     odometry_rate_hz: float | None = None
     """None = as commands."""
+    tf_rate_hz: float | None = None
+    """None = as odometry."""
     odometry_source: OdometrySource = "world"
     odometry_frame: str = "odom"
     robot_base_frame: str = "base_footprint"

@@ -103,6 +103,12 @@ def robot_topics(namespace: str) -> str:
     return f"{namespace}/*"
 
 
+def pattern_of(key: str) -> str:
+    """The pattern of all keys that are as long as a key and end as it does: `*/odom`."""
+    *before, last = key.split("/")
+    return "/".join([*("*" for _ in before), last])
+
+
 def agent_of(key: str) -> str:
     """The agent that a drive or alive key belongs to; empty when it is neither."""
     match key.split("/"):

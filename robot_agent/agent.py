@@ -3,8 +3,8 @@
 import logging
 import math
 import time
-from collections.abc import Callable
-from typing import NoReturn
+from collections.abc import Callable, Sequence
+from typing import NoReturn, Protocol
 
 import msgspec
 
@@ -15,9 +15,11 @@ from proto.header import NANOSECONDS
 from robot_agent.claimer import Claimer, Wish
 from robot_agent.fleet import Fleet
 from robot_agent.network import Network
+from robot_agent.pool.fleet import PoolFleet
+from robot_agent.rates import Rates, with_rates
 from robot_agent.reading import Timeline
-from robot_agent.robot import Robot
-from robot_agent.upkeep import Upkeep
+from robot_agent.share_claimer import ShareClaimer, ShareWish
+from robot_agent.upkeep import Kept, Upkeep
 
 LOG = logging.getLogger("zensim.agent")
 IDLE_S = 0.001
@@ -28,13 +30,57 @@ LOOK_S = 0.01
 """Pause between looks for anything else: none of it is urgent, and each look costs."""
 
 
+LOGGED_CLAIMS = 20
+"""Of more at once, only the number is told."""
+
+
+class Claiming(Protocol):
+    """Asks for entities; `Claimer` by name, `ShareClaimer` for a share."""
+
+    def poll(self, now_s: float) -> tuple[Claim, ...]:
+        """Ask if it is time to."""
+
+    def hurry(self) -> None:
+        """Ask soon: something has changed."""
+
+    def want(self, entities: tuple[str, ...]) -> None:
+        """Learn that entities were lost."""
+
+
+class Held(Kept, Protocol):
+    """The robots that are held; `Fleet` has them one by one, `PoolFleet` in arrays."""
+
+    newest_claim: int
+
+    def take(self, claims: Sequence[Claim]) -> None:
+        """Hold what was claimed."""
+
+    def lose_all_but(self, claims: bytes) -> tuple[str, ...]:
+        """Let go all others, and name them."""
+
+    def holds(self, claims: bytes) -> bool:
+        """Whether all these claims are held."""
+
+    def reset(self) -> None:
+        """Start all robots again."""
+
+    def advance(self, state: DriveState) -> DriveCommand:
+        """Drive by one control period."""
+
+    def tell(self) -> None:
+        """Publish what the last state made due."""
+
+
 class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
     """What to drive, and how."""
 
     world: str = "default"
     agent: str
     """Unique in the world."""
-    entities: tuple[str, ...]
+    entities: tuple[str, ...] = ()
+    pool_limit: int | None = None
+    """As a pool: most robots that it drives, 0 = any number; None = it drives its entities."""
+    rates: Rates = Rates()
     wait_s: float = 30.0
     """How long to wait for the entities at the start; once it had them, it waits for ever."""
     cmd_vel_timeout_s: float = 0.5
@@ -59,8 +105,8 @@ class Agent:
         self._commands = network.advertise(
             keys.drive_command(world, agent), encoding_of(DriveCommand, Format.MSGPACK)
         )
-        self._claimer = Claimer(network, _wish(config))
-        self._fleet = Fleet()
+        self._claimer = _claimer_of(network, config)
+        self._fleet = _fleet_of(network, config)
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
         self._look_s = self._now_s = self._eager_until_s = -math.inf
@@ -103,11 +149,11 @@ class Agent:
             self._lose(self._fleet.lose_all_but(b""), "the server is gone")
 
     def _take_over(self, claims: tuple[Claim, ...]) -> None:
-        timeout_ns = round(self._config.cmd_vel_timeout_s * NANOSECONDS)
+        self._fleet.take(with_rates(claims, self._config.rates))
+        if len(claims) > LOGGED_CLAIMS:
+            LOG.info("claimed agent=%s entities=%d", self._config.agent, len(claims))
+            return
         for claim in claims:
-            robot = Robot(self._network, claim, timeout_ns)
-            robot.announce()
-            self._fleet.hold(claim.claim, robot)
             LOG.info(
                 "claimed agent=%s entity=%s namespace=%s claim=%d",
                 self._config.agent,
@@ -154,6 +200,11 @@ class Agent:
         if not entities:
             return
         self._claimer.want(entities)
+        if len(entities) > LOGGED_CLAIMS:
+            LOG.info(
+                "lost agent=%s entities=%d reason=%r", self._config.agent, len(entities), reason
+            )
+            return
         for entity in entities:
             LOG.info("lost agent=%s entity=%s reason=%r", self._config.agent, entity, reason)
 
@@ -180,11 +231,28 @@ def run_agent(
             sleep(agent.pause_s(now_s))
 
 
-def _wish(config: AgentConfig) -> Wish:
-    return Wish(
+def _fleet_of(network: Network, config: AgentConfig) -> Held:
+    timeout_ns = round(config.cmd_vel_timeout_s * NANOSECONDS)
+    if config.pool_limit is None:
+        return Fleet(network, timeout_ns)
+    return PoolFleet(network, timeout_ns)
+
+
+def _claimer_of(network: Network, config: AgentConfig) -> Claiming:
+    if config.pool_limit is None:
+        wish = Wish(
+            world=config.world,
+            agent=config.agent,
+            entities=config.entities,
+            on_release=config.on_release,
+            wait_s=config.wait_s,
+        )
+        return Claimer(network, wish)
+    share = ShareWish(
         world=config.world,
         agent=config.agent,
-        entities=config.entities,
+        limit=config.pool_limit,
         on_release=config.on_release,
         wait_s=config.wait_s,
     )
+    return ShareClaimer(network, share)

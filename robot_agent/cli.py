@@ -18,6 +18,7 @@ from proto.exits import one_line_failures
 from proto.joining import join
 from proto.names import check_name
 from robot_agent.agent import AgentConfig, run_agent
+from robot_agent.rates import Rates
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 CHARACTERS_OF_ENTITY = 48
@@ -42,16 +43,48 @@ OnReleaseWord = Annotated[
     str, typer.Option(help="What becomes of the entities at the end: stop, keep or delete.")
 ]
 
+Pool = Annotated[
+    int | None,
+    typer.Option(
+        "--pool",
+        min=0,
+        help="Drive a share of all robots that nobody drives by name: this many at most, 0 = any.",
+    ),
+]
+OdomHz = Annotated[
+    float | None,
+    typer.Option(
+        "--odom-hz",
+        min=0.0,
+        help="Odometry, and tf unless told, a simulated second; 0 = at every state.",
+        show_default="as described",
+    ),
+]
+TfHz = Annotated[
+    float | None,
+    typer.Option(
+        "--tf-hz",
+        min=0.0,
+        help="tf a simulated second; 0 = at every state.",
+        show_default="as described, or with odometry",
+    ),
+]
+
 
 @app.command()
 def agent(
-    entities: Annotated[list[str], typer.Argument(help="Entities to drive.")],
+    entities: Annotated[
+        list[str] | None, typer.Argument(help="Entities to drive; none with --pool.")
+    ] = None,
     *,
+    pool: Pool = None,
     connect: Connect = "",
     world_name: WorldName = "default",
     name: Annotated[str, typer.Option(help="Of this agent; made up unless given.")] = "",
     wait: Wait = 30.0,
     cmd_vel_timeout: CmdVelTimeout = 0.5,
+    odom_hz: OdomHz = None,
+    tf_hz: TfHz = None,
     on_release: OnReleaseWord = "stop",
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False,
 ) -> None:
@@ -62,16 +95,25 @@ def agent(
         stream=sys.stderr,
     )
     with one_line_failures("agent"):
-        names = tuple(dict.fromkeys(check_name(entity, "entity") for entity in entities))
+        names = _checked_names(entities or [], pool)
         config = AgentConfig(
             world=check_name(world_name, "world"),
-            agent=check_name(name or _made_up_name(names[0]), "agent"),
+            agent=check_name(name or _made_up_name(names[0] if names else "pool"), "agent"),
             entities=names,
+            pool_limit=pool,
+            rates=Rates(odom_hz, tf_hz),
             wait_s=wait,
             cmd_vel_timeout_s=cmd_vel_timeout,
             on_release=_checked(on_release),
         )
         _run(connect or DEFAULT_ENDPOINT, config)
+
+
+def _checked_names(entities: list[str], pool: int | None) -> tuple[str, ...]:
+    if bool(entities) == (pool is not None):
+        given = f"{len(entities)} entities and {'a' if pool is not None else 'no'} --pool"
+        raise ValueError(f"{given} were given; name entities, or use --pool, one of both")
+    return tuple(dict.fromkeys(check_name(entity, "entity") for entity in entities))
 
 
 def _run(endpoint: str, config: AgentConfig) -> None:

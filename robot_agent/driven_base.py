@@ -19,6 +19,31 @@ def drive_of(model: Model) -> Drive:
     return model.drive or NO_DRIVE
 
 
+def motion_rates(drive: Drive) -> tuple[float | None, float | None, float | None]:
+    """Find how often a motion is due, and how often of that odometry and tf are told.
+
+    Returns:
+        Rates [Hz]; 0 = at every state; None of a motion = with the drive's commands; None of the
+        others = with every motion.
+    """
+    if drive.tf_rate_hz is None:
+        return drive.odometry_rate_hz, None, None
+    odometry_hz, tf_hz = drive.odometry_rate_hz, drive.tf_rate_hz
+    if odometry_hz is None:
+        odometry_hz = drive.update_rate_hz
+    motion_hz = 0.0 if 0.0 in (odometry_hz, tf_hz) else max(odometry_hz, tf_hz)
+    return (
+        motion_hz,
+        None if odometry_hz == motion_hz else odometry_hz,
+        None if tf_hz == motion_hz else tf_hz,
+    )
+
+
+def gate_of(rate_hz: float | None) -> RateGate | None:
+    """Make a gate; none where nothing is held back."""
+    return None if rate_hz is None else RateGate(rate_hz)
+
+
 class DrivenBase:
     """Keeps a drive and its odometry at the drive's own rates."""
 
@@ -32,9 +57,8 @@ class DrivenBase:
         self._base_in_root = base_of(model).in_root
         self._drive = controller_of(drive)
         self._gate = RateGate(drive.update_rate_hz)
-        # Without a rate of its own odometry is due whenever the drive is.
-        rate = drive.odometry_rate_hz
-        self._odometry_gate = None if rate is None else RateGate(rate)
+        # Without a rate of its own a motion is due whenever the drive is.
+        self._odometry_gate = gate_of(motion_rates(drive)[0])
         index = {joint.name: place for place, joint in enumerate(model.joints)}
         self._measured = tuple(index[one.joint] for one in model.actuators if one.joint)
         self._encoder: EncoderOdometry | None = None

@@ -1,17 +1,30 @@
 """The robots that an agent holds, in the order in which the server speaks of them."""
 
+import logging
 import struct
+from collections.abc import Sequence
 
-from proto.claims import DriveCommand, DriveState
+from proto.claims import Claim, DriveCommand, DriveState
 from proto.codec import MalformedPayload
+from robot_agent.network import Network
 from robot_agent.reading import Layout
 from robot_agent.robot import Robot
+
+LOG = logging.getLogger("zensim.agent")
 
 
 class Fleet:
     """Robots by claim; each drive state says which of them are left."""
 
-    def __init__(self) -> None:
+    def __init__(self, network: Network, timeout_ns: int) -> None:
+        """Hold nobody yet.
+
+        Args:
+            network: Where robots hear and tell.
+            timeout_ns: Simulation time that a command holds; 0 = for ever.
+        """
+        self._network = network
+        self._timeout_ns = timeout_ns
         self._robots: dict[int, Robot] = {}
         self._claims: bytes | None = None
         self.newest_claim = 0
@@ -23,6 +36,13 @@ class Fleet:
     def robots(self) -> tuple[Robot, ...]:
         """All robots that are held."""
         return tuple(self._robots.values())
+
+    def take(self, claims: Sequence[Claim]) -> None:
+        """Hold what was claimed."""
+        for claim in claims:
+            robot = Robot(self._network, claim, self._timeout_ns)
+            robot.announce()
+            self.hold(claim.claim, robot)
 
     def hold(self, claim: int, robot: Robot) -> None:
         """Add a robot under its claim."""
@@ -78,6 +98,22 @@ class Fleet:
         """Publish what the last state made due."""
         for robot in self._ordered:
             robot.tell()
+
+    def answer(self) -> None:
+        """Tell last values to those who have asked."""
+        for robot in self._robots.values():
+            robot.answer()
+
+    def announce(self) -> None:
+        """Publish what never changes to those who have begun to listen."""
+        for robot in self._robots.values():
+            robot.announce()
+
+    def complain(self) -> None:
+        """Log which commands were malformed."""
+        for robot in self._robots.values():
+            if robot.commanded and (complaint := robot.commanded.take_complaint()):
+                LOG.warning("cmd_vel entity=%s %s", robot.entity, complaint)
 
 
 def _ids(claims: bytes) -> tuple[int, ...]:

@@ -10,12 +10,15 @@ import msgspec
 
 from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
 from proto.header import Header, Time
-from proto.model import Joint, Model, Origin
+from proto.model import Joint, JointStatePublisher, Model, Origin
 from robot_agent.odometry import Motion
 from robot_agent.transforms import add, compose, inverse, multiply, rotate, turn, unit
 
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 """Kinds of joints with one position; the others stand as if fixed."""
+
+ALL_JOINTS = JointStatePublisher(update_rate_hz=30.0)
+"""Stands in where a description has no publisher of joint states."""
 
 
 class Edge(msgspec.Struct, frozen=True):

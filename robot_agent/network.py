@@ -1,6 +1,6 @@
 """What an agent asks of the network; `proto.bus.Bus` offers it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from proto.bus import Sample
@@ -36,6 +36,16 @@ class Subscription(Protocol):
 
 class Call(Protocol):
     """A request that waits for its answer."""
+
+    @property
+    def key(self) -> str:
+        """What was asked for; it may be a pattern."""
+
+    def covers(self, key: str) -> bool:
+        """Whether this asks for that key, perhaps among others."""
+
+    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        """Answer with many values, each on a key of its own."""
 
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """Answer."""
@@ -80,8 +90,8 @@ class Network(Protocol):
     def subscribe(self, key: str, depth: int = 1) -> Subscription:
         """Listen to a key expression, keeping the newest `depth` messages."""
 
-    def serve(self, key: str, depth: int = 4096) -> CallQueue:
-        """Answer requests on a key expression."""
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> CallQueue:
+        """Answer requests on a key expression, alone unless it is said that others do too."""
 
     def token(self, key: str) -> Token:
         """Declare this process alive under a key."""

@@ -17,6 +17,7 @@ class Robot:
     def __init__(self, network: Network, claim: Claim, cmd_vel_timeout_ns: int) -> None:
         self.entity = claim.entity
         self.joint_count = len(claim.model.joints)
+        self.target_count = claim.model.target_count
         self.commanded: CommandedTwist | None = None
         """None without a drive: there is nothing to command."""
         self._base = DrivenBase(claim.model)

@@ -7,10 +7,10 @@ import msgspec
 from proto import keys
 from proto.claims import Claim
 from proto.header import Header, Time, time_from_ns
-from proto.model import JointStatePublisher
 from proto.topics import JointState, Odometry, String, TFMessage
-from robot_agent.driven_base import drive_of
+from robot_agent.driven_base import drive_of, gate_of, motion_rates
 from robot_agent.frames import (
+    ALL_JOINTS,
     base_of,
     fixed_edges,
     moving_joints,
@@ -24,9 +24,6 @@ from robot_agent.outlet import Outlet
 from robot_agent.rate_gate import RateGate
 from robot_agent.reading import Reading
 from robot_agent.remapping import odometry_key, topic_key
-
-ALL_JOINTS = JointStatePublisher(update_rate_hz=30.0)
-"""Stands in where a description has no publisher for them."""
 
 
 class MotionTelemetry:
@@ -42,22 +39,30 @@ class MotionTelemetry:
             drive.odometry_frame, base_of(model).name, covariance_of(drive)
         )
         self.outlets: list[Outlet] = []
+        self._gates: list[RateGate | None] = []
+        _, odometry_hz, tf_hz = motion_rates(drive)
         if drive.publish_odom:
             key = odometry_key(claim.namespace, drive)
             self.outlets.append(Outlet(network, key, Odometry, self._odometry))
+            self._gates.append(gate_of(odometry_hz))
         if self._moving or self._has_odom_tf:
             key = topic_key(claim.namespace, keys.TF, drive.ros)
             self.outlets.append(Outlet(network, key, TFMessage, self._transforms))
+            self._gates.append(gate_of(tf_hz))
 
     def reset(self) -> None:
         """Forget the last motion; time may have gone back."""
         self._reading = None
+        for gate in self._gates:
+            if gate is not None:
+                gate.reset()
 
     def tell(self, reading: Reading, motion: Motion) -> None:
         """Tell where the base is, how it moves, and where what hangs on it is."""
         self._reading, self._motion = reading, motion
-        for outlet in self.outlets:
-            outlet.publish()
+        for outlet, gate in zip(self.outlets, self._gates, strict=True):
+            if gate is None or gate.elapsed_s(reading.time_ns) is not None:
+                outlet.publish()
 
     def _odometry(self) -> Odometry | None:
         if self._reading is None:

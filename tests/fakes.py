@@ -1,6 +1,7 @@
 """A network and a clock in memory, for tests: they do what the real ones do, at once."""
 
 from collections import deque
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -64,7 +65,8 @@ class MemoryBus:
         self._subscriptions.append(subscription)
         return subscription
 
-    def serve(self, key: str, depth: int = 4096) -> "MemoryCallQueue":
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> "MemoryCallQueue":
+        del is_complete
         queue = MemoryCallQueue(self._queues, key, depth)
         self._queues.append(queue)
         return queue
@@ -198,6 +200,10 @@ class MemoryCall:
 
     def covers(self, key: str) -> bool:
         return intersect(self.key, key)
+
+    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        self.answers += [Sample(key, payload, encoding) for key, payload in answers]
+        self.is_over = True
 
     def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
         self.answers.append(Sample(key, payload, encoding, attachment))

@@ -14,7 +14,7 @@ from tests.robot_agent.models import a_claim, a_state, two_wheeler
 
 
 def a_fleet(bus: MemoryBus, *claims: int) -> Fleet:
-    fleet = Fleet()
+    fleet = Fleet(bus, 0)
     for claim in claims:
         fleet.hold(claim, Robot(bus, a_claim(claim, f"r{claim}"), 0))
     return fleet
@@ -72,7 +72,7 @@ def test_fleet_answers_for_a_robot_that_joined() -> None:
 
 def test_fleet_answers_nothing_for_a_robot_without_a_drive() -> None:
     bus = MemoryBus()
-    fleet = Fleet()
+    fleet = Fleet(bus, 0)
     fleet.hold(1, Robot(bus, a_claim(model=two_wheeler(None)), 0))
 
     assert fleet.advance(a_state(1)).targets == b""

@@ -10,7 +10,7 @@ from tests.robot_agent.models import a_claim, a_state, two_wheeler
 
 
 def a_fleet(bus: MemoryBus) -> Fleet:
-    fleet = Fleet()
+    fleet = Fleet(bus, 0)
     fleet.hold(1, Robot(bus, a_claim(1, "r1"), 0))
     fleet.hold(2, Robot(bus, a_claim(2, "r2", two_wheeler(None)), 0))
     return fleet

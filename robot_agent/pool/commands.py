@@ -1,0 +1,142 @@
+"""What many robots are told to do: one subscription for all, read in one go.
+
+A robot obeys as `robot_agent.cmd_vel.CommandedTwist` has it: the newest twist, until it is too old.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from proto import keys
+from proto.bus import Sample
+from proto.codec import Format, MalformedPayload, encoding_of
+from proto.commands import decode_twist
+from proto.geometry import Twist
+from robot_agent.network import Network, Subscription
+from robot_agent.pool.rows import FloatArray, IntArray, carried, carried_ints
+
+DEPTH = 8192
+TWIST_COLUMNS = 6
+TWIST_BYTES = 52
+TWIST_IMAGE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
+LITTLE_ENDIAN = b"\x00\x01"
+PLAIN_ENCODINGS = frozenset({encoding_of(Twist, Format.CDR), Format.CDR.value, "zenoh/bytes", ""})
+"""With these, 52 bytes of CDR are a Twist."""
+
+
+class FleetCommands:
+    """The twists that hold now, a row a robot; robots stand until they are told."""
+
+    def __init__(self, network: Network, timeout_ns: int) -> None:
+        """Begin to listen to nobody.
+
+        Args:
+            network: Where.
+            timeout_ns: Simulation time that a twist holds after it was first seen; 0 = for ever.
+        """
+        self._network = network
+        self._timeout_ns = timeout_ns
+        self._subscriptions: dict[str, Subscription] = {}
+        self._rows: dict[str, tuple[int, ...]] = {}
+        self._twists = np.zeros((0, TWIST_COLUMNS))
+        self._seen_ns = np.zeros(0, dtype=np.int64)
+        self._faults: dict[str, tuple[int, str]] = {}
+
+    def listen(self, key: str) -> None:
+        """Hear a key from now on; its robot gets a row later."""
+        pattern = keys.pattern_of(key)
+        if pattern not in self._subscriptions:
+            self._subscriptions[pattern] = self._network.subscribe(pattern, DEPTH)
+
+    def recut(self, robots: Sequence[str], before: IntArray) -> None:
+        """Carry rows over; see `rows.carried`.
+
+        Args:
+            robots: The key of each row; empty for one that is not commanded here.
+            before: Where each row was.
+        """
+        self._twists = carried(self._twists, before)
+        self._seen_ns = carried_ints(self._seen_ns, before)
+        self._rows = {}
+        for row, key in enumerate(robots):
+            if not key:
+                continue
+            self._rows[key] = (*self._rows.get(key, ()), row)
+            self.listen(key)
+        patterns = {keys.pattern_of(key) for key in self._rows}
+        for pattern in [one for one in self._subscriptions if one not in patterns]:
+            self._subscriptions.pop(pattern).close()
+
+    def reset(self) -> None:
+        """Forget all twists; those that wait in a channel still count."""
+        self._twists[:] = 0.0
+
+    def at(self, time_ns: int) -> FloatArray:
+        """Find the twists (n, 6) at a moment of simulation time."""
+        heard = self._heard()
+        if heard:
+            self._read(heard, time_ns)
+        if self._timeout_ns:
+            self._twists[time_ns - self._seen_ns > self._timeout_ns] = 0.0
+        return self._twists
+
+    def complaints(self) -> Iterator[tuple[str, str]]:
+        """Say which keys had malformed commands since the last time, and what was wrong."""
+        faults, self._faults = self._faults, {}
+        for key, (count, reason) in faults.items():
+            yield key, f"malformed={count} reason={reason!r}"
+
+    def _heard(self) -> dict[tuple[int, ...], list[Sample]]:
+        heard: dict[tuple[int, ...], list[Sample]] = {}
+        for subscription in self._subscriptions.values():
+            for sample in subscription.take():
+                # The robots of other pools are heard too.
+                if (rows := self._rows.get(sample.key)) is not None:
+                    heard.setdefault(rows, []).append(sample)
+        return heard
+
+    def _read(self, heard: dict[tuple[int, ...], list[Sample]], time_ns: int) -> None:
+        plain = {rows: samples for rows, samples in heard.items() if _is_plain(samples[-1])}
+        if plain:
+            image = b"".join([samples[-1].payload for samples in plain.values()])
+            numbers = np.frombuffer(image, dtype=TWIST_IMAGE)["numbers"]
+            is_finite = np.isfinite(numbers).all(axis=1)
+            for rows, fits in zip(list(plain), is_finite.tolist(), strict=True):
+                if not fits:
+                    del plain[rows]
+            self._hold(list(plain), numbers[is_finite], time_ns)
+        for rows in heard.keys() - plain.keys():
+            if (twist := self._newest_good(heard[rows])) is not None:
+                linear, angular = twist.linear, twist.angular
+                row = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
+                self._hold([rows], np.array([row]), time_ns)
+
+    def _hold(self, robots: list[tuple[int, ...]], twists: FloatArray, time_ns: int) -> None:
+        rows = [row for several in robots for row in several]
+        if len(rows) != len(robots):
+            twists = np.repeat(twists, [len(several) for several in robots], axis=0)
+        self._twists[rows] = twists
+        self._seen_ns[rows] = time_ns
+
+    def _newest_good(self, samples: list[Sample]) -> Twist | None:
+        """Read the newest that is a command: a bad one does not hide the good one before it."""
+        for sample in reversed(samples):
+            if (twist := self._read_one(sample)) is not None:
+                return twist
+        return None
+
+    def _read_one(self, sample: Sample) -> Twist | None:
+        try:
+            return decode_twist(sample.payload, sample.encoding)
+        except MalformedPayload as error:
+            count, _ = self._faults.get(sample.key, (0, ""))
+            self._faults[sample.key] = (count + 1, str(error))
+            return None
+
+
+def _is_plain(sample: Sample) -> bool:
+    return (
+        len(sample.payload) == TWIST_BYTES
+        and sample.payload[:2] == LITTLE_ENDIAN
+        and sample.encoding in PLAIN_ENCODINGS
+    )

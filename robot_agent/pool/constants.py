@@ -1,0 +1,73 @@
+"""What never changes of a robot: its fixed transforms and its description, written once a model."""
+
+from collections.abc import Iterator
+
+import msgspec
+
+from proto import cdr, keys
+from proto.claims import Claim
+from proto.header import Time
+from proto.model import Model
+from proto.topics import String, TFMessage
+from robot_agent.frames import base_of, fixed_edges
+from robot_agent.pool.outlet import FleetOutlet, Line
+from robot_agent.pool.telling import OutletOf
+
+
+class Constant:
+    """A value that is always the same; see `outlet.Values`."""
+
+    def __init__(self, message: msgspec.Struct) -> None:
+        self._payload = cdr.encode(message)
+
+    def payload(self, row: int) -> bytes:  # noqa: ARG002 - of the protocol
+        """Tell it."""
+        return self._payload
+
+
+class Constants:
+    """Puts robots' constants on their outlets; robots of one model share them."""
+
+    def __init__(self, outlet_of: OutletOf) -> None:
+        self._outlet_of = outlet_of
+        self._fixed: dict[int, tuple[Model, Constant | None]] = {}
+        self._texts: dict[str, Constant] = {}
+
+    def add(self, claim: Claim) -> tuple[Line, ...]:
+        """Begin to tell a robot's constants."""
+        lines = tuple(Line(key, value) for key, value in self._values(claim))
+        for line in lines:
+            self._outlet(line).add(line)
+        return lines
+
+    def remove(self, lines: tuple[Line, ...]) -> None:
+        """Withdraw a robot's constants."""
+        for line in lines:
+            self._outlet(line).remove(line)
+
+    def forget(self) -> None:
+        """Let go of what was written: no robot is left."""
+        self._fixed.clear()
+        self._texts.clear()
+
+    def _values(self, claim: Claim) -> Iterator[tuple[str, Constant]]:
+        if (fixed := self._fixed_of(claim.model)) is not None:
+            yield keys.robot(claim.namespace, keys.TF_STATIC), fixed
+        if text := claim.robot_description:
+            if text not in self._texts:
+                self._texts[text] = Constant(String(text))
+            yield keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION), self._texts[text]
+
+    def _fixed_of(self, model: Model) -> Constant | None:
+        # The model is kept beside, so that its id stays its own.
+        if (found := self._fixed.get(id(model))) is None:
+            edges = fixed_edges(model, base_of(model))
+            # Stamped 0: it holds from the beginning of time.
+            message = TFMessage(tuple(edge.stamped(Time()) for edge in edges))
+            found = self._fixed[id(model)] = (model, Constant(message) if edges else None)
+        return found[1]
+
+    def _outlet(self, line: Line) -> FleetOutlet:
+        topic = keys.last_chunk(line.key)
+        kind = TFMessage if topic == keys.TF_STATIC else String
+        return self._outlet_of(keys.pattern_of(line.key), kind)

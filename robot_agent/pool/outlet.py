@@ -1,0 +1,149 @@
+"""One topic of many robots: the seam that everything a pool tells leaves through.
+
+Whoever listens to any robot's odometry is seen by one publisher on a pattern, such as `*/odom`: a
+thousand robots that nobody listens to cost one look. Publishers of single robots are declared when
+somebody listens, a few at a time, for declaring takes longer than putting.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import msgspec
+
+from proto.codec import Format, encoding_of
+from robot_agent.network import Call, Network, Publisher
+
+QUERY_DEPTH = 256
+AT_ONCE = 32
+"""Publishers that are declared, or asked who listens, in one go: a few milliseconds."""
+
+
+class Values(Protocol):
+    """The last values of a topic, by row."""
+
+    def payload(self, row: int) -> bytes | None:
+        """Write the last value of a row as CDR; None while there is none."""
+
+
+@dataclass(eq=False)
+class Line:
+    """One robot's part in a topic."""
+
+    key: str
+    values: Values
+    row: int = 0
+    publisher: Publisher | None = None
+    was_matched: bool = False
+
+
+class FleetOutlet:
+    """A topic on all keys of one pattern; payloads in, puts where somebody listens."""
+
+    def __init__(self, network: Network, pattern: str, message_type: type[msgspec.Struct]) -> None:
+        """Declare the topic.
+
+        Args:
+            network: Where.
+            pattern: Of the keys that lines have; see `proto.keys.pattern_of`.
+            message_type: What payloads are; they travel as CDR.
+        """
+        self._network = network
+        self._encoding = encoding_of(message_type, Format.CDR)
+        self._lines: dict[str, list[Line]] = {}
+        self._undeclared: list[Line] = []
+        self._announced: list[Line] = []
+        self._probe = network.advertise(pattern, self._encoding)
+        # Other pools have other robots on the same pattern.
+        self._queries = network.serve(pattern, QUERY_DEPTH, is_complete=False)
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anybody listens to any of it."""
+        return self._probe.is_matched
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no robot is left."""
+        return not self._lines
+
+    def add(self, line: Line) -> None:
+        """Take a robot in; its publisher is declared once somebody listens."""
+        self._lines.setdefault(line.key, []).append(line)
+        self._undeclared.append(line)
+
+    def remove(self, line: Line) -> None:
+        """Let a robot go."""
+        left = [one for one in self._lines.pop(line.key, ()) if one is not line]
+        if left:
+            self._lines[line.key] = left
+        if line.publisher is not None:
+            line.publisher.close()
+            line.publisher = None
+
+    def declare_some(self) -> None:
+        """Declare some of the publishers that are missing, when anybody listens."""
+        if not self._undeclared or not self.is_wanted:
+            return
+        some, self._undeclared = self._undeclared[:AT_ONCE], self._undeclared[AT_ONCE:]
+        for line in some:
+            if line in self._lines.get(line.key, ()):
+                line.publisher = self._network.advertise(line.key, self._encoding)
+
+    def put(self, lines: Sequence[Line], payloads: Sequence[bytes]) -> None:
+        """Put a payload on each line; on those without a publisher yet nothing."""
+        for line, payload in zip(lines, payloads, strict=True):
+            if line.publisher is not None:
+                line.publisher.send(payload)
+
+    def announce_some(self) -> None:
+        """Put last values where somebody has begun to listen; a part of the lines at a time."""
+        if not self.is_wanted:
+            for line in self._announced:
+                line.was_matched = False
+            self._announced = []
+            return
+        if not self._announced:
+            self._announced = [line for lines in self._lines.values() for line in lines]
+        some, self._announced = self._announced[:AT_ONCE], self._announced[AT_ONCE:]
+        for line in some:
+            _announce(line)
+
+    def answer(self) -> None:
+        """Tell last values to everybody who has asked; those of other pools are told by them."""
+        for call in self._queries.take():
+            answers = [
+                (line.key, payload)
+                for line in self._asked(call)
+                if (payload := line.values.payload(line.row)) is not None
+            ]
+            if answers:
+                call.reply_each(answers, self._encoding)
+            else:
+                call.drop()
+
+    def close(self) -> None:
+        """Withdraw the topic."""
+        for line in [line for lines in self._lines.values() for line in lines]:
+            self.remove(line)
+        self._probe.close()
+        self._queries.close()
+
+    def _asked(self, call: Call) -> Iterator[Line]:
+        if call.key in self._lines:
+            yield from self._lines[call.key]
+        elif "*" in call.key:
+            for key, lines in self._lines.items():
+                if call.covers(key):
+                    yield from lines
+
+
+def _announce(line: Line) -> None:
+    if line.publisher is None:
+        return
+    is_matched = line.publisher.is_matched
+    if is_matched and not line.was_matched:
+        payload = line.values.payload(line.row)
+        if payload is not None:
+            line.publisher.send(payload)
+    line.was_matched = is_matched

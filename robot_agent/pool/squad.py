@@ -1,0 +1,139 @@
+"""Robots of one kind, driven and told of together: arrays with a row a robot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from proto.claims import Claim
+from robot_agent.pool.driven import DrivenBases
+from robot_agent.pool.kinds import Kind, Topics
+from robot_agent.pool.outlet import Line
+from robot_agent.pool.rows import NEW, FloatArray, IntArray
+from robot_agent.pool.telling import OutletOf, Telling
+
+
+@dataclass(eq=False)
+class Member:
+    """One robot of a squad."""
+
+    claim: Claim
+    kind: Kind
+    topics: Topics
+    row: int = NEW
+    """In its squad."""
+    place: int = NEW
+    """In its pool."""
+    lines: tuple[Line, ...] = ()
+    constants: tuple[Line, ...] = ()
+
+
+@dataclass(frozen=True)
+class PoolState:
+    """What one drive state says, in arrays; flat where robots differ in how much there is."""
+
+    time_ns: int
+    base: FloatArray
+    """(n, STATE_COLUMNS)."""
+    positions: FloatArray
+    velocities: FloatArray
+    twists: FloatArray
+    """(n, 6)."""
+
+
+@dataclass(frozen=True)
+class Seats:
+    """Where the rows of a squad stand in the arrays of its pool."""
+
+    places: IntArray
+    """(n,)."""
+    joints: IntArray
+    """(n, joint_count)."""
+    targets: IntArray
+    """(n, target_count)."""
+
+
+@dataclass(frozen=True)
+class _Due:
+    """What `tell` has to tell."""
+
+    rows: IntArray
+    positions: FloatArray
+    velocities: FloatArray
+    time_ns: int
+
+
+class Squad:
+    """Turns states into targets, then into telemetry."""
+
+    def __init__(self, kind: Kind, outlet_of: OutletOf) -> None:
+        self._kind = kind
+        self._bases = DrivenBases(kind)
+        self._telling = Telling(kind, self._bases, outlet_of)
+        self._seats: Seats | None = None
+        self._due: _Due | None = None
+
+    def recut(self, members: Sequence[Member], seats: Seats) -> None:
+        """Take the robots as they are now, and where they stand."""
+        before = np.array([member.row for member in members], dtype=np.int64)
+        self._seats, self._due = seats, None
+        self._bases.recut(before)
+        for row, member in enumerate(members):
+            member.row = row
+            if not member.lines:
+                member.lines = self._lines(member)
+        self._recut_topics(members, before)
+
+    def reset(self) -> None:
+        """Start again: time may have gone back."""
+        self._due = None
+        self._bases.reset()
+        self._telling.reset()
+
+    def advance(self, state: PoolState, targets: FloatArray) -> None:
+        """Take a state; write the targets of its robots into those of the pool."""
+        if (seats := self._seats) is None:
+            return
+        positions, velocities = state.positions[seats.joints], state.velocities[seats.joints]
+        rows = self._bases.update(
+            state.time_ns,
+            base=state.base[seats.places],
+            positions=positions,
+            velocities=velocities,
+            twists=state.twists[seats.places],
+        )
+        targets[seats.targets] = self._bases.targets
+        self._due = _Due(rows, positions, velocities, state.time_ns)
+
+    def tell(self) -> None:
+        """Publish what the last state made due."""
+        if (due := self._due) is not None:
+            self._due = None
+            self._telling.tell(
+                due.rows, positions=due.positions, velocities=due.velocities, time_ns=due.time_ns
+            )
+
+    def dismiss(self, member: Member) -> None:
+        """Withdraw what a robot tells."""
+        for topic, line in zip(self._telling.topics, member.lines, strict=False):
+            topic.outlet.remove(line)
+        member.lines = ()
+
+    def _lines(self, member: Member) -> tuple[Line, ...]:
+        told = (member.topics.odom, member.topics.tf, member.topics.joint_states)
+        named = [key for key in told if key]
+        lines = []
+        for topic, key in zip(self._telling.topics, named, strict=True):
+            lines.append(Line(key, topic))
+            topic.outlet.add(lines[-1])
+        return tuple(lines)
+
+    def _recut_topics(self, members: Sequence[Member], before: IntArray) -> None:
+        models = {id(one.claim.model): one.claim.model for one in members}
+        written = {key: self._telling.templates_of(model) for key, model in models.items()}
+        for number, topic in enumerate(self._telling.topics):
+            topic.recut(
+                [member.lines[number] for member in members],
+                [written[id(member.claim.model)][number] for member in members],
+                before,
+            )

@@ -1,0 +1,97 @@
+"""Robots of every kind of drive, and states that they may be in."""
+
+from proto.drives import (
+    AckermannDrive,
+    DiffDrive,
+    Drive,
+    Limits,
+    PlanarMove,
+    TricycleDrive,
+    WheelPair,
+)
+from proto.model import Frame, Joint, JointStatePublisher, Link, Model, Origin
+
+SECOND_PAIR = WheelPair("left_rear", "right_rear", separation_m=0.5, diameter_m=0.3)
+PAIR = WheelPair("left_joint", "right_joint", separation_m=0.4, diameter_m=0.2)
+ACKERMANN = AckermannDrive(
+    update_rate_hz=0.0, steering_wheel_joint="wheel", publish_odom=True, publish_odom_tf=True
+)
+DRIVES: dict[str, Drive] = {
+    "diff": DiffDrive(pairs=(PAIR,), update_rate_hz=0.0, publish_odom=True, publish_odom_tf=True),
+    "diff, slow to speed up": DiffDrive(
+        pairs=(PAIR,),
+        update_rate_hz=50.0,
+        max_acceleration=1.5,
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+    "diff by encoders": DiffDrive(
+        pairs=(PAIR,),
+        update_rate_hz=30.0,
+        odometry_source="encoder",
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+    "diff by encoders, as gazebo 11": DiffDrive(
+        pairs=(PAIR,),
+        update_rate_hz=0.0,
+        odometry_source="encoder",
+        odometry_rate_hz=20.0,
+        compat="gazebo11",
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+    "diff within limits": DiffDrive(
+        pairs=(PAIR,),
+        linear_limits=Limits(-0.5, 1.0, -2.0, 1.0),
+        angular_limits=Limits(None, 1.0, None, 3.0),
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+    "skid": DiffDrive(
+        pairs=(PAIR, SECOND_PAIR), max_acceleration=0.7, publish_odom=True, publish_odom_tf=True
+    ),
+    "planar": PlanarMove(tf_rate_hz=10.0),
+    "car": ACKERMANN,
+    "tricycle": TricycleDrive(
+        max_acceleration=3.0, max_deceleration=0.0, publish_odom=True, publish_odom_tf=True
+    ),
+    "tricycle that steers by speed": TricycleDrive(
+        max_steering_speed=0.4,
+        odometry_source="encoder",
+        odometry_rate_hz=40.0,
+        publish_odom=True,
+        publish_odom_tf=True,
+    ),
+}
+
+
+def robot_of(drive: Drive) -> Model:
+    """A robot with this drive, a lift that slides, and a camera."""
+    lift = Joint(
+        "lift",
+        "prismatic",
+        "base_link",
+        "deck",
+        Origin(
+            (0.1, 0.0, 0.2),
+            (0.034270798550482096, 0.10602051106179562, 0.1435722050167013, 0.9833474432563559),
+        ),
+        axis=(0.0, 0.0, 2.0),
+    )
+    wheels = tuple(
+        Joint(name, "continuous", "base_link", f"{name}_link", Origin((0.0, 0.1, 0.0)), (0, 1, 0))
+        for name in dict.fromkeys(drive.joints)
+    )
+    joints = (lift, *wheels)
+    return Model(
+        "robot",
+        (Link("base_link"), *(Link(joint.child) for joint in joints)),
+        joints,
+        (
+            Frame("base_footprint", "base_link", Origin((0.05, -0.02, -0.1))),
+            Frame("camera", "deck", Origin((0.2, 0.0, 0.1))),
+        ),
+        drive,
+        JointStatePublisher(("lift", *drive.joints[:1]), 25.0),
+    )

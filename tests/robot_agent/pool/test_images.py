@@ -1,0 +1,89 @@
+"""Images filled in place are what the encoder writes, to the byte."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from proto import cdr
+from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
+from proto.header import Header, time_from_ns
+from proto.topics import JointState, TFMessage
+from robot_agent.odometry import Motion, OdometryFrames, covariance_of
+from robot_agent.pool import templates
+from robot_agent.pool.images import Images
+from tests.robot_agent.models import DRIVE, two_wheeler
+
+NUMBER = st.floats(allow_nan=False, allow_infinity=False)
+TIME_NS = st.integers(0, 2**31 * 10**9 - 1)
+
+
+def motion_of(numbers: list[float]) -> Motion:
+    x, y, z, qx, qy, qz, qw, vx, vy, wz = numbers
+    return Motion((x, y, z), (qx, qy, qz, qw), vx, vy, wz)
+
+
+@given(
+    st.lists(st.tuples(st.text(max_size=9), st.text(max_size=9)), min_size=1, max_size=4),
+    st.data(),
+)
+def test_odometry_is_what_the_encoder_writes(
+    names: list[tuple[str, str]], data: st.DataObject
+) -> None:
+    frames = [OdometryFrames(frame, child, covariance_of(DRIVE)) for frame, child in names]
+    blank = [one.message(Motion(), time_from_ns(0)) for one in frames]
+    images = Images(blank, templates.ODOMETRY_PATHS, templates.HEADER_STAMP)
+    rows = data.draw(st.lists(st.sampled_from(range(len(names))), unique=True, min_size=1))
+    numbers = [data.draw(st.lists(NUMBER, min_size=10, max_size=10)) for _ in rows]
+    times = [data.draw(TIME_NS) for _ in rows]
+
+    images.fill(np.array(rows), np.array(numbers), np.array(times))
+
+    written = [
+        cdr.encode(frames[row].message(motion_of(one), time_from_ns(time)))
+        for row, one, time in zip(rows, numbers, times, strict=True)
+    ]
+    assert images.payloads(np.array(rows)) == [
+        written[rows.index(row)] for row in (sorted(rows) if len(rows) == len(names) else rows)
+    ]
+    assert [images.payload(row) for row in rows] == written
+
+
+@pytest.mark.parametrize("child", ["", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"])
+def test_transforms_are_what_the_encoder_writes(child: str) -> None:
+    def message(numbers: list[float], time_ns: int) -> TFMessage:
+        stamp = time_from_ns(time_ns)
+        parts = [numbers[:7], numbers[7:]]
+        return TFMessage(
+            tuple(
+                TransformStamped(
+                    Header(stamp, "odom"),
+                    child * number,
+                    Transform(Vector3(*part[:3]), Quaternion(*part[3:])),
+                )
+                for number, part in enumerate(parts)
+            )
+        )
+
+    numbers = np.arange(14.0).tolist()
+    images = Images([message([0.0] * 14, 0)], templates.tf_paths(2), templates.tf_stamps(2))
+
+    images.fill(np.array([0]), np.array([numbers]), np.array([3 * 10**9 + 5]))
+
+    assert images.payload(0) == cdr.encode(message(numbers, 3 * 10**9 + 5))
+
+
+def test_joint_states_are_what_the_encoder_writes() -> None:
+    model = two_wheeler()
+    images = Images(
+        [templates.joint_states_template(model, (0, 1))],
+        templates.joint_paths(2),
+        templates.HEADER_STAMP,
+    )
+
+    images.fill(np.array([0]), np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([10**9]))
+
+    expected = JointState(
+        Header(time_from_ns(10**9)), ("left_joint", "right_joint"), (0.1, 0.2), (0.3, 0.4)
+    )
+    assert images.payload(0) == cdr.encode(expected)

@@ -1,0 +1,59 @@
+"""Rates in place of the described ones."""
+
+import pytest
+
+from proto.claims import Claim
+from robot_agent.driven_base import motion_rates
+from robot_agent.rates import Rates, with_rates
+from robot_agent.reading import Reading
+from robot_agent.robot import Robot
+from tests.fakes import MemoryBus
+from tests.robot_agent.models import AT_REST, a_claim, two_wheeler
+
+PERIOD_NS = 10_000_000
+
+
+def paced(claim: Claim, rates: Rates) -> Claim:
+    (found,) = with_rates([claim], rates)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("rates", "odom", "tf"),
+    [
+        (Rates(), 100, 100),
+        (Rates(10.0), 10, 10),
+        (Rates(50.0, 10.0), 50, 10),
+        (Rates(10.0, 50.0), 10, 50),
+        (Rates(None, 20.0), 100, 20),
+        (Rates(0.0, 10.0), 100, 10),
+    ],
+)
+def test_robot_tells_odometry_and_tf_at_the_rates_it_is_given(
+    rates: Rates, odom: int, tf: int
+) -> None:
+    bus = MemoryBus()
+    heard = {topic: bus.subscribe(f"r1/{topic}", 1000) for topic in ("odom", "tf")}
+    robot = Robot(bus, paced(a_claim(), rates), 0)
+
+    for step in range(100):
+        robot.advance(Reading(step * PERIOD_NS, AT_REST, (0.0, 0.0), (0.0, 0.0)))
+        robot.tell()
+
+    assert [len(heard[topic].take()) for topic in ("odom", "tf")] == [odom, tf]
+
+
+def test_claims_that_share_a_model_go_on_sharing_it() -> None:
+    model = two_wheeler()
+
+    one, other = with_rates([a_claim(1, "r1", model), a_claim(2, "r2", model)], Rates(5.0))
+
+    assert one.model is other.model
+    assert one.model.drive is not None
+    assert motion_rates(one.model.drive) == (5.0, None, None)
+
+
+def test_robot_without_a_drive_is_left_as_it_is() -> None:
+    claim = a_claim(model=two_wheeler(None))
+
+    assert paced(claim, Rates(5.0)) == claim
