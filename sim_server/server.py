@@ -25,6 +25,7 @@ from sim_server.loading.founding import founding
 from sim_server.loading.world_files import LoadedWorld, furnish
 from sim_server.pacing.lockstep import Lockstep
 from sim_server.pacing.meter import Meter
+from sim_server.pacing.short_turns import ask_for_short_turns
 from sim_server.physics.engine import EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.reading.assets import AssetStore
@@ -139,6 +140,7 @@ def _run(
         loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
+        ask_for_short_turns()
         on_ready(bus, config)
         loop.run(should_stop)
 

@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 from collections import deque
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
@@ -42,7 +44,6 @@ TOO_LONG = f"reading took more than {DEADLINE_S:g} s; make the description small
 PIECE_BYTES = 1 << 20
 """Written or read in one turn of the loop, at most."""
 NICENESS = 10
-"""Physics comes first when cores are few."""
 DECODER = msgspec.msgpack.Decoder(ReaderMessage)
 
 
@@ -116,7 +117,7 @@ class Reader:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._time.watch(self._process.pid)
-        os.setpriority(os.PRIO_PROCESS, self._process.pid, NICENESS)
+        _come_last(self._process.pid)
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
         for stream in (self._in, self._out):
             os.set_blocking(stream, False)
@@ -222,3 +223,11 @@ class Reader:
 
 def _refused(request: ReadRequest, message: str, *, slug: str) -> TextRead:
     return TextRead(request.number, None, ResultCode.OPERATION_FAILED, slug, message)
+
+
+def _come_last(process_id: int) -> None:
+    """Let physics come first when cores are few."""
+    os.setpriority(os.PRIO_PROCESS, process_id, NICENESS)
+    # Where the kernel shares cores among sessions, niceness counts inside of the reader's only.
+    with suppress(OSError):
+        Path(f"/proc/{process_id}/autogroup").write_text(str(NICENESS), encoding="ascii")

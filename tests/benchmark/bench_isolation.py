@@ -1,7 +1,7 @@
 """Physics while large and bad files come
 
-Ten robots drive circles. A robot of 100 links, each a mesh of 20,160 triangles (an STL, OBJ, DAE
-or GLB), is uploaded, read and put into the world, in runs that share no file; then one
+Ten robots drive circles. A robot of 100 links and 20 meshes of 20,160 triangles each (STL, OBJ, DAE
+and GLB) is uploaded, read and put into the world, in runs that share no file; then one
 of which nothing moves, so that its triangles themselves are what others collide with; then
 descriptions and meshes are sent that are refused. A sample is a second of the server: how late its
 latest step began, and for how long the loop's own work held a step up. The first is also late when
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["rows", "table"]
 
 RUNS = 5
-MESHES = len(huge.ENDINGS)
+MESHES_WHEN_SHORT = len(huge.ENDINGS)
 FAR_M = 500.0
 QUIET_S = 4.5
 NO_NAME = "no-name"
@@ -83,7 +83,7 @@ class Watched:
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure robots, scenes, and what is refused."""
-    size = {"links": 4} if is_short else {}
+    size = {"links": 4, "count": MESHES_WHEN_SHORT} if is_short else {}
     with (
         TemporaryDirectory() as folder,
         fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found,
@@ -99,11 +99,13 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     yield from _figures(watched)
 
 
-def a_cargo(folder: Path, seed: int, *, is_held: bool, **size: int) -> Cargo:
+def a_cargo(
+    folder: Path, seed: int, *, is_held: bool, links: int = huge.LINKS, count: int = huge.MESHES
+) -> Cargo:
     """Write a robot and its meshes, and gather them as `zensim spawn` does."""
-    for name, data in huge.meshes(seed, MESHES).items():
+    for name, data in huge.meshes(seed, count).items():
         folder.joinpath(name).write_bytes(data)
-    return _cargo(folder, huge.text(**size, count=MESHES, is_held=is_held))
+    return _cargo(folder, huge.text(links, count, is_held=is_held))
 
 
 def _cargo(folder: Path, text: str) -> Cargo:

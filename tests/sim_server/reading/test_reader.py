@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from proto.assets import AssetRef
 from sim_server.reading.assets import AssetStore
 from sim_server.reading.messages import MeshMade, ReadRequest, TextRead
-from sim_server.reading.reader import DEADLINE_S, Reader
+from sim_server.reading.reader import DEADLINE_S, NICENESS, Reader
 from tests.integration.processes import eventually
 from tests.sim_server.description.robots import a_link, a_robot
 from tests.sim_server.description.test_meshes import BOX, exported
@@ -161,3 +162,15 @@ def test_polling_never_waits(reader: Reader) -> None:
         longest_s = max(longest_s, time.thread_time() - before)
 
     assert longest_s < 0.02
+
+
+def test_reader_comes_last_among_all_sessions(reader: Reader) -> None:
+    shares = Path(f"/proc/{reader.process_id}/autogroup")
+
+    niceness = os.getpriority(os.PRIO_PROCESS, reader.process_id)
+
+    assert niceness == NICENESS
+    # Kernels that share cores among sessions say what the reader's gets.
+    assert not shares.exists() or shares.read_text(encoding="ascii").strip().endswith(
+        f"nice {NICENESS}"
+    )
