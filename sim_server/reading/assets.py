@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
 from proto.result import ResultCode
 from proto.stl import read_corners
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from hashlib import _Hash
 
-    import numpy as np
     from numpy.typing import NDArray
 
 BUDGET_BYTES = 1 << 30
@@ -136,13 +137,13 @@ class AssetStore:
             return file.read(most)
 
     def corners(self, sha256: str) -> NDArray[np.float32]:
-        """Find the corners (n, 3) of a mesh that the server made; each is read once.
+        """Find the corners (n, 3) of a mesh that the server made, none twice; they are kept.
 
         Raises:
             AssetRefused: It is not here.
         """
         if (found := self._corners.get(sha256)) is None:
-            found = self._corners[sha256] = read_corners(self.piece(sha256, 0, -1))
+            found = self._corners[sha256] = _each_once(read_corners(self.piece(sha256, 0, -1)))
         self._corners.move_to_end(sha256)
         while len(self._corners) > MAX_CORNERS:
             self._corners.popitem(last=False)
@@ -214,6 +215,12 @@ class AssetStore:
             oldest, freed = self._sizes.popitem(last=False)
             self._loose_bytes -= freed
             self._path(oldest).unlink(missing_ok=True)
+
+
+def _each_once(corners: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Leave out what is repeated: triangles share corners, six a corner as a rule."""
+    whole = np.ascontiguousarray(corners).view(np.dtype((np.void, 3 * corners.itemsize)))
+    return np.unique(whole).view(np.float32).reshape(-1, 3)
 
 
 def _checked(sha256: str) -> str:
