@@ -86,6 +86,7 @@ def serve(
                 "stop it, or use --world-name with another"
             )
         _spare_what_stays()
+        ask_for_short_turns()
         _run(config, loaded, journal, bus, should_stop, on_ready)
 
 
@@ -140,7 +141,6 @@ def _run(
         loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
-        ask_for_short_turns()
         on_ready(bus, config)
         loop.run(should_stop)
 
