@@ -15,6 +15,7 @@ from proto.result import SpawnCode
 from proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from sim_server.description.collada import MAX_DRAWN, DrawnTooOften, check_drawn
 from sim_server.description.gltf import BadGltf, check_promises
+from sim_server.description.number_text import leading_numbers
 from sim_server.description.obj import NoObj, read_obj
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
 MAX_TRIANGLES = 2_000_000
 MAX_EXTENT = 1e6
 """Of a coordinate, in the file's own unit."""
-VERTEX = re.compile(
-    rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.IGNORECASE | re.MULTILINE
-)
+VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.IGNORECASE | re.MULTILINE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,10 +83,7 @@ def _stl(name: str, data: bytes) -> Triangles:
             raise _too_many(name, count)
         return _soup(read_corners(data, count))
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]:
-        try:
-            return _soup(np.array(VERTEX.findall(data), dtype=np.float64).reshape(-1, 3))
-        except ValueError as error:
-            raise _bad(name, "has a corner that is no three numbers", slug="mesh.number") from error
+        return _soup(_written_corners(name, data))
     # Some exporters pad the end: more bytes than the count says are harmless, fewer are not.
     if 0 < count <= MAX_TRIANGLES and len(data) > STL_HEAD + count * STL_RECORD.itemsize:
         return _soup(read_corners(data, count))
@@ -98,6 +94,14 @@ def _stl(name: str, data: bytes) -> Triangles:
     )
 
 
+def _written_corners(name: str, data: bytes) -> NDArray[np.float64]:
+    written = VERTEX.findall(data)
+    numbers = leading_numbers(b" ".join(written), np.float64)
+    if len(numbers) != 3 * len(written):
+        raise _bad(name, "has a corner that is no three numbers", slug="mesh.number")
+    return numbers.reshape(-1, 3)
+
+
 def _soup(corners: NDArray[np.floating]) -> Triangles:
     vertices = corners[: len(corners) // 3 * 3].astype(np.float64)
     return Triangles(vertices, np.arange(len(vertices)).reshape(-1, 3))
@@ -105,7 +109,7 @@ def _soup(corners: NDArray[np.floating]) -> Triangles:
 
 def _obj(name: str, data: bytes) -> Triangles:
     try:
-        return Triangles(*read_obj(data))
+        return Triangles(*read_obj(data, MAX_TRIANGLES))
     except NoObj as error:
         what = shown(error.line.decode(errors="replace"))
         raise _bad(name, f"has a line that is no OBJ: {what}", slug="mesh.unreadable") from error

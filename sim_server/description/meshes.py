@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from proto.model import ReportEntry
+from sim_server.description.merging import fewer
 from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
 from sim_server.description.wording import shown
 from sim_server.errors import ModelError
@@ -41,11 +42,10 @@ MAX_DRAWN = 20_000
 """Triangles of a visual: 1 MB, which is sent in one piece."""
 MANY_POINTS = 128
 """Above, a hull is made of the outstanding ones only."""
-MAX_REACHES = 1 << 18
-"""Of points in directions, found at once."""
+AT_ONCE = 1 << 11
+"""Points whose reach in all directions is found at once: what fits near the core."""
 FLAT = 1e-4
 """Thickness over width."""
-GRIDS = (512, 256, 128, 64, 32, 16)
 
 
 @dataclass
@@ -189,33 +189,23 @@ def _outstanding(points: Points, count: int) -> Points:
     ring = np.sqrt(1.0 - z * z)
     directions = np.stack([ring * np.cos(turns), ring * np.sin(turns), z], axis=1)
     even = (points / np.maximum(np.ptp(points, axis=0), 1e-9)).astype(np.float32).T.copy()
-    # A few at a time: all at once would take a gigabyte for a large mesh.
-    few = max(1, MAX_REACHES // len(points))
-    parts = (directions[i : i + few].astype(np.float32) for i in range(0, count, few))
-    chosen = np.concatenate([np.argmax(part @ even, axis=1) for part in parts])
+    chosen = _farthest(even, directions.astype(np.float32))
     found: Points = points[np.unique(chosen)]
     return found
 
 
-def fewer(triangles: Triangles, most: int) -> Triangles:
-    """Merge corners on ever coarser grids until few enough triangles are left."""
-    found = triangles
-    for cells in GRIDS:
-        if len(found.faces) <= most:
-            return found
-        found = _on_grid(triangles, cells)
-    return Triangles(found.vertices, found.faces[:most])
-
-
-def _on_grid(triangles: Triangles, cells: int) -> Triangles:
-    low = triangles.vertices.min(axis=0)
-    size = max(float(np.ptp(triangles.vertices, axis=0).max()), 1e-9) / cells
-    places = np.floor((triangles.vertices - low) / size).astype(np.int64)
-    number = (places[:, 0] * (cells + 1) + places[:, 1]) * (cells + 1) + places[:, 2]
-    _, first, merged = np.unique(number, return_index=True, return_inverse=True)
-    faces = merged.reshape(-1)[triangles.faces]
-    a, b, c = faces.T
-    return Triangles(triangles.vertices[first], faces[(a != b) & (b != c) & (a != c)])
+def _farthest(points: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.int64]:
+    """Find which of points (3, n) reaches farthest in each direction (m, 3), some at a time."""
+    rows = np.arange(len(directions))
+    most = np.full(len(directions), -np.inf, np.float32)
+    chosen = np.zeros(len(directions), np.int64)
+    for start in range(0, points.shape[1], AT_ONCE):
+        reaches = directions @ points[:, start : start + AT_ONCE]
+        best = np.argmax(reaches, axis=1)
+        reach = reaches[rows, best]
+        chosen = np.where(reach > most, best + start, chosen)
+        most = np.maximum(reach, most)
+    return chosen
 
 
 def pieces(triangles: Triangles, most: int) -> list[Triangles]:

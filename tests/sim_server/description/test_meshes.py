@@ -9,13 +9,11 @@ import trimesh
 from proto.model import Inertial, Link, Model, Shape
 from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
 from sim_server.description.meshes import (
-    MAX_DRAWN,
     MAX_HULL_CORNERS,
     MAX_PIECE,
     MAX_SOUP_OF_ALL,
     Conversions,
     convex_hull,
-    fewer,
     with_meshes,
 )
 from sim_server.errors import ModelError
@@ -128,14 +126,6 @@ def test_convex_hull_thickens_what_is_flat(corner: tuple[float, float, float]) -
     hull = convex_hull(flat)
 
     assert trimesh.Trimesh(hull.vertices, hull.faces).volume > 0.0
-
-
-def test_fewer_keeps_the_shape_of_a_mesh_that_is_too_fine() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=7)
-    drawn = fewer(Triangles(np.asarray(ball.vertices), np.asarray(ball.faces)), MAX_DRAWN)
-
-    assert MAX_DRAWN / 10 < len(drawn.faces) <= MAX_DRAWN
-    assert extents(drawn) == pytest.approx([2.0, 2.0, 2.0], abs=0.02)
 
 
 def test_meshes_become_a_hull_to_collide_and_triangles_to_draw() -> None:

@@ -1,15 +1,16 @@
-"""OBJ: regular files are read at once, all others line by line, to the same triangles."""
+"""OBJ: however it is written, the same triangles."""
 
 import pytest
 
-from sim_server.description.obj import NoObj, read_obj
+from sim_server.description.obj import PIECE_BYTES, NoObj, read_obj
 
+MOST = 10_000
 SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 FANS = {(0, 1, 2), (0, 2, 3)}
 
 
 def triangles(data: bytes) -> set[tuple[int, ...]]:
-    _, faces = read_obj(data)
+    _, faces = read_obj(data, MOST)
     return {tuple(face) for face in faces.tolist()}
 
 
@@ -35,7 +36,7 @@ def test_faces_are_read_however_they_are_written(face: bytes) -> None:
     "tail", [b"v 5 5 5\n", b"v 5 5 5 1\n", b"v 5 5 5 .1 .2 .3\n", b"  v 5 5 5\n"]
 )
 def test_corners_are_read_with_what_stands_behind(tail: bytes) -> None:
-    corners, _ = read_obj(SQUARE + tail)
+    corners, _ = read_obj(SQUARE + tail, MOST)
 
     assert corners.tolist()[-2:] == [[0.0, 1.0, 0.0], [5.0, 5.0, 5.0]]
 
@@ -60,13 +61,13 @@ def test_face_of_very_many_sides_is_read() -> None:
 )
 def test_line_that_is_none_is_named(line: bytes) -> None:
     with pytest.raises(NoObj) as refused:
-        read_obj(SQUARE + line)
+        read_obj(SQUARE + line, MOST)
 
     assert refused.value.line == line
 
 
 def test_nothing_is_read_from_nothing() -> None:
-    corners, faces = read_obj(b"")
+    corners, faces = read_obj(b"", MOST)
 
     assert (corners.shape, faces.shape) == ((0, 3), (0, 3))
 
@@ -74,4 +75,25 @@ def test_nothing_is_read_from_nothing() -> None:
 @pytest.mark.parametrize("face", ["f 1 2 99999999999999999999", "f " + "1 2 3 " * 4000])
 def test_face_that_no_mesh_has_is_named(face: str) -> None:
     with pytest.raises(NoObj):
-        read_obj(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n".encode())
+        read_obj(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n".encode(), MOST)
+
+
+def test_faces_name_corners_that_stand_far_before_them() -> None:
+    far = b"# nothing to see here\n" * (PIECE_BYTES // 20)
+
+    assert triangles(SQUARE + far + b"f -4 2 3 -1\n") == FANS
+
+
+def test_reading_ends_where_there_are_too_many_triangles() -> None:
+    piece = SQUARE + b"f 1 2 3\n" * (PIECE_BYTES // 8)
+
+    _, faces = read_obj(piece + b"no end of it\n" * PIECE_BYTES, len(piece) // 10)
+
+    assert len(faces) < PIECE_BYTES // 8
+
+
+def test_line_without_end_is_none() -> None:
+    with pytest.raises(NoObj) as refused:
+        read_obj(SQUARE + b"f " + b"1 2 3 " * PIECE_BYTES, MOST)
+
+    assert len(refused.value.line) < 1000
