@@ -165,8 +165,7 @@ def _is_beside(words: _Words) -> NDArray[np.bool_]:
     lead = len(words.text) - int(words.lengths.sum())
     inside = slashes[lead:] > np.repeat(before, words.lengths)
     is_beside = np.concatenate([np.zeros(lead, dtype=bool), inside])
-    is_beside &= words.text > SPACE
-    return is_beside
+    return np.logical_and(is_beside, words.text > SPACE)
 
 
 def _read(
