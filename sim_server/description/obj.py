@@ -157,15 +157,16 @@ def _spread(of_words: NDArray[np.bool_], words: _Words) -> NDArray[np.bool_]:
 
 def _is_beside(words: _Words) -> NDArray[np.bool_]:
     """Say which bytes name the texture and the normal of a corner: from a slash to a blank."""
-    is_slash = words.text == SLASH
+    is_slash: NDArray[np.bool_] = words.text == SLASH
     if not is_slash.any():
         return is_slash
     slashes = np.cumsum(is_slash, dtype=np.int32)
     before = (slashes - is_slash)[words.starts]
     lead = len(words.text) - int(words.lengths.sum())
     inside = slashes[lead:] > np.repeat(before, words.lengths)
-    is_beside = np.concatenate([np.zeros(lead, dtype=bool), inside])
-    return np.logical_and(is_beside, words.text > SPACE)
+    is_beside: NDArray[np.bool_] = np.concatenate([np.zeros(lead, dtype=bool), inside])
+    is_beside[words.text <= SPACE] = False
+    return is_beside
 
 
 def _read(
