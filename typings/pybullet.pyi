@@ -119,6 +119,7 @@ def setPhysicsEngineParameter(
     deterministicOverlappingPairs: int = ...,
     jointFeedbackMode: int = ...,
     solverResidualThreshold: float = ...,
+    minimumSolverIslandSize: int = ...,
     contactSlop: float = ...,
     globalCFM: float = ...,
     physicsClientId: int = ...,
