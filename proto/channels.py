@@ -2,16 +2,19 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeVar
 
 import msgspec
 import zenoh
 
 from proto import keys
+from proto.codec import decode
 from proto.services import MAX_REQUEST_BYTES
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler
+
+Message = TypeVar("Message", bound=msgspec.Struct)
 
 TAKEN_BYTES: Final = 1 << 20
 """Of requests at once, so that who takes them can do something else in between."""
@@ -94,6 +97,14 @@ class Call:
     def name(self) -> str:
         """The service asked for: the last chunk of the key."""
         return keys.last_chunk(self.key)
+
+    def read(self, kind: type[Message]) -> Message:
+        """Decode the request.
+
+        Raises:
+            MalformedPayload: The bytes are not that message.
+        """
+        return decode(kind, self.payload, self.encoding)
 
     def covers(self, key: str) -> bool:
         """Whether this asks for that key, perhaps among others."""

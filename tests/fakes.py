@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
@@ -15,6 +15,7 @@ from proto.result import Result, ResultCode, ServiceError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+Message = TypeVar("Message", bound=msgspec.Struct)
 PATIENCE = 100
 
 
@@ -197,6 +198,9 @@ class MemoryCall:
     @property
     def name(self) -> str:
         return keys.last_chunk(self.key)
+
+    def read(self, kind: type[Message]) -> Message:
+        return decode(kind, self.payload, self.encoding)
 
     def covers(self, key: str) -> bool:
         return intersect(self.key, key)

@@ -3,7 +3,9 @@
 from typing import Protocol
 
 from proto import keys
-from proto.bus import Bus, Call, Sample
+from proto.bus import Bus, Sample
+from sim_server.traffic.calls import Call
+from sim_server.traffic.ros_calls import RosCalls
 
 COMMAND_DEPTH = 8192
 
@@ -27,15 +29,19 @@ class Inbox(Protocol):
 class BusInbox:
     """The inbox on a bus."""
 
-    def __init__(self, bus: Bus, world: str) -> None:
+    def __init__(self, bus: Bus, world: str, ros: tuple[RosCalls, ...] = ()) -> None:
         self._agents = bus.watch_tokens(keys.alive_agents(world))
         self._bonds = bus.watch_tokens(keys.bonds(world))
         self._commands = bus.subscribe(keys.drive_commands(world), COMMAND_DEPTH)
         self._calls = bus.serve(keys.services(world))
+        self._ros = ros
 
     def take_calls(self) -> list[Call]:
         """See `Inbox`."""
-        return self._calls.take()
+        calls: list[Call] = [*self._calls.take()]
+        for source in self._ros:
+            calls += source.take()
+        return calls
 
     def take_commands(self) -> list[Sample]:
         """See `Inbox`."""

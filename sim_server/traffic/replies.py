@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from proto.bus import Call
 from sim_server.traffic.answers import Answer
+from sim_server.traffic.calls import Call
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from proto.bus import Call
 from proto.catalog import SERVICES, SPAWN_ENTITY
-from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, format_of
+from proto.codec import Format, MalformedPayload, encode, encoding_of, format_of
 from proto.keys import service as service_key
 from proto.result import ResultCode, SpawnCode
 from proto.services import MAX_REQUEST_BYTES
@@ -18,6 +17,7 @@ from sim_server.errors import SimError
 from sim_server.handlers.table import handle, refusal
 from sim_server.later import Later
 from sim_server.traffic.answers import Answer, Answers, is_mutating, told
+from sim_server.traffic.calls import Call
 from sim_server.traffic.replies import Replies, Waiting
 from sim_server.traffic.telemetry import TOPICS, Telemetry
 
@@ -103,7 +103,7 @@ class Requests:
         self._note_the_unasked()
         try:
             _check_size(call)
-            request = decode(_request_type(call.name), call.payload, call.encoding)
+            request = call.read(_request_type(call.name))
             response = handle(self._desk, request)
         except SimError as error:
             response = refusal(call.name, error.code, str(error))

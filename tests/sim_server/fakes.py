@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from proto.bus import BusConfig, Call, Sample
+from proto.bus import BusConfig, Sample
 from proto.claims import DriveCommand, DriveState
 from proto.codec import Format, decode, encode, encoding_of
 from proto.keys import drive_command
@@ -24,6 +24,7 @@ from sim_server.reading.assets import AssetStore
 from sim_server.reading.descriptions import Reading
 from sim_server.reading.messages import ReadRequest, TextRead
 from sim_server.reading.process import read
+from sim_server.traffic.calls import Call
 from sim_server.traffic.loop import Loop
 from sim_server.world.birth import Birth
 from sim_server.world.world import World

@@ -4,8 +4,8 @@ from typing import cast
 
 import pytest
 
-from proto.bus import Call
 from sim_server.traffic.answers import KEPT, Answer, Answers, told
+from sim_server.traffic.calls import Call
 from tests.fakes import MemoryCall
 
 

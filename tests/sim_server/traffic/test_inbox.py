@@ -1,11 +1,14 @@
 """BusInbox: requests, commands and agents as they come, each taken once."""
 
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from proto import keys
-from proto.bus import Bus, Call
+from sim_server.traffic.calls import Call
 from sim_server.traffic.inbox import COMMAND_DEPTH, BusInbox
 from tests.fakes import MemoryBus, MemoryCall
+
+if TYPE_CHECKING:
+    from proto.bus import Bus
 
 
 class AskingBus(MemoryBus):

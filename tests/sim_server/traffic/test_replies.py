@@ -7,7 +7,7 @@ from sim_server.traffic.replies import Replies, Waiting
 from tests.fakes import MemoryCall
 
 if TYPE_CHECKING:
-    from proto.bus import Call
+    from sim_server.traffic.calls import Call
 
 
 def a_reply(number: int, position: int) -> tuple[MemoryCall, Waiting]:
