@@ -1,8 +1,7 @@
 """Forms in which ROS 2 asks for some of our services beside that of simulation_interfaces 2.1.
 
 simulation_interfaces 1.x is what humble, jazzy and kilted have; gazebo_msgs is what scripts written
-for Gazebo Classic send. The bytes of a nested message are those of its fields, so that a form which
-only takes a message apart differs from ours in its hash, and in nothing else.
+for Gazebo Classic send.
 """
 
 from collections.abc import Callable
@@ -24,6 +23,7 @@ from proto.services import (
     SpawnEntityRequest,
     SpawnEntityResponse,
 )
+from proto.worlds import LoadWorldRequest
 
 
 class SpawnEntityRequestV1(msgspec.Struct, frozen=True):
@@ -128,6 +128,24 @@ def their_response(response: msgspec.Struct, kind: type[msgspec.Struct]) -> msgs
     return response if change is None else change(response)
 
 
+def _spawn_v1(request: SpawnEntityRequestV1) -> SpawnEntityRequest:
+    return SpawnEntityRequest(
+        request.name,
+        request.allow_renaming,
+        Resource(request.uri, request.resource_string),
+        request.entity_namespace,
+        request.initial_pose,
+    )
+
+
+def _load_v1(request: LoadWorldRequestV1) -> LoadWorldRequest:
+    return LoadWorldRequest(
+        Resource(request.uri, request.resource_string),
+        request.fail_on_unsupported_element,
+        request.ignore_missing_or_unsupported_assets,
+    )
+
+
 def _set_state(request: SetEntityStateRequestV1) -> SetEntityStateRequest:
     return SetEntityStateRequest(request.entity, request.state, set_pose=True, set_twist=True)
 
@@ -170,6 +188,8 @@ def _told(result: Result, done: str) -> tuple[bool, str]:
 
 
 REQUESTS: dict[type[msgspec.Struct], Callable[[Any], msgspec.Struct]] = {
+    SpawnEntityRequestV1: _spawn_v1,
+    LoadWorldRequestV1: _load_v1,
     SetEntityStateRequestV1: _set_state,
     GazeboSpawnEntityRequest: _spawn,
     GazeboDeleteEntityRequest: _delete,

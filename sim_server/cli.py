@@ -11,6 +11,7 @@ import typer
 
 from proto.bus import Bus
 from proto.exits import one_line_failures
+from proto.ros2.keys import read_domain
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
@@ -62,6 +63,13 @@ Locked = Annotated[
 LockstepTimeout = Annotated[
     float, typer.Option(help="Seconds that an agent has for its command, at requested steps too.")
 ]
+RosDomain = Annotated[
+    str,
+    typer.Option(help="ROS 2 domain that sees the world, or off.", envvar="ROS_DOMAIN_ID"),
+]
+RosBridge = Annotated[
+    bool, typer.Option("--ros-bridge", help="Let zenoh-bridge-ros2dds find the world too.")
+]
 OnMissWord = Annotated[
     str,
     typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
@@ -78,6 +86,18 @@ def on_miss_of(word: str) -> OnMiss:
         if known == word:
             return known  # type: ignore[no-any-return]
     raise typer.BadParameter(f"--on-miss {word!r} is unknown; use {', '.join(get_args(OnMiss))}")
+
+
+def ros_domain_of(word: str) -> int | None:
+    """Read a ROS domain.
+
+    Raises:
+        BadParameter: There is no such domain.
+    """
+    try:
+        return read_domain(word)
+    except ValueError as error:
+        raise typer.BadParameter(f"--ros-domain: {error}") from error
 
 
 @app.command()
@@ -98,6 +118,8 @@ def serve(
     lockstep: Locked = False,
     lockstep_timeout: LockstepTimeout = TIMEOUT_S,
     on_miss: OnMissWord = "hold",
+    ros_domain: RosDomain = "0",
+    ros_bridge: RosBridge = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False,
 ) -> None:
     """Run a world and serve it on the network."""
@@ -118,6 +140,8 @@ def serve(
         wait_s=wait,
         journal=str(journal or ""),
         lockstep=LockstepSettings(lockstep, lockstep_timeout, on_miss_of(on_miss)),
+        ros_domain=ros_domain_of(ros_domain),
+        is_bridged=ros_bridge,
     )
     _serve(config, stop)
 

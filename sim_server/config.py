@@ -46,6 +46,10 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """What was asked for, before a world filled in the rest."""
     journal: str = ""
     """Folder that keeps the world for the next start; empty = it is lost."""
+    ros_domain: int | None = 0
+    """Which ROS 2 domain sees the world; None = none does."""
+    is_bridged: bool = False
+    """Whether zenoh-bridge-ros2dds is to find the world too."""
     wait_s: float = 30.0
     """How long to wait for the router to join."""
 

@@ -34,6 +34,7 @@ from sim_server.reading.reader import Reader
 from sim_server.traffic.inbox import BusInbox
 from sim_server.traffic.loop import Loop
 from sim_server.traffic.outlets import BusOutlet
+from sim_server.traffic.ros_calls import bridge_calls, rmw_calls
 from sim_server.world.world import World
 from sim_server.worlds.atlas import Atlas, start_file
 
@@ -138,11 +139,18 @@ def _run(
             ending.callback(journal.record(desk).close)
         if journal is None or journal.contents is None:
             _wait_for_reader(reader, clock, should_stop)
-        loop = Loop(desk, BusInbox(bus, config.world), BusOutlet(bus, config.world), clock)
+        loop = Loop(desk, _inbox(bus, config), BusOutlet(bus, config.world), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
+
+
+def _inbox(bus: Bus, config: ServerConfig) -> BusInbox:
+    ros = [] if config.ros_domain is None else [rmw_calls(bus, config.ros_domain)]
+    if config.is_bridged:
+        ros.append(bridge_calls(bus))
+    return BusInbox(bus, config.world, tuple(ros))
 
 
 def _spare_what_stays() -> None:

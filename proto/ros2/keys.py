@@ -9,6 +9,7 @@ from proto.ros2 import names
 
 MAX_DOMAIN: Final = 232
 """ROS 2's own limit: beyond it DDS has no ports."""
+OFF: Final = "off"
 NO_HASH: Final = "TypeHashNotSupported"
 """What stands for the hash in humble, whose types have none."""
 ANY_HASH: Final = "*"
@@ -45,6 +46,19 @@ def parse_data_key(key: str) -> DataKey | None:
     domain, name, dds, type_hash = found.groups()
     ros_type = names.ros_type(dds)
     return DataKey(int(domain), f"/{name}", ros_type, type_hash) if ros_type else None
+
+
+def read_domain(word: str) -> int | None:
+    """Read a domain as people write it; None for `off`: nothing of ROS 2.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    if word == OFF:
+        return None
+    if not word.isdecimal() or not word.isascii():
+        raise ValueError(f"ROS domain {word[:20]!r} is not valid; use 0 to {MAX_DOMAIN}, or {OFF}")
+    return check_domain(int(word[:4]))
 
 
 def check_domain(domain: int) -> int:

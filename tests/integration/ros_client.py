@@ -1,0 +1,115 @@
+"""A client that knows nothing of ours: zenoh-ros2-sdk, told what it shall do by lines of JSON.
+
+`python -m tests.integration.ros_client PORT DOMAIN` answers each line with a line.
+"""
+
+import json
+import sys
+from typing import Any, TypeAlias
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
+from zenoh_ros2_sdk import ROS2ServiceClient
+from zenoh_ros2_sdk.session import ZenohSession
+
+from tests.integration.ros_interfaces import INTERFACES
+
+HOST = "127.0.0.1"
+OfRos: TypeAlias = Any
+"""Values and descriptions of types that are known only while it runs."""
+
+
+class Client:
+    """One session of the kit."""
+
+    def __init__(self, port: int, domain: int) -> None:
+        self._port, self._domain = port, domain
+        self._session = ZenohSession.get_instance(HOST, port)
+        standard = get_typestore(Stores.ROS2_HUMBLE)
+        self._session.store.register(dict(standard.fielddefs))
+        for name, text in INTERFACES.items():
+            if "/msg/" in name:
+                self._session.register_message_type(text.replace(";", "\n"), name)
+
+    def call(self, name: str, kind: str, type_hash: str, fields: dict[str, OfRos]) -> object:
+        """Call a service; None when nobody answered in time."""
+        request, response = INTERFACES[kind].replace(";", "\n").split("---")
+        client = ROS2ServiceClient(
+            name,
+            kind.partition("@")[0],
+            request,
+            response,
+            domain_id=self._domain,
+            router_ip=HOST,
+            router_port=self._port,
+            type_hash=type_hash,
+            timeout=10.0,
+        )
+        made = {
+            field: self._value(description, fields.get(field))
+            for field, description in self._fields(client.request_store_type)
+        }
+        try:
+            answer = client.call(**made)
+        finally:
+            client.close()
+        return None if answer is None else self._plain(answer, client.response_store_type)
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _fields(self, kind: str) -> list[tuple[str, OfRos]]:
+        return list(self._session.store.get_msgdef(kind).fields)
+
+    def _value(self, description: OfRos, given: OfRos) -> OfRos:
+        match description:
+            case (Nodetype.NAME, str(kind)):
+                values = {
+                    field: self._value(inner, (given or {}).get(field))
+                    for field, inner in self._fields(kind)
+                }
+                return self._session.store.types[kind](**values)
+            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str()) as inner, _)):
+                return [self._value(inner, one) for one in given or []]
+            case (Nodetype.SEQUENCE | Nodetype.ARRAY, ((Nodetype.BASE, (str(kind), _)), size)):
+                if kind == "string":
+                    return given or []
+                filled = given if given is not None else [0] * size
+                return np.array(filled, dtype=kind)
+            case (Nodetype.BASE, (str(kind), _)):
+                empty = "" if kind == "string" else False if kind == "bool" else 0
+                return empty if given is None else given
+        raise TypeError(description)
+
+    def _plain(self, value: OfRos, kind: str) -> dict[str, object]:
+        return {
+            field: self._bare(getattr(value, field), description)
+            for field, description in self._fields(kind)
+        }
+
+    def _bare(self, value: OfRos, description: OfRos) -> object:
+        match description:
+            case (Nodetype.NAME, str(kind)):
+                return self._plain(value, kind)
+            case (Nodetype.SEQUENCE, ((Nodetype.NAME, str(kind)), _)):
+                return [self._plain(one, kind) for one in value]
+            case (Nodetype.SEQUENCE | Nodetype.ARRAY, _):
+                return list(value) if isinstance(value, list) else value.tolist()
+        return value
+
+
+def main() -> None:
+    """Do what the lines say."""
+    client = Client(int(sys.argv[1]), int(sys.argv[2]))
+    try:
+        for line in sys.stdin:
+            sys.stdout.write(json.dumps(client.call(**json.loads(line))) + "\n")
+            sys.stdout.flush()
+    finally:
+        client.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,53 @@
+"""Interfaces as their packages define them, fields parted by semicolons, halves by dashes.
+
+Source: simulation_interfaces 1.x and 2.1, gazebo_msgs, std_srvs. Hashes are the published ones.
+"""
+
+SPAWN_V1 = "simulation_interfaces/srv/SpawnEntity@1"
+"""A type of the same name in two versions: what follows @ is ours."""
+INTERFACES = {
+    SPAWN_V1: "string name; bool allow_renaming; string uri; string resource_string;"
+    " string entity_namespace; geometry_msgs/PoseStamped initial_pose"
+    "---simulation_interfaces/Result result; string entity_name",
+    "simulation_interfaces/msg/Result": "uint8 result; string error_message",
+    "simulation_interfaces/msg/Resource": "string uri; string resource_string",
+    "simulation_interfaces/msg/EntityCategory": "uint8 category",
+    "simulation_interfaces/msg/TagsFilter": "string[] tags; uint8 filter_mode",
+    "simulation_interfaces/msg/Bounds": "uint8 type; geometry_msgs/Vector3[] points",
+    "simulation_interfaces/msg/EntityFilters": "string filter;"
+    " simulation_interfaces/EntityCategory[] categories; simulation_interfaces/TagsFilter tags;"
+    " simulation_interfaces/Bounds bounds",
+    "simulation_interfaces/msg/EntityState": "std_msgs/Header header; geometry_msgs/Pose pose;"
+    " geometry_msgs/Twist twist; geometry_msgs/Accel acceleration",
+    "simulation_interfaces/msg/SimulatorFeatures": "uint16[] features; string[] spawn_formats;"
+    " string custom_info",
+    "simulation_interfaces/srv/SpawnEntity": "string name; bool allow_renaming;"
+    " simulation_interfaces/Resource entity_resource; string entity_namespace;"
+    " geometry_msgs/PoseStamped initial_pose"
+    "---simulation_interfaces/Result result; string entity_name",
+    "simulation_interfaces/srv/DeleteEntity": "string entity---simulation_interfaces/Result result",
+    "simulation_interfaces/srv/GetEntities": "simulation_interfaces/EntityFilters filters"
+    "---simulation_interfaces/Result result; string[] entities",
+    "simulation_interfaces/srv/GetEntityState": "string entity"
+    "---simulation_interfaces/Result result; simulation_interfaces/EntityState state",
+    "simulation_interfaces/srv/SetEntityState": "string entity;"
+    " simulation_interfaces/EntityState state---simulation_interfaces/Result result",
+    "simulation_interfaces/srv/GetSpawnables": "string[] sources"
+    "---simulation_interfaces/Result result; simulation_interfaces/Spawnable[] spawnables",
+    "simulation_interfaces/msg/Spawnable": "string uri; string description;"
+    " simulation_interfaces/Bounds spawn_bounds",
+    "gazebo_msgs/srv/SpawnEntity": "string name; string xml; string robot_namespace;"
+    " geometry_msgs/Pose initial_pose; string reference_frame"
+    "---bool success; string status_message",
+    "gazebo_msgs/srv/DeleteEntity": "string name---bool success; string status_message",
+    "std_srvs/srv/Empty": "uint8 structure_needs_at_least_one_member"
+    "---uint8 structure_needs_at_least_one_member",
+}
+SPAWN_V2_HASH = "RIHS01_66860313e11009faddbfc8568e5d410d1a11607fe75eeb1308671dc0406fe3a7"
+SPAWN_V1_HASH = "RIHS01_d4c086345d4194a5fc4c9ae45095736ca4062b5cdac4d06a42dec93d683e03cf"
+DELETE_HASH = "RIHS01_ff7e96a5b83dc8e2bb34b8b034480028b3a24d9f8376b2c0590bac3704be3e28"
+GET_ENTITIES_HASH = "RIHS01_cb90004c48cd50f37732fb008e22c34c261dd680a723bf0f85d8437ea4498bf7"
+GET_STATE_HASH = "RIHS01_749c91f2a2353d98367b64f2995a0f5842ce92a08ec1ffb3e185540a91557fb5"
+SET_STATE_V1_HASH = "RIHS01_ca210e7d2b66629ae133c8e1edf5246e618106d75c78ed0556c0e7a33c59ee5e"
+GET_SPAWNABLES_V1_HASH = "RIHS01_3bc0266bf8236058ff589c44512e013afe4f295427c39d44cff363d1c956bf36"
+OF_HUMBLE = "TypeHashNotSupported"

@@ -1,0 +1,288 @@
+"""Services as ROS 2 calls them: by an independent client, and by bytes as rmw_zenoh sends them."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import pytest
+import zenoh
+
+from proto.codec import Format, decode, encode
+from proto.result import ResultCode
+from proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from proto.ros_services import CDR
+from proto.services import DeleteEntityRequest, DeleteEntityResponse
+from tests.integration import ros_interfaces as ros
+from tests.integration.processes import Server, end, serving
+from tests.proto.ros_oracle import rewritten_by_ros
+
+SPAWN = "simulation_interfaces/srv/SpawnEntity"
+DELETE = "simulation_interfaces/srv/DeleteEntity"
+GET_ENTITIES = "simulation_interfaces/srv/GetEntities"
+DELETE_KEY = f"0/delete_entity/simulation_interfaces::srv::dds_::DeleteEntity_/{ros.DELETE_HASH}"
+AT_ORIGIN = {"pose": {"orientation": {"w": 1.0}}}
+BOX = (
+    '<robot name="box"><link name="base"><inertial><mass value="1"/>'
+    '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link></robot>'
+)
+GID = bytes(range(16))
+ANSWER_S = 10.0
+Ask = Callable[..., dict[str, object] | None]
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving("--ros-domain", "0", "--ros-bridge") as found:
+        yield found
+
+
+@contextmanager
+def ros_client(server: Server, domain: int = 0) -> Iterator[Ask]:
+    """Run the independent client, and ask it to call."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.integration.ros_client", port_of(server), str(domain)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+    def ask(name: str, kind: str, type_hash: str, /, **fields: object) -> dict[str, object] | None:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        line = {"name": name, "kind": kind, "type_hash": type_hash, "fields": fields}
+        process.stdin.write(json.dumps(line) + "\n")
+        process.stdin.flush()
+        answer: dict[str, object] | None = json.loads(process.stdout.readline())
+        return answer
+
+    try:
+        yield ask
+    finally:
+        if process.stdin is not None:
+            process.stdin.close()
+        end(process)
+
+
+@pytest.fixture(scope="module")
+def ask(server: Server) -> Iterator[Ask]:
+    with ros_client(server) as found:
+        yield found
+
+
+def port_of(server: Server) -> str:
+    return server.endpoint.rsplit(":", 1)[1]
+
+
+def result_of(answer: dict[str, object] | None) -> int:
+    assert answer is not None
+    result = answer["result"]
+    assert isinstance(result, dict)
+    return int(result["result"])
+
+
+@contextmanager
+def session_of(server: Server) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
+    with zenoh.open(config) as session:
+        yield session
+
+
+def replies(
+    server: Server, key: str, payload: bytes, attachment: bytes | None
+) -> list[zenoh.Sample]:
+    """Ask as rmw_zenoh does: every queryable that is complete, and no answer is merged."""
+    with session_of(server) as session:
+        found = session.get(
+            key,
+            payload=payload,
+            attachment=attachment,
+            target=zenoh.QueryTarget.ALL_COMPLETE,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=ANSWER_S,
+        )
+        return [reply.ok for reply in found if reply.ok is not None]
+
+
+def listed(ask: Ask) -> list[object]:
+    answer = ask("/get_entities", GET_ENTITIES, ros.GET_ENTITIES_HASH)
+    assert result_of(answer) == ResultCode.OK
+    assert answer is not None
+    entities = answer["entities"]
+    assert isinstance(entities, list)
+    return entities
+
+
+@pytest.mark.parametrize(
+    ("kind", "type_hash", "resource"),
+    [
+        (SPAWN, ros.SPAWN_V2_HASH, {"entity_resource": {"uri": "box_bot"}}),
+        (ros.SPAWN_V1, ros.SPAWN_V1_HASH, {"uri": "box_bot"}),
+        (ros.SPAWN_V1, ros.OF_HUMBLE, {"uri": "box_bot"}),
+    ],
+    ids=["2.1", "1.x", "humble"],
+)
+def test_ros_client_spawns_lists_and_deletes_in_each_version(
+    server: Server, kind: str, type_hash: str, resource: dict[str, object]
+) -> None:
+    with ros_client(server) as ask:
+        spawned = ask(
+            "/spawn_entity", kind, type_hash, name="v", initial_pose=AT_ORIGIN, **resource
+        )
+        there = listed(ask)
+        deleted = ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="v")
+
+        assert result_of(spawned) == ResultCode.OK
+        assert there == ["v"]
+        assert result_of(deleted) == ResultCode.OK
+        assert listed(ask) == []
+
+
+def test_ros_client_is_told_by_a_code_what_cannot_be_done(ask: Ask) -> None:
+    answer = ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="nobody")
+
+    assert result_of(answer) == ResultCode.NOT_FOUND
+
+
+def test_script_of_gazebo_spawns_and_deletes_under_the_same_names(ask: Ask) -> None:
+    spawned = ask(
+        "/spawn_entity",
+        "gazebo_msgs/srv/SpawnEntity",
+        ros.OF_HUMBLE,
+        name="g",
+        xml=BOX,
+        robot_namespace="demo",
+        initial_pose={"position": {"x": 5.0, "z": 1.0}, "orientation": {"w": 1.0}},
+        reference_frame="world",
+    )
+    there = listed(ask)
+    deleted = ask("/delete_entity", "gazebo_msgs/srv/DeleteEntity", ros.OF_HUMBLE, name="g")
+    again = ask("/delete_entity", "gazebo_msgs/srv/DeleteEntity", ros.OF_HUMBLE, name="g")
+
+    assert spawned is not None
+    assert spawned["success"], spawned["status_message"]
+    assert there == ["g"]
+    assert deleted is not None
+    assert deleted["success"]
+    assert again is not None
+    assert not again["success"]
+    assert "g" in str(again["status_message"])
+
+
+def test_state_of_version_1_is_set_and_read_back(ask: Ask) -> None:
+    ask(
+        "/spawn_entity",
+        SPAWN,
+        ros.SPAWN_V2_HASH,
+        name="s",
+        entity_resource={"uri": "box_bot"},
+        initial_pose=AT_ORIGIN,
+    )
+    state = {"pose": {"position": {"x": 9.0, "z": 0.03}, "orientation": {"w": 1.0}}}
+
+    done = ask(
+        "/set_entity_state",
+        "simulation_interfaces/srv/SetEntityState",
+        ros.SET_STATE_V1_HASH,
+        entity="s",
+        state=state,
+    )
+    read = ask(
+        "/get_entity_state",
+        "simulation_interfaces/srv/GetEntityState",
+        ros.GET_STATE_HASH,
+        entity="s",
+    )
+    ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="s")
+
+    assert result_of(done) == ResultCode.OK
+    assert read is not None
+    found = json.loads(json.dumps(read))["state"]["pose"]["position"]["x"]
+    assert found == pytest.approx(9.0, abs=0.01)
+
+
+def test_reply_has_the_number_and_the_name_of_who_asked_and_its_own_time(server: Server) -> None:
+    asked = write_attachment(Attachment(41, 7, GID))
+    payload = encode(DeleteEntityRequest("nobody"), Format.CDR)
+    before_ns = time.time_ns()
+
+    (reply,) = replies(server, DELETE_KEY, payload, asked)
+
+    assert reply.attachment is not None
+    told = read_attachment(reply.attachment.to_bytes())
+    assert told is not None
+    assert (told.sequence_number, told.gid) == (41, GID)
+    assert before_ns <= told.source_time_ns <= time.time_ns()
+    assert str(reply.key_expr) == DELETE_KEY
+    written = reply.payload.to_bytes()
+    assert rewritten_by_ros(written, "simulation_interfaces/srv/DeleteEntity_Response") == written
+
+
+def test_malformed_request_gets_a_response_with_a_code(server: Server) -> None:
+    asked = write_attachment(Attachment(1, 0, GID))
+
+    (reply,) = replies(server, DELETE_KEY, b"\x00\x01\x00\x00\xff\xff\xff\x7f", asked)
+
+    answer = decode(DeleteEntityResponse, reply.payload.to_bytes(), CDR)
+    assert answer.result.result == ResultCode.OPERATION_FAILED
+    assert "malformed" in answer.result.error_message
+
+
+def test_service_with_another_hash_answers_nobody(server: Server) -> None:
+    other = DELETE_KEY[:-4] + "0000"
+
+    found = replies(
+        server,
+        other,
+        encode(DeleteEntityRequest("x"), Format.CDR),
+        write_attachment(Attachment(1, 0, GID)),
+    )
+
+    assert found == []
+
+
+def test_other_domain_hears_nothing_of_this_one(server: Server) -> None:
+    found = replies(
+        server,
+        DELETE_KEY.replace("0/", "7/", 1),
+        encode(DeleteEntityRequest("x"), Format.CDR),
+        write_attachment(Attachment(1, 0, GID)),
+    )
+
+    assert found == []
+
+
+def test_bridge_asks_on_bare_keys_in_either_version(server: Server, ask: Ask) -> None:
+    ask(
+        "/spawn_entity",
+        SPAWN,
+        ros.SPAWN_V2_HASH,
+        name="b",
+        entity_resource={"uri": "box_bot"},
+        initial_pose=AT_ORIGIN,
+    )
+    payload = encode(DeleteEntityRequest("b"), Format.CDR)
+
+    (deleted,) = replies(server, "delete_entity", payload, None)
+    (of_gazebo,) = replies(server, "gazebo/delete_entity", payload, None)
+
+    answer = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR)
+    assert answer.result.result == ResultCode.OK
+    assert of_gazebo.payload.to_bytes()[4] == 0, "success is the first byte"
+
+
+def test_server_without_a_domain_answers_no_ros() -> None:
+    with serving("--ros-domain", "off") as server:
+        found = replies(
+            server,
+            DELETE_KEY,
+            encode(DeleteEntityRequest("x"), Format.CDR),
+            write_attachment(Attachment(1, 0, GID)),
+        )
+
+        assert found == []
+        assert server.client.info().world == "default"
