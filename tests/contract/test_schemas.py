@@ -16,8 +16,10 @@ WITHOUT_MESSAGES = {
     "proto.channels",
     "proto.commands",
     "proto.cdr_layout",
+    "proto.ros_forms",
+    "proto.ros_services",
 }
-"""Modules whose structs do not travel by themselves."""
+"""Modules whose structs do not travel by themselves, or whose schemas are ROS 2's own."""
 
 
 def modules_with_structs() -> set[str]:
