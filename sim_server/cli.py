@@ -4,6 +4,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -11,6 +12,7 @@ import typer
 
 from proto.bus import Bus
 from proto.exits import one_line_failures
+from proto.option_fields import takes
 from proto.ros2.keys import read_domain
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
@@ -100,50 +102,59 @@ def ros_domain_of(word: str) -> int | None:
         raise typer.BadParameter(f"--ros-domain: {error}") from error
 
 
+@dataclass(frozen=True, kw_only=True)
+class ServeOptions:
+    """What a server is told."""
+
+    listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = ""
+    connect: Connect = ""
+    wait: Wait = 30.0
+    world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty"
+    world_name: WorldName = "default"
+    step_hz: StepHz = None
+    rtf: Factor = None
+    paused: Annotated[bool, typer.Option("--paused", help="Start with time standing.")] = False
+    seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0
+    model_path: ModelPath = None
+    strict: Strict = False
+    journal: Journal = None
+    lockstep: Locked = False
+    lockstep_timeout: LockstepTimeout = TIMEOUT_S
+    on_miss: OnMissWord = "hold"
+    ros_domain: RosDomain = "0"
+    ros_bridge: RosBridge = False
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
+
+
 @app.command()
-def serve(
-    *,
-    listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = "",
-    connect: Connect = "",
-    wait: Wait = 30.0,
-    world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty",
-    world_name: WorldName = "default",
-    step_hz: StepHz = None,
-    rtf: Factor = None,
-    paused: Annotated[bool, typer.Option("--paused", help="Start with time standing.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0,
-    model_path: ModelPath = None,
-    strict: Strict = False,
-    journal: Journal = None,
-    lockstep: Locked = False,
-    lockstep_timeout: LockstepTimeout = TIMEOUT_S,
-    on_miss: OnMissWord = "hold",
-    ros_domain: RosDomain = "0",
-    ros_bridge: RosBridge = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False,
-) -> None:
+@takes(ServeOptions)
+def serve(given: ServeOptions) -> None:
     """Run a world and serve it on the network."""
-    _log(is_verbose=verbose)
-    if listen and connect:
-        raise typer.BadParameter("--listen and --connect exclude each other; give one")
+    _log(is_verbose=given.verbose)
     stop = StopFlag()
-    config = ServerConfig(
-        bus=server_bus(listen, connect),
-        world=world_name,
-        world_file=world,
-        step_hz=step_hz,
-        real_time_factor=rtf,
-        is_paused=paused,
-        seed=seed,
-        model_paths=tuple(map(str, model_path or ())),
-        is_strict=strict,
-        wait_s=wait,
-        journal=str(journal or ""),
-        lockstep=LockstepSettings(lockstep, lockstep_timeout, on_miss_of(on_miss)),
-        ros_domain=ros_domain_of(ros_domain),
-        is_bridged=ros_bridge,
+    _serve(_config(given), stop)
+
+
+def _config(given: ServeOptions) -> ServerConfig:
+    if given.listen and given.connect:
+        raise typer.BadParameter("--listen and --connect exclude each other; give one")
+    on_miss = on_miss_of(given.on_miss)
+    return ServerConfig(
+        bus=server_bus(given.listen, given.connect),
+        world=given.world_name,
+        world_file=given.world,
+        step_hz=given.step_hz,
+        real_time_factor=given.rtf,
+        is_paused=given.paused,
+        seed=given.seed,
+        model_paths=tuple(map(str, given.model_path or ())),
+        is_strict=given.strict,
+        wait_s=given.wait,
+        journal=str(given.journal or ""),
+        lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
+        ros_domain=ros_domain_of(given.ros_domain),
+        is_bridged=given.ros_bridge,
     )
-    _serve(config, stop)
 
 
 def _log(*, is_verbose: bool) -> None:

@@ -8,9 +8,9 @@ import typer
 
 from proto.exits import one_line_failures
 from proto.model import Model
+from proto.option_fields import takes
 from sim_server.cli import MissingExtra, server_extra
 from sim_server.errors import ModelError, SimError
-from spawner.cli.fields import takes
 from spawner.cli.options import Reading
 from spawner.cli.session import AsJson
 from spawner.cli.wishes import Source, compat_of, description_here, paths_of

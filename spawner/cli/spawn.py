@@ -10,11 +10,11 @@ from proto.exits import Exit, one_line_failures
 from proto.fleets import HELD_BACK
 from proto.model import ReportEntry
 from proto.names import check_name
+from proto.option_fields import takes
 from proto.result import ResultCode, ServiceError, SetSimulationStateCode
 from proto.services import SpawnEntityOrder, SpawnEntityReport, State
 from proto.stop import StopFlag
 from spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
-from spawner.cli.fields import takes
 from spawner.cli.options import FleetOptions, SpawnOptions
 from spawner.cli.progress import upload_progress
 from spawner.cli.report_table import print_report
