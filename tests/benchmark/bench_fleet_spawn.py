@@ -4,21 +4,29 @@ Box_bots are spawned by one request, all between two steps or none, while a robo
 real-time factor 1. `longest wait` is how much later than due the robot's next state came at worst,
 in an equal time before the request (quiet) and from the request to its answer. Memory is what the
 server's process alone holds (USS), before and after. Floor: the same bodies put into PyBullet.
+Last: two pools are up and users command every robot at 2 Hz before it is there; from the start of
+`zensim fleet` until each robot's own odometry has shown that it moves.
 """
 
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+import msgspec
 import psutil
 
+from proto.bus import Subscription
 from proto.services import State
+from tests.benchmark.bench_fleet_traffic import POOLS, pool
 from tests.benchmark.bodies import CONFIG
+from tests.benchmark.crowd import Tally
 from tests.benchmark.figures import Asked, Figure, table
-from tests.benchmark.fleet import milliseconds
+from tests.benchmark.fleet import SPACING_M, milliseconds, soon
 from tests.benchmark.lateness import Lateness, watched
 from tests.benchmark.plain import PlainLoop
 from tests.benchmark.served import Served, served, spawn
+from tests.benchmark.staffed import crowd, staffed
+from tests.integration.processes import zensim
 
 __all__ = ["rows", "table"]
 
@@ -29,6 +37,9 @@ GOAL = 1000
 SPAWNED = Asked("median", "<=", 3.0)
 WAITED = Asked("max", "<=", 50.0)
 MEMORY = Asked("median", "<=", 150.0)
+MOVED = Asked("max", "<=", 10.0)
+COMMANDS_HZ = 2.0
+CROWD_S = 60.0
 FAR_M, APART_M = 1000.0, 10.0
 """How far fleets begin from the robot that drives; from each other, times their sizes."""
 
@@ -56,6 +67,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             spawns.floor_s.append(_floor_s(count))
     for count, spawns in seen.items():
         yield from _figures(count, spawns)
+    yield _moved(2 if is_short else GOAL, 1 if is_short else RUNS)
 
 
 def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
@@ -74,6 +86,33 @@ def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> No
     spawns.quiet_ms.append(lateness.longest_ms(start_s - quiet_s, start_s))
     spawns.waited_ms.append(lateness.longest_ms(start_s, end_s))
     spawns.robot_kib.append(held / count * KIBIBYTES)
+
+
+def _moved(count: int, runs: int) -> Figure:
+    """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
+    samples = tuple(_moved_s(count) for _ in range(runs))
+    what = f"{count} robots: fleet command to all have moved on their own cmd_vel"
+    return Figure(what=what, unit="s", samples=samples, asked=MOVED)
+
+
+def _moved_s(count: int) -> float:
+    wish = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    with (
+        staffed((), (pool(10.0),) * POOLS) as crew,
+        crowd(crew.bus, count, COMMANDS_HZ) as (tallies, _),
+    ):
+        soon(tallies.newest, CROWD_S)
+        start_s = time.monotonic()
+        done = zensim("fleet", "box_bot", *wish, "--connect", crew.bus.endpoint)
+        if done.returncode:
+            raise RuntimeError(f"no fleet was spawned: {done.stderr}")
+        tally = soon(lambda: _all_moved(tallies, count), CROWD_S)
+        return tally.wall_s - start_s
+
+
+def _all_moved(tallies: Subscription, count: int) -> Tally | None:
+    told = [msgspec.msgpack.decode(sample.payload, type=Tally) for sample in tallies.take()]
+    return next((tally for tally in told if tally.moved == count), None)
 
 
 def _floor_s(count: int) -> float:
