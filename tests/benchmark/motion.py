@@ -15,6 +15,8 @@ STANDS = 0.001
 STANDS_FOR = 8
 """Odometry in a row that shows no motion before a robot stands: it rocks when it stops."""
 LONGEST_PAUSE_S = 0.05
+PATIENCE_S = 60.0
+"""Where a fleet is too large to be paced, simulation time creeps."""
 
 
 def response_ms(robot: Robot, phase: random.Random, speed: float) -> float:
@@ -24,7 +26,7 @@ def response_ms(robot: Robot, phase: random.Random, speed: float) -> float:
 
     def respond() -> None:
         robot.command(speed)
-        soon(lambda: any(_ahead(odom, speed) > MOVES for odom in robot.read()) or None)
+        soon(lambda: any(_ahead(odom, speed) > MOVES for odom in robot.read()) or None, PATIENCE_S)
 
     took_ms = milliseconds(respond)
     stop(robot)
@@ -50,4 +52,4 @@ def stop(robot: Robot) -> None:
                 stood.append(odom)
         return len(stood) >= STANDS_FOR or None
 
-    soon(stands)
+    soon(stands, PATIENCE_S)
