@@ -30,7 +30,7 @@ from tests.integration.processes import zensim
 
 __all__ = ["rows", "table"]
 
-RUNS = 3
+RUNS, MOVING_RUNS = 3, 2
 COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
 KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
 GOAL = 1000
@@ -67,7 +67,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             spawns.floor_s.append(_floor_s(count))
     for count, spawns in seen.items():
         yield from _figures(count, spawns)
-    yield _moved(2 if is_short else GOAL, 1 if is_short else RUNS)
+    yield _moved(2, pools=1, runs=1) if is_short else _moved(GOAL, pools=POOLS, runs=MOVING_RUNS)
 
 
 def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
@@ -88,17 +88,17 @@ def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> No
     spawns.robot_kib.append(held / count * KIBIBYTES)
 
 
-def _moved(count: int, runs: int) -> Figure:
+def _moved(count: int, *, pools: int, runs: int) -> Figure:
     """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
-    samples = tuple(_moved_s(count) for _ in range(runs))
+    samples = tuple(_moved_s(count, pools) for _ in range(runs))
     what = f"{count} robots: fleet command to all have moved on their own cmd_vel"
     return Figure(what=what, unit="s", samples=samples, asked=MOVED)
 
 
-def _moved_s(count: int) -> float:
+def _moved_s(count: int, pools: int) -> float:
     wish = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with (
-        staffed((), (pool(10.0),) * POOLS) as crew,
+        staffed((), (pool(10.0),) * pools) as crew,
         crowd(crew.bus, count, COMMANDS_HZ) as (tallies, _),
     ):
         soon(tallies.newest, CROWD_S)
