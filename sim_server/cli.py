@@ -18,6 +18,7 @@ from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
 from sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
+from sim_server.physics.choice import Clustering, EngineChoice
 
 SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
 
@@ -76,6 +77,26 @@ OnMissWord = Annotated[
     str,
     typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
 ]
+Clusters = Annotated[
+    str,
+    typer.Option(
+        help="Step robots that cannot touch apart: auto (when there are many), on or off."
+    ),
+]
+
+
+def clustering_of(word: str) -> Clustering:
+    """Read when worlds are to be clustered.
+
+    Raises:
+        BadParameter: There is no such word.
+    """
+    for known in get_args(Clustering):
+        if known == word:
+            return known  # type: ignore[no-any-return]
+    raise typer.BadParameter(
+        f"--clusters {word!r} is unknown; use {', '.join(get_args(Clustering))}"
+    )
 
 
 def on_miss_of(word: str) -> OnMiss:
@@ -123,6 +144,7 @@ class ServeOptions:
     on_miss: OnMissWord = "hold"
     ros_domain: RosDomain = "0"
     ros_bridge: RosBridge = False
+    clusters: Clusters = "auto"
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
 
 
@@ -154,6 +176,7 @@ def _config(given: ServeOptions) -> ServerConfig:
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros_domain=ros_domain_of(given.ros_domain),
         is_bridged=given.ros_bridge,
+        physics=EngineChoice(clusters=clustering_of(given.clusters)),
     )
 
 

@@ -7,6 +7,7 @@ from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from proto.names import check_name
 from sim_server.pacing.lockstep import LockstepSettings
+from sim_server.physics.choice import EngineChoice
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most, as often as a Gazebo drive updates by default."""
@@ -41,6 +42,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Refuse a world of which something is suspicious."""
     is_paused: bool = False
     lockstep: LockstepSettings = LockstepSettings()
+    physics: EngineChoice = EngineChoice()
     seed: int = 0
     asked: "ServerConfig | None" = None
     """What was asked for, before a world filled in the rest."""

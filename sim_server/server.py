@@ -26,8 +26,8 @@ from sim_server.loading.world_files import LoadedWorld, furnish
 from sim_server.pacing.lockstep import Lockstep
 from sim_server.pacing.meter import Meter
 from sim_server.pacing.short_turns import ask_for_short_turns
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.choosing import chosen_engine
+from sim_server.physics.engine import Engine, EngineConfig
 from sim_server.reading.assets import AssetStore
 from sim_server.reading.descriptions import ReadElsewhere
 from sim_server.reading.reader import Reader
@@ -185,13 +185,15 @@ def _world(
     return world
 
 
-def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> PyBulletEngine:
-    return PyBulletEngine(
+def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
+    return chosen_engine(
         EngineConfig(
             config.step_ns,
             model.gravity,
             model.ground_plane,
             model.ground_friction,
             mesh_folder=mesh_folder,
-        )
+        ),
+        config.physics,
+        period_steps=config.control_steps,
     )

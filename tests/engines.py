@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from proto.drives import DiffDrive
 from proto.model import Model
 from proto.rotation import multiply, yaw_of
 from sim_server.physics.actuation import actuation_of, imposed
+from sim_server.physics.clusters.cells import CellsHere
+from sim_server.physics.clusters.clusters import Clusters, Settings
 from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.mujoco_engine import MujocoEngine
 from sim_server.physics.pybullet_engine import PyBulletEngine
@@ -170,7 +173,25 @@ def _turned_by(angles: FloatArray) -> FloatArray:
     return np.append(angles / angle * math.sin(angle / 2.0), math.cos(angle / 2.0))
 
 
-ENGINES: tuple[MakeEngine, ...] = (PyBulletEngine, MujocoEngine, ObedientEngine)
+class Clustered:
+    """Makes engines that part their bodies as soon as there are two."""
+
+    def __init__(self, make: MakeEngine, name: str) -> None:
+        self.name = f"clustered-{name}"
+        self._make = make
+
+    def __call__(self, config: EngineConfig) -> Engine:
+        cells = CellsHere(lambda: self._make(config))
+        return Clusters(config, cells, Settings(alone=1, most=2))
+
+
+ENGINES: tuple[MakeEngine, ...] = (
+    PyBulletEngine,
+    MujocoEngine,
+    ObedientEngine,
+    Clustered(partial(PyBulletEngine, awake=2), "pybullet"),
+    Clustered(MujocoEngine, "mujoco"),
+)
 
 
 @contextmanager

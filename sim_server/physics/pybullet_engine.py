@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 
@@ -58,13 +59,14 @@ class PyBulletEngine:
 
     name = "pybullet"
 
-    def __init__(self, config: EngineConfig) -> None:
+    def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
+        """Connect; so many parked bodies stay awake, for those who move bodies in and out."""
         self._client = client = pybullet.connect(pybullet.DIRECT)
         # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
         self._shapes: dict[ShapeKey, int] = {(): -1}
         self._mesh_folder = config.mesh_folder
         self._bodies: dict[int, Body] = {}
-        self._parking = Parking()
+        self._parking = Parking(awake)
         self._planner = Planner(
             self.name, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES
         )
@@ -106,8 +108,8 @@ class PyBulletEngine:
         """See `Engine.add`; one that slept would lose its velocity in the first step."""
         blueprint = self._planner.blueprint(model)
         check_meshes(blueprint.name, self._unmade(blueprint), self._mesh_folder)
-        if not base[7:].any() and (parked := self._parking.take(model)) is not None:
-            return self._bring_back(*parked, base)
+        if (parked := self._parking.take(model, awake=bool(base[7:].any()))) is not None:
+            return self._bring_back(base, parked.number, parked.body, awake=parked.was_awake)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
@@ -205,6 +207,7 @@ class PyBulletEngine:
         if self._loads:
             self._apply_loads()
         pybullet.stepSimulation(physicsClientId=self._client)
+        self._set_state(self._parking.after_step(), ASLEEP)
         if self._brought_back:
             self._set_off()
         if self._ground is None or self._is_good(self._ground):
@@ -231,24 +234,27 @@ class PyBulletEngine:
             pybullet.resetJointState(body, joint, at, speed, physicsClientId=self._client)
 
     def _park(self, body: int, known: Body) -> None:
-        """Let a body sleep where it touches nothing."""
+        """Put a body where it touches nothing, to sleep there unless it is to be ready."""
         client = self._client
         for part in range(-1, known.parts):
             pybullet.setCollisionFilterGroupMask(body, part, 0, 0, physicsClientId=client)
-        base = AT_ORIGIN.copy()
-        base[:3] = self._parking.keep(body, known)
-        self.place(body, base)
-        for state in ASLEEP:
-            pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=client)
+        self.place(body, self._parking.keep(body, known))
+        self._set_state(self._parking.keep_awake(body), ASLEEP)
 
-    def _bring_back(self, body: int, known: Body, base: FloatArray) -> int:
+    def _set_state(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
+        for body, state in product(bodies, states):
+            pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=self._client)
+
+    def _bring_back(self, base: FloatArray, body: int, known: Body, *, awake: bool) -> int:
         client = self._client
-        for state in AWAKE:
-            pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=client)
+        if not awake:
+            self._set_state([body], AWAKE)
+            self._brought_back[body] = np.zeros(6), np.zeros(len(known.joints))
+        elif (sleeper := self._parking.next_to_rise(known.model)) is not None:
+            self._set_state([sleeper], AWAKE)
         for part in range(-1, known.parts):
             pybullet.setCollisionFilterGroupMask(body, part, 1, -1, physicsClientId=client)
         self._admit(body, known)
-        self._brought_back[body] = np.zeros(6), np.zeros(len(known.joints))
         self.rest(body, base)
         return body
 
@@ -366,14 +372,12 @@ class PyBulletEngine:
 
     def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
         client = self._client
-        for link, numbers in dynamics_of(blueprint, self._dt_s):
-            pybullet.changeDynamics(body, link, **numbers, physicsClientId=client)
+        for link, found in dynamics_of(blueprint, self._dt_s):
+            pybullet.changeDynamics(body, link, **found, physicsClientId=client)
         # Every joint is born with a motor that brakes it: leave it only the joint's own friction.
-        mode = pybullet.VELOCITY_CONTROL
+        how = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": client}
         for link, joint in moving_joints(blueprint):
-            pybullet.setJointMotorControl2(
-                body, link, mode, force=joint.friction, physicsClientId=client
-            )
+            pybullet.setJointMotorControl2(body, link, force=joint.friction, **how)
 
     def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
         client, moving = self._client, moving_joints(blueprint)

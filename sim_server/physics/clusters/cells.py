@@ -1,0 +1,82 @@
+"""Who makes cells and works them: engines that know nothing of one another, worked together."""
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple, Protocol
+
+from sim_server.physics.engine import Engine, FloatArray, Reading
+
+
+class Asked(NamedTuple):
+    """Bodies of a cell that are to be read."""
+
+    cell: Engine
+    bodies: Sequence[int]
+
+
+class Told(NamedTuple):
+    """Targets for bodies of a cell."""
+
+    cell: Engine
+    bodies: Sequence[int]
+    targets: FloatArray
+
+
+class Cells(Protocol):
+    """Makes engines for cells, and works many of them at once."""
+
+    def make(self) -> Engine:
+        """Make an engine for a new cell."""
+
+    def step(self, cells: Sequence[Engine], steps: int) -> bool:
+        """Advance cells by some steps each; say whether all is well in all of them."""
+
+    def read(self, asked: Sequence[Asked]) -> list[Reading]:
+        """Read bodies of many cells back."""
+
+    def command(self, told: Sequence[Told]) -> None:
+        """Set targets in many cells."""
+
+    def close(self) -> None:
+        """End what works cells; the cells are closed before."""
+
+
+class CellsHere:
+    """Cells in this process, one after the other, or by threads where an engine lets them run."""
+
+    def __init__(self, make: Callable[[], Engine], *, threads: int = 1) -> None:
+        self.make = make
+        self._threads = threads
+        self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+
+    def step(self, cells: Sequence[Engine], steps: int) -> bool:
+        """See `Cells.step`; each thread has every n-th cell, and this one is one of them."""
+        if self._pool is None:
+            return _advance(cells, steps)
+        shares = [cells[i :: self._threads] for i in range(self._threads)]
+        others = [self._pool.submit(_advance, share, steps) for share in shares[1:] if share]
+        is_well = _advance(shares[0], steps)
+        return all([is_well, *(other.result() for other in others)])
+
+    def read(self, asked: Sequence[Asked]) -> list[Reading]:
+        """See `Cells.read`."""
+        return [cell.read(bodies) for cell, bodies in asked]
+
+    def command(self, told: Sequence[Told]) -> None:
+        """See `Cells.command`."""
+        for cell, bodies, targets in told:
+            cell.command(bodies, targets)
+
+    def close(self) -> None:
+        """See `Cells.close`."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def _advance(cells: Sequence[Engine], steps: int) -> bool:
+    # One cell several times in a row: its memory is still near.
+    is_well = True
+    for cell in cells:
+        for _ in range(steps):
+            is_well &= cell.step()
+    return is_well

@@ -1,0 +1,104 @@
+"""How far a model reaches from its root, whatever its joints do; how fast its motors move it."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from proto.model import Link, Model, Shape, Vec3
+from proto.stl import read_corners
+from sim_server.physics.actuation import actuation_of
+from sim_server.physics.engine import FloatArray
+
+BEYOND = 1e-3
+"""What engines put around a shape [m]."""
+
+FARTHEST_M = 1e6
+"""What has no end reaches over all of the world."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Bounds of a body about its root.
+
+    Attributes:
+        radius_m: Of a ball about the root link that holds all shapes, slides at zero.
+        arm_m: From the root to its centre of mass.
+        slides: Places of the joints that slide, among `Model.joints`.
+        levers: (k,) how far from its axis each target moves ground or others [m]; 1 for speeds.
+    """
+
+    radius_m: float
+    arm_m: float
+    slides: tuple[int, ...]
+    levers: FloatArray
+
+
+def reach_of(model: Model, mesh_folder: str) -> Reach:
+    """Measure a model; raises OSError when a mesh is not in the folder."""
+    own = [_extent(link, mesh_folder) for link in model.links]
+    index = {link.name: i for i, link in enumerate(model.links)}
+    away = [0.0] * len(model.links)
+    for child, joint in enumerate(model.joints, start=1):
+        away[child] = away[index[joint.parent]] + _length(joint.origin.position)
+    return Reach(
+        radius_m=min(max(map(sum, zip(away, own, strict=True))) + BEYOND, FARTHEST_M),
+        arm_m=_length(model.links[0].inertial.com_in_link),
+        slides=tuple(i for i, joint in enumerate(model.joints) if joint.kind == "prismatic"),
+        levers=_levers(model, own),
+    )
+
+
+def moves(model: Model) -> bool:
+    """Whether any part of a model moves."""
+    return not model.is_static or any(joint.kind != "fixed" for joint in model.joints)
+
+
+def _levers(model: Model, own: list[float]) -> FloatArray:
+    plan = actuation_of(model)
+    levers = np.zeros(plan.width)
+    for joint, place in zip(plan.speeds.joints, plan.speeds.places, strict=True):
+        levers[place] = own[joint + 1]
+    if plan.twist is not None:
+        levers[plan.twist : plan.twist + 3] = 1.0, 1.0, max(own)
+    return levers
+
+
+def _extent(link: Link, mesh_folder: str) -> float:
+    return max((_radius(shape, mesh_folder) for shape in link.collisions), default=0.0)
+
+
+def _radius(shape: Shape, mesh_folder: str) -> float:
+    """Find how far a shape reaches from the frame of its link."""
+    length, width, height = shape.size
+    if shape.kind == "mesh":
+        corners = read_corners(Path(mesh_folder, f"{shape.mesh}.stl").read_bytes())
+        size = float(np.linalg.norm(corners * np.array(shape.size), axis=1).max(initial=0.0))
+    else:
+        size = {
+            "box": math.hypot(length, width, height) / 2.0,
+            "sphere": length,
+            "cylinder": math.hypot(length, width / 2.0),
+            "capsule": length + width / 2.0,
+            "plane": math.inf,
+        }[shape.kind]
+    return _length(shape.origin.position) + size
+
+
+def _length(vector: Vec3) -> float:
+    return math.hypot(*vector)
+
+
+class Measure:
+    """Measures models; the last one is kept, as fleets are of one model."""
+
+    def __init__(self, mesh_folder: str) -> None:
+        self._mesh_folder = mesh_folder
+        self._last: tuple[Model, Reach] | None = None
+
+    def reach(self, model: Model) -> Reach:
+        """Measure a model."""
+        if self._last is None or self._last[0] is not model:
+            self._last = (model, reach_of(model, self._mesh_folder))
+        return self._last[1]

@@ -1,0 +1,69 @@
+"""How far models reach."""
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from proto.model import Link, Model, Origin, Shape
+from proto.stl import write_corners
+from sim_server.physics.clusters.reach import BEYOND, FARTHEST_M, moves, reach_of
+from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
+
+
+def radius(model: Model, folder: str = "") -> float:
+    return reach_of(model, folder).radius_m - BEYOND
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (Shape("box", (2.0, 2.0, 1.0)), 1.5),
+        (Shape("sphere", (0.5, 0.0, 0.0)), 0.5),
+        (Shape("cylinder", (3.0, 8.0, 0.0)), 5.0),
+        (Shape("capsule", (1.0, 4.0, 0.0)), 3.0),
+        (Shape("sphere", (0.5, 0.0, 0.0), Origin((3.0, 4.0, 0.0))), 5.5),
+        (Shape("plane"), FARTHEST_M - BEYOND),
+    ],
+    ids=lambda value: getattr(value, "kind", None),
+)
+def test_reach_holds_a_shape(shape: Shape, expected: float) -> None:
+    assert radius(Model("m", (Link("base", collisions=(shape,)),))) == pytest.approx(expected)
+
+
+def test_reach_holds_a_mesh_at_its_scale(tmp_path: Path) -> None:
+    corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
+    Path(tmp_path, "abc.stl").write_bytes(write_corners(corners))
+    model = Model("m", (Link("base", collisions=(Shape("mesh", (1.0, 2.0, 1.0), mesh="abc"),)),))
+
+    assert radius(model, str(tmp_path)) == pytest.approx(4.0)
+
+
+def test_reach_holds_wheels_and_casters() -> None:
+    assert radius(a_cart()) >= max(TRACK_M / 2.0 + 0.05, math.hypot(0.125, 0.1))
+
+
+def test_reach_names_what_slides() -> None:
+    assert reach_of(an_arm("prismatic"), "").slides == (0,)
+    assert reach_of(an_arm("revolute"), "").slides == ()
+
+
+def test_reach_knows_how_fast_wheels_roll() -> None:
+    levers = reach_of(a_cart(), "").levers
+
+    assert levers == pytest.approx([0.05, 0.05])
+
+
+def test_reach_knows_that_a_twist_is_a_speed() -> None:
+    ahead, left, _ = reach_of(a_puck(), "").levers
+
+    assert (ahead, left) == (1.0, 1.0)
+
+
+def test_what_has_no_joint_that_moves_and_is_static_never_moves() -> None:
+    assert not moves(a_box(is_static=True))
+    assert not moves(msgspec.structs.replace(an_arm("fixed"), is_static=True))
+    assert moves(a_box())
+    assert moves(a_fork())
