@@ -54,6 +54,9 @@ class Telemetry:
         has_changed = seen != self._shown or self._idle.is_due(now_ns)
         if has_changed and self._clock.is_due(now_ns):
             yield "clock"
+        # Agents are told at the next control step: to read all back for viewers before is a waste.
+        if world.state == State.PLAYING and not world.is_control_step:
+            return
         if has_changed and self._gazebo.is_due(now_ns):
             yield "model_states"
             yield "link_states"

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from proto.claims import OnRelease
+from proto.claims import DriveState, OnRelease
 from proto.info import Category, EntityCategory, EntityInfo
 from proto.model import Model
-from sim_server.physics.engine import FloatArray
+from sim_server.physics.engine import FloatArray, Reading
 
 IntArray = npt.NDArray[np.intp]
 
@@ -78,6 +78,15 @@ class Fleet:
     joints: IntArray
     bodies: tuple[int, ...]
     target_count: int
+
+    def told(self, epoch: int, step: int, time_ns: int, reading: Reading) -> DriveState:
+        """Tell its agent where all are."""
+        return DriveState(
+            *(epoch, step, time_ns, self.claims),
+            reading.base[self.rows].tobytes(),
+            reading.joint_positions[self.joints].tobytes(),
+            reading.joint_velocities[self.joints].tobytes(),
+        )
 
 
 def roster_of(entities: Sequence[Entity]) -> Roster:

@@ -19,7 +19,7 @@ from sim_server.world.birth import Birth
 from sim_server.world.chronicle import Chronicle
 from sim_server.world.claims import Claims
 from sim_server.world.entity import Entity, Fleet, Roster, info_of, roster_of
-from sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, still
+from sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, is_good, still
 from sim_server.world.pushes import Pushes
 
 
@@ -149,8 +149,11 @@ class World(Chronicle):
         self._tell("deleted", entity=name)
 
     def state_of(self, name: str) -> FloatArray:
-        """Read one entity's state row (13,)."""
-        return np.asarray(self.reading().base[self.roster().row[self.entity(name).name]])
+        """Read one entity's state row (13,), alone unless all have been read already."""
+        body = self.entity(name).body
+        if self._reading is None and is_good(alone := self._engine.read((body,))):
+            return np.asarray(alone.base[0])
+        return np.asarray(self.reading().base[self.roster().row[name]])
 
     def place(self, name: str, base: FloatArray, positions: FloatArray | None = None) -> None:
         """Put an entity's root link at a state row (13,), and its joints at rest if told where.
@@ -289,18 +292,7 @@ class World(Chronicle):
         """Tell each agent where its entities are; an agent that lost its last is told once."""
         reading = self.reading()
         for agent, fleet in self.fleets().items():
-            yield (
-                agent,
-                DriveState(
-                    self.epoch,
-                    self.steps,
-                    self.time_ns,
-                    fleet.claims,
-                    reading.base[fleet.rows].tobytes(),
-                    reading.joint_positions[fleet.joints].tobytes(),
-                    reading.joint_velocities[fleet.joints].tobytes(),
-                ),
-            )
+            yield agent, fleet.told(self.epoch, self.steps, self.time_ns, reading)
         for agent in self.claims.take_emptied():
             yield agent, DriveState(self.epoch, self.steps, self.time_ns, b"", b"", b"", b"")
 

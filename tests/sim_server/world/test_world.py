@@ -1,5 +1,6 @@
 """World: who is in it, its time, and what a reset touches."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from sim_server.errors import (
     NameRefused,
     NamespaceRefused,
 )
-from sim_server.physics.engine import EngineConfig, EngineRefused
+from sim_server.physics.engine import EngineConfig, EngineRefused, Reading
 from sim_server.world.birth import Birth
 from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
@@ -316,3 +317,37 @@ def test_robot_of_a_world_has_a_namespace_so_that_it_can_be_driven() -> None:
     robot = world.spawn(replace(a_birth("r1"), belongs_to_world=True))
 
     assert robot.namespace == "r1"
+
+
+class CountingEngine(ObedientEngine):
+    """Remembers what was read."""
+
+    def __init__(self) -> None:
+        super().__init__(EngineConfig(STEP_NS))
+        self.reads: list[tuple[int, ...]] = []
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        self.reads.append(tuple(bodies))
+        return super().read(bodies)
+
+
+def test_world_reads_one_entity_alone_when_not_all_have_been_read() -> None:
+    engine = CountingEngine()
+    world = a_world("a", "b", engine=engine)
+    world.step()
+
+    row = world.state_of("b")
+
+    assert engine.reads == [(world.entity("b").body,)]
+    assert row.tolist() == world.reading().base[1].tolist()
+
+
+def test_world_reads_nothing_again_between_two_steps() -> None:
+    engine = CountingEngine()
+    world = a_world("a", "b", engine=engine)
+    world.reading()
+
+    world.state_of("b")
+    world.reading()
+
+    assert len(engine.reads) == 1
