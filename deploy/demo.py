@@ -21,8 +21,23 @@ ODOM_DEPTH = 65536
 POLL_S = 0.01
 
 
+ROBOTS_OF_A_POOL = 500
+"""Driving so many, at ten odometries and tfs a second each, keeps a fifth of a core busy."""
+
+
 class DemoFailed(Exception):
     """What was asked for did not come up."""
+
+
+class AgentsConfig(msgspec.Struct, frozen=True):
+    """What drives the robots."""
+
+    pools: int | None = None
+    """How many pools share the robots; None = each robot has an agent of its own."""
+    odom_hz: float | None = None
+    """None = as described."""
+    tf_hz: float | None = None
+    """None = as described, or with odometry."""
 
 
 class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,6 +53,7 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
     is_lockstep: bool = False
+    agents: AgentsConfig = AgentsConfig()
     has_viewer: bool
     viewer_port: int
 
@@ -95,12 +111,31 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
     )
 
 
+def agent_arguments(config: DemoConfig) -> dict[str, tuple[str, ...]]:
+    """Write the command lines of the agents, by what they are called here."""
+    options = (
+        *("--connect", config.endpoint, "--world-name", config.world_name),
+        *("--quiet", "--wait", str(START_TIMEOUT_S)),
+        *(("--odom-hz", str(config.agents.odom_hz)) if config.agents.odom_hz is not None else ()),
+        *(("--tf-hz", str(config.agents.tf_hz)) if config.agents.tf_hz is not None else ()),
+    )
+    if config.agents.pools is None:
+        return {f"agent of {one.name}": ("agent", one.name, *options) for one in config.places}
+    return {
+        f"pool {number}": ("agent", "--pool", "0", *options)
+        for number in range(config.agents.pools)
+    }
+
+
+def pools_for(robots: int, cores: int) -> int:
+    """Choose how many pools drive so many robots on a host."""
+    return max(1, min(cores, -(-robots // ROBOTS_OF_A_POOL)))
+
+
 def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:
     supervisor.start("server", serve_arguments(config))
-    joined = ("--connect", config.endpoint, "--world-name", config.world_name)
-    for place in config.places:
-        arguments = ("agent", place.name, *joined, "--quiet", "--wait", str(START_TIMEOUT_S))
-        supervisor.start(f"agent of {place.name}", arguments, is_restarted=True)
+    for name, arguments in agent_arguments(config).items():
+        supervisor.start(name, arguments, is_restarted=True)
 
 
 def _join(config: DemoConfig, supervisor: Supervisor) -> Bus:

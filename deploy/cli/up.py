@@ -15,7 +15,17 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from deploy.demo import Demo, DemoConfig, DemoFailed, Steps, run, start, summary
+from deploy.demo import (
+    AgentsConfig,
+    Demo,
+    DemoConfig,
+    DemoFailed,
+    Steps,
+    pools_for,
+    run,
+    start,
+    summary,
+)
 from deploy.local import Program, ProgramDied, Supervisor
 from proto.endpoint import DEFAULT_ENDPOINT, with_free_port
 from proto.exits import one_line_failures
@@ -26,6 +36,8 @@ from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 console = Console(stderr=True)
+MOST_PER_ROBOT = 20
+"""Robots that have an agent process each unless it is said otherwise: each is 40 MB."""
 
 
 Robots = Annotated[int, typer.Option("--robots", min=0, help="How many.")]
@@ -65,6 +77,27 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
 Locked = Annotated[
     bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
 ]
+Agents = Annotated[
+    str,
+    typer.Option(
+        "--agents",
+        help="per-robot: a process for each; pooled: a few processes that drive many each.",
+        show_default=f"per-robot up to {MOST_PER_ROBOT} robots",
+    ),
+]
+OdomHz = Annotated[
+    float | None,
+    typer.Option(
+        "--odom-hz",
+        min=0.0,
+        help="Odometry of each robot, and tf unless told, a simulated second.",
+        show_default="as described",
+    ),
+]
+TfHz = Annotated[
+    float | None,
+    typer.Option("--tf-hz", min=0.0, help="tf of each robot.", show_default="with odometry"),
+]
 
 
 @app.command()
@@ -81,6 +114,9 @@ def up(
     model_path: ModelPath = None,
     strict: Strict = False,
     lockstep: Locked = False,
+    agents: Agents = "",
+    odom_hz: OdomHz = None,
+    tf_hz: TfHz = None,
     viewer: HasViewer = True,
     viewer_port: ViewerPort = 8080,
     open_page: OpenPage = None,
@@ -88,7 +124,7 @@ def up(
     as_json: AsJson = False,
 ) -> None:
     """Run a world, its robots, their agents and the page, all on this machine."""
-    began_s, stop = time.monotonic(), StopFlag(is_armed=False)
+    began_s = time.monotonic()
     with one_line_failures("up", DemoFailed, ProgramDied):
         config = DemoConfig(
             places=_places(model, robots, layout, spacing),
@@ -100,14 +136,22 @@ def up(
             model_paths=tuple(map(str, model_path or ())),
             is_strict=strict,
             is_lockstep=lockstep,
+            agents=_agents(agents, robots, odom_hz, tf_hz),
             has_viewer=viewer,
             viewer_port=viewer_port,
         )
-        with closing(Supervisor(_note_restart)) as supervisor:
-            with _progress(len(config.places)) as steps:
-                demo = start(config, supervisor, steps, began_s)
-            stop.arm()
-            _stay(demo, partial(run, demo, duration, stop), open_page, as_json=as_json)
+        _run(config, began_s, duration, open_page, as_json=as_json)
+
+
+def _run(
+    config: DemoConfig, began_s: float, duration: float, open_page: bool | None, *, as_json: bool
+) -> None:
+    stop = StopFlag(is_armed=False)
+    with closing(Supervisor(_note_restart)) as supervisor:
+        with _progress(len(config.places)) as steps:
+            demo = start(config, supervisor, steps, began_s)
+        stop.arm()
+        _stay(demo, partial(run, demo, duration, stop), open_page, as_json=as_json)
 
 
 def _stay(demo: Demo, run_on: Callable[[], None], open_page: bool | None, *, as_json: bool) -> None:
@@ -122,6 +166,15 @@ def _places(model: str, count: int, layout: str, spacing: float) -> tuple[Place,
     if (shape := next((known for known in LAYOUTS if known == layout), None)) is None:
         raise ValueError(f"--layout {layout!r} is unknown; use {', '.join(LAYOUTS)}")
     return tuple(fleet_places(name_stem(model), count, shape, spacing)) if count else ()
+
+
+def _agents(agents: str, robots: int, odom_hz: float | None, tf_hz: float | None) -> AgentsConfig:
+    """Choose what drives the robots."""
+    if agents not in ("", "per-robot", "pooled"):
+        raise ValueError(f"--agents {agents!r} is unknown; use per-robot or pooled")
+    if agents == "per-robot" or (not agents and robots <= MOST_PER_ROBOT):
+        return AgentsConfig(None, odom_hz, tf_hz)
+    return AgentsConfig(pools_for(robots, os.cpu_count() or 1), odom_hz, tf_hz)
 
 
 @contextmanager

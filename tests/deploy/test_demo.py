@@ -1,8 +1,10 @@
 """`zensim up` tells its server what it was told itself, and nothing else."""
 
 import msgspec
+import pytest
 
-from deploy.demo import DemoConfig, serve_arguments
+from deploy.demo import AgentsConfig, DemoConfig, agent_arguments, pools_for, serve_arguments
+from spawner.placement import Place
 
 PLAIN = DemoConfig(
     places=(),
@@ -34,3 +36,29 @@ def test_server_looks_where_it_is_told_to() -> None:
 
     paths = ("--model-path", "a", "--model-path", "b c", "--strict")
     assert serve_arguments(config) == (*JOINING, *paths)
+
+
+def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
+    places = (Place("r1", 0.0, 0.0), Place("r2", 1.0, 0.0))
+    alone = msgspec.structs.replace(PLAIN, places=places)
+    pooled = msgspec.structs.replace(alone, agents=AgentsConfig(2, 50.0, 10.0))
+
+    assert [line[:2] for line in agent_arguments(alone).values()] == [
+        ("agent", "r1"),
+        ("agent", "r2"),
+    ]
+    assert [line[:3] for line in agent_arguments(pooled).values()] == [
+        ("agent", "--pool", "0"),
+        ("agent", "--pool", "0"),
+    ]
+    for line in agent_arguments(pooled).values():
+        assert line[-4:] == ("--odom-hz", "50.0", "--tf-hz", "10.0")
+
+
+@pytest.mark.parametrize(
+    ("robots", "cores", "pools"), [(1, 8, 1), (500, 8, 1), (501, 8, 2), (9000, 2, 2), (0, 1, 1)]
+)
+def test_pools_are_as_many_as_robots_need_and_cores_allow(
+    robots: int, cores: int, pools: int
+) -> None:
+    assert pools_for(robots, cores) == pools

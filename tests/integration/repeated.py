@@ -59,7 +59,12 @@ class Said:
 
 @contextmanager
 def locked_fleet(
-    robots: int, *, processes: int = 0, endpoint: str = "", prefix: Sequence[str] = ()
+    robots: int,
+    *,
+    processes: int = 0,
+    endpoint: str = "",
+    prefix: Sequence[str] = (),
+    is_pooled: bool = False,
 ) -> Iterator[Server]:
     """Run a paused world in lockstep, with robots and the agents that drive them.
 
@@ -68,6 +73,7 @@ def locked_fleet(
         processes: Agents that share the robots; 0 = one for each robot.
         endpoint: Where the server listens; on loopback unless given.
         prefix: How to run something where the agents are.
+        is_pooled: One pool drives all, instead.
     """
     names = [f"box_bot{i}" for i in range(robots)]
     with serving(*LOCKSTEP, endpoint=endpoint) as server, ExitStack() as stack:
@@ -75,8 +81,9 @@ def locked_fleet(
         done = server.zensim("fleet", "box_bot", *layout)
         assert done.returncode == 0, done.stderr
         joining = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
-        for part in range(processes or robots):
-            mine = names[part :: processes or robots]
+        parts = 1 if is_pooled else processes or robots
+        for part in range(parts):
+            mine = ["--pool", "0"] if is_pooled else names[part::parts]
             stack.enter_context(running("agent", *mine, *joining, prefix=prefix))
         wait_for_agents(server, names)
         yield server

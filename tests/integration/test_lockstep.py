@@ -27,6 +27,11 @@ def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ())
         return drive(server, ROBOTS, STEPS)
 
 
+def run_pooled() -> Said:
+    with locked_fleet(ROBOTS, is_pooled=True) as server:
+        return drive(server, ROBOTS, STEPS)
+
+
 @contextmanager
 def another_host() -> Iterator[tuple[str, tuple[str, ...]]]:
     """Make a host that is joined to this one by a cable: our address, and how to run there."""
@@ -52,6 +57,14 @@ def test_same_requests_give_the_same_bytes_however_robots_are_shared_among_proce
 
     assert apart == together
     assert set(apart.odoms.values()) == {STEPS // PERIOD}
+
+
+@pytest.mark.timeout(180)
+def test_same_requests_give_the_same_bytes_when_a_pool_drives_all() -> None:
+    one, other = run_pooled(), run_pooled()
+
+    assert one == other
+    assert set(one.odoms.values()) == {STEPS // PERIOD}
 
 
 @pytest.mark.root

@@ -1,0 +1,232 @@
+"""Pools among real processes: shares, deaths, takeovers, late comers."""
+
+import signal
+from collections import Counter
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING
+
+import psutil
+
+from proto.codec import decode
+from proto.topics import Odometry
+from tests.integration.processes import (
+    Server,
+    agent_of,
+    eventually,
+    joined,
+    read_json_line,
+    running,
+    serving,
+)
+from tests.integration.robots import robot
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Iterator
+
+ROBOTS = 7
+NAMES = [f"box_bot{number}" for number in range(ROBOTS)]
+MOVING_M_S = 0.05
+STOP_STEPS = 120
+"""0.5 s at 240 Hz."""
+SOON_S = 20.0
+
+
+@contextmanager
+def pools(server: Server, *names: str) -> "Iterator[dict[str, subprocess.Popen[str]]]":
+    with ExitStack() as stack:
+        yield {
+            name: stack.enter_context(
+                running(*("agent", "--pool", "0", "--name", name, "--connect", server.endpoint))
+            )
+            for name in names
+        }
+
+
+def spawn(server: Server) -> None:
+    layout = ("--count", str(ROBOTS), "--layout", "grid", "--spacing", "2")
+    assert server.zensim("fleet", "box_bot", *layout).returncode == 0
+
+
+def shares(server: Server) -> list[int]:
+    """Say how many robots each agent drives, the largest share first."""
+    driven = Counter(agent_of(server, name) for name in server.client.entities())
+    del driven[""]
+    return sorted(driven.values(), reverse=True)
+
+
+def wait_for_shares(server: Server, *sizes: int) -> None:
+    eventually(lambda: shares(server) == list(sizes), SOON_S, f"shares of {sizes}")
+
+
+def speed(server: Server, name: str) -> float:
+    twist = server.client.entity_state(name).twist
+    return abs(twist.linear.x) + abs(twist.linear.y)
+
+
+def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go() -> None:
+    with serving() as server, pools(server, "p", "q"):
+        spawn(server)
+        wait_for_shares(server, 4, 3)
+
+        with pools(server, "r"):
+            wait_for_shares(server, 3, 2, 2)
+            for name in NAMES[:4]:
+                server.client.delete(name)
+            wait_for_shares(server, 1, 1, 1)
+        wait_for_shares(server, 2, 1)
+
+
+def test_robots_of_a_killed_pool_stop_at_once_and_go_to_the_other() -> None:
+    with serving() as server, pools(server, "p", "q") as processes:
+        spawn(server)
+        wait_for_shares(server, 4, 3)
+        drivers = {name: robot(server.bus, name) for name in NAMES}
+
+        def all_move() -> bool:
+            for driver in drivers.values():
+                driver.command(0.3)
+            return all(speed(server, name) > MOVING_M_S for name in NAMES)
+
+        eventually(all_move, SOON_S, "moving")
+        orphans = [name for name in NAMES if agent_of(server, name) == "p"]
+        processes["p"].kill()
+        killed_at = server.steps()
+        eventually(
+            lambda: all(speed(server, name) < MOVING_M_S for name in orphans), 5.0, "stopping"
+        )
+        assert server.steps() - killed_at <= STOP_STEPS
+
+        wait_for_shares(server, ROBOTS)
+        eventually(all_move, SOON_S, "moving again")
+
+
+def test_pool_leaves_a_robot_to_the_agent_that_names_it() -> None:
+    with (
+        serving() as server,
+        running("agent", "box_bot3", "--name", "own", "--connect", server.endpoint),
+    ):
+        spawn(server)
+        eventually(lambda: agent_of(server, "box_bot3") == "own", SOON_S, "claiming")
+        with pools(server, "p"):
+            wait_for_shares(server, ROBOTS - 1, 1)
+
+            assert agent_of(server, "box_bot3") == "own"
+
+
+def test_pool_drives_no_more_than_its_limit() -> None:
+    with (
+        serving() as server,
+        running("agent", "--pool", "2", "--connect", server.endpoint),
+    ):
+        spawn(server)
+        wait_for_shares(server, 2)
+        with pools(server, "q"):
+            wait_for_shares(server, ROBOTS - 2, 2)
+
+
+def test_late_comers_hear_of_the_robots_of_every_pool() -> None:
+    with serving() as server, pools(server, "p", "q"):
+        spawn(server)
+        wait_for_shares(server, 4, 3)
+        listener = server.bus.subscribe("*/tf_static", 100)
+
+        for topic in ("odom", "tf", "tf_static", "joint_states", "robot_description"):
+            every = [f"{name}/{topic}" for name in NAMES]
+            eventually(partial(_are_told, server, every), SOON_S, f"answers to */{topic}")
+            answers = [server.bus.get(key) for key in every]
+            assert [one.key for (one,) in answers] == every
+        announced: Counter[str] = Counter()
+
+        def all_announced() -> bool:
+            announced.update(sample.key for sample in listener.take())
+            return len(announced) == ROBOTS
+
+        eventually(all_announced, SOON_S, "announcements")
+        assert set(announced.values()) == {1}
+
+
+def _are_told(server: Server, every: list[str]) -> bool:
+    topic = every[0].partition("/")[2]
+    return sorted(sample.key for sample in server.bus.get(f"*/{topic}")) == every
+
+
+def test_pool_tells_odometry_at_the_rate_it_is_given() -> None:
+    rates = ("--odom-hz", "20", "--tf-hz", "10")
+    with (
+        serving("--rtf", "0", "--lockstep") as server,
+        running("agent", "--pool", "0", *rates, "--connect", server.endpoint),
+    ):
+        spawn(server)
+        heard = robot(server.bus, NAMES[0])
+        begin = heard.now()
+        found: list[Odometry] = []
+        tf = server.bus.subscribe(f"{NAMES[0]}/tf", 10_000)
+
+        def long_enough() -> bool:
+            found.extend(heard.read())
+            return bool(found) and _seconds(found[-1]) - _seconds(begin) > 10.0
+
+        eventually(long_enough, SOON_S, "ten simulated seconds")
+        span_s = _seconds(found[-1]) - _seconds(found[0])
+        assert 0.9 <= (len(found) - 1) / span_s / 20.0 <= 1.01
+        assert 0.4 <= len(tf.take()) / len(found) <= 0.6
+
+
+def _seconds(odom: Odometry) -> float:
+    return odom.header.stamp.sec + odom.header.stamp.nanosec * 1e-9
+
+
+def test_pool_goes_on_in_lockstep_when_another_comes_and_dies() -> None:
+    options = ("--lockstep", "--on-miss", "wait", "--rtf", "0")
+    with serving(*options) as server, pools(server, "p"):
+        spawn(server)
+        wait_for_shares(server, ROBOTS)
+        with pools(server, "q") as second:
+            wait_for_shares(server, 4, 3)
+            before = server.steps()
+            eventually(lambda: server.steps() > before + 30, SOON_S, "time")
+            second["q"].send_signal(signal.SIGKILL)
+        wait_for_shares(server, ROBOTS)
+        before = server.steps()
+        eventually(lambda: server.steps() > before + 30, SOON_S, "time")
+
+
+def test_pools_come_back_to_a_server_that_was_started_again() -> None:
+    with serving() as first, pools(first, "p") as processes:
+        endpoint = first.endpoint
+        spawn(first)
+        wait_for_shares(first, ROBOTS)
+        first.process.kill()
+        first.process.wait()
+        with serving(endpoint=endpoint) as second:
+            spawn(second)
+            wait_for_shares(second, ROBOTS)
+        assert processes["p"].poll() is None
+
+
+def test_up_pooled_brings_all_robots_and_starts_a_dead_pool_again() -> None:
+    options = ("--agents", "pooled", "--robots", str(ROBOTS), "--odom-hz", "20")
+    with running(*("up", "--json", "--no-viewer", "--listen", "tcp/127.0.0.1:0", *options)) as up:
+        ready = read_json_line(up)
+        assert ready["robots"] == ROBOTS
+        family = psutil.Process(up.pid).children()
+        assert len(family) == 2  # a pool and the server
+        pool = next(process for process in family if "agent" in process.cmdline())
+        pool.kill()
+
+        assert up.stderr is not None
+        said = eventually(up.stderr.readline, 10.0, "a note")
+        while "starting it again" not in said:
+            said = up.stderr.readline()
+        with joined(str(ready["endpoint"])) as bus:
+            odom = bus.subscribe("*/odom", 1000)
+            heard: set[str] = set()
+
+            def all_tell() -> bool:
+                for sample in odom.take():
+                    decode(Odometry, sample.payload, sample.encoding)
+                    heard.add(sample.key)
+                return len(heard) == ROBOTS
+
+            eventually(all_tell, SOON_S, "odometry of all")
