@@ -3,9 +3,11 @@
 Box_bots drive circles in one world: in a real server at `--rtf 0`, whose drive states one other
 process answers and whose snapshots it takes, and in a plain PyBullet loop with the best settings,
 driven and read at the same control periods, without a network (the floor). The two take turns. CPU
-is that of the loop's thread; `floor / served` compares it turn by turn, and is the engine's share.
-Where a step's time goes is measured in turns of its own, since looking costs: `messages` are drive
-states and snapshots made from arrays, `take` is taking in what has come.
+is that of the loop's thread; `floor / served` compares it turn by turn: the engine's share. The
+best settings are 10 iterations of the solver; with them a robot that has stopped rocks a little, so
+the server allows 20, and the floor is measured with these too. Where a step's time goes is measured
+in turns of its own, since looking costs: `messages` are drive states and snapshots made from
+arrays, `take` is taking in what has come.
 """
 
 import statistics
@@ -51,10 +53,10 @@ def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
     """Measure fleets of several sizes, and how the cost of a robot grows with them."""
     costs: dict[int, float] = {}
     for count in COUNTS_WHEN_SHORT if is_short else COUNTS:
-        turns, floors, looks = _taken_in_turn(count, is_short=is_short)
-        costs[count] = statistics.median(turn.cpu_s / turn.steps for turn in turns) / count
-        yield from _figures(count, turns, floors)
-        yield _parts(count, looks)
+        turns = _taken_in_turn(count, is_short=is_short)
+        costs[count] = statistics.median(_cpu_ms(turn) for turn in turns.served) / count
+        yield from _figures(count, turns)
+        yield _parts(count, turns.looks)
     if GROWTH_TO in costs:
         yield Figure(
             what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
@@ -76,21 +78,35 @@ def table(found: Iterable[Figure | Parts]) -> str:
     return figures.table(row for row in all_rows if isinstance(row, Figure)) + f"\n{head}{lines}"
 
 
-def _taken_in_turn(count: int, *, is_short: bool) -> tuple[list[Spent], list[Turn], list[Spent]]:
+class Turns(msgspec.Struct, frozen=True):
+    """What was measured of one size; the first three in turn."""
+
+    served: list[Spent]
+    floor: list[Turn]
+    alike: list[Turn]
+    """The floor with the server's settings."""
+    looks: list[Spent]
+
+
+def _taken_in_turn(count: int, *, is_short: bool) -> Turns:
     turn_s, turns = (LONG_TURN_S, LONG_TURNS) if count >= LONG_FROM else (TURN_S, TURNS)
     if is_short:
         turn_s, turns = TURN_WHEN_SHORT_S, TURNS_WHEN_SHORT
+    found = Turns([], [], [], [])
     with served(count) as server:
         plain = PlainLoop(count, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps)
         try:
             begin(server, count)
             begin(plain, count)
-            pairs = [(server.turn(turn_s), plain.turn(turn_s)) for _ in range(turns)]
+            for _ in range(turns):
+                found.served.append(server.turn(turn_s))
+                found.floor.append(plain.turn(turn_s))
+                found.alike.append(plain.turn_as_served(turn_s))
         finally:
             plain.close()
         server.look_inside()
-        looks = [server.turn(turn_s) for _ in range(LOOKS)]
-        return [spent for spent, _ in pairs], [floor for _, floor in pairs], looks
+        found.looks.extend(server.turn(turn_s) for _ in range(LOOKS))
+    return found
 
 
 def begin(loop: Served | PlainLoop, count: int) -> None:
@@ -107,24 +123,30 @@ def begin(loop: Served | PlainLoop, count: int) -> None:
     raise RuntimeError(f"{driving} of {count} robots drive, in {type(loop).__name__}")
 
 
-def _figures(count: int, turns: list[Spent], floors: list[Turn]) -> Iterator[Figure]:
+def _figures(count: int, turns: Turns) -> Iterator[Figure]:
     whom, step_s = _whom(count), CONFIG.step_ns * 1e-9
-    each: dict[str, list[Turn]] = {"served": [*turns], "floor": floors}
+    each: dict[str, list[Turn]] = {"served": [*turns.served], "floor": turns.floor}
     for what, some in each.items():
         factors = tuple(turn.steps * step_s / turn.wall_s for turn in some)
         yield Figure(what=f"{whom}, {what}: real-time factor", unit="", samples=factors)
         costs = tuple(_cpu_ms(turn) for turn in some)
         yield Figure(what=f"{whom}, {what}: a step", unit="CPU ms", samples=costs)
-    network = tuple((turn.process_cpu_s - turn.cpu_s) / turn.steps * MILLISECONDS for turn in turns)
+    network = tuple(
+        (turn.process_cpu_s - turn.cpu_s) / turn.steps * MILLISECONDS for turn in turns.served
+    )
     yield Figure(what=f"{whom}, served: a step, other threads", unit="CPU ms", samples=network)
     yield Figure(
         what=f"{whom}: floor / served",
         unit="",
-        samples=tuple(
-            _cpu_ms(floor) / _cpu_ms(turn) for turn, floor in zip(turns, floors, strict=True)
-        ),
+        samples=_shares(turns.floor, turns.served),
         asked=SHARE if count == SHARE_AT else None,
     )
+    shares = _shares(turns.alike, turns.served)
+    yield Figure(what=f"{whom}: floor with the server's settings / served", unit="", samples=shares)
+
+
+def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
+    return tuple(_cpu_ms(floor) / _cpu_ms(turn) for turn, floor in zip(turns, floors, strict=True))
 
 
 def _parts(count: int, looks: list[Spent]) -> Parts:
