@@ -11,6 +11,7 @@ from deploy.local import Program, Supervisor
 from proto import keys
 from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from proto.result import ResultCode
+from proto.ros2.settings import RosSettings, arguments_of
 from proto.telemetry import Info
 from spawner.client import SimClient
 from spawner.launch import spawn_fleet
@@ -54,6 +55,7 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     is_strict: bool = False
     is_lockstep: bool = False
     agents: AgentsConfig = AgentsConfig()
+    ros: RosSettings = RosSettings()
     has_viewer: bool
     viewer_port: int
 
@@ -108,6 +110,7 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
         *(word for path in config.model_paths for word in ("--model-path", path)),
         *(("--strict",) if config.is_strict else ()),
         *(("--lockstep",) if config.is_lockstep else ()),
+        *arguments_of(config.ros),
     )
 
 
@@ -118,6 +121,7 @@ def agent_arguments(config: DemoConfig) -> dict[str, tuple[str, ...]]:
         *("--quiet", "--wait", str(START_TIMEOUT_S)),
         *(("--odom-hz", str(config.agents.odom_hz)) if config.agents.odom_hz is not None else ()),
         *(("--tf-hz", str(config.agents.tf_hz)) if config.agents.tf_hz is not None else ()),
+        *(*arguments_of(config.ros), "--tf", config.ros.tf),
     )
     if config.agents.pools is None:
         return {f"agent of {one.name}": ("agent", one.name, *options) for one in config.places}

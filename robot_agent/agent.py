@@ -4,6 +4,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from typing import NoReturn, Protocol
 
 import msgspec
@@ -12,6 +13,8 @@ from proto import keys
 from proto.claims import Claim, DriveCommand, DriveState, OnRelease
 from proto.codec import Format, MalformedPayload, decode, encode, encoding_of
 from proto.header import NANOSECONDS
+from proto.ros2.settings import NO_ROS, RosSettings
+from proto.ros_graph import RosGraph
 from robot_agent.claimer import Claimer, Wish
 from robot_agent.fleet import Fleet
 from robot_agent.network import Network
@@ -87,6 +90,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Simulation time after which a robot that hears nothing stands still; 0 = never."""
     on_release: OnRelease = "stop"
     """What becomes of an entity when the agent is gone."""
+    ros: RosSettings = NO_ROS
 
 
 class Agent:
@@ -105,11 +109,16 @@ class Agent:
         self._commands = network.advertise(
             keys.drive_command(world, agent), encoding_of(DriveCommand, Format.MSGPACK)
         )
+        self._graph = RosGraph(network, config.ros)
         self._claimer = _claimer_of(network, config)
-        self._fleet = _fleet_of(network, config)
+        self._fleet = _fleet_of(network, config, self._graph)
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
         self._look_s = self._now_s = self._eager_until_s = -math.inf
+
+    def close(self) -> None:
+        """Withdraw what is not withdrawn with the session."""
+        self._graph.close()
 
     def pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] when there was nothing to do."""
@@ -224,18 +233,18 @@ def run_agent(
         TimeoutError: See there.
         MalformedPayload: See there.
     """
-    agent = Agent(network, config)
-    while True:
-        now_s = clock()
-        if not agent.poll(now_s):
-            sleep(agent.pause_s(now_s))
+    with closing(Agent(network, config)) as agent:
+        while True:
+            now_s = clock()
+            if not agent.poll(now_s):
+                sleep(agent.pause_s(now_s))
 
 
-def _fleet_of(network: Network, config: AgentConfig) -> Held:
+def _fleet_of(network: Network, config: AgentConfig, graph: RosGraph) -> Held:
     timeout_ns = round(config.cmd_vel_timeout_s * NANOSECONDS)
     if config.pool_limit is None:
-        return Fleet(network, timeout_ns)
-    return PoolFleet(network, timeout_ns)
+        return Fleet(network, timeout_ns, graph)
+    return PoolFleet(network, timeout_ns, graph)
 
 
 def _claimer_of(network: Network, config: AgentConfig) -> Claiming:

@@ -17,6 +17,7 @@ from proto.endpoint import DEFAULT_ENDPOINT
 from proto.exits import one_line_failures
 from proto.joining import join
 from proto.names import check_name
+from proto.ros2.settings import ros_settings
 from robot_agent.agent import AgentConfig, run_agent
 from robot_agent.rates import Rates
 
@@ -69,6 +70,22 @@ TfHz = Annotated[
         show_default="as described, or with odometry",
     ),
 ]
+RosDomain = Annotated[
+    str,
+    typer.Option(
+        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
+        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
+    ),
+]
+RosDistro = Annotated[
+    str, typer.Option(help="ROS 2 distribution to talk to; only humble is unlike the others.")
+]
+TfScope = Annotated[
+    str, typer.Option("--tf", help="Transforms on /tf (global), on /NS/tf (namespaced), or both.")
+]
+RosBridge = Annotated[
+    bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
+]
 
 
 @app.command()
@@ -86,6 +103,10 @@ def agent(
     odom_hz: OdomHz = None,
     tf_hz: TfHz = None,
     on_release: OnReleaseWord = "stop",
+    ros_domain: RosDomain = "0",
+    ros_distro: RosDistro = "jazzy",
+    tf: TfScope = "both",
+    ros_bridge: RosBridge = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False,
 ) -> None:
     """Drive robots: cmd_vel in, odom and tf out."""
@@ -105,6 +126,7 @@ def agent(
             wait_s=wait,
             cmd_vel_timeout_s=cmd_vel_timeout,
             on_release=_checked(on_release),
+            ros=ros_settings(ros_domain, ros_distro, tf, is_bridged=ros_bridge),
         )
         _run(connect or DEFAULT_ENDPOINT, config)
 

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 from proto.claims import Claim, DriveCommand, DriveState
 from proto.codec import MalformedPayload
+from proto.faces import faces_of
+from proto.ros_graph import RosGraph
 from robot_agent.network import Network
 from robot_agent.reading import Layout
-from robot_agent.robot import Robot
+from robot_agent.robot import NODE, Robot
 
 LOG = logging.getLogger("zensim.agent")
 
@@ -16,14 +18,16 @@ LOG = logging.getLogger("zensim.agent")
 class Fleet:
     """Robots by claim; each drive state says which of them are left."""
 
-    def __init__(self, network: Network, timeout_ns: int) -> None:
+    def __init__(self, network: Network, timeout_ns: int, graph: RosGraph | None = None) -> None:
         """Hold nobody yet.
 
         Args:
             network: Where robots hear and tell.
             timeout_ns: Simulation time that a command holds; 0 = for ever.
+            graph: Where robots are nodes of ROS 2.
         """
         self._network = network
+        self._graph = graph
         self._timeout_ns = timeout_ns
         self._robots: dict[int, Robot] = {}
         self._claims: bytes | None = None
@@ -40,7 +44,8 @@ class Fleet:
     def take(self, claims: Sequence[Claim]) -> None:
         """Hold what was claimed."""
         for claim in claims:
-            robot = Robot(self._network, claim, self._timeout_ns)
+            faces = faces_of(self._network, self._graph, claim.namespace, NODE)
+            robot = Robot(faces, claim, self._timeout_ns)
             robot.announce()
             self.hold(claim.claim, robot)
 

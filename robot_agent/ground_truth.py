@@ -3,6 +3,7 @@
 from random import Random
 
 from proto.claims import Claim
+from proto.faces import Faces
 from proto.geometry import (
     Point,
     Pose,
@@ -14,9 +15,9 @@ from proto.geometry import (
 )
 from proto.header import Header, time_from_ns
 from proto.model import ZERO, GroundTruth, Model, Quat, Vec3
+from proto.ros_graph import Topic
 from proto.topics import Odometry
 from robot_agent.kinematics import Chain, LinkMotion, scaled
-from robot_agent.network import Network
 from robot_agent.outlet import Outlet
 from robot_agent.rate_gate import RateGate
 from robot_agent.reading import Reading
@@ -29,16 +30,15 @@ QUIET = (ZERO, ZERO)
 class TruthTelemetry:
     """What the ground truth plug-ins of one robot tell, each at a rate of its own."""
 
-    def __init__(self, network: Network, claim: Claim) -> None:
+    def __init__(self, faces: Faces, claim: Claim) -> None:
         self._truths = tuple(
             Truth(claim.model, wish, f"{claim.entity}/{number}")
             for number, wish in enumerate(claim.model.ground_truths)
         )
         self.outlets = [
             Outlet(
-                network,
-                topic_key(claim.namespace, truth.wish.topic, truth.wish.ros),
-                Odometry,
+                faces,
+                Topic(topic_key(claim.namespace, truth.wish.topic, truth.wish.ros), Odometry),
                 truth.message,
             )
             for truth in self._truths

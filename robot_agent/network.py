@@ -5,6 +5,7 @@ from typing import Protocol
 
 from proto.bus import Sample
 from proto.catalog import Request, Response, Service
+from proto.ros_graph import Session
 
 
 class Publisher(Protocol):
@@ -14,7 +15,7 @@ class Publisher(Protocol):
     def is_matched(self) -> bool:
         """Whether anybody listens."""
 
-    def send(self, payload: bytes) -> None:
+    def send(self, payload: bytes, attachment: bytes = b"") -> None:
         """Put one message."""
 
     def close(self) -> None:
@@ -50,6 +51,9 @@ class Call(Protocol):
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """Answer."""
 
+    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
+        """Answer with one stamped sample of several."""
+
     def drop(self) -> None:
         """Let the caller go without an answer."""
 
@@ -83,6 +87,16 @@ class TokenWatch(Protocol):
 
 class Network(Protocol):
     """One session."""
+
+    @property
+    def zid(self) -> str:
+        """The session's id."""
+
+    def beside(self) -> Session:
+        """Open another session."""
+
+    def close(self) -> None:
+        """End the session."""
 
     def advertise(self, key: str, encoding: str) -> Publisher:
         """Declare a publisher whose payloads have this encoding."""

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import msgspec
 
 from proto.codec import Format, encode, encoding_of
-from robot_agent.network import Network
+from proto.faces import Faces
+from proto.ros_graph import Topic
 
 QUERY_DEPTH = 64
 
@@ -15,48 +16,50 @@ class Outlet:
 
     def __init__(
         self,
-        network: Network,
-        key: str,
-        message_type: type[msgspec.Struct],
+        faces: Faces,
+        topic: Topic,
         value: Callable[[], msgspec.Struct | None],
+        *,
+        is_shared: bool = False,
     ) -> None:
         """Declare the topic.
 
         Args:
-            network: Where.
-            key: What to put on, and to be asked for.
-            message_type: What `value` returns; it travels as CDR.
+            faces: Where.
+            topic: What to put on, and to be asked for.
             value: The last value; None while there is none.
+            is_shared: Whether others tell this topic too, so that who asks has to ask all.
         """
-        self._key = key
-        self._encoding = encoding_of(message_type, Format.CDR)
+        self._key = topic.key
+        self._encoding = encoding_of(topic.kind, Format.CDR)
         self._value = value
-        self._was_matched = False
-        self._publisher = network.advertise(key, self._encoding)
-        self._queries = network.serve(key, QUERY_DEPTH)
+        self._publisher = faces.publisher(topic)
+        self._queries = faces.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
 
     def publish(self) -> None:
         """Put the value if anybody listens."""
-        if self._publisher.is_matched and (value := self._value()) is not None:
-            self._publisher.send(encode(value, Format.CDR))
+        if self._publisher.is_matched and (payload := self._payload()) is not None:
+            self._publisher.send(payload)
 
     def announce(self) -> None:
         """Put the value now, and later each time that somebody begins to listen."""
-        is_matched = self._publisher.is_matched
-        if is_matched and not self._was_matched:
-            self.publish()
-        self._was_matched = is_matched
+        self._publisher.greet(self._payload)
 
     def answer(self) -> None:
         """Tell the value to everybody who has asked."""
         for call in self._queries.take():
-            value = self._value()
-            if value is None:
+            payload = self._payload()
+            if payload is None:
                 call.drop()
             else:
-                call.reply(encode(value, Format.CDR), self._encoding, self._key)
+                call.reply(payload, self._encoding, self._key)
+        self._publisher.answer(self._payload)
 
     def close(self) -> None:
         """Withdraw the topic."""
         self._publisher.close()
         self._queries.close()
+
+    def _payload(self) -> bytes | None:
+        value = self._value()
+        return None if value is None else encode(value, Format.CDR)

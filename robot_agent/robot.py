@@ -1,35 +1,41 @@
 """One claimed robot: what it hears, how it is driven, what it tells."""
 
 from proto.claims import Claim
+from proto.faces import Faces
+from proto.geometry import Twist, TwistStamped
 from robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
 from robot_agent.driven_base import DrivenBase, drive_of
 from robot_agent.ground_truth import TruthTelemetry
-from robot_agent.network import Network
 from robot_agent.outlet import Outlet
 from robot_agent.reading import Reading
 from robot_agent.remapping import command_key
 from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
 
+NODE = "agent"
+"""What a robot's node is called in ROS 2, within the robot's namespace."""
+
 
 class Robot:
     """Turns readings into targets, then into telemetry; without a drive, only the latter."""
 
-    def __init__(self, network: Network, claim: Claim, cmd_vel_timeout_ns: int) -> None:
+    def __init__(self, faces: Faces, claim: Claim, cmd_vel_timeout_ns: int) -> None:
         self.entity = claim.entity
+        self._faces = faces
         self.joint_count = len(claim.model.joints)
         self.target_count = claim.model.target_count
         self.commanded: CommandedTwist | None = None
         """None without a drive: there is nothing to command."""
         self._base = DrivenBase(claim.model)
-        self._motion = MotionTelemetry(network, claim)
-        self._joints = JointTelemetry(network, claim)
-        self._truth = TruthTelemetry(network, claim)
-        self._constant = constant_outlets(network, claim)
+        self._motion = MotionTelemetry(faces, claim)
+        self._joints = JointTelemetry(faces, claim)
+        self._truth = TruthTelemetry(faces, claim)
+        self._constant = constant_outlets(faces, claim)
         self._reading: Reading | None = None
         self._is_motion_new = False
         if claim.model.drive is not None:
             key = command_key(claim.namespace, drive_of(claim.model))
-            self.commanded = CommandedTwist(network.subscribe(key, DEPTH), cmd_vel_timeout_ns)
+            heard = faces.subscription(key, (Twist, TwistStamped), DEPTH)
+            self.commanded = CommandedTwist(heard, cmd_vel_timeout_ns)
 
     def reset(self) -> None:
         """Start again at a reset of the world: stand, forget, let time go back."""
@@ -72,6 +78,7 @@ class Robot:
             outlet.close()
         if self.commanded is not None:
             self.commanded.close()
+        self._faces.close()
 
     def _outlets(self) -> list[Outlet]:
         return [

@@ -1,12 +1,10 @@
 """What a robot tells: odometry, transforms, joint states, its description."""
 
-from functools import partial
-
-import msgspec
-
 from proto import keys
 from proto.claims import Claim
+from proto.faces import Faces
 from proto.header import Header, Time, time_from_ns
+from proto.ros_graph import Topic
 from proto.topics import JointState, Odometry, String, TFMessage
 from robot_agent.driven_base import drive_of, gate_of, motion_rates
 from robot_agent.frames import (
@@ -18,18 +16,18 @@ from robot_agent.frames import (
     odometry_edge,
     published_joints,
 )
-from robot_agent.network import Network
 from robot_agent.odometry import Motion, OdometryFrames, covariance_of
 from robot_agent.outlet import Outlet
 from robot_agent.rate_gate import RateGate
 from robot_agent.reading import Reading
 from robot_agent.remapping import odometry_key, topic_key
+from robot_agent.tf_outlets import tf_outlets, tf_static_outlets
 
 
 class MotionTelemetry:
     """Odometry and tf of one robot, at the rate of its drive."""
 
-    def __init__(self, network: Network, claim: Claim) -> None:
+    def __init__(self, faces: Faces, claim: Claim) -> None:
         model, drive = claim.model, drive_of(claim.model)
         self._reading: Reading | None = None
         self._motion = Motion()
@@ -43,12 +41,13 @@ class MotionTelemetry:
         _, odometry_hz, tf_hz = motion_rates(drive)
         if drive.publish_odom:
             key = odometry_key(claim.namespace, drive)
-            self.outlets.append(Outlet(network, key, Odometry, self._odometry))
+            self.outlets.append(Outlet(faces, Topic(key, Odometry), self._odometry))
             self._gates.append(gate_of(odometry_hz))
         if self._moving or self._has_odom_tf:
             key = topic_key(claim.namespace, keys.TF, drive.ros)
-            self.outlets.append(Outlet(network, key, TFMessage, self._transforms))
-            self._gates.append(gate_of(tf_hz))
+            told = tf_outlets(faces, claim.namespace, key, self._transforms)
+            self.outlets += told
+            self._gates += [gate_of(tf_hz) for _ in told]
 
     def reset(self) -> None:
         """Forget the last motion; time may have gone back."""
@@ -83,7 +82,7 @@ class MotionTelemetry:
 class JointTelemetry:
     """Joint states of one robot, at a rate of their own."""
 
-    def __init__(self, network: Network, claim: Claim) -> None:
+    def __init__(self, faces: Faces, claim: Claim) -> None:
         publisher = claim.model.joint_state or ALL_JOINTS
         self._reading: Reading | None = None
         self._gate = RateGate(publisher.update_rate_hz)
@@ -92,7 +91,7 @@ class JointTelemetry:
         self.outlets: list[Outlet] = []
         if self._joints:
             key = topic_key(claim.namespace, keys.JOINT_STATES, publisher.ros)
-            self.outlets.append(Outlet(network, key, JointState, self._joint_states))
+            self.outlets.append(Outlet(faces, Topic(key, JointState), self._joint_states))
 
     def reset(self) -> None:
         """Forget the last reading; time may have gone back."""
@@ -118,21 +117,16 @@ class JointTelemetry:
         )
 
 
-def constant_outlets(network: Network, claim: Claim) -> list[Outlet]:
+def constant_outlets(faces: Faces, claim: Claim) -> list[Outlet]:
     """Declare what never changes: fixed transforms, and the description."""
     # Stamped 0: it holds from the beginning of time.
     edges = fixed_edges(claim.model, base_of(claim.model))
     fixed = TFMessage(tuple(edge.stamped(Time()) for edge in edges))
-    messages: dict[str, msgspec.Struct] = {}
+    outlets: list[Outlet] = []
     if fixed.transforms:
-        messages[keys.TF_STATIC] = fixed
+        outlets += tf_static_outlets(faces, claim.namespace, lambda: fixed)
     if claim.robot_description:
-        messages[keys.ROBOT_DESCRIPTION] = String(claim.robot_description)
-    return [
-        Outlet(network, keys.robot(claim.namespace, topic), type(message), partial(_same, message))
-        for topic, message in messages.items()
-    ]
-
-
-def _same(message: msgspec.Struct) -> msgspec.Struct:
-    return message
+        key = keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION)
+        topic, description = Topic(key, String, is_latched=True), String(claim.robot_description)
+        outlets.append(Outlet(faces, topic, lambda: description))
+    return outlets

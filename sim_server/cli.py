@@ -13,7 +13,7 @@ import typer
 from proto.bus import Bus
 from proto.exits import one_line_failures
 from proto.option_fields import takes
-from proto.ros2.keys import read_domain
+from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
@@ -66,16 +66,22 @@ Locked = Annotated[
 LockstepTimeout = Annotated[
     float, typer.Option(help="Seconds that an agent has for its command, at requested steps too.")
 ]
-RosDomain = Annotated[
-    str,
-    typer.Option(help="ROS 2 domain that sees the world, or off.", envvar="ROS_DOMAIN_ID"),
-]
-RosBridge = Annotated[
-    bool, typer.Option("--ros-bridge", help="Let zenoh-bridge-ros2dds find the world too.")
-]
 OnMissWord = Annotated[
     str,
     typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
+]
+RosDomain = Annotated[
+    str,
+    typer.Option(
+        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
+        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
+    ),
+]
+RosDistro = Annotated[
+    str, typer.Option(help="ROS 2 distribution to talk to; only humble is unlike the others.")
+]
+RosBridge = Annotated[
+    bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
 ]
 Clusters = Annotated[
     str,
@@ -111,18 +117,6 @@ def on_miss_of(word: str) -> OnMiss:
     raise typer.BadParameter(f"--on-miss {word!r} is unknown; use {', '.join(get_args(OnMiss))}")
 
 
-def ros_domain_of(word: str) -> int | None:
-    """Read a ROS domain.
-
-    Raises:
-        BadParameter: There is no such domain.
-    """
-    try:
-        return read_domain(word)
-    except ValueError as error:
-        raise typer.BadParameter(f"--ros-domain: {error}") from error
-
-
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions:
     """What a server is told."""
@@ -143,6 +137,7 @@ class ServeOptions:
     lockstep_timeout: LockstepTimeout = TIMEOUT_S
     on_miss: OnMissWord = "hold"
     ros_domain: RosDomain = "0"
+    ros_distro: RosDistro = "jazzy"
     ros_bridge: RosBridge = False
     clusters: Clusters = "auto"
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
@@ -174,8 +169,7 @@ def _config(given: ServeOptions) -> ServerConfig:
         wait_s=given.wait,
         journal=str(given.journal or ""),
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
-        ros_domain=ros_domain_of(given.ros_domain),
-        is_bridged=given.ros_bridge,
+        ros=ros_settings(given.ros_domain, given.ros_distro, is_bridged=given.ros_bridge),
         physics=EngineChoice(clusters=clustering_of(given.clusters)),
     )
 

@@ -6,6 +6,7 @@ from proto.bus import BusConfig
 from proto.endpoint import DEFAULT_ENDPOINT
 from proto.header import NANOSECONDS
 from proto.names import check_name
+from proto.ros2.settings import NO_ROS, RosSettings
 from sim_server.pacing.lockstep import LockstepSettings
 from sim_server.physics.choice import EngineChoice
 
@@ -48,12 +49,9 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """What was asked for, before a world filled in the rest."""
     journal: str = ""
     """Folder that keeps the world for the next start; empty = it is lost."""
-    ros_domain: int | None = 0
-    """Which ROS 2 domain sees the world; None = none does."""
-    is_bridged: bool = False
-    """Whether zenoh-bridge-ros2dds is to find the world too."""
     wait_s: float = 30.0
     """How long to wait for the router to join."""
+    ros: RosSettings = NO_ROS
 
     @property
     def step_ns(self) -> int:

@@ -41,6 +41,7 @@ class MemoryBus:
     def __init__(self) -> None:
         self.pumps: list[Callable[[], object]] = []
         self.is_closed = False
+        self.besides: list[MemoryBus] = []
         self._subscriptions: list[MemorySubscription] = []
         self._queues: list[MemoryCallQueue] = []
         self._tokens: list[MemoryToken] = []
@@ -56,7 +57,8 @@ class MemoryBus:
         return "ab12"
 
     def beside(self) -> "MemoryBus":
-        return self
+        self.besides.append(MemoryBus())
+        return self.besides[-1]
 
     def advertise(self, key: str, encoding: str) -> "MemoryPublisher":
         return MemoryPublisher(self, key, encoding)

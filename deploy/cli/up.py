@@ -6,6 +6,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -30,6 +31,8 @@ from deploy.local import Program, ProgramDied, Supervisor
 from proto.endpoint import DEFAULT_ENDPOINT, with_free_port
 from proto.exits import one_line_failures
 from proto.names import check_name
+from proto.option_fields import takes
+from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
 from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
 
@@ -99,48 +102,82 @@ TfHz = Annotated[
     typer.Option("--tf-hz", min=0.0, help="tf of each robot.", show_default="with odometry"),
 ]
 
+RosDomain = Annotated[
+    str,
+    typer.Option(
+        "--ros-domain",
+        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
+        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
+    ),
+]
+RosDistro = Annotated[
+    str,
+    typer.Option(
+        "--ros-distro", help="ROS 2 distribution to talk to; only humble is unlike others."
+    ),
+]
+TfScope = Annotated[
+    str, typer.Option("--tf", help="Transforms on /tf (global), on /NS/tf (namespaced), or both.")
+]
+RosBridge = Annotated[
+    bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
+]
+
+
+@dataclass(frozen=True, kw_only=True)
+class UpOptions:
+    """What is run."""
+
+    robots: Robots = 10
+    model: Model = "box_bot"
+    layout: LayoutName = "row"
+    spacing: Spacing = 1.0
+    world: WorldFile = "empty"
+    world_name: WorldName = "default"
+    listen: Listen = DEFAULT_ENDPOINT
+    rtf: Factor = None
+    model_path: ModelPath = None
+    strict: Strict = False
+    lockstep: Locked = False
+    agents: Agents = ""
+    odom_hz: OdomHz = None
+    tf_hz: TfHz = None
+    ros_domain: RosDomain = "0"
+    ros_distro: RosDistro = "jazzy"
+    tf: TfScope = "both"
+    ros_bridge: RosBridge = False
+    viewer: HasViewer = True
+    viewer_port: ViewerPort = 8080
+    open_page: OpenPage = None
+    duration: Duration = 0.0
+    as_json: AsJson = False
+
 
 @app.command()
-def up(
-    *,
-    robots: Robots = 10,
-    model: Model = "box_bot",
-    layout: LayoutName = "row",
-    spacing: Spacing = 1.0,
-    world: WorldFile = "empty",
-    world_name: WorldName = "default",
-    listen: Listen = DEFAULT_ENDPOINT,
-    rtf: Factor = None,
-    model_path: ModelPath = None,
-    strict: Strict = False,
-    lockstep: Locked = False,
-    agents: Agents = "",
-    odom_hz: OdomHz = None,
-    tf_hz: TfHz = None,
-    viewer: HasViewer = True,
-    viewer_port: ViewerPort = 8080,
-    open_page: OpenPage = None,
-    duration: Duration = 0.0,
-    as_json: AsJson = False,
-) -> None:
+@takes(UpOptions)
+def up(given: UpOptions) -> None:
     """Run a world, its robots, their agents and the page, all on this machine."""
     began_s = time.monotonic()
     with one_line_failures("up", DemoFailed, ProgramDied):
-        config = DemoConfig(
-            places=_places(model, robots, layout, spacing),
-            model=model,
-            world=world,
-            world_name=check_name(world_name, "world name"),
-            endpoint=with_free_port(listen),
-            real_time_factor=rtf,
-            model_paths=tuple(map(str, model_path or ())),
-            is_strict=strict,
-            is_lockstep=lockstep,
-            agents=_agents(agents, robots, odom_hz, tf_hz),
-            has_viewer=viewer,
-            viewer_port=viewer_port,
-        )
-        _run(config, began_s, duration, open_page, as_json=as_json)
+        _run(_config(given), began_s, given.duration, given.open_page, as_json=given.as_json)
+
+
+def _config(given: UpOptions) -> DemoConfig:
+    return DemoConfig(
+        places=_places(given.model, given.robots, given.layout, given.spacing),
+        model=given.model,
+        world=given.world,
+        world_name=check_name(given.world_name, "world name"),
+        endpoint=with_free_port(given.listen),
+        real_time_factor=given.rtf,
+        model_paths=tuple(map(str, given.model_path or ())),
+        is_strict=given.strict,
+        is_lockstep=given.lockstep,
+        ros=ros_settings(given.ros_domain, given.ros_distro, given.tf, is_bridged=given.ros_bridge),
+        agents=_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
+        has_viewer=given.viewer,
+        viewer_port=given.viewer_port,
+    )
 
 
 def _run(

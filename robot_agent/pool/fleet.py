@@ -9,6 +9,8 @@ import numpy as np
 
 from proto import keys
 from proto.claims import Claim, DriveCommand, DriveState
+from proto.faces import faces_of
+from proto.ros_graph import RosGraph
 from robot_agent.network import Network
 from robot_agent.pool.commands import FleetCommands
 from robot_agent.pool.constants import Constants
@@ -18,7 +20,7 @@ from robot_agent.pool.rows import NEW, FloatArray
 from robot_agent.pool.seating import Seating, claims_in
 from robot_agent.pool.squad import Member, PoolState, Squad
 from robot_agent.reading import Reading
-from robot_agent.robot import Robot
+from robot_agent.robot import NODE, Robot
 
 LOG = logging.getLogger("zensim.agent")
 CONSTANT = frozenset({keys.TF_STATIC, keys.ROBOT_DESCRIPTION})
@@ -37,16 +39,18 @@ class _Loner:
 class PoolFleet:
     """Robots by claim, in squads of one kind; those that no squad can drive, one by one."""
 
-    def __init__(self, network: Network, timeout_ns: int) -> None:
+    def __init__(self, network: Network, timeout_ns: int, graph: RosGraph | None = None) -> None:
         """Hold nobody yet.
 
         Args:
             network: Where robots hear and tell.
             timeout_ns: Simulation time that a command holds; 0 = for ever.
+            graph: Where robots are nodes of ROS 2.
         """
         self.newest_claim = 0
         """The newest claim that is held; 0 without any."""
         self._network = network
+        self._graph = graph
         self._timeout_ns = timeout_ns
         self._members: dict[int, Member] = {}
         self._robots: dict[int, Robot] = {}
@@ -68,7 +72,8 @@ class PoolFleet:
                 member.constants = self._constants.add(claim)
                 self._members[claim.claim] = member
             else:
-                robot = Robot(self._network, claim, self._timeout_ns)
+                faces = faces_of(self._network, self._graph, claim.namespace, NODE)
+                robot = Robot(faces, claim, self._timeout_ns)
                 robot.announce()
                 self._robots[claim.claim] = robot
         self._claims = None

@@ -8,9 +8,19 @@ from proto import keys
 from proto.bus import Bus, Publisher
 from proto.claims import DriveState
 from proto.codec import Format, encode, encoding_of
+from proto.faces import Faces
 from proto.gazebo import LinkStates, ModelStates
+from proto.ros_graph import Topic
 from proto.stepping import StepsProgress
 from proto.telemetry import Event, Snapshot, Stats, WorldClock
+from proto.topics import Clock
+
+FACED: dict[str, type[msgspec.Struct]] = {
+    "clock": Clock,
+    "model_states": ModelStates,
+    "link_states": LinkStates,
+}
+"""Topics of the world that ROS 2 has too, at its root."""
 
 
 class Outlet(Protocol):
@@ -30,9 +40,9 @@ class Outlet(Protocol):
 
 
 class BusOutlet:
-    """The outlet on a bus; MessagePack."""
+    """The outlet on a bus: MessagePack on the world's keys, CDR where ROS 2 looks for it."""
 
-    def __init__(self, bus: Bus, world: str) -> None:
+    def __init__(self, bus: Bus, world: str, faces: Faces | None = None) -> None:
         topics: dict[str, tuple[str, type[msgspec.Struct]]] = {
             "clock": (keys.clock(world), WorldClock),
             "stats": (keys.stats(world), Stats),
@@ -48,15 +58,23 @@ class BusOutlet:
             topic: bus.advertise(key, encoding_of(kind, Format.MSGPACK))
             for topic, (key, kind) in topics.items()
         }
+        self._faced = {
+            topic: faces.publisher(Topic(topic, kind)) for topic, kind in FACED.items() if faces
+        }
         self._agents: dict[str, Publisher] = {}
 
     def is_wanted(self, topic: str) -> bool:
         """See `Outlet`."""
-        return self._topics[topic].is_matched
+        faced = self._faced.get(topic)
+        return self._topics[topic].is_matched or (faced is not None and faced.is_matched)
 
     def tell(self, topic: str, message: msgspec.Struct) -> None:
         """See `Outlet`."""
-        self._topics[topic].send(encode(message, Format.MSGPACK))
+        faced = self._faced.get(topic)
+        if faced is not None and faced.is_matched:
+            faced.send(encode(message, Format.CDR))
+        if faced is None or self._topics[topic].is_matched:
+            self._topics[topic].send(encode(message, Format.MSGPACK))
 
     def tell_agent(self, agent: str, state: DriveState) -> None:
         """See `Outlet`."""

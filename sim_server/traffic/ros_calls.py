@@ -14,7 +14,9 @@ import msgspec
 from proto import bus as network
 from proto.codec import MalformedPayload
 from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.ros_services import CDR, RosService, by_bridge_key, by_key, served_keys
+from proto.ros2.keys import NO_HASH
+from proto.ros_graph import RosNode
+from proto.ros_services import CDR, ROS_SERVICES, RosService, by_bridge_key, by_key, served_keys
 from sim_server.traffic.calls import Call
 
 LOG = logging.getLogger(__name__)
@@ -92,6 +94,17 @@ def bridge_calls(bus: network.Bus) -> RosCalls:
     """Serve what zenoh-bridge-ros2dds asks for."""
     forms = by_bridge_key()
     return RosCalls(tuple(bus.serve(key) for key in forms), forms)
+
+
+def announce_services(node: RosNode) -> None:
+    """Say that a node offers every service, in each form that its distribution has."""
+    has_hashes = node.graph.settings.has_hashes
+    for form in ROS_SERVICES:
+        if has_hashes or form.is_of_humble:
+            type_hash = form.type_hash if has_hashes else NO_HASH
+            node.join(
+                "SS", form.name, form.ros_type, type_hash=type_hash, bridge_key=form.bridge_key
+            )
 
 
 def _id_of(attachment: Attachment) -> bytes:

@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from deploy.demo import AgentsConfig, DemoConfig, agent_arguments, pools_for, serve_arguments
+from proto.ros2.settings import RosSettings
 from spawner.placement import Place
 
 PLAIN = DemoConfig(
@@ -16,26 +17,27 @@ PLAIN = DemoConfig(
     viewer_port=0,
 )
 JOINING = ("serve", "--listen", "tcp/127.0.0.1:1", "--world", "w.world", "--world-name", "default")
+ROS = ("--ros-domain", "0")
 
 
 def test_pace_is_left_to_the_world_unless_asked_for() -> None:
     hasty = msgspec.structs.replace(PLAIN, real_time_factor=0.0)
 
-    assert serve_arguments(PLAIN) == JOINING
-    assert serve_arguments(hasty) == (*JOINING, "--rtf", "0.0")
+    assert serve_arguments(PLAIN) == (*JOINING, *ROS)
+    assert serve_arguments(hasty) == (*JOINING, "--rtf", "0.0", *ROS)
 
 
 def test_server_waits_for_agents_when_told_to() -> None:
     locked = msgspec.structs.replace(PLAIN, is_lockstep=True)
 
-    assert serve_arguments(locked) == (*JOINING, "--lockstep")
+    assert serve_arguments(locked) == (*JOINING, "--lockstep", *ROS)
 
 
 def test_server_looks_where_it_is_told_to() -> None:
     config = msgspec.structs.replace(PLAIN, model_paths=("a", "b c"), is_strict=True)
 
     paths = ("--model-path", "a", "--model-path", "b c", "--strict")
-    assert serve_arguments(config) == (*JOINING, *paths)
+    assert serve_arguments(config) == (*JOINING, *paths, *ROS)
 
 
 def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
@@ -52,7 +54,8 @@ def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
         ("agent", "--pool", "0"),
     ]
     for line in agent_arguments(pooled).values():
-        assert line[-4:] == ("--odom-hz", "50.0", "--tf-hz", "10.0")
+        assert line[-8:-4] == ("--odom-hz", "50.0", "--tf-hz", "10.0")
+        assert line[-4:] == (*ROS, "--tf", "both")
 
 
 @pytest.mark.parametrize(
@@ -62,3 +65,14 @@ def test_pools_are_as_many_as_robots_need_and_cores_allow(
     robots: int, cores: int, pools: int
 ) -> None:
     assert pools_for(robots, cores) == pools
+
+
+def test_server_shows_itself_to_ros_as_it_is_told() -> None:
+    hidden = msgspec.structs.replace(PLAIN, ros=RosSettings(domain=None))
+    bridged = RosSettings(domain=7, has_hashes=False, tf="global", is_bridged=True)
+
+    assert serve_arguments(hidden) == (*JOINING, "--ros-domain", "off")
+    assert serve_arguments(msgspec.structs.replace(PLAIN, ros=bridged)) == (
+        *JOINING,
+        *("--ros-domain", "7", "--ros-distro", "humble", "--ros-bridge"),
+    )

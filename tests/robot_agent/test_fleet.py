@@ -6,6 +6,7 @@ import pytest
 
 from proto.claims import DriveCommand
 from proto.codec import MalformedPayload
+from proto.faces import Faces
 from proto.geometry import Twist, Vector3
 from robot_agent.fleet import Fleet
 from robot_agent.robot import Robot
@@ -16,7 +17,7 @@ from tests.robot_agent.models import a_claim, a_state, two_wheeler
 def a_fleet(bus: MemoryBus, *claims: int) -> Fleet:
     fleet = Fleet(bus, 0)
     for claim in claims:
-        fleet.hold(claim, Robot(bus, a_claim(claim, f"r{claim}"), 0))
+        fleet.hold(claim, Robot(Faces(bus), a_claim(claim, f"r{claim}"), 0))
     return fleet
 
 
@@ -64,7 +65,7 @@ def test_fleet_answers_for_a_robot_that_joined() -> None:
     fleet = a_fleet(bus, 1)
     fleet.advance(a_state(1, (1,)))
 
-    fleet.hold(2, Robot(bus, a_claim(2, "r2"), 0))
+    fleet.hold(2, Robot(Faces(bus), a_claim(2, "r2"), 0))
 
     assert fleet.lose_all_but(a_state(2, (1, 2)).claims) == ()
     assert len(targets_of(fleet.advance(a_state(2, (1, 2))))) == 4
@@ -73,7 +74,7 @@ def test_fleet_answers_for_a_robot_that_joined() -> None:
 def test_fleet_answers_nothing_for_a_robot_without_a_drive() -> None:
     bus = MemoryBus()
     fleet = Fleet(bus, 0)
-    fleet.hold(1, Robot(bus, a_claim(model=two_wheeler(None)), 0))
+    fleet.hold(1, Robot(Faces(bus), a_claim(model=two_wheeler(None)), 0))
 
     assert fleet.advance(a_state(1)).targets == b""
 

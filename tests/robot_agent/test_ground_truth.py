@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from proto.codec import decode
+from proto.faces import Faces
 from proto.model import GroundTruth, Origin, RosBlock
 from proto.rotation import from_rpy
 from proto.topics import Odometry
@@ -29,7 +30,7 @@ def reading(time_ms: int = 0, velocities: tuple[float, ...] = (0.0, 0.0)) -> Rea
 
 def telling(bus: MemoryBus, *truths: GroundTruth) -> TruthTelemetry:
     model = msgspec.structs.replace(two_wheeler(), ground_truths=truths)
-    return TruthTelemetry(bus, a_claim(model=model))
+    return TruthTelemetry(Faces(bus), a_claim(model=model))
 
 
 def messages(listener: MemorySubscription) -> list[Odometry]:
@@ -134,7 +135,7 @@ def test_velocity_has_the_noise_that_is_asked_for_the_same_on_every_run() -> Non
 def test_robot_tells_and_answers_its_ground_truth_until_it_is_closed() -> None:
     bus = MemoryBus()
     model = msgspec.structs.replace(two_wheeler(DRIVE), ground_truths=(TRUTH,))
-    robot = Robot(bus, a_claim(model=model), 500 * MS)
+    robot = Robot(Faces(bus), a_claim(model=model), 500 * MS)
     listener = bus.subscribe("r1/truth")
     robot.advance(reading())
 

@@ -1,6 +1,8 @@
 """When a topic is put, and what it answers."""
 
 from proto.codec import decode
+from proto.faces import Faces
+from proto.ros_graph import Topic
 from proto.topics import String
 from robot_agent.outlet import Outlet
 from tests.fakes import MemoryBus
@@ -24,7 +26,7 @@ class Value:
 def test_outlet_puts_its_value_when_somebody_listens() -> None:
     bus = MemoryBus()
     listener = bus.subscribe(KEY)
-    outlet = Outlet(bus, KEY, String, Value(String("hello")))
+    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(String("hello")))
 
     outlet.publish()
 
@@ -36,7 +38,7 @@ def test_outlet_puts_its_value_when_somebody_listens() -> None:
 def test_outlet_makes_no_value_when_nobody_listens() -> None:
     value = Value(String("hello"))
 
-    Outlet(MemoryBus(), KEY, String, value).publish()
+    Outlet(Faces(MemoryBus()), Topic(KEY, String), value).publish()
 
     assert value.made == 0
 
@@ -45,14 +47,14 @@ def test_outlet_puts_nothing_when_there_is_no_value_yet() -> None:
     bus = MemoryBus()
     listener = bus.subscribe(KEY)
 
-    Outlet(bus, KEY, String, Value(None)).publish()
+    Outlet(Faces(bus), Topic(KEY, String), Value(None)).publish()
 
     assert listener.take() == []
 
 
 def test_outlet_announces_once_to_each_first_listener() -> None:
     bus = MemoryBus()
-    outlet = Outlet(bus, KEY, String, Value(String("hello")))
+    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(String("hello")))
     outlet.announce()
 
     listener = bus.subscribe(KEY, 8)
@@ -69,7 +71,7 @@ def test_outlet_announces_once_to_each_first_listener() -> None:
 
 def test_outlet_answers_a_get_with_its_value() -> None:
     bus = MemoryBus()
-    outlet = Outlet(bus, KEY, String, Value(String("hello")))
+    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(String("hello")))
     bus.pumps.append(outlet.answer)
 
     (sample,) = bus.get("r1/*")
@@ -80,7 +82,7 @@ def test_outlet_answers_a_get_with_its_value() -> None:
 
 def test_outlet_lets_an_asker_go_when_there_is_no_value_yet() -> None:
     bus = MemoryBus()
-    outlet = Outlet(bus, KEY, String, Value(None))
+    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(None))
     bus.pumps.append(outlet.answer)
 
     assert bus.get(KEY) == []
@@ -89,6 +91,6 @@ def test_outlet_lets_an_asker_go_when_there_is_no_value_yet() -> None:
 def test_outlet_answers_nobody_when_it_is_closed() -> None:
     bus = MemoryBus()
 
-    Outlet(bus, KEY, String, Value(String("hello"))).close()
+    Outlet(Faces(bus), Topic(KEY, String), Value(String("hello"))).close()
 
     assert not bus.is_served(KEY)

@@ -3,6 +3,7 @@
 import pytest
 
 from proto.claims import Claim
+from proto.faces import Faces
 from robot_agent.driven_base import motion_rates
 from robot_agent.rates import Rates, with_rates
 from robot_agent.reading import Reading
@@ -34,7 +35,7 @@ def test_robot_tells_odometry_and_tf_at_the_rates_it_is_given(
 ) -> None:
     bus = MemoryBus()
     heard = {topic: bus.subscribe(f"r1/{topic}", 1000) for topic in ("odom", "tf")}
-    robot = Robot(bus, paced(a_claim(), rates), 0)
+    robot = Robot(Faces(bus), paced(a_claim(), rates), 0)
 
     for step in range(100):
         robot.advance(Reading(step * PERIOD_NS, AT_REST, (0.0, 0.0), (0.0, 0.0)))

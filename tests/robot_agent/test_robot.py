@@ -3,6 +3,7 @@
 import msgspec
 import pytest
 
+from proto.faces import Faces
 from proto.geometry import Twist, Vector3
 from proto.model import Model, RosBlock
 from robot_agent.reading import Reading
@@ -20,7 +21,7 @@ def reading(time_ms: int) -> Reading:
 
 
 def a_robot(bus: MemoryBus, model: Model | None = None) -> Robot:
-    return Robot(bus, a_claim(model=model), TIMEOUT_NS)
+    return Robot(Faces(bus), a_claim(model=model), TIMEOUT_NS)
 
 
 def test_robot_drives_by_what_it_hears() -> None:

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from proto.codec import decode
+from proto.faces import Faces
 from proto.header import Header, Time
 from proto.model import JointStatePublisher, Model, RosBlock
 from proto.topics import JointState, Odometry, String, TFMessage
@@ -26,8 +27,8 @@ def reading(time_ns: int = 5 * SECOND) -> Reading:
 
 def heard(bus: MemoryBus, key: str, kind: type[Message], model: Model | None = None) -> Message:
     listener = bus.subscribe(key)
-    MotionTelemetry(bus, a_claim(model=model)).tell(reading(), MOTION)
-    JointTelemetry(bus, a_claim(model=model)).tell(reading())
+    MotionTelemetry(Faces(bus), a_claim(model=model)).tell(reading(), MOTION)
+    JointTelemetry(Faces(bus), a_claim(model=model)).tell(reading())
     (sample,) = listener.take()
     return decode(kind, sample.payload, sample.encoding)
 
@@ -64,7 +65,7 @@ def test_odometry_is_not_offered_when_the_drive_does_not_publish_it() -> None:
     bus = MemoryBus()
     quiet = msgspec.structs.replace(DRIVE, publish_odom=False)
 
-    MotionTelemetry(bus, a_claim(model=two_wheeler(quiet)))
+    MotionTelemetry(Faces(bus), a_claim(model=two_wheeler(quiet)))
 
     assert not bus.is_served("r1/odom")
 
@@ -72,7 +73,7 @@ def test_odometry_is_not_offered_when_the_drive_does_not_publish_it() -> None:
 def test_tf_is_not_offered_when_nothing_moves() -> None:
     bus = MemoryBus()
 
-    MotionTelemetry(bus, a_claim(model=two_wheeler(None, joints=())))
+    MotionTelemetry(Faces(bus), a_claim(model=two_wheeler(None, joints=())))
 
     assert not bus.is_served("r1/*")
 
@@ -97,7 +98,7 @@ def test_joint_states_are_not_offered_when_there_are_none() -> None:
     bus = MemoryBus()
 
     telemetry = JointTelemetry(
-        bus, a_claim(model=two_wheeler(joint_state=JointStatePublisher(("missing",))))
+        Faces(bus), a_claim(model=two_wheeler(joint_state=JointStatePublisher(("missing",))))
     )
     telemetry.tell(reading())
 
@@ -110,7 +111,7 @@ def test_joint_states_come_at_their_own_rate(rate_hz: float | None, count: int) 
     listener = bus.subscribe("r1/joint_states", 100)
     names = ("left_joint",)
     publisher = None if rate_hz is None else JointStatePublisher(names, rate_hz)
-    telemetry = JointTelemetry(bus, a_claim(model=two_wheeler(joint_state=publisher)))
+    telemetry = JointTelemetry(Faces(bus), a_claim(model=two_wheeler(joint_state=publisher)))
 
     for i in range(80):
         telemetry.tell(reading(i * SECOND // 80))
@@ -124,7 +125,7 @@ def test_topics_follow_remappings() -> None:
     publisher = JointStatePublisher(("left_joint",), ros=RosBlock("", ("joint_states:=js",)))
     claim = a_claim(model=two_wheeler(drive, joint_state=publisher))
 
-    outlets = [MotionTelemetry(bus, claim), JointTelemetry(bus, claim)]
+    outlets = [MotionTelemetry(Faces(bus), claim), JointTelemetry(Faces(bus), claim)]
 
     assert outlets
     assert all(bus.is_served(key) for key in ("r1/ground_truth", "all/tf", "r1/js"))
@@ -133,7 +134,7 @@ def test_topics_follow_remappings() -> None:
 
 def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None:
     bus = MemoryBus()
-    motion, joints = MotionTelemetry(bus, a_claim()), JointTelemetry(bus, a_claim())
+    motion, joints = MotionTelemetry(Faces(bus), a_claim()), JointTelemetry(Faces(bus), a_claim())
     bus.pumps += [outlet.answer for outlet in (*motion.outlets, *joints.outlets)]
     assert bus.get("r1/*") == []
 
@@ -153,7 +154,7 @@ def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None
 def test_joint_states_come_at_once_after_a_reset() -> None:
     bus = MemoryBus()
     listener = bus.subscribe("r1/joint_states", 8)
-    telemetry = JointTelemetry(bus, a_claim())
+    telemetry = JointTelemetry(Faces(bus), a_claim())
     telemetry.tell(reading(5 * SECOND))
 
     telemetry.reset()
@@ -164,7 +165,7 @@ def test_joint_states_come_at_once_after_a_reset() -> None:
 
 def test_constants_are_the_fixed_frames_and_the_description() -> None:
     bus = MemoryBus()
-    bus.pumps += [outlet.answer for outlet in constant_outlets(bus, a_claim())]
+    bus.pumps += [outlet.answer for outlet in constant_outlets(Faces(bus), a_claim())]
 
     (fixed,) = bus.get("r1/tf_static")
     (description,) = bus.get("r1/robot_description")
@@ -180,4 +181,4 @@ def test_constants_are_not_offered_when_there_are_none() -> None:
     model = two_wheeler(None, joints=WHEELS, frames=())
     claim = msgspec.structs.replace(a_claim(model=model), robot_description="")
 
-    assert constant_outlets(bus, claim) == []
+    assert constant_outlets(Faces(bus), claim) == []

@@ -2,6 +2,7 @@
 
 import pytest
 
+from proto.faces import Faces
 from robot_agent.fleet import Fleet
 from robot_agent.robot import Robot
 from robot_agent.upkeep import Upkeep
@@ -11,8 +12,8 @@ from tests.robot_agent.models import a_claim, a_state, two_wheeler
 
 def a_fleet(bus: MemoryBus) -> Fleet:
     fleet = Fleet(bus, 0)
-    fleet.hold(1, Robot(bus, a_claim(1, "r1"), 0))
-    fleet.hold(2, Robot(bus, a_claim(2, "r2", two_wheeler(None)), 0))
+    fleet.hold(1, Robot(Faces(bus), a_claim(1, "r1"), 0))
+    fleet.hold(2, Robot(Faces(bus), a_claim(2, "r2", two_wheeler(None)), 0))
     return fleet
 
 

@@ -1,0 +1,269 @@
+"""Topics with every face they have: plain Zenoh's bare key, and ROS 2's key when there is a node.
+
+Nothing is encoded for a face that nobody looks at, and nothing is put on it.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Final, Protocol, TypeAlias
+
+import msgspec
+
+from proto.channels import Sample
+from proto.codec import Format, encoding_of
+from proto.ros2.attachment import Attachment, write_attachment
+from proto.ros2.keys import ANY_HASH, data_key, parse_data_key
+from proto.ros2.settings import NO_ROS, RosSettings
+from proto.ros2.tokens import Endpoint
+from proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
+
+CACHE_DEPTH: Final = 64
+CACHE: Final = "@adv/pub"
+"""Where subscribers of transient_local topics ask for what was before them."""
+Payload: TypeAlias = Callable[[], bytes | None]
+"""Makes the value of now; None while there is none."""
+
+
+class Publisher(Protocol):
+    """One key to put on."""
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens."""
+
+    def send(self, payload: bytes, attachment: bytes = b"") -> None:
+        """Put one message."""
+
+    def close(self) -> None:
+        """Withdraw the publisher."""
+
+
+class Subscription(Protocol):
+    """Messages on a key expression."""
+
+    def take(self) -> list[Sample]:
+        """Take all that have come, oldest first."""
+
+    def close(self) -> None:
+        """Stop listening."""
+
+
+class Call(Protocol):
+    """A request that waits for its answer."""
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        """Answer."""
+
+    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
+        """Answer with one stamped sample of several."""
+
+    def drop(self) -> None:
+        """Let the caller go."""
+
+
+class CallQueue(Protocol):
+    """Requests on a key expression."""
+
+    def take(self) -> Sequence[Call]:
+        """Take all that have come, oldest first."""
+
+    def close(self) -> None:
+        """Stop serving."""
+
+
+class Network(Protocol):
+    """Where faces are."""
+
+    def advertise(self, key: str, encoding: str) -> Publisher:
+        """Declare a publisher."""
+
+    def subscribe(self, key: str, depth: int = 1) -> Subscription:
+        """Listen to a key expression."""
+
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> CallQueue:
+        """Answer requests on a key expression, alone unless it is said that others do too."""
+
+
+class Face:
+    """One form of a topic: a publisher, and what ROS 2 attaches to its messages."""
+
+    def __init__(self, publisher: Publisher, endpoint: Endpoint | None = None) -> None:
+        self._publisher = publisher
+        self._gid = gid_of_endpoint(endpoint) if endpoint else b""
+        self._was_matched = False
+        self._sent = 0
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens."""
+        return self._publisher.is_matched
+
+    def send(self, payload: bytes) -> None:
+        """Put one message."""
+        self._sent += 1
+        self._publisher.send(payload, self.attachment())
+
+    def attachment(self) -> bytes:
+        """Write what goes with the last message, or will with the first."""
+        if not self._gid:
+            return b""
+        number = max(self._sent, 1)
+        return write_attachment(Attachment(number, time.time_ns(), self._gid))
+
+    def greet(self, payload: Payload) -> None:
+        """Put the value if somebody has begun to listen since the last time."""
+        is_matched = self._publisher.is_matched
+        if is_matched and not self._was_matched and (value := payload()) is not None:
+            self.send(value)
+        self._was_matched = is_matched
+
+    def close(self) -> None:
+        """Withdraw the publisher."""
+        self._publisher.close()
+
+
+class Cache:
+    """Tells the last value on ROS 2's face to those who come late."""
+
+    def __init__(self, queue: CallQueue, face: Face, key: str, encoding: str) -> None:
+        self._queue = queue
+        self._face = face
+        self._key = key
+        self._encoding = encoding
+
+    def answer(self, payload: Payload) -> None:
+        """Tell everybody who has asked."""
+        for call in self._queue.take():
+            if (value := payload()) is not None:
+                call.add_reply(self._key, value, self._encoding, self._face.attachment())
+            call.drop()
+
+    def close(self) -> None:
+        """Stop telling."""
+        self._queue.close()
+
+
+class TopicPublisher:
+    """One topic, on all its faces."""
+
+    def __init__(self, faces: Sequence[Face], caches: Sequence[Cache]) -> None:
+        self._faces = tuple(faces)
+        self._caches = tuple(caches)
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens to any face."""
+        return any(face.is_matched for face in self._faces)
+
+    def send(self, payload: bytes) -> None:
+        """Put one message where somebody listens."""
+        for face in self._faces:
+            if face.is_matched:
+                face.send(payload)
+
+    def greet(self, payload: Payload) -> None:
+        """Put the value on faces that somebody has begun to listen to."""
+        for face in self._faces:
+            face.greet(payload)
+
+    def answer(self, payload: Payload) -> None:
+        """Tell the value to those who come late; only latched topics have any."""
+        for cache in self._caches:
+            cache.answer(payload)
+
+    def close(self) -> None:
+        """Withdraw the topic."""
+        for face in self._faces:
+            face.close()
+        for cache in self._caches:
+            cache.close()
+
+
+class TopicSubscription:
+    """Messages of one topic, whichever face they come by."""
+
+    def __init__(self, plain: Subscription, ros: Sequence[Subscription]) -> None:
+        self._plain = plain
+        self._ros = tuple(ros)
+
+    def take(self) -> list[Sample]:
+        """Take all that have come, oldest first on each face."""
+        taken = self._plain.take()
+        for subscription in self._ros:
+            taken += [_as_plain(sample) for sample in subscription.take()]
+        return taken
+
+    def newest(self) -> Sample | None:
+        """Take all and keep the last."""
+        taken = self.take()
+        return taken[-1] if taken else None
+
+    def close(self) -> None:
+        """Stop listening."""
+        for subscription in (self._plain, *self._ros):
+            subscription.close()
+
+
+class Faces:
+    """Declares topics for one node of ROS 2, or for nobody there."""
+
+    def __init__(
+        self, network: Network, node: RosNode | None = None, settings: RosSettings = NO_ROS
+    ) -> None:
+        self.settings = settings
+        self._network = network
+        self._node = node
+
+    def publisher(self, topic: Topic) -> TopicPublisher:
+        """Declare a topic that is told; its messages are CDR."""
+        encoding = encoding_of(topic.kind, Format.CDR)
+        faces = [Face(self._network.advertise(topic.key, encoding))]
+        if (node := self._node) is None:
+            return TopicPublisher(faces, ())
+        key, endpoint = node.data_key(topic), node.join_topic("MP", topic)
+        faces.append(Face(self._network.advertise(key, encoding), endpoint))
+        if not topic.is_latched:
+            return TopicPublisher(faces, ())
+        queue = self._network.serve(
+            f"{key}/{CACHE}/{node.graph.zid}/{endpoint.number}/_", CACHE_DEPTH
+        )
+        return TopicPublisher(faces, [Cache(queue, faces[1], key, encoding)])
+
+    def subscription(
+        self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int
+    ) -> TopicSubscription:
+        """Listen to a topic of any of these types; each sample says its type by its encoding."""
+        plain = self._network.subscribe(key, depth)
+        if (node := self._node) is None:
+            return TopicSubscription(plain, ())
+        heard = []
+        for kind in kinds:
+            endpoint = node.join_topic("MS", Topic(key, kind))
+            # Of any hash: humble's publishers have none.
+            ros_key = data_key(endpoint.node.domain, key, endpoint.ros_type, ANY_HASH)
+            heard.append(self._network.subscribe(ros_key, depth))
+        return TopicSubscription(plain, heard)
+
+    def serve(self, key: str, depth: int, *, is_complete: bool = True) -> CallQueue:
+        """Answer requests for a topic's value, on its bare key."""
+        return self._network.serve(key, depth, is_complete=is_complete)
+
+    def close(self) -> None:
+        """Withdraw the node; its topics are closed by who has them."""
+        if self._node is not None:
+            self._node.close()
+
+
+def faces_of(network: Network, graph: RosGraph | None, namespace: str, name: str) -> Faces:
+    """Make faces for a node that is new in the graph, if there is one."""
+    if graph is None:
+        return Faces(network)
+    return Faces(network, graph.node(namespace, name), graph.settings)
+
+
+def _as_plain(sample: Sample) -> Sample:
+    parsed = parse_data_key(sample.key)
+    if parsed is None:
+        return sample
+    encoding = f"application/cdr;{parsed.ros_type}"
+    return Sample(parsed.name.strip("/"), sample.payload, encoding, sample.attachment)

@@ -1,0 +1,74 @@
+"""How a program shows itself to ROS 2."""
+
+from typing import Final, Literal, get_args
+
+import msgspec
+
+from proto.ros2.keys import OFF, read_domain
+
+TfScope = Literal["global", "namespaced", "both"]
+"""Where transforms are told: on `/tf` with frames that begin with the namespace, on `/ns/tf`."""
+UNHASHED: Final = "humble"
+DISTRIBUTIONS: Final = ("humble", "iron", "jazzy", "kilted", "lyrical", "rolling")
+
+
+class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """Which domain, and in what manner."""
+
+    domain: int | None = 0
+    """None = not at all."""
+    has_hashes: bool = True
+    """Whether types have hashes, which humble's have not."""
+    tf: TfScope = "both"
+    is_bridged: bool = False
+    """Whether zenoh-bridge-ros2dds is told too."""
+
+    @property
+    def has_global_tf(self) -> bool:
+        """Whether transforms are told on `/tf`."""
+        return self.tf != "namespaced"
+
+    @property
+    def has_own_tf(self) -> bool:
+        """Whether transforms are told on the robot's own topics."""
+        return self.tf != "global"
+
+
+NO_ROS: Final = RosSettings(domain=None, tf="namespaced")
+
+
+def ros_settings(
+    domain: str, distribution: str, tf: str = "both", *, is_bridged: bool
+) -> RosSettings:
+    """Read what a command line says.
+
+    Raises:
+        ValueError: A word is not known, or the domain is none.
+    """
+    if distribution not in DISTRIBUTIONS:
+        raise ValueError(
+            f"--ros-distro {distribution!r} is unknown; use {', '.join(DISTRIBUTIONS)}"
+        )
+    return RosSettings(
+        domain=read_domain(domain),
+        has_hashes=distribution != UNHASHED,
+        tf=_scope(tf),
+        is_bridged=is_bridged,
+    )
+
+
+def arguments_of(settings: RosSettings) -> tuple[str, ...]:
+    """Write the settings of a server as words of a command line; those of `--tf` are left out."""
+    domain = OFF if settings.domain is None else str(settings.domain)
+    return (
+        *("--ros-domain", domain),
+        *(() if settings.has_hashes else ("--ros-distro", UNHASHED)),
+        *(("--ros-bridge",) if settings.is_bridged else ()),
+    )
+
+
+def _scope(word: str) -> TfScope:
+    for known in get_args(TfScope):
+        if known == word:
+            return known  # type: ignore[no-any-return]
+    raise ValueError(f"--tf {word!r} is unknown; use {', '.join(get_args(TfScope))}")

@@ -1,0 +1,193 @@
+"""What a process is in ROS 2's graph: nodes and their endpoints, each a token on the network."""
+
+from itertools import count
+from typing import Final, Protocol
+
+import msgspec
+
+from proto.ros2 import bridge, keys, names
+from proto.ros2.qos import LATCHED, RELIABLE_10, Qos
+from proto.ros2.settings import RosSettings
+from proto.ros2.tokens import Endpoint, EndpointKind, Node, endpoint_token, gid_of, node_token
+from proto.ros2.type_hash import type_hash
+
+NODES_OF_SESSION: Final = 100
+"""Declaring tokens takes time by the square of how many a session has."""
+
+
+class Token(Protocol):
+    """Says that something is there."""
+
+    def close(self) -> None:
+        """Withdraw it."""
+
+
+class Session(Protocol):
+    """Where tokens are declared."""
+
+    @property
+    def zid(self) -> str:
+        """The session's id."""
+
+    def token(self, key: str) -> Token:
+        """Declare a token."""
+
+    def beside(self) -> "Session":
+        """Open another session."""
+
+    def close(self) -> None:
+        """End the session."""
+
+
+class Seat:
+    """A session, and how many nodes have their tokens there."""
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self.nodes = 0
+
+
+class RosGraph:
+    """The nodes of one process."""
+
+    def __init__(self, session: Session, settings: RosSettings) -> None:
+        self.settings = settings
+        self.zid = session.zid
+        self.numbers = count()
+        """Nodes and endpoints are numbered together."""
+        self._seats = [Seat(session)]
+        self._bridge = session.token(bridge.bridge_token(self.zid)) if self._is_bridged else None
+
+    @property
+    def domain(self) -> int | None:
+        """The ROS domain; None when there is nothing of ROS 2 here."""
+        return self.settings.domain
+
+    def node(self, namespace: str, name: str) -> "RosNode | None":
+        """Add a node; None when there is nothing of ROS 2 here."""
+        if self.domain is None:
+            return None
+        node = Node(
+            domain=self.domain,
+            zid=self.zid,
+            number=next(self.numbers),
+            namespace=f"/{namespace.strip('/')}",
+            name=name,
+        )
+        return RosNode(self, node, self._free_seat())
+
+    def close(self) -> None:
+        """End the sessions that were opened beside; tokens on the first go with it."""
+        for seat in self._seats[1:]:
+            seat.session.close()
+        del self._seats[1:]
+        if self._bridge is not None:
+            self._bridge.close()
+            self._bridge = None
+
+    @property
+    def _is_bridged(self) -> bool:
+        return self.settings.is_bridged and self.domain is not None
+
+    def _free_seat(self) -> Seat:
+        for seat in self._seats:
+            if seat.nodes < NODES_OF_SESSION:
+                return seat
+        self._seats.append(Seat(self._seats[0].session.beside()))
+        return self._seats[-1]
+
+
+class Topic(msgspec.Struct, frozen=True):
+    """A topic of one type, by its plain key."""
+
+    key: str
+    kind: type[msgspec.Struct]
+    is_latched: bool = False
+    """Whether who comes late gets the last value."""
+
+    @property
+    def ros_type(self) -> str:
+        """As `pkg/msg/Name`."""
+        return str(getattr(self.kind, "ros_type", ""))
+
+    @property
+    def qos(self) -> Qos:
+        """What ROS 2 is told."""
+        return LATCHED if self.is_latched else RELIABLE_10
+
+
+class RosNode:
+    """One node; closing it withdraws its endpoints, then itself."""
+
+    def __init__(self, graph: RosGraph, node: Node, seat: Seat) -> None:
+        self.graph = graph
+        self.domain = node.domain
+        self._node = node
+        self._seat = seat
+        seat.nodes += 1
+        self._tokens = [seat.session.token(node_token(node))]
+
+    def data_key(self, topic: Topic) -> str:
+        """Find the key of a topic's data in ROS 2's form."""
+        return keys.data_key(self.domain, topic.key, topic.ros_type, self._hash_of(topic))
+
+    def join_topic(self, kind: EndpointKind, topic: Topic) -> Endpoint:
+        """Say that the node publishes a topic, or hears it."""
+        return self.join(
+            kind, topic.key, topic.ros_type, type_hash=self._hash_of(topic), qos=topic.qos
+        )
+
+    def join(
+        self,
+        kind: EndpointKind,
+        key: str,
+        ros_type: str,
+        *,
+        type_hash: str,
+        qos: Qos = RELIABLE_10,
+        bridge_key: str = "",
+    ) -> Endpoint:
+        """Say that the node has an endpoint, by its plain key; a bridge may see another key."""
+        endpoint = Endpoint(
+            node=self._node,
+            number=next(self.graph.numbers),
+            kind=kind,
+            name=names.qualified("", key),
+            ros_type=ros_type,
+            type_hash=type_hash,
+            qos=qos,
+        )
+        self._tokens.append(self._seat.session.token(endpoint_token(endpoint)))
+        if self.graph.settings.is_bridged:
+            self._tokens.append(self._seat.session.token(_route(endpoint, bridge_key)))
+        return endpoint
+
+    def close(self) -> None:
+        """Withdraw all tokens, the node's last."""
+        while self._tokens:
+            self._tokens.pop().close()
+        self._seat.nodes -= 1
+
+    def _hash_of(self, topic: Topic) -> str:
+        return type_hash(topic.kind) if self.graph.settings.has_hashes else keys.NO_HASH
+
+
+def gid_of_endpoint(endpoint: Endpoint) -> bytes:
+    """Find the 16 bytes that ROS 2 knows an endpoint by."""
+    return gid_of(endpoint_token(endpoint))
+
+
+def _route(endpoint: Endpoint, key: str) -> str:
+    qos = endpoint.qos
+    return bridge.route_token(
+        bridge.Route(
+            zid=endpoint.node.zid,
+            kind=endpoint.kind,
+            key=key or endpoint.name.strip("/"),
+            ros_type=endpoint.ros_type,
+            reliability=qos.reliability,
+            durability=qos.durability,
+            depth=qos.depth,
+            type_hash=endpoint.type_hash,
+        )
+    )

@@ -1,0 +1,114 @@
+"""Nodes and endpoints as tokens, where they are declared, and that they go."""
+
+import pytest
+
+from proto.ros2.keys import NO_HASH
+from proto.ros2.settings import NO_ROS, RosSettings
+from proto.ros2.tokens import Endpoint, Node, parse_token
+from proto.ros_graph import NODES_OF_SESSION, RosGraph, RosNode, Topic
+from proto.topics import Odometry, String
+from tests.fakes import MemoryBus
+
+ODOM = Topic("r1/odom", Odometry)
+
+
+def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:  # noqa: B008
+    node = RosGraph(bus, settings).node("r1", "agent")
+    assert node is not None
+    return node
+
+
+def parsed(bus: MemoryBus) -> list[Node | Endpoint | None]:
+    return [parse_token(key) for key in bus.alive("@ros2_lv/**")]
+
+
+def test_node_has_a_token_and_one_for_each_endpoint() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(domain=7))
+
+    node.join_topic("MP", ODOM)
+    node.join_topic("MS", Topic("r1/cmd_vel", String))
+
+    first, odom, cmd_vel = parsed(bus)
+    assert first == Node(domain=7, zid=bus.zid, number=0, namespace="/r1", name="agent")
+    assert isinstance(odom, Endpoint)
+    assert (odom.node, odom.number, odom.kind, odom.name) == (first, 1, "MP", "/r1/odom")
+    assert odom.type_hash.startswith("RIHS01_3cc97dc7")
+    assert isinstance(cmd_vel, Endpoint)
+    assert (cmd_vel.number, cmd_vel.kind, cmd_vel.name) == (2, "MS", "/r1/cmd_vel")
+
+
+def test_latched_topic_is_transient_local() -> None:
+    node = a_node(MemoryBus())
+
+    endpoint = node.join_topic("MP", Topic("tf_static", String, is_latched=True))
+
+    assert (endpoint.qos.durability, endpoint.qos.depth) == ("transient_local", 1)
+
+
+def test_types_have_no_hash_in_humble() -> None:
+    node = a_node(MemoryBus(), RosSettings(has_hashes=False))
+
+    assert node.join_topic("MP", ODOM).type_hash == NO_HASH
+    assert node.data_key(ODOM) == f"0/r1/odom/nav_msgs::msg::dds_::Odometry_/{NO_HASH}"
+
+
+def test_closed_node_leaves_no_token() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(is_bridged=True))
+    node.join_topic("MP", ODOM)
+
+    node.close()
+
+    assert bus.alive("@ros2_lv/**") == []
+    assert bus.alive("@/*/@ros2_lv/MP/**") == []
+
+
+def test_bridge_is_told_of_routes_when_asked_for() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(is_bridged=True))
+
+    node.join_topic("MP", ODOM)
+
+    (route,) = bus.alive("@/*/@ros2_lv/MP/**")
+    assert route.startswith(f"@/{bus.zid}/@ros2_lv/MP/r1§odom/nav_msgs§msg§Odometry/:1:0:0,10:")
+    assert bus.alive("@/*/@ros2_lv") == [f"@/{bus.zid}/@ros2_lv"]
+
+
+def test_bridge_is_not_told_unless_asked_for() -> None:
+    bus = MemoryBus()
+
+    a_node(bus).join_topic("MP", ODOM)
+
+    assert bus.alive("@/**") == []
+
+
+def test_nothing_is_told_without_a_domain() -> None:
+    bus = MemoryBus()
+
+    assert RosGraph(bus, NO_ROS).node("r1", "agent") is None
+    assert bus.alive("**") == []
+
+
+@pytest.mark.parametrize(("nodes", "sessions"), [(NODES_OF_SESSION, 0), (NODES_OF_SESSION + 1, 1)])
+def test_nodes_of_many_robots_are_spread_over_sessions(nodes: int, sessions: int) -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+
+    for number in range(nodes):
+        graph.node(f"r{number}", "agent")
+
+    assert len(bus.besides) == sessions
+    graph.close()
+    assert all(session.is_closed for session in bus.besides)
+
+
+def test_seat_of_a_closed_node_is_taken_again() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    for number in range(NODES_OF_SESSION + 1):
+        node = graph.node(f"r{number}", "agent")
+        assert node is not None
+        node.close()
+
+    assert bus.besides == []

@@ -1,0 +1,68 @@
+"""Transforms on the robot's own topics and on those of all robots."""
+
+import pytest
+
+from proto.codec import decode
+from proto.faces import Faces
+from proto.geometry import TransformStamped
+from proto.header import Header
+from proto.ros2.settings import RosSettings, TfScope
+from proto.topics import TFMessage
+from robot_agent.tf_outlets import tf_outlets, tf_static_outlets, with_namespace
+from tests.fakes import MemoryBus
+
+EDGE = TFMessage((TransformStamped(Header(frame_id="odom"), "base_link"),))
+
+
+def frames(message: TFMessage) -> list[tuple[str, str]]:
+    return [(edge.header.frame_id, edge.child_frame_id) for edge in message.transforms]
+
+
+def told(scope: TfScope) -> dict[str, list[tuple[str, str]]]:
+    bus = MemoryBus()
+    heard = bus.subscribe("**", 8)
+    faces = Faces(bus, settings=RosSettings(tf=scope))
+    for outlet in tf_outlets(faces, "team/r1", "team/r1/tf", lambda: EDGE):
+        outlet.publish()
+    return {s.key: frames(decode(TFMessage, s.payload, s.encoding)) for s in heard.take()}
+
+
+def test_own_frames_are_as_described_and_shared_ones_begin_with_the_namespace() -> None:
+    assert told("both") == {
+        "team/r1/tf": [("odom", "base_link")],
+        "tf": [("team/r1/odom", "team/r1/base_link")],
+    }
+
+
+@pytest.mark.parametrize(("scope", "key"), [("global", "tf"), ("namespaced", "team/r1/tf")])
+def test_transforms_are_told_where_they_are_wanted(scope: TfScope, key: str) -> None:
+    assert list(told(scope)) == [key]
+
+
+def test_fixed_transforms_are_for_late_joiners_too() -> None:
+    bus = MemoryBus()
+    outlets = tf_static_outlets(Faces(bus, settings=RosSettings()), "r1", lambda: EDGE)
+    bus.pumps += [outlet.answer for outlet in outlets]
+
+    (own,), (shared,) = bus.get("r1/tf_static"), bus.get("tf_static")
+
+    assert frames(decode(TFMessage, own.payload, own.encoding)) == [("odom", "base_link")]
+    assert frames(decode(TFMessage, shared.payload, shared.encoding)) == [
+        ("r1/odom", "r1/base_link")
+    ]
+
+
+def test_frame_that_begins_with_the_namespace_already_is_left() -> None:
+    message = TFMessage((TransformStamped(Header(frame_id="r1/odom"), "base_link"),))
+
+    assert frames(with_namespace(message, "r1")) == [("r1/odom", "r1/base_link")]
+
+
+def test_nothing_is_told_while_there_is_nothing() -> None:
+    bus = MemoryBus()
+    heard = bus.subscribe("**", 8)
+
+    for outlet in tf_outlets(Faces(bus, settings=RosSettings()), "r1", "r1/tf", lambda: None):
+        outlet.publish()
+
+    assert heard.take() == []
