@@ -15,6 +15,7 @@ WITHOUT_MESSAGES = {
     "proto.catalog",
     "proto.channels",
     "proto.commands",
+    "proto.ros_graph",
     "proto.cdr_layout",
     "proto.ros_forms",
     "proto.ros_services",
