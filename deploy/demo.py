@@ -54,6 +54,8 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
     is_lockstep: bool = False
+    engine: str = ""
+    """Empty = as a server chooses by itself."""
     agents: AgentsConfig = AgentsConfig()
     ros: RosSettings = RosSettings()
     has_viewer: bool
@@ -110,6 +112,7 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
         *(word for path in config.model_paths for word in ("--model-path", path)),
         *(("--strict",) if config.is_strict else ()),
         *(("--lockstep",) if config.is_lockstep else ()),
+        *(("--engine", config.engine) if config.engine else ()),
         *arguments_of(config.ros),
     )
 

@@ -18,9 +18,16 @@ from proto.stop import StopFlag
 from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
 from sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
-from sim_server.physics.choice import Clustering, EngineChoice
+from sim_server.physics.choice import (
+    Clustering,
+    EngineChoice,
+    EngineName,
+    engine_named,
+    engine_of,
+    engines_here,
+)
 
-SERVER_EXTRA = ("pybullet", "yourdfpy", "lxml", "scipy", "trimesh")
+SERVER_EXTRA = ("yourdfpy", "lxml", "scipy", "trimesh")
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -58,6 +65,14 @@ Journal = Annotated[
     typer.Option(
         help="Folder that keeps the world; a server that finds one there goes on with it.",
         envvar="ZENSIM_JOURNAL",
+    ),
+]
+Engine = Annotated[
+    str,
+    typer.Option(
+        help="pybullet or mujoco: what computes physics.",
+        show_default="pybullet where it is installed",
+        envvar="ZENSIM_ENGINE",
     ),
 ]
 Locked = Annotated[
@@ -117,6 +132,18 @@ def on_miss_of(word: str) -> OnMiss:
     raise typer.BadParameter(f"--on-miss {word!r} is unknown; use {', '.join(get_args(OnMiss))}")
 
 
+def engine_asked_for(word: str) -> EngineName | None:
+    """Read which engine is asked for.
+
+    Raises:
+        BadParameter: There is no such engine.
+    """
+    try:
+        return engine_named(word)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions:
     """What a server is told."""
@@ -133,6 +160,7 @@ class ServeOptions:
     model_path: ModelPath = None
     strict: Strict = False
     journal: Journal = None
+    engine: Engine = ""
     lockstep: Locked = False
     lockstep_timeout: LockstepTimeout = TIMEOUT_S
     on_miss: OnMissWord = "hold"
@@ -170,7 +198,9 @@ def _config(given: ServeOptions) -> ServerConfig:
         journal=str(given.journal or ""),
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=ros_settings(given.ros_domain, given.ros_distro, is_bridged=given.ros_bridge),
-        physics=EngineChoice(clusters=clustering_of(given.clusters)),
+        physics=EngineChoice(
+            engine=engine_asked_for(given.engine), clusters=clustering_of(given.clusters)
+        ),
     )
 
 
@@ -186,7 +216,8 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
     def announce(bus: Bus, config: ServerConfig) -> None:
         typer.echo(
             f"zensim serve: world '{config.world}' at {bus.endpoint} "
-            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g})",
+            f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, "
+            f"{engine_of(config.physics, engines_here())})",
             err=True,
         )
 

@@ -8,7 +8,7 @@ from proto.header import NANOSECONDS
 from proto.names import check_name
 from proto.ros2.settings import NO_ROS, RosSettings
 from sim_server.pacing.lockstep import LockstepSettings
-from sim_server.physics.choice import EngineChoice
+from sim_server.physics.choice import EngineChoice, EngineMissing, engine_of, engines_here
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most, as often as a Gazebo drive updates by default."""
@@ -83,6 +83,10 @@ def checked(config: ServerConfig) -> ServerConfig:
         )
     if config.seed < 0:
         raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")
+    try:
+        engine_of(config.physics, engines_here())
+    except EngineMissing as error:
+        raise ConfigError(str(error)) from error
     _check_timeout(config.lockstep.timeout_s)
     return config
 

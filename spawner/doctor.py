@@ -107,7 +107,9 @@ def _server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
         has_gone = world in worlds and not bus.alive(keys.alive_server(world))
         yield _silent(world) if has_gone else _no_server(world, worlds)
         return
-    yield Finding("ok", "server", f"world '{world}' is served by zensim {info.version}")
+    yield Finding(
+        "ok", "server", f"world '{world}' is served by zensim {info.version} on {info.engine}"
+    )
     yield _versions(info, version)
     yield _time(info)
     yield _robots(bus, world)

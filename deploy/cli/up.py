@@ -77,6 +77,15 @@ Duration = Annotated[
     float, typer.Option("--duration", help="Seconds once ready; 0 = until Ctrl-C.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON lines.")]
+Engine = Annotated[
+    str,
+    typer.Option(
+        "--engine",
+        help="pybullet or mujoco: what computes physics.",
+        show_default="pybullet where it is installed",
+        envvar="ZENSIM_ENGINE",
+    ),
+]
 Locked = Annotated[
     bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
 ]
@@ -139,6 +148,7 @@ class UpOptions:
     model_path: ModelPath = None
     strict: Strict = False
     lockstep: Locked = False
+    engine: Engine = ""
     agents: Agents = ""
     odom_hz: OdomHz = None
     tf_hz: TfHz = None
@@ -173,6 +183,7 @@ def _config(given: UpOptions) -> DemoConfig:
         model_paths=tuple(map(str, given.model_path or ())),
         is_strict=given.strict,
         is_lockstep=given.lockstep,
+        engine=given.engine,
         ros=ros_settings(given.ros_domain, given.ros_distro, given.tf, is_bridged=given.ros_bridge),
         agents=_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
         has_viewer=given.viewer,

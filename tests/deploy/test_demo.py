@@ -33,6 +33,12 @@ def test_server_waits_for_agents_when_told_to() -> None:
     assert serve_arguments(locked) == (*JOINING, "--lockstep", *ROS)
 
 
+def test_server_has_the_engine_that_is_asked_for() -> None:
+    chosen = msgspec.structs.replace(PLAIN, engine="mujoco")
+
+    assert serve_arguments(chosen) == (*JOINING, "--engine", "mujoco")
+
+
 def test_server_looks_where_it_is_told_to() -> None:
     config = msgspec.structs.replace(PLAIN, model_paths=("a", "b c"), is_strict=True)
 

@@ -1,0 +1,73 @@
+"""A server has the engine that it is told to have, or the one whose library is there."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from proto.exits import Exit
+from tests.contract.repository import ROOT
+from tests.integration.processes import Server, driven, free_endpoint, serving, zensim
+from tests.integration.robots import drive_for, robot
+
+TWO = ("box_bot0", "box_bot1")
+
+
+def without(library: str, folder: Path) -> tuple[str, ...]:
+    """Say what a command begins with in whose processes a library is not installed."""
+    block = f"import sys\nsys.modules[{library!r}] = None\n"
+    (folder / "sitecustomize.py").write_text(block)
+    path = os.pathsep.join((str(folder), str(ROOT)))
+    return ("env", f"PYTHONPATH={path}")
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """A server that is told nothing, where PyBullet is not installed."""
+    with serving(prefix=without("pybullet", tmp_path_factory.mktemp("bare"))) as found:
+        yield found
+
+
+def test_server_has_mujoco_where_pybullet_is_not_installed(server: Server) -> None:
+    assert server.client.info().engine == "mujoco"
+    assert "on mujoco" in server.zensim("doctor").stdout
+
+
+def test_robots_drive_on_mujoco_as_they_are_told(server: Server) -> None:
+    spawned = server.zensim("fleet", "box_bot", "--count", "2", "--spacing", "2")
+    assert spawned.returncode == 0, spawned.stderr
+
+    with driven(server, *TWO):
+        robots = [robot(server.bus, name) for name in TWO]
+        ahead = drive_for(robots, linear=0.2, angular=0.0, sim_s=5.0)
+        turned = drive_for(robots, linear=0.0, angular=1.0, sim_s=5.0)
+
+    assert [course.forward_m for course in ahead] == pytest.approx([1.0] * 2, rel=0.01)
+    assert [course.sideways_m for course in ahead] == pytest.approx([0.0] * 2, abs=0.01)
+    assert [course.turned_rad for course in turned] == pytest.approx([5.0] * 2, rel=0.02)
+
+
+@pytest.mark.parametrize(("engine", "other"), [("pybullet", "mujoco"), ("mujoco", "pybullet")])
+def test_server_says_what_would_work_when_its_engine_is_not_installed(
+    engine: str, other: str, tmp_path: Path
+) -> None:
+    asked = ("serve", "--engine", engine, "--listen", free_endpoint())
+
+    done = zensim(*asked, prefix=without(engine, tmp_path))
+
+    assert done.returncode == Exit.USAGE
+    (line,) = done.stderr.splitlines()
+    assert f"{engine} is not installed; use --engine {other}, which is, or pip install" in line
+
+
+def test_server_refuses_an_engine_that_there_is_not() -> None:
+    done = zensim("serve", "--engine", "dart", "--listen", free_endpoint())
+
+    assert done.returncode == Exit.USAGE
+    assert "--engine 'dart' is unknown; use pybullet or mujoco" in done.stderr
+
+
+def test_server_has_pybullet_when_both_are_installed() -> None:
+    with serving() as found:
+        assert found.client.info().engine == "pybullet"
