@@ -1,17 +1,23 @@
 """xacro to URDF, on the operator's host: macros read files, so that no server may expand them."""
 
+import signal
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
-from xml.parsers.expat import ExpatError
 
+import msgspec
+
+from spawner.expanding import CPU_S, Expanded, Wish, write_wish
 from spawner.markup import DescriptionError, without_comments
-from spawner.search_paths import SearchPaths, is_package, package_name
+from spawner.search_paths import SearchPaths
 
 ENDING = ".xacro"
 MARK = "<xacro:"
-XACRO_PACKAGES = ("xacrodoc", "xacro", "rospkg")
+COMMAND = (sys.executable, "-m", "spawner.expanding")
+WAIT_S = 60.0
+"""Of wall time: only one that sleeps takes as long."""
+TOO_LONG = f"it takes more than {CPU_S} s"
 
 
 def needs_expansion(text: str, path: Path) -> bool:
@@ -33,7 +39,7 @@ def arguments_of(words: Sequence[str]) -> dict[str, str]:
 
 
 def expanded(text: str, path: Path, arguments: Mapping[str, str], paths: SearchPaths) -> str:
-    """Expand xacro.
+    """Expand xacro, in a process with little time and memory.
 
     Args:
         text: What is in the file.
@@ -44,58 +50,30 @@ def expanded(text: str, path: Path, arguments: Mapping[str, str], paths: SearchP
     Raises:
         DescriptionError: It cannot be expanded, or xacrodoc is not installed.
     """
-    xacro, packages = _xacro(path)
-    packages.reset()
-    packages.look_in([str(root) for root in paths.roots])
-    packages.walk_up_from(path)
-    packages.update_package_cache(_packages_known(paths))
-    try:
-        xacro.init_stacks(str(path))
-        document = xacro.parse(text, str(path))
-        xacro.process_doc(document, mappings=dict(arguments))
-    except (
-        xacro.XacroException,
-        packages.PackageNotFoundError,
-        ExpatError,
-        OSError,
-        RecursionError,
-        ValueError,
-    ) as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+    found = _by_process(Wish(text, path, dict(arguments), paths))
+    if found.sentence:
+        raise DescriptionError(found.sentence)
+    if found.reason:
         raise DescriptionError(
-            f"{path} cannot be expanded: {reason[:300]}; give arguments by --xacro-arg key:=value "
+            f"{path} cannot be expanded: {found.reason}; give arguments by --xacro-arg key:=value "
             "and packages by --package-path"
-        ) from error
-    found: str = document.documentElement.toxml()
-    return found
+        )
+    return found.text
 
 
-def _xacro(path: Path) -> tuple[ModuleType, ModuleType]:
+def _by_process(wish: Wish) -> Expanded:
     try:
-        # xacrodoc comes first: it teaches xacro to find packages without ROS.
-        packages = import_module("xacrodoc.packages")
-        return import_module("xacro"), packages
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in XACRO_PACKAGES:
-            raise
-        raise DescriptionError(
-            f"{path} is xacro, and {error.name} is not installed; use pip install 'zensim[xacro]', "
-            "or expand it by hand"
-        ) from error
-
-
-def _packages_known(paths: SearchPaths) -> dict[str, str]:
-    """Name the folders that are packages to us: those of the search paths, and neighbours."""
-    known: dict[str, str] = {}
-    for own in paths.own:
-        if is_package(own):
-            neighbours = (folder for folder in own.parent.iterdir() if is_package(folder))
-            known.update({_name(folder): str(folder) for folder in neighbours})
-    for root in reversed(paths.roots):
-        known.update({folder.name: str(folder) for folder in root.iterdir() if folder.is_dir()})
-        known[_name(root)] = str(root)
-    return known
-
-
-def _name(folder: Path) -> str:
-    return package_name(folder) or folder.name
+        done = subprocess.run(
+            COMMAND,
+            input=write_wish(wish),
+            stdout=subprocess.PIPE,
+            timeout=WAIT_S,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return Expanded(reason=TOO_LONG)
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return Expanded(reason=TOO_LONG)
+    if done.returncode:
+        return Expanded(reason=f"xacro ended over it (status {done.returncode})")
+    return msgspec.msgpack.decode(done.stdout, type=Expanded)

@@ -92,3 +92,13 @@ def test_file_that_cannot_be_expanded_is_refused_in_one_line(tmp_path: Path, tex
         expanded(file.read_text(), file, {}, search_paths((), {}))
 
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("wish", ["7 ** 10 ** 9", "'a' * 10 ** 10"], ids=["time", "memory"])
+def test_file_that_asks_for_too_much_is_refused_in_one_line(tmp_path: Path, wish: str) -> None:
+    file = a_xacro(tmp_path, HEAD + f'<link name="${{{wish}}}"/></robot>')
+
+    with pytest.raises(DescriptionError, match="it takes more than") as caught:
+        expanded(file.read_text(), file, {}, search_paths((), {}))
+
+    assert "\n" not in str(caught.value)
