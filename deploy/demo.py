@@ -10,6 +10,7 @@ import msgspec
 from deploy.local import Program, Supervisor
 from proto import keys
 from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from proto.model import Dynamics
 from proto.result import ResultCode
 from proto.ros2.settings import RosSettings, arguments_of
 from proto.telemetry import Info
@@ -55,6 +56,7 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     is_strict: bool = False
     is_lockstep: bool = False
     engine: str = ""
+    dynamics: Dynamics = "full"
     """Empty = as a server chooses by itself."""
     agents: AgentsConfig = AgentsConfig()
     ros: RosSettings = RosSettings()
@@ -113,6 +115,7 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
         *(("--strict",) if config.is_strict else ()),
         *(("--lockstep",) if config.is_lockstep else ()),
         *(("--engine", config.engine) if config.engine else ()),
+        *(("--dynamics", config.dynamics) if config.dynamics != "full" else ()),
         *arguments_of(config.ros),
     )
 

@@ -88,7 +88,7 @@ SET_ENTITY_STATE = Service(
     is_mutating=True,
 )
 GET_ENTITY_INFO = Service(
-    "get_entity_info", entities.GetEntityInfoRequest, entities.GetEntityInfoResponse
+    "get_entity_info", entities.GetEntityInfoRequest, entities.GetEntityInfoReport
 )
 SET_ENTITY_INFO = Service(
     "set_entity_info",

@@ -8,6 +8,7 @@ from typing import ClassVar, Final
 import msgspec
 
 from proto.info import EntityInfo
+from proto.model import TierName
 from proto.result import Result
 from proto.services import Bounds, EntityFilters, EntityState, GetEntityStateRequest
 from proto.widths import UInt8
@@ -63,6 +64,13 @@ class GetEntityInfoResponse(msgspec.Struct, frozen=True):
 
     result: Result = Result()
     info: EntityInfo = EntityInfo()
+
+
+class GetEntityInfoReport(GetEntityInfoResponse, frozen=True):
+    """The same, and how it moves now."""
+
+    dynamics: TierName = "full"
+    """full: by forces and contacts; kinematic: as its drive says."""
 
 
 class SetEntityInfoRequest(msgspec.Struct, frozen=True):

@@ -14,6 +14,7 @@ __all__ = [
     "Decay",
     "DiffDrive",
     "Drive",
+    "Dynamics",
     "Frame",
     "GroundTruth",
     "Inertial",
@@ -31,6 +32,7 @@ __all__ = [
     "RosBlock",
     "Sensor",
     "Shape",
+    "TierName",
     "Vec3",
     "WheelPair",
 ]
@@ -120,6 +122,14 @@ class Link(msgspec.Struct, frozen=True):
     self_collides: bool = False
     """It touches other links of its model too, but for those it is joined to."""
 
+
+Dynamics = Literal["", "full", "kinematic", "auto"]
+"""How an entity moves: by forces and contacts; as its drive says, stopped by what is in its way; or
+either, as need be. Empty = as its world says.
+"""
+
+TierName = Literal["full", "kinematic"]
+"""How an entity moves at a moment."""
 
 JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
 
@@ -229,6 +239,7 @@ class Model(msgspec.Struct, frozen=True):
     sensors: tuple[Sensor, ...] = ()
     is_static: bool = False
     report: tuple[ReportEntry, ...] = ()
+    dynamics: Dynamics = ""
 
     @property
     def mass_kg(self) -> float:

@@ -14,7 +14,7 @@ from proto.assets import AssetRef
 from proto.geometry import Accel, Pose, PoseStamped, Twist, Vector3
 from proto.header import Header
 from proto.info import EntityCategory, EntityInfo
-from proto.model import ReportEntry
+from proto.model import Dynamics, ReportEntry
 from proto.result import Result
 from proto.widths import UInt8, UInt16, UInt64
 
@@ -64,6 +64,8 @@ class SpawnEntityOrder(SpawnEntityRequest, frozen=True):
     """Which file stands behind which uri of the description; sent before by `put_asset`."""
     info: EntityInfo | None = None
     """None = derived from the description, see `set_entity_info`."""
+    dynamics: Dynamics = ""
+    """Full, kinematic, or either as need be; empty = as the world is by default."""
 
 
 class SpawnEntityResponse(msgspec.Struct, frozen=True):

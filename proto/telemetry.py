@@ -86,6 +86,8 @@ class Stats(msgspec.Struct, frozen=True):
     """Agents whose answers the loop waits for now."""
     misses: dict[str, UInt64] = {}
     """Drive states that were not answered in time, by agent; of agents that hold something."""
+    kinematic: UInt32 = 0
+    """Entities that move as their drives say, and not by forces and contacts."""
     busy_max_s: float = 0.0
     """CPU time for which the loop's own work held a step up at most; the rest of `late_max_s` is
     the machine's."""

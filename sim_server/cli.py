@@ -12,6 +12,7 @@ import typer
 
 from proto.bus import Bus
 from proto.exits import one_line_failures
+from proto.model import Dynamics
 from proto.option_fields import takes
 from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
@@ -75,6 +76,14 @@ Engine = Annotated[
         envvar="ZENSIM_ENGINE",
     ),
 ]
+DynamicsWord = Annotated[
+    str,
+    typer.Option(
+        "--dynamics",
+        help="How robots move that ask for nothing else: full, kinematic, or auto: full only "
+        "where they may touch.",
+    ),
+]
 Locked = Annotated[
     bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
 ]
@@ -120,6 +129,19 @@ def clustering_of(word: str) -> Clustering:
     )
 
 
+def dynamics_of(word: str) -> Dynamics:
+    """Read how entities move that do not ask for any dynamics.
+
+    Raises:
+        BadParameter: There is no such way.
+    """
+    for known in get_args(Dynamics):
+        if known and known == word:
+            return known  # type: ignore[no-any-return]
+    kinds = ", ".join(known for known in get_args(Dynamics) if known)
+    raise typer.BadParameter(f"--dynamics {word!r} is unknown; use {kinds}")
+
+
 def on_miss_of(word: str) -> OnMiss:
     """Read what is to be done when an agent is late.
 
@@ -159,6 +181,7 @@ class ServeOptions:
     seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0
     model_path: ModelPath = None
     strict: Strict = False
+    dynamics: DynamicsWord = "full"
     journal: Journal = None
     engine: Engine = ""
     lockstep: Locked = False
@@ -199,7 +222,9 @@ def _config(given: ServeOptions) -> ServerConfig:
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=ros_settings(given.ros_domain, given.ros_distro, is_bridged=given.ros_bridge),
         physics=EngineChoice(
-            engine=engine_asked_for(given.engine), clusters=clustering_of(given.clusters)
+            engine=engine_asked_for(given.engine),
+            clusters=clustering_of(given.clusters),
+            dynamics=dynamics_of(given.dynamics),
         ),
     )
 

@@ -30,6 +30,7 @@ from sim_server.pacing.meter import Meter
 from sim_server.pacing.short_turns import ask_for_short_turns
 from sim_server.physics.choosing import chosen_engine
 from sim_server.physics.engine import Engine, EngineConfig
+from sim_server.physics.tiers.tiers import Tiers
 from sim_server.reading.assets import AssetStore
 from sim_server.reading.descriptions import ReadElsewhere
 from sim_server.reading.reader import Reader
@@ -198,14 +199,12 @@ def _world(
 
 
 def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
-    return chosen_engine(
-        EngineConfig(
-            config.step_ns,
-            model.gravity,
-            model.ground_plane,
-            model.ground_friction,
-            mesh_folder=mesh_folder,
-        ),
-        config.physics,
-        period_steps=config.control_steps,
+    asked = EngineConfig(
+        config.step_ns,
+        model.gravity,
+        model.ground_plane,
+        model.ground_friction,
+        mesh_folder=mesh_folder,
     )
+    full = chosen_engine(asked, config.physics, period_steps=config.control_steps)
+    return Tiers(full, asked, config.physics.dynamics)

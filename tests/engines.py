@@ -17,6 +17,7 @@ from sim_server.physics.clusters.clusters import Clusters, Settings
 from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.mujoco_engine import MujocoEngine
 from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 4_166_667
 TOUCHING_M = 0.1
@@ -185,12 +186,28 @@ class Clustered:
         return Clusters(config, cells, Settings(alone=1, most=2))
 
 
+class TiersOfFull(Tiers):
+    """Two tiers, of which the kinematic one is empty."""
+
+    def __init__(self, config: EngineConfig) -> None:
+        super().__init__(PyBulletEngine(config), config, "full")
+
+
+class TiersOfAuto(Tiers):
+    """Two tiers: robots are kinematic where they can be."""
+
+    def __init__(self, config: EngineConfig) -> None:
+        super().__init__(PyBulletEngine(config), config, "auto")
+
+
 ENGINES: tuple[MakeEngine, ...] = (
     PyBulletEngine,
     MujocoEngine,
     ObedientEngine,
     Clustered(partial(PyBulletEngine, awake=2), "pybullet"),
     Clustered(MujocoEngine, "mujoco"),
+    TiersOfFull,
+    TiersOfAuto,
 )
 
 

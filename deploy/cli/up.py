@@ -34,6 +34,7 @@ from proto.names import check_name
 from proto.option_fields import takes
 from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
+from spawner.cli.wishes import dynamics_of
 from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -111,6 +112,9 @@ TfHz = Annotated[
     typer.Option("--tf-hz", min=0.0, help="tf of each robot.", show_default="with odometry"),
 ]
 
+DynamicsWord = Annotated[
+    str, typer.Option("--dynamics", help="How robots move: full, kinematic, or auto.")
+]
 RosDomain = Annotated[
     str,
     typer.Option(
@@ -152,6 +156,7 @@ class UpOptions:
     agents: Agents = ""
     odom_hz: OdomHz = None
     tf_hz: TfHz = None
+    dynamics: DynamicsWord = "full"
     ros_domain: RosDomain = "0"
     ros_distro: RosDistro = "jazzy"
     tf: TfScope = "both"
@@ -183,6 +188,7 @@ def _config(given: UpOptions) -> DemoConfig:
         model_paths=tuple(map(str, given.model_path or ())),
         is_strict=given.strict,
         is_lockstep=given.lockstep,
+        dynamics=dynamics_of(given.dynamics),
         engine=given.engine,
         ros=ros_settings(given.ros_domain, given.ros_distro, given.tf, is_bridged=given.ros_bridge),
         agents=_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),

@@ -25,7 +25,7 @@ def info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:
         agents=len(world.claims.agents),
         claimed=len(world.claims),
         state=world.state_name,
-        engine=world.engine_name,
+        engine=world.engine.name,
         world_model=desk.world_model,
         seed=desk.seed,
         is_lockstep=desk.lockstep.settings.is_on,

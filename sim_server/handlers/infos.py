@@ -2,12 +2,15 @@
 
 from proto import entities
 from sim_server.desk import Desk
+from sim_server.physics.engine import Tiered
 from sim_server.world.infos import checked
 
 
-def get_info(desk: Desk, request: entities.GetEntityInfoRequest) -> entities.GetEntityInfoResponse:
+def get_info(desk: Desk, request: entities.GetEntityInfoRequest) -> entities.GetEntityInfoReport:
     """Tell what an entity is."""
-    return entities.GetEntityInfoResponse(info=desk.world.entity(request.entity).info)
+    entity, engine = desk.world.entity(request.entity), desk.world.engine
+    tier = engine.tier_of(entity.body) if isinstance(engine, Tiered) else "full"
+    return entities.GetEntityInfoReport(info=entity.info, dynamics=tier)
 
 
 def set_info(desk: Desk, request: entities.SetEntityInfoRequest) -> entities.SetEntityInfoResponse:

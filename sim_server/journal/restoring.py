@@ -132,7 +132,8 @@ def reading_of(contents: Contents, row: EntityRow) -> Reading | None:
     """Say what the model of an entity was read from."""
     if (how := row.read_as) is None:
         return None
-    return Reading(contents.texts[row.text], how.compat, how.allow_missing, how.assets)
+    text = contents.texts[row.text]
+    return Reading(text, how.compat, how.allow_missing, how.assets, how.dynamics)
 
 
 def birth_of(contents: Contents, row: EntityRow, born_ns: int) -> Birth:

@@ -9,7 +9,7 @@ import msgspec
 
 from proto.assets import AssetRef
 from proto.info import EntityInfo
-from proto.model import Model
+from proto.model import Dynamics, Model
 from proto.services import Compat
 from proto.worlds import WorldResource
 from sim_server.description.sdf import WorldModel
@@ -23,6 +23,7 @@ class ReadAs(msgspec.Struct, frozen=True):
     compat: Compat
     allow_missing: bool
     assets: tuple[AssetRef, ...]
+    dynamics: Dynamics = ""
 
 
 class EntityRow(msgspec.Struct, frozen=True, kw_only=True):

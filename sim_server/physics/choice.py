@@ -6,6 +6,8 @@ from typing import Literal, get_args
 
 import msgspec
 
+from proto.model import Dynamics
+
 Clustering = Literal["auto", "on", "off"]
 EngineName = Literal["pybullet", "mujoco"]
 
@@ -26,6 +28,8 @@ class EngineChoice(msgspec.Struct, frozen=True, kw_only=True):
     """None = the first of pybullet and mujoco whose library is installed."""
     clusters: Clustering = "auto"
     """Whether bodies that cannot touch are stepped apart; auto = when there are enough of them."""
+    dynamics: Dynamics = "full"
+    """Of entities that do not ask for any."""
 
 
 def engine_named(name: str) -> EngineName | None:

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import Model
+from proto.model import Model, TierName
 from proto.result import ResultCode
 from sim_server.errors import SimError
 
@@ -136,3 +136,15 @@ class Engine(Protocol):
 
     def close(self) -> None:
         """Free the engine."""
+
+
+@runtime_checkable
+class Tiered(Protocol):
+    """An engine in which bodies may move by other means than forces and contacts."""
+
+    @property
+    def kinematic_count(self) -> int:
+        """How many bodies are in the kinematic tier."""
+
+    def tier_of(self, body: int) -> TierName:
+        """Say by which dynamics a body moves now."""

@@ -168,6 +168,8 @@ class PyBulletEngine:
         place, turn = state[:3].tolist(), state[3:7].tolist()
         pybullet.resetBasePositionAndOrientation(body, place, turn, physicsClientId=self._client)
         self._set_velocity(body, state[7:])
+        if (waiting := self._brought_back.get(body)) is not None:
+            self._brought_back[body] = state[7:], waiting[1]
 
     def put(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
@@ -175,8 +177,6 @@ class PyBulletEngine:
         """See `Engine.put`; one brought back in this step stands still until the next."""
         self.place(body, base)
         self._set_joints(body, positions, velocities)
-        if body in self._brought_back:
-            self._brought_back[body] = self._roots.com_state(body, base)[7:], velocities.copy()
 
     def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
@@ -232,6 +232,8 @@ class PyBulletEngine:
         joints = self._bodies[body].joints
         for joint, at, speed in zip(joints, positions.tolist(), velocities.tolist(), strict=True):
             pybullet.resetJointState(body, joint, at, speed, physicsClientId=self._client)
+        if (waiting := self._brought_back.get(body)) is not None:
+            self._brought_back[body] = waiting[0], velocities.copy()
 
     def _park(self, body: int, known: Body) -> None:
         """Put a body where it touches nothing, to sleep there unless it is to be ready."""
@@ -260,7 +262,7 @@ class PyBulletEngine:
 
     def _set_off(self) -> None:
         """Move what was brought back: Bullet stops what slept in the first step after its sleep."""
-        for body, (velocity, speeds) in self._brought_back.items():
+        for body, (velocity, speeds) in list(self._brought_back.items()):
             if velocity.any() or speeds.any():
                 positions = self.read([body]).joint_positions
                 self._set_velocity(body, velocity)

@@ -16,7 +16,7 @@ from sim_server.reading.messages import MeshMade, ReadRequest, TextRead
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from proto.model import Model
+    from proto.model import Dynamics, Model
     from proto.services import Compat, SpawnEntityOrder
     from sim_server.reading.assets import AssetStore
     from sim_server.reading.reader import Reader
@@ -37,6 +37,7 @@ class Reading(NamedTuple):
     compat: Compat
     allow_missing: bool
     assets: tuple[AssetRef, ...]
+    dynamics: Dynamics = ""
 
 
 @dataclass
@@ -242,7 +243,7 @@ class ReadElsewhere:
         # Files that are not here are no part of it: once they come it is another reading.
         present = tuple(ref for ref in order.assets if ref.sha256 in self._store)
         text = text_of(order.entity_resource)
-        return Reading(text, order.compat, order.allow_missing, present)
+        return Reading(text, order.compat, order.allow_missing, present, order.dynamics)
 
 
 def meshes_of(model: Model) -> frozenset[str]:

@@ -7,7 +7,7 @@ import struct
 import msgspec
 
 from proto.assets import AssetRef
-from proto.model import Model
+from proto.model import Dynamics, Model
 from proto.services import Compat
 from sim_server.description.sdf import WorldModel
 
@@ -23,6 +23,7 @@ class ReadRequest(msgspec.Struct, frozen=True):
     compat: Compat = "fixed"
     allow_missing: bool = False
     assets: tuple[AssetRef, ...] = ()
+    dynamics: Dynamics = ""
     files: tuple[str, ...] = ()
     """Their sha256, each once."""
     is_world: bool = False

@@ -102,7 +102,8 @@ def read_model(request: ReadRequest, files: Files, _: Wanted) -> tuple[TextRead,
         allow_missing=request.allow_missing,
         compat=request.compat,
     )
-    return TextRead(request.number, described.model), described.meshes
+    model = msgspec.structs.replace(described.model, dynamics=request.dynamics)
+    return TextRead(request.number, model), described.meshes
 
 
 def read_world(request: ReadRequest, files: Files, wanted: Wanted) -> tuple[TextRead, Files]:

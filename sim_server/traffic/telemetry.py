@@ -8,6 +8,7 @@ from proto.header import NANOSECONDS, time_from_ns
 from proto.services import State
 from proto.telemetry import Stats, WorldClock
 from sim_server.desk import Desk
+from sim_server.physics.engine import Tiered
 from sim_server.traffic.gazebo_states import link_states, model_states
 
 CLOCK_HZ = 100
@@ -83,7 +84,7 @@ class Telemetry:
 
     def stats(self) -> Stats:
         """How the loop is doing."""
-        world, meter = self._world, self._meter
+        world, meter, engine = self._world, self._meter, self._world.engine
         return Stats(
             world=world.name,
             sim_time_s=world.time_ns * 1e-9,
@@ -104,6 +105,7 @@ class Telemetry:
             target_real_time_factor=self._desk.target_real_time_factor,
             awaited=self._desk.lockstep.awaited,
             misses=self._desk.lockstep.misses,
+            kinematic=engine.kinematic_count if isinstance(engine, Tiered) else 0,
             busy_max_s=meter.busy_max_s,
         )
 

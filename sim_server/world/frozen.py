@@ -153,7 +153,7 @@ def still(model: Model, positions: FloatArray) -> Model:
         _fixed(joint, position)
         for joint, position in zip(model.joints, positions.tolist(), strict=True)
     )
-    return msgspec.structs.replace(model, joints=joints, drive=None, is_static=True)
+    return msgspec.structs.replace(model, joints=joints, drive=None, is_static=True, dynamics="")
 
 
 def _fixed(joint: Joint, position: float) -> Joint:

@@ -41,9 +41,9 @@ class World(Chronicle):
         self.watch = Watch()
 
     @property
-    def engine_name(self) -> str:
-        """Which physics this world has."""
-        return self._engine.name
+    def engine(self) -> Engine:
+        """What simulates it: to be asked, and told nothing."""
+        return self._engine
 
     @property
     def entities(self) -> tuple[Entity, ...]:
@@ -129,7 +129,8 @@ class World(Chronicle):
         return self._overlapped(self.entity(name).body)
 
     def _overlapped(self, body: int) -> list[str]:
-        bodies = set(self._engine.overlapping(body))
+        if not (bodies := set(self._engine.overlapping(body))):
+            return []
         return [name for name, other in self._entities.items() if other.body in bodies]
 
     def delete(self, name: str) -> None:

@@ -11,6 +11,14 @@ from spawner.cli.session import AsJson, Connect, Timeout, WorldName
 Model = Annotated[
     str, typer.Argument(help="Shipped model, path of a URDF, xacro or SDF file, or - for stdin.")
 ]
+Dynamics = Annotated[
+    str,
+    typer.Option(
+        "--dynamics",
+        help="full, kinematic, or auto: full only where need be.",
+        show_default="the world's",
+    ),
+]
 Wait = Annotated[float, typer.Option("--wait", help="Seconds to wait for a server.")]
 
 
@@ -80,6 +88,7 @@ class Placing:
     frame: Annotated[str, typer.Option("--reference-frame", help="Entity that the pose is in.")] = (
         ""
     )
+    dynamics: Dynamics = ""
     allow_renaming: Annotated[
         bool, typer.Option("--allow-renaming", help="Number the name if taken.")
     ] = False
@@ -131,6 +140,7 @@ class FleetOptions(Network, Reading):
     layout: Annotated[str, typer.Option(help="row, grid or circle.")] = "row"
     spacing: Annotated[float, typer.Option(help="Metres between neighbours.")] = 1.0
     prefix: Annotated[str, typer.Option(help="Names are PREFIX0, PREFIX1, …")] = ""
+    dynamics: Dynamics = ""
     partial: Annotated[
         bool, typer.Option("--partial", help="Spawn those that can be, not all or none.")
     ] = False

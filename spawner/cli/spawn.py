@@ -24,6 +24,7 @@ from spawner.cli.wishes import (
     compat_of,
     description_here,
     description_there,
+    dynamics_of,
     order_of,
     paths_of,
     source_of,
@@ -151,7 +152,10 @@ def fleet(given: FleetOptions) -> None:
         places = _places(given)
         paths = paths_of(given)
         wishes = SpawnEntityOrder(
-            strict=given.strict, allow_missing=given.allow_missing, compat=compat_of(given)
+            strict=given.strict,
+            allow_missing=given.allow_missing,
+            compat=compat_of(given),
+            dynamics=dynamics_of(given.dynamics),
         )
         description = description_here(Source("MODEL", given.model), given, paths)
         cargo = cargo_of(description, paths, allow_missing=given.allow_missing)

@@ -10,6 +10,7 @@ import msgspec
 from proto.bus import Bus
 from proto.geometry import PoseStamped
 from proto.header import Header
+from proto.model import Dynamics
 from proto.names import check_name, check_namespace
 from proto.services import Compat, SpawnEntityOrder
 from spawner.cli.options import Reading, SpawnOptions
@@ -27,6 +28,7 @@ from spawner.launch import pose_at
 from spawner.search_paths import SearchPaths, search_paths
 
 COMPATS: tuple[Compat, ...] = get_args(Compat)
+DYNAMICS: tuple[Dynamics, ...] = get_args(Dynamics)
 STDIN = "-"
 TRUE_WORDS, FALSE_WORDS = {"true", "1", "yes", "on"}, {"false", "0", "no", "off"}
 
@@ -122,6 +124,7 @@ def order_of(given: SpawnOptions) -> SpawnEntityOrder:
         strict=given.strict,
         allow_missing=given.allow_missing,
         compat=compat_of(given),
+        dynamics=dynamics_of(given.dynamics),
     )
 
 
@@ -135,6 +138,19 @@ def compat_of(given: Reading) -> Compat:
         if given.compat == known:
             return known
     raise ValueError(f"--compat {given.compat[:40]!r} is unknown; use {' or '.join(COMPATS)}")
+
+
+def dynamics_of(word: str) -> Dynamics:
+    """Read `--dynamics`; empty = as the world is.
+
+    Raises:
+        ValueError: It is none.
+    """
+    for known in DYNAMICS:
+        if word == known:
+            return known
+    kinds = ", ".join(known for known in DYNAMICS if known)
+    raise ValueError(f"--dynamics {word[:40]!r} is unknown; use {kinds}")
 
 
 def namespace_of(given: SpawnOptions) -> str:

@@ -90,7 +90,7 @@ class ReadHere:
         described = describe(
             text, assets={}, allow_missing=order.allow_missing, compat=order.compat
         )
-        return described.model, text
+        return msgspec.structs.replace(described.model, dynamics=order.dynamics), text
 
     def reading_of(self, model: Model) -> Reading | None:
         return self.remembered.get(id(model))

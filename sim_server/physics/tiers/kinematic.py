@@ -1,0 +1,263 @@
+"""All kinematic robots at once: they go as their drives say, and stop before what is in the way."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_server.physics.engine import FloatArray
+from sim_server.physics.tiers.blocking import Moves
+from sim_server.physics.tiers.grid import IntArray
+from sim_server.physics.tiers.motion import (
+    arcs,
+    ramped,
+    rolling_speeds,
+    twists_by_steering,
+    twists_by_wheels,
+)
+from sim_server.physics.tiers.rows import At, Pool, Rows, Tier, at_rows, turned
+from sim_server.physics.tiers.vehicle import Vehicle
+
+HARSH_M_S = 0.1
+"""A change of speed that may tip over what can be tipped over by its wheels."""
+STEP_OVER_M = 0.01
+"""What is no higher than this over the ground of a robot does not stop it."""
+
+
+@dataclass
+class Make:
+    """Robots that are driven alike.
+
+    Attributes:
+        all_rows: Of the members.
+        rows: Of those in the kinematic tier.
+        joints: (n, j) where all their joints are in the pool.
+        targets: (n, w) likewise.
+    """
+
+    vehicle: Vehicle
+    members: set[int] = field(default_factory=set)
+    all_rows: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
+    rows: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
+    joints: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+    targets: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+
+    def gather(self, rows: Rows) -> None:
+        """Find who of the members is in the kinematic tier."""
+        members = self.all_rows = np.array(sorted(self.members), np.intp)
+        self.rows = members[rows.tier[members] == Tier.KINEMATIC]
+        counts = np.arange(self.vehicle.joint_count)
+        self.joints = rows.joint_start[self.rows][:, None] + counts
+        self.targets = rows.target_start[self.rows][:, None] + np.arange(self.vehicle.width)
+
+
+class Kinematic:
+    """Robots in the plane, their joints and what they were told.
+
+    Attributes:
+        rows: In the kinematic tier, make by make.
+    """
+
+    def __init__(self, rows: Rows, dt_s: float) -> None:
+        self.rows: IntArray = np.zeros(0, np.intp)
+        self._at: At = self.rows
+        self.positions = Pool()
+        self.velocities: FloatArray = np.zeros(0)
+        self.targets = Pool()
+        self._known = rows
+        self._dt_s = dt_s
+        self._makes: dict[Vehicle, Make] = {}
+        self._vehicles: dict[int, Vehicle] = {}
+
+    def admit(self, row: int, vehicle: Vehicle) -> None:
+        """Take a robot in, joints and targets at zero."""
+        known = self._known
+        known.joint_start[row] = self.positions.take(vehicle.joint_count)
+        known.target_start[row] = self.targets.take(vehicle.width)
+        if len(self.velocities) < len(self.positions.numbers):
+            more = len(self.positions.numbers) - len(self.velocities)
+            self.velocities = np.concatenate([self.velocities, np.zeros(more)])
+        self.set_joints(row, np.zeros(vehicle.joint_count), np.zeros(vehicle.joint_count))
+        self.set_targets(row, np.zeros(vehicle.width))
+        self._makes.setdefault(vehicle, Make(vehicle)).members.add(row)
+        self._vehicles[row] = vehicle
+
+    def dismiss(self, row: int) -> None:
+        """Forget a robot."""
+        vehicle = self._vehicles.pop(row)
+        self._makes[vehicle].members.discard(row)
+        self.positions.give_back(int(self._known.joint_start[row]), vehicle.joint_count)
+        self.targets.give_back(int(self._known.target_start[row]), vehicle.width)
+
+    def vehicle(self, row: int) -> Vehicle:
+        """Find how a robot is driven."""
+        return self._vehicles[row]
+
+    def gather(self) -> None:
+        """Note that robots came, went, or changed tiers."""
+        for make in self._makes.values():
+            make.gather(self._known)
+        self.rows = np.concatenate([self.rows[:0], *(m.rows for m in self._makes.values())])
+        self._at = at_rows(self.rows)
+
+    def joints(self, row: int) -> tuple[FloatArray, FloatArray]:
+        """Find positions and velocities (j,) of the joints of a robot."""
+        span = self._joints(row)
+        return self.positions.numbers[span].copy(), self.velocities[span].copy()
+
+    def set_joints(self, row: int, positions: FloatArray, velocities: FloatArray) -> None:
+        """Set both."""
+        self.positions.numbers[self._joints(row)] = positions
+        self.velocities[self._joints(row)] = velocities
+
+    def told(self, row: int) -> FloatArray:
+        """Find the targets (w,) of a robot."""
+        start = int(self._known.target_start[row])
+        return self.targets.numbers[start : start + int(self._known.width[row])]
+
+    def set_targets(self, row: int, targets: FloatArray) -> None:
+        """Tell a robot what to do."""
+        self.told(row)[:] = targets
+
+    def twist(self, row: int) -> FloatArray:
+        """Find the root twist (3,) that its joints and what it was told give a robot."""
+        vehicle = self._vehicles[row]
+        if vehicle.twist >= 0:
+            return self.told(row)[vehicle.twist : vehicle.twist + 3]
+        positions, velocities = (numbers[None] for numbers in self.joints(row))
+        speeds = velocities[:, list(vehicle.driven.joints)]
+        if vehicle.matrix:
+            return twists_by_wheels(vehicle, speeds)[:, 0]
+        angles = positions[:, list(vehicle.steering)]
+        return twists_by_steering(vehicle, speeds, angles)[:, 0]
+
+    def note_paces(self) -> None:
+        """Bound how fast each may become by what it is told: of all robots, in either tier."""
+        known = self._known
+        for make in self._makes.values():
+            vehicle, rows = make.vehicle, make.all_rows
+            if not len(rows):
+                continue
+            widths, counts = np.arange(vehicle.width), np.arange(vehicle.joint_count)
+            told = self.targets.numbers[known.target_start[rows][:, None] + widths]
+            now = self.velocities[known.joint_start[rows][:, None] + counts]
+            ahead, aside, spin = np.abs(known.twist[:, rows])
+            rims, change = _asked(vehicle, told, now)
+            known.pace[rows] = np.maximum(np.hypot(ahead, aside) + spin * known.radius[rows], rims)
+            is_pulled = vehicle.is_tippy & (change > HARSH_M_S)
+            known.is_harsh[rows] = is_pulled | (ahead * spin > vehicle.max_aside)
+
+    def propose(self) -> tuple[FloatArray, FloatArray]:
+        """Turn motors for a step, and find root twists and ways (3, n) of `rows`."""
+        twists = [self._driven(make) for make in self._makes.values() if len(make.rows)]
+        found = np.concatenate([np.zeros((3, 0)), *twists], axis=1)
+        return found, arcs(self._known.headings(self._at), found, self._dt_s)
+
+    def _driven(self, make: Make) -> FloatArray:
+        vehicle, positions = make.vehicle, self.positions.numbers
+        told = self.targets.numbers[make.targets]
+        if vehicle.twist >= 0:
+            return np.asarray(told[:, vehicle.twist : vehicle.twist + 3].T)
+        driven = make.joints[:, list(vehicle.driven.joints)]
+        radii = np.array([w.radius_m for w in vehicle.wheels[: driven.shape[1]]])
+        most = vehicle.max_rim * self._dt_s / radii
+        speeds = ramped(self.velocities[driven], told[:, list(vehicle.driven.places)], most)
+        self.velocities[driven] = speeds
+        if vehicle.matrix:
+            return twists_by_wheels(vehicle, speeds)
+        self._steer(make, told)
+        angles = positions[make.joints[:, list(vehicle.steering)]]
+        twists = twists_by_steering(vehicle, speeds, angles)
+        rolling = [wheel.joint for wheel in vehicle.wheels[len(vehicle.driven.joints) :]]
+        self.velocities[make.joints[:, rolling]] = rolling_speeds(vehicle, twists, angles)
+        return twists
+
+    def _steer(self, make: Make, told: FloatArray) -> None:
+        """Turn what is steered; it turns on the spot too, so that nothing holds it up."""
+        vehicle, positions = make.vehicle, self.positions.numbers
+        steered = make.joints[:, list(vehicle.steered.joints)]
+        most = np.array(vehicle.steering_rad_s) * self._dt_s
+        angles = ramped(positions[steered], told[:, list(vehicle.steered.places)], most)
+        self.velocities[steered] = (angles - positions[steered]) / self._dt_s
+        by_speed = make.joints[:, list(vehicle.turned.joints)]
+        self.velocities[by_speed] = told[:, list(vehicle.turned.places)]
+
+    def moves(self, way: FloatArray, discs: At, mine: At, unseen_s: float) -> Moves:
+        """Say where discs want to go: those of `rows` by their ways, others are about where seen.
+
+        Args:
+            way: (3, n) of `rows`.
+            discs: Rows of all d discs.
+            mine: Where `rows` are among them.
+            unseen_s: For how long nobody looks where the others are.
+        """
+        known = self._known
+        radius = known.radius[discs]
+        ways, may_stop = np.zeros((len(radius), 2)), np.zeros(len(radius), np.bool_)
+        dx, dy, turn = way
+        x, y = known.centre[0, self._at], known.centre[1, self._at]
+        if x.any() or y.any():
+            arm = turned(x, y, known.headings(self._at))
+            swung = turned(*arm, (np.cos(turn), np.sin(turn)))
+            dx, dy = dx + swung[0] - arm[0], dy + swung[1] - arm[1]
+        ways[mine, 0], ways[mine, 1] = dx, dy
+        bend = known.pace[discs] * unseen_s
+        bend[mine] = _bend(np.hypot(dx, dy), np.abs(turn))
+        may_stop[mine] = True
+        return Moves(known.discs(discs), ways, radius, bend, may_stop)
+
+    def commit(self, twists: FloatArray, way: FloatArray, shares: FloatArray) -> None:
+        """Go so much of the way; who did not go all of it stands."""
+        known, at = self._known, self._at
+        is_free = shares >= 1.0
+        if not is_free.all():
+            held = ~is_free
+            heading = known.headings(self.rows[held])
+            way[:, held] = arcs(heading, twists[:, held], self._dt_s * shares[held])
+            twists = twists * is_free
+        known.place[0, at] += way[0]
+        known.place[1, at] += way[1]
+        known.turn_to(at, known.yaw[at] + way[2])
+        known.twist[:, at] = twists
+        self._roll_on(shares)
+
+    def _roll_on(self, shares: FloatArray) -> None:
+        at = 0
+        for make in self._makes.values():
+            count = len(make.rows)
+            if count and make.vehicle.joint_count:
+                share = shares[at : at + count, None]
+                self._roll(make, share)
+            at += count
+
+    def _roll(self, make: Make, share: FloatArray) -> None:
+        vehicle = make.vehicle
+        wheels = make.joints[:, [wheel.joint for wheel in vehicle.wheels]]
+        self.positions.numbers[wheels] += self.velocities[wheels] * self._dt_s * share
+        self.velocities[wheels] *= share >= 1.0
+        steering = make.joints[:, [*vehicle.steered.joints, *vehicle.turned.joints]]
+        if steering.shape[1]:
+            self.positions.numbers[steering] += self.velocities[steering] * self._dt_s
+
+    def _joints(self, row: int) -> slice:
+        start = int(self._known.joint_start[row])
+        return slice(start, start + int(self._known.joint_count[row]))
+
+
+def _asked(
+    vehicle: Vehicle, told: FloatArray, velocities: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Find how fast [m/s] robots may become that are told so, and by how much this changes."""
+    if vehicle.twist >= 0:
+        twist = told[:, vehicle.twist : vehicle.twist + 3]
+        return np.abs(twist).sum(axis=1), np.zeros(len(told))
+    driven = list(vehicle.driven.joints)
+    radii = np.array([wheel.radius_m for wheel in vehicle.wheels[: len(driven)]])
+    wanted = told[:, list(vehicle.driven.places)] * radii
+    now = velocities[:, driven] * radii
+    fastest = np.maximum(np.abs(wanted), np.abs(now)).max(axis=1)
+    return fastest, np.abs(wanted - now).max(axis=1)
+
+
+def _bend(chord: FloatArray, turn: FloatArray) -> FloatArray:
+    """Bound how far [m] arcs leave their chords; of a turn by more than a radian, generously."""
+    return np.where(turn < 1.0, chord * turn / 4.0, chord * (1.0 + turn))

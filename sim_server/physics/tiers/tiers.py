@@ -1,0 +1,233 @@
+"""The Engine of two tiers: robots that are driven flat beside an engine for all that touches."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim_server.physics.engine import EngineConfig, FloatArray, Reading
+from sim_server.physics.tiers.bodies import Bodies
+from sim_server.physics.tiers.planning import FlatPlans
+from sim_server.physics.tiers.rows import Tier
+from sim_server.physics.tiers.switching import goes_flat, stands_flat
+from sim_server.physics.tiers.watching import Watching
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from proto.model import Dynamics, Model, TierName
+    from sim_server.physics.engine import Engine
+    from sim_server.physics.tiers.mapping import Mapping
+
+LOOK_S = 0.02
+"""How often robots look around, or once a step if that is longer."""
+TRIED = 256
+
+
+class Tiers:
+    """Robots in the kinematic tier, and all else in a full engine; `auto` robots change over."""
+
+    def __init__(self, full: Engine, config: EngineConfig, default: Dynamics) -> None:
+        self._full = full
+        self._plans = FlatPlans(config, default)
+        gx, gy, gz = config.gravity
+        self._has_flat_ground = config.has_ground and gx == gy == 0.0 and gz < 0.0
+        dt_s = config.step_ns * 1e-9
+        self._every = max(1, round(LOOK_S / dt_s))
+        self._steps_to_look = 0
+        self._bodies = Bodies(full, self._plans.corners, dt_s, self._every * dt_s)
+        self._watching = Watching(self._bodies, full, self._every * dt_s)
+        self._tried: dict[int, Model] = {}
+
+    @property
+    def name(self) -> str:
+        """See `Engine.name`: that of the full engine."""
+        return self._full.name
+
+    def tier_of(self, body: int) -> TierName:
+        """See `Tiered.tier_of`."""
+        return "kinematic" if self._bodies.rows.tier[body] == Tier.KINEMATIC else "full"
+
+    @property
+    def kinematic_count(self) -> int:
+        """See `Tiered.kinematic_count`."""
+        return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
+
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`."""
+        return self._full.prepare(model)
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """See `Engine.add`; refuses also a model that asks for the kinematic tier and cannot."""
+        bodies, plan = self._bodies, self._plans.plan(model)
+        is_auto = self._plans.dynamics(model) == "auto"
+        number = -1
+        if plan is None or (is_auto and not self._begins_flat(base, plan[1].low)):
+            number = self._full.add(model, base)
+        else:
+            self._try_out(model, base)
+        row = bodies.take(model, plan, is_auto=is_auto)
+        if number >= 0:
+            bodies.belong(row, number)
+        bodies.set_state(row, base)
+        return row
+
+    def remove(self, body: int) -> None:
+        """See `Engine.remove`."""
+        self._bodies.give_back(body)
+        self._watching.forget(body)
+
+    def forget_removed(self) -> None:
+        """See `Engine.forget_removed`."""
+        self._full.forget_removed()
+
+    def overlapping(self, body: int) -> Sequence[int]:
+        """See `Engine.overlapping`; who is kinematic is asked of the full engine if need be."""
+        bodies = self._bodies
+        full = bodies.rows.full
+        guests, is_by_edge = self._watching.within(body) if bodies.held else ([], False)
+        if full[body] < 0 and not guests and not is_by_edge:
+            return []
+        guests = [row for row in (body, *guests) if full[row] < 0]
+        visits = {row: bodies.visit(row) for row in guests}
+        rows = {**bodies.numbers, **{visit: row for row, visit in visits.items()}}
+        mine = visits.get(body, int(full[body]))
+        found = sorted(rows[other] for other in self._full.overlapping(mine))
+        for visit in visits.values():
+            self._full.remove(visit)
+        return found
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        """See `Engine.read`."""
+        mapping = self._bodies.mappings.of(bodies)
+        kinematic, full = mapping.kinematic, mapping.full
+        if not len(kinematic.rows):
+            return self._full.read(mapping.bodies)
+        if not mapping.bodies:
+            return self._read_flat(mapping)
+        base = np.empty((mapping.count, 13))
+        positions, velocities = np.empty(mapping.joint_count), np.empty(mapping.joint_count)
+        base[kinematic.places] = self._bodies.rows.states(mapping.at)
+        flat = self._bodies.kinematic
+        positions[kinematic.joints] = flat.positions.numbers[mapping.pooled_joints]
+        velocities[kinematic.joints] = flat.velocities[mapping.pooled_joints]
+        reading = self._full.read(mapping.bodies)
+        base[full.places] = reading.base
+        positions[full.joints] = reading.joint_positions
+        velocities[full.joints] = reading.joint_velocities
+        return Reading(base, positions, velocities)
+
+    def _read_flat(self, mapping: Mapping) -> Reading:
+        flat = self._bodies.kinematic
+        return Reading(
+            self._bodies.rows.states(mapping.at),
+            flat.positions.numbers[mapping.pooled_joints],
+            flat.velocities[mapping.pooled_joints],
+        )
+
+    def place(self, body: int, base: FloatArray) -> None:
+        """See `Engine.place`; who is always kinematic keeps the twist that its wheels give it."""
+        if not self._stays_flat(body, base):
+            self._full.place(self._bodies.in_full(body), base)
+        self._bodies.set_state(body, base)
+
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """See `Engine.put`."""
+        bodies = self._bodies
+        if bodies.rows.full[body] < 0:
+            bodies.kinematic.set_joints(body, positions, velocities)
+        if not self._stays_flat(body, base):
+            self._full.put(bodies.in_full(body), base, positions, velocities)
+        bodies.set_state(body, base)
+
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.rest`; who may be kinematic there is so from now on."""
+        bodies, rows = self._bodies, self._bodies.rows
+        if rows.is_held[body]:
+            self._watching.forget(body)
+            bodies.stand_still(body, positions)
+            if rows.full[body] >= 0 and self._begins_flat(base, float(rows.heights[0, body])):
+                bodies.leave_full(body)
+            if not self._stays_flat(body, base):
+                self._full.rest(bodies.in_full(body), base, positions)
+        else:
+            self._full.rest(int(rows.full[body]), base, positions)
+        bodies.set_state(body, base)
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """See `Engine.command`."""
+        mapping = self._bodies.mappings.of(bodies)
+        if not len(mapping.held):
+            self._full.command(mapping.bodies, targets)
+            return
+        pool = self._bodies.kinematic.targets.numbers
+        pool[mapping.pooled_targets] = targets[mapping.held_targets]
+        self._bodies.told.update(mapping.held)
+        if mapping.bodies:
+            self._full.command(mapping.bodies, targets[mapping.full.targets])
+
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.push_link`; who is always kinematic does not mind."""
+        if self._can_be_pushed(body):
+            self._full.push_link(self._bodies.in_full(body, at_once=True), link, wrench)
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.push_joint`; who is always kinematic does not mind."""
+        if self._can_be_pushed(body):
+            self._full.push_joint(self._bodies.in_full(body, at_once=True), joint, effort)
+
+    def step(self) -> bool:
+        """See `Engine.step`: look around, go, and then all that is full."""
+        bodies = self._bodies
+        if not bodies.held:
+            return self._full.step()
+        if self._steps_to_look == 0:
+            self._watching.look()
+            self._steps_to_look = self._every
+        self._steps_to_look -= 1
+        bodies.gather()
+        self._go()
+        return self._full.step() if bodies.movers else True
+
+    def close(self) -> None:
+        """See `Engine.close`."""
+        self._full.close()
+
+    def _go(self) -> None:
+        kinematic = self._bodies.kinematic
+        twists, way = kinematic.propose()
+        if way.shape[1]:
+            kinematic.commit(twists, way, self._bodies.surroundings.shares(way))
+
+    def _try_out(self, model: Model, base: FloatArray) -> None:
+        """See that the full engine takes a model, before it has to."""
+        if id(model) in self._tried:
+            return
+        self._full.remove(self._full.add(model, base))
+        self._tried[id(model)] = model
+        if len(self._tried) > TRIED:
+            del self._tried[next(iter(self._tried))]
+
+    def _begins_flat(self, base: FloatArray, low: float) -> bool:
+        return self._stands_flat(base, low) and not base[7:].any()
+
+    def _stands_flat(self, base: FloatArray, low: float) -> bool:
+        """Whether a robot put at `base` stands on the plane."""
+        return self._has_flat_ground and stands_flat(base, low)
+
+    def _stays_flat(self, body: int, base: FloatArray) -> bool:
+        """Whether a robot put at `base` needs no full engine, if it is not in it now."""
+        rows = self._bodies.rows
+        if rows.full[body] >= 0:
+            return False
+        if not rows.is_auto[body]:
+            return True
+        goes = not base[7:].any() or goes_flat(base, self._bodies.kinematic.twist(body))
+        return goes and self._stands_flat(base, float(rows.heights[0, body]))
+
+    def _can_be_pushed(self, body: int) -> bool:
+        rows = self._bodies.rows
+        return bool(rows.tier[body] == Tier.FULL or rows.is_auto[body])

@@ -1,0 +1,51 @@
+"""Two tiers for tests, and what is asked of them again and again."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import msgspec
+import numpy as np
+
+from proto.model import Dynamics, Model
+from proto.rotation import yaw_of
+from sim_server.description.library import model_text
+from sim_server.description.urdf import read_urdf
+from sim_server.physics.engine import EngineConfig, FloatArray
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.tiers.tiers import Tiers
+
+STEP_NS = 10_000_000
+DT_S = 0.01
+
+
+@contextmanager
+def two_tiers(default: Dynamics = "auto", *, step_ns: int = STEP_NS) -> Iterator[Tiers]:
+    """Two tiers over Bullet, closed afterwards."""
+    config = EngineConfig(step_ns)
+    engine = Tiers(PyBulletEngine(config), config, default)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def shipped(name: str) -> Model:
+    return read_urdf(model_text(name))
+
+
+def with_dynamics(model: Model, dynamics: Dynamics) -> Model:
+    return msgspec.structs.replace(model, dynamics=dynamics)
+
+
+def steps(engine: Tiers, count: int) -> None:
+    for _ in range(count):
+        engine.step()
+
+
+def places(engine: Tiers, bodies: list[int]) -> FloatArray:
+    """Where bodies are: (n, 2)."""
+    return np.asarray(engine.read(tuple(bodies)).base[:, :2])
+
+
+def heading(engine: Tiers, body: int) -> float:
+    return float(yaw_of(engine.read((body,)).base[0, 3:7]))
