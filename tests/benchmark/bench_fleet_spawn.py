@@ -67,7 +67,10 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             spawns.floor_s.append(_floor_s(count))
     for count, spawns in seen.items():
         yield from _figures(count, spawns)
-    yield _moved(2, pools=1, runs=1) if is_short else _moved(GOAL, pools=POOLS, runs=MOVING_RUNS)
+    if is_short:
+        yield from _moved(2, pools=1, runs=1)
+    else:
+        yield from _moved(GOAL, pools=POOLS, runs=MOVING_RUNS)
 
 
 def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
@@ -88,14 +91,26 @@ def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> No
     spawns.robot_kib.append(held / count * KIBIBYTES)
 
 
-def _moved(count: int, *, pools: int, runs: int) -> Figure:
+def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
     """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
-    samples = tuple(_moved_s(count, pools) for _ in range(runs))
-    what = f"{count} robots: fleet command to all have moved on their own cmd_vel"
-    return Figure(what=what, unit="s", samples=samples, asked=MOVED)
+    seen = [_all_moved(count, pools) for _ in range(runs)]
+    whom = f"{count} robots, {pools} pools" if pools > 1 else f"{count} robots, 1 pool"
+    yield Figure(
+        what=f"{whom}: fleet command to all have moved",
+        unit="s",
+        samples=tuple(took_s for took_s, _ in seen),
+        asked=MOVED if count == GOAL else None,
+    )
+    yield Figure(
+        what=f"{whom}: moved on their own cmd_vel",
+        unit="",
+        samples=tuple(moved for _, moved in seen),
+        asked=Asked("min", ">=", count),
+    )
 
 
-def _moved_s(count: int, pools: int) -> float:
+def _all_moved(count: int, pools: int) -> tuple[float, int]:
+    """Return the time [s] until all had moved, or that was waited for, and how many had."""
     wish = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with (
         staffed((), (pool(10.0),) * pools) as crew,
@@ -106,13 +121,15 @@ def _moved_s(count: int, pools: int) -> float:
         done = zensim("fleet", "box_bot", *wish, "--connect", crew.bus.endpoint)
         if done.returncode:
             raise RuntimeError(f"no fleet was spawned: {done.stderr}")
-        tally = soon(lambda: _all_moved(tallies, count), CROWD_S)
-        return tally.wall_s - start_s
+        while True:
+            tally = soon(lambda: _newest(tallies), CROWD_S)
+            if tally.moved == count or tally.wall_s > start_s + CROWD_S:
+                return tally.wall_s - start_s, tally.moved
 
 
-def _all_moved(tallies: Subscription, count: int) -> Tally | None:
-    told = [msgspec.msgpack.decode(sample.payload, type=Tally) for sample in tallies.take()]
-    return next((tally for tally in told if tally.moved == count), None)
+def _newest(tallies: Subscription) -> Tally | None:
+    sample = tallies.newest()
+    return None if sample is None else msgspec.msgpack.decode(sample.payload, type=Tally)
 
 
 def _floor_s(count: int) -> float:

@@ -3,7 +3,8 @@
 Router, server, agents and users are processes of their own, at real-time factor 1. One process is
 all users: it commands each robot at 10 Hz to drive a circle, and takes all odometry and tf. One
 robot more stands; it is told to move, again and again, and the time runs until its odometry shows
-that it does. A sample is a second, of an answer one command; CPU is in cores.
+that it does; 20 s when it does not within 20 s. A sample is a second, of an answer one command; CPU
+is in cores.
 """
 
 import random
@@ -11,7 +12,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from tests.benchmark.figures import Asked, Figure, table
-from tests.benchmark.motion import SPEED, response_ms, stop
+from tests.benchmark.fleet import MILLISECONDS
+from tests.benchmark.motion import PATIENCE_S, SPEED, response_ms
 from tests.benchmark.served import spawn
 from tests.benchmark.staffed import Span, crowd, observed, staffed
 from tests.integration.processes import eventually
@@ -75,7 +77,6 @@ def _measured(case: Case) -> Iterator[Figure]:
         single = robot(crew.bus, f"box_bot{others}")
         with crowd(crew.bus, others, COMMANDS_HZ) as (tallies, pid):
             everybody = replace(crew, pids={**crew.pids, "users": (pid,)})
-            stop(single)
             command = _commands(single, took_ms)
             spans = observed(everybody, tallies, others, case.seconds, command)
     yield from _figures(case, spans, took_ms)
@@ -87,7 +88,10 @@ def _commands(single: Robot, took_ms: list[float]) -> Callable[[], None]:
 
     def command() -> None:
         speed = SPEED * (-1) ** len(took_ms)
-        took_ms.append(response_ms(single, phase, speed))
+        try:
+            took_ms.append(response_ms(single, phase, speed))
+        except TimeoutError:
+            took_ms.append(PATIENCE_S * MILLISECONDS)
 
     return command
 
@@ -102,6 +106,9 @@ def _figures(case: Case, spans: list[Span], took_ms: list[float]) -> Iterator[Fi
         samples=tuple(took_ms),
         asked=case.answer,
     )
+    moved = spans[-1].moved
+    everybody = Asked("min", ">=", case.robots - 1)
+    yield Figure(what=f"{whom}: others that moved", unit="", samples=(moved,), asked=everybody)
     for group in spans[0].cores:
         cores = tuple(span.cores[group] for span in spans)
         yield Figure(what=f"{whom}: CPU, {group}", unit="cores", samples=cores)

@@ -15,7 +15,7 @@ STANDS = 0.001
 STANDS_FOR = 8
 """Odometry in a row that shows no motion before a robot stands: it rocks when it stops."""
 LONGEST_PAUSE_S = 0.05
-PATIENCE_S = 60.0
+PATIENCE_S = 20.0
 """Where a fleet is too large to be paced, simulation time creeps."""
 
 
