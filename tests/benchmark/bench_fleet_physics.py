@@ -31,8 +31,12 @@ class Case:
     asked: Asked | None = None
 
 
-CASES = (Case("1000 robots, one PyBullet world", 1000, 100.0),)
-SHORT_CASES = (Case("2 robots, one PyBullet world", 2, 100.0),)
+CASES = (
+    Case("1000 robots, one PyBullet world", 1000, 100.0, ("--clusters", "off")),
+    Case("1000 robots, PyBullet in cells", 1000, 100.0, ("--clusters", "on")),
+    Case("1000 robots, MuJoCo", 1000, 100.0, ("--engine", "mujoco"), Asked("median", ">=", 1.3)),
+)
+SHORT_CASES = (Case("2 robots, MuJoCo", 2, 100.0, ("--engine", "mujoco")),)
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
