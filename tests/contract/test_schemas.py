@@ -17,6 +17,7 @@ WITHOUT_MESSAGES = {
     "proto.commands",
     "proto.ros_graph",
     "proto.cdr_layout",
+    "proto.ros_actions",
     "proto.ros_forms",
     "proto.ros_services",
 }

@@ -1,0 +1,264 @@
+"""The action SimulateSteps of ROS 2, over the services that zensim has for it.
+
+A goal is a request for steps whose answer is kept for whoever asks for its result.
+"""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final, Protocol, TypeVar
+
+import msgspec
+
+from proto import ros_actions as action
+from proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
+from proto.codec import Format, MalformedPayload, decode, encode
+from proto.header import Time, time_from_ns
+from proto.result import Result, ResultCode
+from proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from proto.stepping import (
+    CancelStepsRequest,
+    CancelStepsResponse,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    StepsProgress,
+)
+from sim_server.traffic.calls import Call
+
+CDR: Final = str(Format.CDR.value)
+MSGPACK: Final = str(Format.MSGPACK.value)
+KEPT: Final = 256
+"""Goals that are over and whose results can still be had."""
+MAX_WAITING: Final = 64
+"""Who wait for the result of one goal."""
+ENDS: Final = {
+    "succeeded": action.GoalStatus.SUCCEEDED,
+    "canceled": action.GoalStatus.CANCELED,
+    "aborted": action.GoalStatus.ABORTED,
+}
+CANCEL_CODES: Final = {
+    int(ResultCode.OK): action.CancelCode.NONE,
+    int(ResultCode.NOT_FOUND): action.CancelCode.UNKNOWN_GOAL_ID,
+    int(ResultCode.INCORRECT_STATE): action.CancelCode.GOAL_TERMINATED,
+}
+Message = TypeVar("Message", bound=msgspec.Struct)
+
+
+class Query(Protocol):
+    """A request as the network hands it out."""
+
+    payload: bytes
+    request_id: bytes
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        """Answer."""
+
+
+class Queue(Protocol):
+    """Requests that have come."""
+
+    def take(self) -> Sequence[Query]:
+        """Take them."""
+
+
+class Teller(Protocol):
+    """A topic on all its faces."""
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens."""
+
+    def send(self, payload: bytes) -> None:
+        """Put one message."""
+
+
+@dataclass
+class Goal:
+    """One goal, from the wish to its result."""
+
+    goal_id: action.GoalId
+    stamp: Time
+    asked: Query | None
+    """Who waits to hear whether it is accepted."""
+    status: action.GoalStatus = action.GoalStatus.ACCEPTED
+    result: Result = field(default_factory=Result)
+    waiting: list[Query] = field(default_factory=list)
+    """Who waits for its result."""
+
+    @property
+    def info(self) -> action.GoalInfo:
+        """What ROS 2 calls it."""
+        return action.GoalInfo(self.goal_id, self.stamp)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its result is known."""
+        return self.status in ENDS.values()
+
+
+class InnerCall:
+    """A request that this action makes of the server; see `Call`."""
+
+    payload, encoding, request_id, size = b"", MSGPACK, b"", 0
+
+    def __init__(
+        self, name: str, request: msgspec.Struct, on_reply: Callable[[bytes, str], None]
+    ) -> None:
+        self.name = name
+        self._request = request
+        self._on_reply = on_reply
+
+    def read(self, kind: type[Message]) -> Message:
+        """See `Call`."""
+        assert isinstance(self._request, kind)
+        return self._request
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        """See `Call`: there is nobody on the network who could have asked otherwise."""
+        del key
+        self._on_reply(payload, encoding)
+
+    def drop(self) -> None:
+        """See `Call`."""
+
+
+class StepsAction:
+    """All goals that ROS 2 sent."""
+
+    def __init__(self, queues: Mapping[str, Queue], tellers: Mapping[str, Teller]) -> None:
+        """Take the channels.
+
+        Args:
+            queues: One for each of `ros_actions.SERVICES`.
+            tellers: One for each of `ros_actions.TOPICS`.
+        """
+        self._queues = queues
+        self._tellers = tellers
+        self._goals: OrderedDict[str, Goal] = OrderedDict()
+        self._new: list[Goal] = []
+
+    def take(self) -> list[Call]:
+        """Take what has come, as requests of the server's own; results are told at once."""
+        while self._new:
+            self._accept(self._new.pop())  # what was refused was so before this turn
+        calls: list[Call] = []
+        for query in self._queues[action.SEND_GOAL].take():
+            calls += self._begin(query)
+        for query in self._queues[action.CANCEL_GOAL].take():
+            calls += self._cancel(query)
+        for query in self._queues[action.GET_RESULT].take():
+            self._ask_result(query)
+        return calls
+
+    def note(self, progress: StepsProgress) -> None:
+        """Tell of the progress of a goal, if it is one of these."""
+        goal = self._goals.get(progress.goal_id)
+        if goal is None:
+            return
+        self._accept(goal)
+        if (teller := self._tellers[action.FEEDBACK]).is_matched:
+            steps = action.StepsFeedback(progress.completed_steps, progress.remaining_steps)
+            teller.send(encode(action.FeedbackMessage(goal.goal_id, steps), Format.CDR))
+
+    def _end(self, goal: Goal, payload: bytes, encoding: str) -> None:
+        """Take the answer to a goal: what is refused was never accepted."""
+        response = decode(SimulateStepsResponse, payload, encoding)
+        is_refused = response.result.result != ResultCode.OK and not response.goal_id
+        if goal.asked is not None and is_refused:
+            del self._goals[word_of(goal.goal_id)]
+            self._answer(goal.asked, action.SendGoalResponse())
+            goal.asked = None
+            return
+        self._accept(goal)
+        goal.status, goal.result = ENDS[response.status], response.result
+        for query in goal.waiting:
+            self._tell_result(query, goal)
+        goal.waiting.clear()
+        self._forget_oldest()
+        self._tell_status()
+
+    def _tell_canceled(self, asked: Query, payload: bytes, encoding: str) -> None:
+        told = decode(CancelStepsResponse, payload, encoding)
+        code = CANCEL_CODES.get(told.result.result, action.CancelCode.REJECTED)
+        ended = tuple(self._goals[name].info for name in told.goal_ids if name in self._goals)
+        self._answer(asked, action.CancelGoalResponse(code, ended))
+
+    def _begin(self, query: Query) -> list[Call]:
+        request = _read(action.SendGoalRequest, query)
+        name = "" if request is None else word_of(request.goal_id)
+        if request is None or not name or name in self._goals:
+            self._answer(query, action.SendGoalResponse())
+            return []
+        goal = Goal(request.goal_id, time_from_ns(time.time_ns()), query)
+        self._goals[name] = goal
+        self._new.append(goal)
+        asked = SimulateStepsRequest(request.goal.steps, name)
+        return [InnerCall(SIMULATE_STEPS.name, asked, partial(self._end, goal))]
+
+    def _cancel(self, query: Query) -> list[Call]:
+        request = _read(action.CancelGoalRequest, query)
+        if request is None:
+            rejected = action.CancelGoalResponse(action.CancelCode.REJECTED)
+            self._answer(query, rejected)
+            return []
+        asked = CancelStepsRequest(word_of(request.goal_info.goal_id))
+        return [InnerCall(CANCEL_STEPS.name, asked, partial(self._tell_canceled, query))]
+
+    def _ask_result(self, query: Query) -> None:
+        request = _read(action.GetResultRequest, query)
+        goal = None if request is None else self._goals.get(word_of(request.goal_id))
+        if goal is None or len(goal.waiting) >= MAX_WAITING:
+            self._answer(query, action.GetResultResponse(action.GoalStatus.UNKNOWN))
+        elif goal.is_over:
+            self._tell_result(query, goal)
+        else:
+            goal.waiting.append(query)
+
+    def _accept(self, goal: Goal) -> None:
+        if (asked := goal.asked) is None:
+            return
+        goal.asked, goal.status = None, action.GoalStatus.EXECUTING
+        self._answer(asked, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
+        self._tell_status()
+
+    def _tell_result(self, query: Query, goal: Goal) -> None:
+        result = action.StepsResult(goal.result)
+        self._answer(query, action.GetResultResponse(goal.status, result))
+
+    def _tell_status(self) -> None:
+        if (teller := self._tellers[action.STATUS]).is_matched:
+            teller.send(self.statuses())
+
+    def statuses(self) -> bytes:
+        """Write how far all goals are, as the status topic tells it."""
+        goals = [one for one in self._goals.values() if one.asked is None]
+        told = tuple(action.StatusOfGoal(goal.info, goal.status) for goal in goals)
+        return encode(action.GoalStatusArray(told), Format.CDR)
+
+    def _answer(self, query: Query, response: msgspec.Struct) -> None:
+        attachment = read_attachment(query.request_id)
+        back = b"" if attachment is None else write_attachment(_of_now(attachment))
+        query.reply(encode(response, Format.CDR), CDR, attachment=back)
+
+    def _forget_oldest(self) -> None:
+        over = [name for name, goal in self._goals.items() if goal.is_over]
+        for name in over[: max(0, len(over) - KEPT)]:
+            del self._goals[name]
+
+
+def word_of(goal_id: action.GoalId) -> str:
+    """Write a goal's id as our services know it; empty for none."""
+    return "" if goal_id.uuid == action.NO_ID else bytes(goal_id.uuid).hex()
+
+
+def _read(kind: type[Message], query: Query) -> Message | None:
+    try:
+        return decode(kind, query.payload, CDR)
+    except MalformedPayload:
+        return None
+
+
+def _of_now(attachment: Attachment) -> Attachment:
+    return msgspec.structs.replace(attachment, source_time_ns=time.time_ns())
