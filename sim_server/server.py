@@ -13,10 +13,8 @@ import msgspec
 from proto import keys
 from proto.bus import Bus, NoServer
 from proto.catalog import INFO
-from proto.faces import Faces
 from proto.header import NANOSECONDS
 from proto.joining import join
-from proto.ros_graph import RosGraph
 from proto.telemetry import InfoRequest
 from sim_server.config import AlreadyServed, ServerConfig, checked
 from sim_server.description.sdf import WorldModel
@@ -37,13 +35,11 @@ from sim_server.reading.reader import Reader
 from sim_server.traffic.inbox import BusInbox
 from sim_server.traffic.loop import Loop
 from sim_server.traffic.outlets import BusOutlet
-from sim_server.traffic.ros_calls import announce_services, bridge_calls, rmw_calls
+from sim_server.traffic.ros_side import ros_side
 from sim_server.world.world import World
 from sim_server.worlds.atlas import Atlas, start_file
 
 ASK_TIMEOUT_S = 2.0
-NODE = "zensim"
-"""What the server is called in ROS 2."""
 READER_START_S, READER_POLL_S = 30.0, 0.005
 LOG = logging.getLogger(__name__)
 
@@ -144,26 +140,14 @@ def _run(
             ending.callback(journal.record(desk).close)
         if journal is None or journal.contents is None:
             _wait_for_reader(reader, clock, should_stop)
-        loop = Loop(desk, _inbox(bus, config), _outlet(bus, config, ending), clock)
+        side = ros_side(bus, config.ros)
+        ending.callback(side.close)
+        inbox = BusInbox(bus, config.world, side.sources)
+        loop = Loop(desk, inbox, BusOutlet(bus, config.world, side.faces, side.heed), clock)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
-
-
-def _outlet(bus: Bus, config: ServerConfig, ending: ExitStack) -> BusOutlet:
-    graph = RosGraph(bus, config.ros)
-    ending.callback(graph.close)
-    if (node := graph.node("", NODE)) is not None:
-        announce_services(node)
-    return BusOutlet(bus, config.world, Faces(bus, node, config.ros))
-
-
-def _inbox(bus: Bus, config: ServerConfig) -> BusInbox:
-    ros = [] if config.ros.domain is None else [rmw_calls(bus, config.ros.domain)]
-    if config.ros.is_bridged:
-        ros.append(bridge_calls(bus))
-    return BusInbox(bus, config.world, tuple(ros))
 
 
 def _spare_what_stays() -> None:

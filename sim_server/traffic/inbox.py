@@ -5,7 +5,7 @@ from typing import Protocol
 from proto import keys
 from proto.bus import Bus, Sample
 from sim_server.traffic.calls import Call
-from sim_server.traffic.ros_calls import RosCalls
+from sim_server.traffic.ros_side import Source
 
 COMMAND_DEPTH = 8192
 
@@ -29,17 +29,17 @@ class Inbox(Protocol):
 class BusInbox:
     """The inbox on a bus."""
 
-    def __init__(self, bus: Bus, world: str, ros: tuple[RosCalls, ...] = ()) -> None:
+    def __init__(self, bus: Bus, world: str, others: tuple[Source, ...] = ()) -> None:
         self._agents = bus.watch_tokens(keys.alive_agents(world))
         self._bonds = bus.watch_tokens(keys.bonds(world))
         self._commands = bus.subscribe(keys.drive_commands(world), COMMAND_DEPTH)
         self._calls = bus.serve(keys.services(world))
-        self._ros = ros
+        self._others = others
 
     def take_calls(self) -> list[Call]:
         """See `Inbox`."""
         calls: list[Call] = [*self._calls.take()]
-        for source in self._ros:
+        for source in self._others:
             calls += source.take()
         return calls
 

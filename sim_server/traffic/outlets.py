@@ -1,5 +1,6 @@
 """Where telemetry leaves: a topic by its word, encoded only when somebody listens."""
 
+from collections.abc import Callable
 from typing import Protocol
 
 import msgspec
@@ -42,7 +43,21 @@ class Outlet(Protocol):
 class BusOutlet:
     """The outlet on a bus: MessagePack on the world's keys, CDR where ROS 2 looks for it."""
 
-    def __init__(self, bus: Bus, world: str, faces: Faces | None = None) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        world: str,
+        faces: Faces | None = None,
+        heed: Callable[[StepsProgress], None] | None = None,
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            bus: Where.
+            world: Whose.
+            faces: By which ROS 2 sees some of them.
+            heed: Hears of the progress of steps before it is told.
+        """
         topics: dict[str, tuple[str, type[msgspec.Struct]]] = {
             "clock": (keys.clock(world), WorldClock),
             "stats": (keys.stats(world), Stats),
@@ -52,6 +67,7 @@ class BusOutlet:
             "link_states": (keys.link_states(world), LinkStates),
             "simulate_steps_feedback": (keys.steps_progress(world), StepsProgress),
         }
+        self._heed = heed
         self._bus = bus
         self._world = world
         self._topics = {
@@ -70,6 +86,8 @@ class BusOutlet:
 
     def tell(self, topic: str, message: msgspec.Struct) -> None:
         """See `Outlet`."""
+        if self._heed is not None and isinstance(message, StepsProgress):
+            self._heed(message)
         faced = self._faced.get(topic)
         if faced is not None and faced.is_matched:
             faced.send(encode(message, Format.CDR))

@@ -73,6 +73,9 @@ class Teller(Protocol):
     def send(self, payload: bytes) -> None:
         """Put one message."""
 
+    def answer(self, payload: Callable[[], bytes]) -> None:
+        """Tell the value of now to those who come late."""
+
 
 @dataclass
 class Goal:
@@ -141,6 +144,7 @@ class StepsAction:
 
     def take(self) -> list[Call]:
         """Take what has come, as requests of the server's own; results are told at once."""
+        self._tellers[action.STATUS].answer(self.statuses)
         while self._new:
             self._accept(self._new.pop())  # what was refused was so before this turn
         calls: list[Call] = []

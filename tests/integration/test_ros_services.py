@@ -10,11 +10,14 @@ from contextlib import contextmanager
 import pytest
 import zenoh
 
+from proto import ros_actions as action
 from proto.codec import Format, decode, encode
 from proto.result import ResultCode
 from proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from proto.ros2.keys import data_key
+from proto.ros2.type_hash import service_hash, service_type
 from proto.ros_services import CDR
-from proto.services import DeleteEntityRequest, DeleteEntityResponse
+from proto.services import DeleteEntityRequest, DeleteEntityResponse, State
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, end, serving
 from tests.proto.ros_oracle import rewritten_by_ros
@@ -106,6 +109,19 @@ def replies(
             timeout=ANSWER_S,
         )
         return [reply.ok for reply in found if reply.ok is not None]
+
+
+def action_key(name: str) -> str:
+    """Find where rmw_zenoh asks a service of the action."""
+    request, response = action.SERVICES[name]
+    return data_key(0, name, service_type(request), service_hash(request, response))
+
+
+def taken(
+    subscriber: "zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]",
+) -> Iterator[zenoh.Sample]:
+    while (sample := subscriber.try_recv()) is not None:
+        yield sample
 
 
 def listed(ask: Ask) -> list[object]:
@@ -273,6 +289,28 @@ def test_bridge_asks_on_bare_keys_in_either_version(server: Server, ask: Ask) ->
     answer = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR)
     assert answer.result.result == ResultCode.OK
     assert of_gazebo.payload.to_bytes()[4] == 0, "success is the first byte"
+
+
+def test_action_makes_steps_with_feedback_and_a_result(server: Server) -> None:
+    goal_id = action.GoalId(tuple(range(16)))
+    asked = write_attachment(Attachment(1, 0, GID))
+    send = action.SendGoalRequest(goal_id, action.StepsGoal(30))
+    feedback = "0/simulate_steps/_action/feedback/*/*"
+    before = server.steps()
+    server.client.set_simulation_state(State.PAUSED)
+    with session_of(server) as session:
+        told = session.declare_subscriber(feedback, zenoh.handlers.FifoChannel(100))
+        (sent,) = replies(server, action_key(action.SEND_GOAL), encode(send, Format.CDR), asked)
+        get = encode(action.GetResultRequest(goal_id), Format.CDR)
+        (ended,) = replies(server, action_key(action.GET_RESULT), get, asked)
+        heard = [decode(action.FeedbackMessage, one.payload.to_bytes(), CDR) for one in taken(told)]
+    server.client.set_simulation_state(State.PLAYING)
+
+    assert decode(action.SendGoalResponse, sent.payload.to_bytes(), CDR).accepted
+    result = decode(action.GetResultResponse, ended.payload.to_bytes(), CDR)
+    assert result.status == action.GoalStatus.SUCCEEDED
+    assert heard[-1].feedback == action.StepsFeedback(30, 0)
+    assert server.steps() >= before + 30
 
 
 def test_server_without_a_domain_answers_no_ros() -> None:

@@ -1,5 +1,6 @@
 """The action SimulateSteps: accepted, told of, canceled, and its result fetched."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
 
@@ -33,9 +34,13 @@ class ListQueue:
 class Told:
     is_matched: bool = True
     payloads: list[bytes] = field(default_factory=list)
+    latched: bytes = b""
 
     def send(self, payload: bytes) -> None:
         self.payloads.append(payload)
+
+    def answer(self, payload: Callable[[], bytes]) -> None:
+        self.latched = payload()
 
 
 class Scene:
@@ -186,6 +191,16 @@ def test_second_goal_is_accepted_while_the_first_goes_on() -> None:
 
     assert read(second, action.SendGoalResponse).accepted
     assert scene.statuses() == [action.GoalStatus.EXECUTING] * 2
+
+
+def test_who_comes_late_is_told_of_all_goals() -> None:
+    scene = Scene()
+    scene.begin(FIRST, 10_000)
+
+    scene.turn(3)
+
+    told = decode(action.GoalStatusArray, scene.tellers[action.STATUS].latched, CDR)
+    assert [one.goal_info.goal_id for one in told.status_list] == [FIRST]
 
 
 def test_canceled_goal_is_named_and_tells_that_it_was() -> None:
