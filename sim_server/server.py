@@ -121,21 +121,7 @@ def _run(
         ending.callback(reader.close)
         world = _world(config, loaded, store, journal)
         ending.callback(world.close)
-        desk = Desk(
-            world,
-            Meter(clock.now_ns()),
-            clock.now_ns,
-            ReadElsewhere(reader, store, world.prepare, clock.now_ns),
-            store,
-            loaded.model.name,
-            config.real_time_factor or 0.0,
-            config.seed,
-            lockstep=Lockstep(config.lockstep),
-        )
-        desk.source = loaded.model
-        desk.atlas = Atlas([*map(Path, config.model_paths)], start_file(config.world_file))
-        desk.resource = desk.atlas.started(config.world_file, loaded.model.name)
-        desk.founding = founding(config, partial(_engine, mesh_folder=store.folder))
+        desk = _desk(config, loaded, world, reader, store)
         if journal is not None:
             ending.callback(journal.record(desk).close)
         if journal is None or journal.contents is None:
@@ -148,6 +134,28 @@ def _run(
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
+
+
+def _desk(
+    config: ServerConfig, loaded: LoadedWorld, world: World, reader: Reader, store: AssetStore
+) -> Desk:
+    now_ns = WallClock().now_ns
+    desk = Desk(
+        world,
+        Meter(now_ns()),
+        now_ns,
+        ReadElsewhere(reader, store, world.prepare, now_ns),
+        store,
+        loaded.model.name,
+        config.real_time_factor or 0.0,
+        config.seed,
+        lockstep=Lockstep(config.lockstep),
+    )
+    desk.source = loaded.model
+    desk.atlas = Atlas([*map(Path, config.model_paths)], start_file(config.world_file))
+    desk.resource = desk.atlas.started(config.world_file, loaded.model.name)
+    desk.founding = founding(config, partial(_engine, mesh_folder=store.folder))
+    return desk
 
 
 def _spare_what_stays() -> None:
