@@ -113,6 +113,14 @@ Clusters = Annotated[
         help="Step robots that cannot touch apart: auto (when there are many), on or off."
     ),
 ]
+EngineWorkers = Annotated[
+    int | None,
+    typer.Option(
+        min=0,
+        help="Processes beside the server's own that step clusters.",
+        show_default="a process for each further core",
+    ),
+]
 
 
 def clustering_of(word: str) -> Clustering:
@@ -191,6 +199,7 @@ class ServeOptions:
     ros_distro: RosDistro = "jazzy"
     ros_bridge: RosBridge = False
     clusters: Clusters = "auto"
+    engine_workers: EngineWorkers = None
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
 
 
@@ -225,6 +234,7 @@ def _config(given: ServeOptions) -> ServerConfig:
             engine=engine_asked_for(given.engine),
             clusters=clustering_of(given.clusters),
             dynamics=dynamics_of(given.dynamics),
+            workers=given.engine_workers,
         ),
     )
 

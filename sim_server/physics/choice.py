@@ -28,6 +28,9 @@ class EngineChoice(msgspec.Struct, frozen=True, kw_only=True):
     """None = the first of pybullet and mujoco whose library is installed."""
     clusters: Clustering = "auto"
     """Whether bodies that cannot touch are stepped apart; auto = when there are enough of them."""
+    workers: int | None = None
+    """Processes beside the server's that step cells; None = as many as there are further cores,
+    for an engine that keeps Python from running meanwhile."""
     dynamics: Dynamics = "full"
     """Of entities that do not ask for any."""
 

@@ -1,25 +1,22 @@
-"""Which engines stand for a world: one, or many in cells. Only their library is imported."""
+"""Which engines stand for a world: one, or many in cells, by threads or by workers."""
 
 import os
-from collections.abc import Callable
-from functools import partial
-from importlib import import_module
 
 from sim_server.physics.choice import EngineChoice, EngineName, engine_of, engines_here
-from sim_server.physics.clusters.cells import CellsHere
+from sim_server.physics.clusters.cells import Cells, CellsHere
 from sim_server.physics.clusters.clusters import Clusters, Settings
+from sim_server.physics.clusters.workers import CellsOfWorkers
 from sim_server.physics.engine import Engine, EngineConfig
+from sim_server.physics.making import CellOrders, made
 
-ENGINES: dict[EngineName, tuple[str, str]] = {
-    "pybullet": ("sim_server.physics.pybullet_engine", "PyBulletEngine"),
-    "mujoco": ("sim_server.physics.mujoco_engine", "MujocoEngine"),
-}
-ALONE = 150
+ALONE = 250
 """Bodies that one cell has before there are several: fewer gain nothing (docs/fleet.md)."""
-MOST = 64
-READY = 2
-"""Parked bodies of a PyBullet cell that stay awake for those who come moving."""
-MOST_THREADS = 8
+ALONE_AT_ONCE = 150
+"""The same where cells are stepped at once."""
+MOST: dict[EngineName, int] = {"pybullet": 128, "mujoco": 64}
+"""Bodies of a cell: smaller ones of PyBullet cost a robot as much, and 30 MB each."""
+MOST_AT_ONCE = 8
+"""Threads, or processes, unless more are asked for."""
 
 
 def chosen_engine(config: EngineConfig, choice: EngineChoice, *, period_steps: int) -> Engine:
@@ -34,24 +31,29 @@ def chosen_engine(config: EngineConfig, choice: EngineChoice, *, period_steps: i
         EngineMissing: Its library is not installed.
     """
     name = engine_of(choice, engines_here())
-    make = _maker(name)
     if choice.clusters == "off":
-        return make(config)
-    if name == "pybullet":
-        cells = CellsHere(partial(make, config, awake=READY))
-    else:
-        cells = CellsHere(partial(make, config), threads=_threads())
-    alone = ALONE if choice.clusters == "auto" else MOST
-    return Clusters(config, cells, Settings(alone=alone, most=MOST, period_steps=period_steps))
+        return made(name, config)
+    lets_others_run = name != "pybullet"
+    threads = _cores() if lets_others_run and not choice.workers else 1
+    workers = choice.workers
+    if workers is None:
+        workers = 0 if lets_others_run else _cores() - 1
+    alone = ALONE_AT_ONCE if workers or threads > 1 else ALONE
+    settings = Settings(
+        alone=alone if choice.clusters == "auto" else MOST[name],
+        most=MOST[name],
+        period_steps=period_steps,
+    )
+    return Clusters(config, _cells(CellOrders(name, config), threads, workers), settings)
 
 
-def _maker(name: EngineName) -> Callable[..., Engine]:
-    module, made = ENGINES[name]
-    maker: Callable[..., Engine] = getattr(import_module(module), made)
-    return maker
+def _cells(orders: CellOrders, threads: int, workers: int) -> Cells:
+    if workers:
+        return CellsOfWorkers(orders.make, orders, workers=workers)
+    return CellsHere(orders.make, threads=threads)
 
 
-def _threads() -> int:
-    """How many of this host's cores may step cells of an engine that lets other threads run."""
+def _cores() -> int:
+    """How many of this host's cores may be used."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return min(cores or 1, MOST_THREADS)
+    return min(cores or 1, MOST_AT_ONCE)

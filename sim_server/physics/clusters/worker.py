@@ -1,0 +1,216 @@
+"""The server's side of a worker: a process that has cells of its own, and what they are told."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from proto.model import Model
+from sim_server.physics.clusters.sharing import new_board
+from sim_server.physics.engine import EngineRefused, FloatArray, Reading
+
+Kind = TypeVar("Kind")
+CellTold = tuple[int, tuple[Sequence[int], int]]
+"""A cell by number, its bodies, and how many targets they have together."""
+
+MODULE = "sim_server.physics.working"
+
+
+class WorkerEnded(RuntimeError):
+    """A worker is no more, and its cells with it."""
+
+
+class Answer(NamedTuple):
+    """What a worker says.
+
+    Attributes:
+        value: What was asked for.
+        refused: Why the engine cannot do it; empty when it did.
+        fault: What went wrong; empty when nothing did.
+    """
+
+    value: object = None
+    refused: str = ""
+    fault: str = ""
+
+
+class Worker:
+    """A process with cells."""
+
+    def __init__(self, orders: object, number: int) -> None:
+        """Start one; it is ready when it answers.
+
+        Args:
+            orders: What it is told first: how to make a cell.
+            number: What people call it.
+        """
+        self.number = number
+        self.cells = 0
+        self._states, self._targets = new_board(), new_board()
+        here, there = socket.socketpair()
+        passed = (there.fileno(), self._states.descriptor, self._targets.descriptor)
+        self._process = subprocess.Popen(
+            (sys.executable, "-m", MODULE, *map(str, passed)),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            pass_fds=passed,
+            start_new_session=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+        )
+        there.close()
+        self._line: Connection[Any, Any] = Connection(here.detach())
+        self._model: Model | None = None
+        self.tell("begin", orders)
+
+    @property
+    def process_id(self) -> int:
+        """Of the worker."""
+        return self._process.pid
+
+    def tell(self, what: str, *given: object) -> None:
+        """Have something done, and wait for nothing.
+
+        Raises:
+            WorkerEnded: It is no more.
+        """
+        try:
+            self._line.send((what, given))
+        except OSError as error:
+            raise self._ended() from error
+
+    def tell_model(self, model: Model) -> None:
+        """Have the worker know which model is meant from now on."""
+        if self._model is not model:
+            self._model = model
+            self.tell("model_is", model)
+
+    def answer(self, kind: type[Kind]) -> Kind:
+        """Wait for what was asked, which is of a kind.
+
+        Raises:
+            EngineRefused: The engine cannot do it.
+            WorkerEnded: It is no more, or something went wrong in it.
+        """
+        try:
+            answer: Answer = self._line.recv()
+        except (EOFError, OSError) as error:
+            raise self._ended() from error
+        if answer.refused:
+            raise EngineRefused(answer.refused)
+        if answer.fault:
+            raise WorkerEnded(f"engine worker {self.number} failed: {answer.fault}")
+        assert isinstance(answer.value, kind)
+        return answer.value
+
+    def ask(self, kind: type[Kind], what: str, *given: object) -> Kind:
+        """Have something done and wait for what comes of it."""
+        self.tell(what, *given)
+        return self.answer(kind)
+
+    def tell_targets(self, told: Sequence[CellTold], targets: FloatArray) -> None:
+        """Have targets set, cell by cell; they are chained in this order."""
+        self._targets.write([targets])
+        self.tell("command", told)
+
+    def readings(self) -> list[Reading]:
+        """Wait for what was asked to be read, cell by cell."""
+        counts = self.answer(list)
+        sizes = [size for rows, joints in counts for size in (13 * rows, joints, joints)]
+        found = self._states.read(sizes)
+        return [
+            Reading(base.reshape(-1, 13), positions, velocities)
+            for base, positions, velocities in zip(
+                found[0::3], found[1::3], found[2::3], strict=True
+            )
+        ]
+
+    def close(self) -> None:
+        """End the process."""
+        self._line.close()
+        self._process.kill()
+        self._process.wait()
+        self._states.close()
+        self._targets.close()
+
+    def _ended(self) -> WorkerEnded:
+        status = self._process.poll()
+        said = "" if status is None else f" with status {status}"
+        return WorkerEnded(f"engine worker {self.number} ended{said}, and its robots with it")
+
+
+class RemoteCell:
+    """The Engine of a cell that a worker has."""
+
+    def __init__(self, worker: Worker, cell: int, name: str) -> None:
+        self.worker = worker
+        self.cell = cell
+        self.name = name
+
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`."""
+        self.worker.tell_model(model)
+        return self.worker.ask(bool, "prepare", self.cell)
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """See `Engine.add`."""
+        self.worker.tell_model(model)
+        return self.worker.ask(int, "add", self.cell, base)
+
+    def remove(self, body: int) -> None:
+        """See `Engine.remove`."""
+        self.worker.tell("remove", self.cell, body)
+
+    def forget_removed(self) -> None:
+        """See `Engine.forget_removed`."""
+        self.worker.tell("forget_removed", self.cell)
+
+    def overlapping(self, body: int) -> Sequence[int]:
+        """See `Engine.overlapping`."""
+        return self.worker.ask(list, "overlapping", self.cell, body)
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        """See `Engine.read`."""
+        self.worker.tell("read", ((self.cell, bodies),))
+        return self.worker.readings()[0]
+
+    def place(self, body: int, base: FloatArray) -> None:
+        """See `Engine.place`."""
+        self.worker.tell("place", self.cell, body, base)
+
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.rest`."""
+        self.worker.tell("rest", self.cell, body, base, positions)
+
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """See `Engine.put`."""
+        self.worker.tell("put", self.cell, body, base, positions, velocities)
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """See `Engine.command`."""
+        self.worker.tell("command_one", self.cell, bodies, np.asarray(targets))
+
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.push_link`."""
+        self.worker.tell("push_link", self.cell, body, link, wrench)
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.push_joint`."""
+        self.worker.tell("push_joint", self.cell, body, joint, effort)
+
+    def step(self) -> bool:
+        """See `Engine.step`."""
+        return self.worker.ask(bool, "step", (self.cell,), 1)
+
+    def close(self) -> None:
+        """See `Engine.close`."""
+        self.worker.cells -= 1
+        with suppress(WorkerEnded):
+            self.worker.tell("close", self.cell)

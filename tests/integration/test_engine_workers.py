@@ -1,0 +1,74 @@
+"""A server whose world is stepped by several processes: they come and go together."""
+
+import os
+import signal
+from collections.abc import Iterator
+
+import psutil
+import pytest
+
+from sim_server.physics.choosing import MOST
+from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.robots import robot
+
+FLEET = MOST["pybullet"] + 6
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    options = ("--clusters", "on", "--engine-workers", "1", "--rtf", "0", "--step-hz", "100")
+    with serving(*options) as found:
+        layout = ("--count", str(FLEET), "--layout", "grid", "--spacing", "2")
+        done = found.zensim("fleet", "box_bot", *layout)
+        assert done.returncode == 0, done.stderr
+        yield found
+
+
+def workers_of(server: Server) -> list[psutil.Process]:
+    return [
+        child
+        for child in psutil.Process(server.process.pid).children()
+        if "sim_server.physics.working" in child.cmdline()
+    ]
+
+
+def test_robots_drive_in_whatever_process_they_are_until_the_server_is_stopped(
+    server: Server,
+) -> None:
+    names = ("box_bot0", f"box_bot{FLEET - 1}")
+    with driven(server, *names):
+        robots = [robot(server.bus, name) for name in names]
+        starts = [found.now().pose.pose.position.x for found in robots]
+
+        def all_moved() -> bool:
+            for found in robots:
+                found.command(0.3)
+            return all(
+                abs(found.now().pose.pose.position.x - start) > 0.2
+                for found, start in zip(robots, starts, strict=True)
+            )
+
+        eventually(all_moved, 30.0, "driving")
+
+    (worker,) = workers_of(server)
+    server.process.send_signal(signal.SIGINT)
+    assert server.process.wait(10.0) == 0
+    assert not worker.is_running()
+
+
+def test_worker_dies_with_a_server_that_is_killed(server: Server) -> None:
+    (worker,) = workers_of(server)
+
+    os.kill(server.process.pid, signal.SIGKILL)
+
+    eventually(lambda: not worker.is_running(), 5.0, "the end of the worker")
+
+
+def test_server_ends_with_a_worker_that_is_killed(server: Server) -> None:
+    (worker,) = workers_of(server)
+
+    worker.kill()
+
+    assert eventually(server.process.poll, 10.0, "the end of the server") != 0
+    assert server.process.stderr is not None
+    assert "engine worker 1 ended" in server.process.stderr.read()

@@ -1,0 +1,127 @@
+"""Cells in other processes: nobody can tell, but by the time it takes."""
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import msgspec
+import numpy as np
+import psutil
+import pytest
+
+from sim_server.physics.clusters.cells import CellsHere
+from sim_server.physics.clusters.clusters import Clusters, Settings
+from sim_server.physics.clusters.worker import WorkerEnded
+from sim_server.physics.clusters.workers import CellsOfWorkers
+from sim_server.physics.engine import Engine, EngineConfig, EngineRefused
+from sim_server.physics.making import CellOrders
+from tests.engines import STEP_NS, advance
+from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
+
+SETTINGS = Settings(alone=2, most=3, period_steps=3)
+ORDERS = CellOrders("pybullet", EngineConfig(STEP_NS))
+
+
+@contextmanager
+def worked(workers: int) -> Iterator[tuple[Clusters, CellsOfWorkers]]:
+    cells = CellsOfWorkers(ORDERS.make, ORDERS, workers=workers)
+    engine = Clusters(ORDERS.config, cells, SETTINGS)
+    try:
+        yield engine, cells
+    finally:
+        engine.close()
+
+
+@contextmanager
+def here() -> Iterator[Clusters]:
+    engine = Clusters(ORDERS.config, CellsHere(ORDERS.make), SETTINGS)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def a_mixed_crowd(engine: Engine) -> bytes:
+    """Drive all kinds of robots among walls for 2 s, push them, place them and take some out."""
+    draws, model = np.random.default_rng(3), a_cart()
+    engine.add(a_box(side_m=0.5, is_static=True), a_state((0.0, 0.0, 0.25)))
+    places = draws.uniform(-2.0, 2.0, (12, 2)).tolist()
+    bodies = [engine.add(model, on_ground(x, y)) for x, y in places]
+    others = [
+        engine.add(a_puck(), a_state((3.0, 1.0, 0.0))),
+        engine.add(a_fork(), a_state((-3.0, 1.0, 0.0))),
+        engine.add(an_arm("prismatic"), a_state((-3.0, -3.0, 0.0))),
+    ]
+    crowd = tuple(bodies[1:] + others)
+    engine.remove(bodies[0])
+    for turn in range(40):
+        engine.command(crowd, draws.uniform(-6.0, 6.0, 22 + 3 + 2))
+        engine.push_link(bodies[2], 0, draws.uniform(-20.0, 20.0, 6))
+        engine.push_joint(bodies[3], 0, 0.1)
+        if turn == 20:
+            engine.rest(bodies[4], on_ground(5.0, 5.0), np.array([0.1, 0.2]))
+            engine.put(bodies[5], on_ground(5.0, -5.0), np.array([0.1, 0.2]), np.array([5.0, 5.0]))
+            engine.place(bodies[6], on_ground(-5.0, 5.0))
+        advance(engine, 12)
+    touching = [list(engine.overlapping(body)) for body in crowd]
+    reading = engine.read(crowd)
+    arrays = (reading.base, reading.joint_positions, reading.joint_velocities)
+    return b"".join(array.tobytes() for array in arrays) + repr(touching).encode()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_give_the_bits_of_one_process_whoever_has_which_cell(workers: int) -> None:
+    with here() as alone, worked(workers) as (shared, cells):
+        assert a_mixed_crowd(shared) == a_mixed_crowd(alone)
+
+        assert len(cells.process_ids) == workers
+
+
+def test_workers_are_not_started_for_one_cell() -> None:
+    with worked(2) as (engine, cells):
+        for x in (0.0, 5.0):
+            engine.add(a_cart(), on_ground(x))
+        advance(engine, 5)
+
+        assert cells.process_ids == []
+
+
+def test_workers_end_with_the_engine() -> None:
+    with worked(1) as (engine, cells):
+        for x in range(4):
+            engine.add(a_cart(), on_ground(5.0 * x))
+        engine.step()
+        (worker,) = cells.process_ids
+        assert psutil.pid_exists(worker)
+
+    assert not psutil.pid_exists(worker)
+
+
+def test_worker_that_dies_is_told_of_in_the_next_step() -> None:
+    with worked(1) as (engine, cells):
+        for x in range(4):
+            engine.add(a_cart(), on_ground(5.0 * x))
+        engine.step()
+
+        os.kill(cells.process_ids[0], signal.SIGKILL)
+
+        with pytest.raises(WorkerEnded, match="engine worker 1 ended"):
+            advance(engine, 2)
+
+
+def test_worker_refuses_what_its_engine_refuses_and_goes_on() -> None:
+    with worked(1) as (engine, _):
+        carts = tuple(engine.add(a_cart(), on_ground(5.0 * x)) for x in range(8))
+        strange = msgspec.structs.replace(a_cart(), links=an_arm("planar").links)
+        strange = msgspec.structs.replace(strange, joints=an_arm("planar").joints, drive=None)
+
+        for x in range(8):
+            with pytest.raises(EngineRefused, match="planar"):
+                engine.add(strange, on_ground(5.0 * x, 1.0))
+
+        engine.command(carts, np.full(16, 4.0))
+        advance(engine, 240)
+        assert engine.read(carts).base[:, 0] == pytest.approx(
+            [5.0 * x + 0.2 for x in range(8)], abs=0.03
+        )
