@@ -21,14 +21,11 @@ from robot_agent.network import Network
 from robot_agent.pool.fleet import PoolFleet
 from robot_agent.rates import Rates, with_rates
 from robot_agent.reading import Timeline
+from robot_agent.rhythm import Rhythm
 from robot_agent.share_claimer import ShareClaimer, ShareWish
 from robot_agent.upkeep import Kept, Upkeep
 
 LOG = logging.getLogger("zensim.agent")
-IDLE_S = 0.001
-"""Pause between looks for a drive state."""
-EAGER_S, EAGER_IDLE_S = 0.02, 0.0003
-"""So long after an awaited state the next one is near, and time stands until it is answered."""
 LOOK_S = 0.01
 """Pause between looks for anything else: none of it is urgent, and each look costs."""
 
@@ -114,15 +111,16 @@ class Agent:
         self._fleet = _fleet_of(network, config, self._graph)
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
-        self._look_s = self._now_s = self._eager_until_s = -math.inf
+        self._rhythm = Rhythm()
+        self._look_s = self._now_s = -math.inf
 
     def close(self) -> None:
         """Withdraw what is not withdrawn with the session."""
         self._graph.close()
 
     def pause_s(self, now_s: float) -> float:
-        """Find how long to sleep [s] when there was nothing to do."""
-        return EAGER_IDLE_S if now_s < self._eager_until_s else IDLE_S
+        """Find how long to sleep [s] before the next poll."""
+        return self._rhythm.pause_s(now_s)
 
     def poll(self, now_s: float) -> bool:
         """Do what there is to do; tell whether there was a drive state.
@@ -176,7 +174,9 @@ class Agent:
         if sample is None:
             return False
         try:
-            self._follow(decode(DriveState, sample.payload, sample.encoding))
+            state = decode(DriveState, sample.payload, sample.encoding)
+            self._rhythm.note_state(self._now_s, is_awaited=state.is_awaited)
+            self._follow(state)
         except MalformedPayload as error:
             self.malformed += 1
             if self.malformed == 1:
@@ -197,7 +197,6 @@ class Agent:
             return
         payload = encode(self._fleet.advance(state), Format.MSGPACK)
         if state.is_awaited:
-            self._eager_until_s = self._now_s + EAGER_S
             # One link keeps the order: who sees the command has seen what the state made due.
             self._fleet.tell()
             self._commands.send(payload)
@@ -235,9 +234,8 @@ def run_agent(
     """
     with closing(Agent(network, config)) as agent:
         while True:
-            now_s = clock()
-            if not agent.poll(now_s):
-                sleep(agent.pause_s(now_s))
+            agent.poll(clock())
+            sleep(agent.pause_s(clock()))
 
 
 def _fleet_of(network: Network, config: AgentConfig, graph: RosGraph) -> Held:

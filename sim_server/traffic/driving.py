@@ -14,6 +14,8 @@ from sim_server.desk import Desk
 from sim_server.traffic.inbox import Inbox
 from sim_server.traffic.outlets import Outlet
 
+APART_NS = 2_000_000
+"""Wall time between two states that nobody waits for: an agent answers no more often."""
 LOG = logging.getLogger(__name__)
 
 
@@ -27,6 +29,9 @@ class Driving:
         self._inbox = inbox
         self._outlet = outlet
         self._told_of = self._seen
+        self._told_ns = -APART_NS
+        self._is_behind = False
+        """Whether a control step has passed that nobody was told of."""
 
     def serve(self) -> None:
         """Take in who came and went, and what was commanded."""
@@ -38,13 +43,23 @@ class Driving:
             self._command(sample)
 
     def tell(self) -> None:
-        """Tell every agent: this is a control step."""
+        """Tell every agent: this is a control step.
+
+        When time runs faster than the wall clock they are told no more often than they answer.
+        """
+        now_ns = self._desk.now_ns()
+        self._is_behind = self._runs_fast and now_ns - self._told_ns < APART_NS
+        if self._is_behind:
+            return
+        self._told_ns = now_ns
         for agent, state in self._world.drive_states():
             self._tell(agent, state)
         self._told_of = self._seen
 
     def tell_changes(self) -> None:
         """Tell those whose claims or whose epoch are others than when they were told last."""
+        if self._is_behind and self._world.state != State.PLAYING:
+            self.tell()
         if self._told_of == self._seen:
             return
         for agent, state in self._world.drive_states():
@@ -67,6 +82,15 @@ class Driving:
         return self._lockstep.is_waiting
 
     @property
+    def _is_awaited(self) -> bool:
+        return self._lockstep.settings.is_on or len(self._desk.stepping) > 0
+
+    @property
+    def _runs_fast(self) -> bool:
+        is_paced = 0.0 < self._desk.target_real_time_factor <= 1.0
+        return not (is_paced or self._is_awaited) and self._world.state == State.PLAYING
+
+    @property
     def _seen(self) -> tuple[int, int]:
         return self._world.epoch, self._world.claims.changes
 
@@ -74,7 +98,7 @@ class Driving:
         told = msgspec.structs.replace(
             state,
             newest_claim=self._world.claims.newest,
-            is_awaited=self._lockstep.settings.is_on or len(self._desk.stepping) > 0,
+            is_awaited=self._is_awaited,
         )
         self._outlet.tell_agent(agent, told)
         if not told.claims:

@@ -232,7 +232,7 @@ def test_agent_looks_often_for_the_next_state_only_soon_after_an_awaited_one() -
     scene.poll()
 
     assert scene.agent.pause_s(scene.now_s) < usual_s
-    assert scene.agent.pause_s(scene.now_s + 1.0) == usual_s
+    assert scene.agent.pause_s(scene.now_s + 1.0) >= usual_s
 
 
 def test_agent_claims_again_when_the_server_was_restarted() -> None:

@@ -136,10 +136,38 @@ def test_loop_tells_agents_of_every_control_step() -> None:
     stage.outlet.drive_states.clear()
 
     for _ in range(9):
+        stage.wall.sleep(0.001)
         stage.loop.turn()
 
-    steps = [state.step for _, state in stage.outlet.drive_states]
-    assert steps == [3, 6, 9]
+    assert steps_told(stage) == [3, 6, 9]
+
+
+def test_loop_tells_no_more_often_than_agents_answer_when_time_runs_fast() -> None:
+    stage = a_driven_stage("r0")
+    stage.outlet.drive_states.clear()
+
+    for _ in range(60):
+        stage.wall.sleep(0.0001)
+        stage.loop.turn()
+
+    assert steps_told(stage) == [3, 24, 45]
+
+
+def test_loop_tells_where_robots_came_to_when_time_stands_again() -> None:
+    stage = a_driven_stage("r0")
+    for _ in range(9):
+        stage.loop.turn()
+    stage.outlet.drive_states.clear()
+
+    stage.world.pause()
+    stage.loop.turn()
+    stage.loop.turn()
+
+    assert steps_told(stage) == [stage.world.steps]
+
+
+def steps_told(stage: Stage) -> list[int]:
+    return [state.step for _, state in stage.outlet.drive_states]
 
 
 def test_loop_tells_an_agent_80_times_a_second_at_240_steps() -> None:
