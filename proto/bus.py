@@ -20,6 +20,7 @@ from proto.channels import (
     CallQueue,
     Publisher,
     Sample,
+    Stamp,
     Subscription,
     Token,
     TokenWatch,
@@ -41,6 +42,7 @@ __all__ = [
     "NoServer",
     "Publisher",
     "Sample",
+    "Stamp",
     "Subscription",
     "Token",
     "TokenWatch",
@@ -111,6 +113,10 @@ class Bus:
         """The session's own id, in hexadecimal digits."""
         return str(self._session.info.zid())
 
+    def stamp(self) -> Stamp:
+        """Make a stamp of now."""
+        return self._session.new_timestamp()
+
     def beside(self) -> "Bus":
         """Open another session to the same network; close it too.
 
@@ -146,7 +152,7 @@ class Bus:
         declared = self._session.declare_queryable(
             _expression(key), RingChannel(depth), complete=is_complete
         )
-        return CallQueue(declared, self._session.new_timestamp)
+        return CallQueue(declared)
 
     def token(self, key: str) -> Token:
         """Declare this process alive under a key."""

@@ -1,8 +1,8 @@
 """What a bus hands out: publishers, subscriptions, requests, tokens. One door with `proto.bus`."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 import msgspec
 import zenoh
@@ -20,6 +20,8 @@ TAKEN_BYTES: Final = 1 << 20
 """Of requests at once, so that who takes them can do something else in between."""
 CALL_BYTES: Final = TAKEN_BYTES // 32
 """What a request counts for beside its payload."""
+Stamp: TypeAlias = zenoh.Timestamp
+"""When a sample was made, by the clock of its session."""
 NOTHING: Final = zenoh.ZBytes(b"")
 
 
@@ -44,9 +46,9 @@ class Publisher:
         # The stub says bool; it is a MatchingStatus.
         return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
 
-    def send(self, payload: bytes, attachment: bytes = b"") -> None:
-        """Put one message."""
-        self._publisher.put(payload, attachment=attachment or None)
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        """Put one message; who hears two of one stamp takes them for one."""
+        self._publisher.put(payload, attachment=attachment or None, timestamp=stamp)
 
     def close(self) -> None:
         """Withdraw the publisher."""
@@ -82,9 +84,8 @@ class Subscription:
 class Call:
     """A request that waits for its answer; reply once, or the caller gets nothing."""
 
-    def __init__(self, query: zenoh.Query, stamp: Callable[[], zenoh.Timestamp]) -> None:
+    def __init__(self, query: zenoh.Query) -> None:
         self._query = query
-        self._stamp = stamp
         self.key = str(query.key_expr)
         payload = query.payload or NOTHING
         self.size = len(payload)
@@ -121,14 +122,16 @@ class Call:
             for key, payload in answers:
                 query.reply(key, payload, encoding=encoding)
 
-    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
-        """Answer with one sample of several, stamped; `drop` ends the answer.
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        """Answer with one sample of several; `drop` ends the answer.
 
         A caller who does not take samples of that key gets none.
         """
         with suppress(zenoh.ZError):
             self._query.reply(
-                key, payload, encoding=encoding, attachment=attachment, timestamp=self._stamp()
+                key, payload, encoding=encoding, attachment=attachment, timestamp=stamp
             )
 
     def drop(self) -> None:
@@ -139,20 +142,15 @@ class Call:
 class CallQueue:
     """Requests on a key expression; when nobody takes them the oldest are let go unanswered."""
 
-    def __init__(
-        self,
-        queryable: "zenoh.Queryable[Handler[zenoh.Query]]",
-        stamp: Callable[[], zenoh.Timestamp],
-    ) -> None:
+    def __init__(self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]") -> None:
         self._queryable = queryable
-        self._stamp = stamp
 
     def take(self) -> list[Call]:
         """Take what has come, oldest first; of very much, the beginning."""
         calls: list[Call] = []
         room = TAKEN_BYTES
         while room > 0 and (query := self._queryable.try_recv()) is not None:
-            calls.append(Call(query, self._stamp))
+            calls.append(Call(query))
             room -= CALL_BYTES + len(calls[-1].payload)
         return calls
 

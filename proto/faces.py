@@ -9,7 +9,7 @@ from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
-from proto.channels import Sample
+from proto.channels import Sample, Stamp
 from proto.codec import Format, encoding_of
 from proto.ros2.attachment import Attachment, write_attachment
 from proto.ros2.keys import ANY_HASH, data_key, parse_data_key
@@ -31,7 +31,7 @@ class Publisher(Protocol):
     def is_matched(self) -> bool:
         """Whether anybody listens."""
 
-    def send(self, payload: bytes, attachment: bytes = b"") -> None:
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         """Put one message."""
 
     def close(self) -> None:
@@ -54,8 +54,10 @@ class Call(Protocol):
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """Answer."""
 
-    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
-        """Answer with one stamped sample of several."""
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        """Answer with one sample of several."""
 
     def drop(self) -> None:
         """Let the caller go."""
@@ -74,6 +76,9 @@ class CallQueue(Protocol):
 class Network(Protocol):
     """Where faces are."""
 
+    def stamp(self) -> Stamp:
+        """Make a stamp of now."""
+
     def advertise(self, key: str, encoding: str) -> Publisher:
         """Declare a publisher."""
 
@@ -87,8 +92,14 @@ class Network(Protocol):
 class Face:
     """One form of a topic: a publisher, and what ROS 2 attaches to its messages."""
 
-    def __init__(self, publisher: Publisher, endpoint: Endpoint | None = None) -> None:
+    def __init__(
+        self,
+        publisher: Publisher,
+        endpoint: Endpoint | None = None,
+        stamp: Stamp | None = None,
+    ) -> None:
         self._publisher = publisher
+        self._stamp = stamp
         self._gid = gid_of_endpoint(endpoint) if endpoint else b""
         self._was_matched = False
         self._sent = 0
@@ -101,7 +112,7 @@ class Face:
     def send(self, payload: bytes) -> None:
         """Put one message."""
         self._sent += 1
-        self._publisher.send(payload, self.attachment())
+        self._publisher.send(payload, self.attachment(), self._stamp)
 
     def attachment(self) -> bytes:
         """Write what goes with the last message, or will with the first."""
@@ -125,17 +136,19 @@ class Face:
 class Cache:
     """Tells the last value on ROS 2's face to those who come late."""
 
-    def __init__(self, queue: CallQueue, face: Face, key: str, encoding: str) -> None:
+    def __init__(self, queue: CallQueue, face: Face, key: str, encoding: str, stamp: Stamp) -> None:
         self._queue = queue
         self._face = face
         self._key = key
         self._encoding = encoding
+        self._stamp = stamp
 
     def answer(self, payload: Payload) -> None:
         """Tell everybody who has asked."""
         for call in self._queue.take():
             if (value := payload()) is not None:
-                call.add_reply(self._key, value, self._encoding, self._face.attachment())
+                attachment = self._face.attachment()
+                call.add_reply(self._key, value, self._encoding, attachment, self._stamp)
             call.drop()
 
     def close(self) -> None:
@@ -221,13 +234,16 @@ class Faces:
         if (node := self._node) is None:
             return TopicPublisher(faces, ())
         key, endpoint = node.data_key(topic), node.join_topic("MP", topic)
-        faces.append(Face(self._network.advertise(key, encoding), endpoint))
+        publisher = self._network.advertise(key, encoding)
         if not topic.is_latched:
-            return TopicPublisher(faces, ())
+            return TopicPublisher([*faces, Face(publisher, endpoint)], ())
+        # A latched value does not change: who is told it twice hears it once, by its stamp.
+        stamp = self._network.stamp()
+        faces.append(Face(publisher, endpoint, stamp))
         queue = self._network.serve(
             f"{key}/{CACHE}/{node.graph.zid}/{endpoint.number}/_", CACHE_DEPTH
         )
-        return TopicPublisher(faces, [Cache(queue, faces[1], key, encoding)])
+        return TopicPublisher(faces, [Cache(queue, faces[1], key, encoding, stamp)])
 
     def subscription(
         self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int

@@ -55,6 +55,7 @@ class RosGraph:
         self.zid = session.zid
         self.numbers = count()
         """Nodes and endpoints are numbered together."""
+        self.nodes: list[RosNode] = []
         self._seats = [Seat(session)]
         self._bridge = session.token(bridge.bridge_token(self.zid)) if self._is_bridged else None
 
@@ -74,10 +75,15 @@ class RosGraph:
             namespace=f"/{namespace.strip('/')}",
             name=name,
         )
-        return RosNode(self, node, self._free_seat())
+        found = RosNode(self, node, self._free_seat())
+        # A token goes when nobody holds it.
+        self.nodes.append(found)
+        return found
 
     def close(self) -> None:
-        """End the sessions that were opened beside; tokens on the first go with it."""
+        """Withdraw all nodes, and end the sessions that were opened beside."""
+        for node in tuple(self.nodes):
+            node.close()
         for seat in self._seats[1:]:
             seat.session.close()
         del self._seats[1:]
@@ -163,10 +169,12 @@ class RosNode:
         return endpoint
 
     def close(self) -> None:
-        """Withdraw all tokens, the node's last."""
+        """Withdraw all tokens, the node's last; once is enough."""
+        if self in self.graph.nodes:
+            self.graph.nodes.remove(self)
+            self._seat.nodes -= 1
         while self._tokens:
             self._tokens.pop().close()
-        self._seat.nodes -= 1
 
     def _hash_of(self, topic: Topic) -> str:
         return type_hash(topic.kind) if self.graph.settings.has_hashes else keys.NO_HASH

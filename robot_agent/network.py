@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from proto.bus import Sample
+from proto.bus import Sample, Stamp
 from proto.catalog import Request, Response, Service
 from proto.ros_graph import Session
 
@@ -15,7 +15,7 @@ class Publisher(Protocol):
     def is_matched(self) -> bool:
         """Whether anybody listens."""
 
-    def send(self, payload: bytes, attachment: bytes = b"") -> None:
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         """Put one message."""
 
     def close(self) -> None:
@@ -51,8 +51,10 @@ class Call(Protocol):
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """Answer."""
 
-    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
-        """Answer with one stamped sample of several."""
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        """Answer with one sample of several."""
 
     def drop(self) -> None:
         """Let the caller go without an answer."""
@@ -91,6 +93,9 @@ class Network(Protocol):
     @property
     def zid(self) -> str:
         """The session's id."""
+
+    def stamp(self) -> Stamp:
+        """Make a stamp of now."""
 
     def beside(self) -> Session:
         """Open another session."""

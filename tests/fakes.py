@@ -2,12 +2,12 @@
 
 from collections import deque
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, TypeVar, cast
 
 import msgspec
 
 from proto import keys
-from proto.bus import LATEST, NoServer, Sample
+from proto.bus import LATEST, NoServer, Sample, Stamp
 from proto.catalog import Request, Response, Service
 from proto.codec import Format, decode, encode, encoding_of
 from proto.result import Result, ResultCode, ServiceError
@@ -55,6 +55,9 @@ class MemoryBus:
     @property
     def zid(self) -> str:
         return "ab12"
+
+    def stamp(self) -> Stamp:
+        return cast("Stamp", object())
 
     def beside(self) -> "MemoryBus":
         self.besides.append(MemoryBus())
@@ -161,7 +164,8 @@ class MemoryPublisher:
     def is_matched(self) -> bool:
         return self._bus.is_heard(self.key)
 
-    def send(self, payload: bytes, attachment: bytes = b"") -> None:
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        del stamp
         self._bus.put(self.key, payload, self.encoding, attachment)
 
     def close(self) -> None:
@@ -211,7 +215,10 @@ class MemoryCall:
         self.answers += [Sample(key, payload, encoding) for key, payload in answers]
         self.is_over = True
 
-    def add_reply(self, key: str, payload: bytes, encoding: str, attachment: bytes) -> None:
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        del stamp
         self.answers.append(Sample(key, payload, encoding, attachment))
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:

@@ -63,7 +63,7 @@ def test_session_beside_has_an_id_of_its_own(router: Bus) -> None:
         assert len({router.zid, beside.zid, another.zid}) == 3
 
 
-def test_late_joiner_takes_stamped_replies_on_the_key_it_hears(
+def test_late_joiner_takes_values_of_one_stamp_for_one_on_the_key_it_hears(
     router: Bus, stranger: zenoh.Session
 ) -> None:
     queue = router.serve(f"0/**/tf_static/*/*/@adv/pub/{router.zid}/1/_")
@@ -73,13 +73,22 @@ def test_late_joiner_takes_stamped_replies_on_the_key_it_hears(
     )
 
     call = one_call(queue)
-    call.add_reply(KEY, b"fixed", "", ATTACHMENT)
+    stamp = router.stamp()
+    call.add_reply(KEY, b"fixed", "", ATTACHMENT, stamp)
+    call.add_reply(KEY, b"fixed", "", ATTACHMENT, stamp)
     call.drop()
 
     eventually(lambda: bool(got), 5.0, "the last value")
+    publisher = router.advertise(KEY, "")
+    publisher.send(b"fixed", ATTACHMENT, stamp)
+    publisher.send(b"next", ATTACHMENT, router.stamp())
+    eventually(lambda: len(got) > 1, 5.0, "the next value")
     joiner.undeclare()
     assert call.covers(f"{KEY}/@adv/pub/{router.zid}/1/_")
-    assert [(str(s.key_expr), s.payload.to_bytes()) for s in got] == [(KEY, b"fixed")]
+    assert [(str(s.key_expr), s.payload.to_bytes()) for s in got] == [
+        (KEY, b"fixed"),
+        (KEY, b"next"),
+    ]
     assert got[0].attachment is not None
     assert got[0].attachment.to_bytes() == ATTACHMENT
 
@@ -89,7 +98,7 @@ def test_reply_on_a_key_that_nobody_wants_is_left_out(router: Bus, stranger: zen
     replies = stranger.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
 
     call = one_call(queue)
-    call.add_reply("b", b"other", "", ATTACHMENT)
+    call.add_reply("b", b"other", "", ATTACHMENT, router.stamp())
     call.drop()
 
     assert [reply for reply in replies if reply.ok] == []

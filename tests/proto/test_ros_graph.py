@@ -103,6 +103,19 @@ def test_nodes_of_many_robots_are_spread_over_sessions(nodes: int, sessions: int
     assert all(session.is_closed for session in bus.besides)
 
 
+def test_closed_graph_leaves_no_token() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings(is_bridged=True))
+    for name in ("r1", "r2"):
+        node = graph.node(name, "agent")
+        assert node is not None
+        node.join_topic("MP", ODOM)
+
+    graph.close()
+
+    assert bus.alive("@ros2_lv/**") == bus.alive("@/**") == []
+
+
 def test_seat_of_a_closed_node_is_taken_again() -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings())

@@ -1,0 +1,91 @@
+"""What zenoh-ros2-sdk, which knows nothing of ours, sees, hears and says; told by lines of JSON.
+
+`python -m tests.integration.ros_observer PORT DOMAIN` answers each line with a line.
+"""
+
+import json
+import sys
+import time
+from typing import Any, TypeAlias
+
+from rosbags.typesys import Stores, get_typestore
+from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
+from zenoh_ros2_sdk.discovery import (
+    get_service_names_and_types,
+    get_topic_info,
+    get_topic_names_and_types,
+)
+
+from tests.integration.ros_client import HOST, Client
+
+STANDARD = get_typestore(Stores.ROS2_HUMBLE)
+LOOK_S = 2.0
+POLL_S = 0.01
+OfRos: TypeAlias = Any
+"""Values of types that are known only while it runs."""
+
+
+class Observer(Client):
+    """One session of the kit, for topics."""
+
+    def __init__(self, port: int, domain: int) -> None:
+        super().__init__(port, domain)
+        self._at = {"domain_id": domain, "router_ip": HOST, "router_port": port}
+        self._tellers: dict[tuple[str, str], ROS2Publisher] = {}
+
+    def topics(self) -> dict[str, list[str]]:
+        """List topics and their types, as `ros2 topic list -t`."""
+        return dict(get_topic_names_and_types(**self._at, timeout=LOOK_S))
+
+    def services(self) -> dict[str, list[str]]:
+        """List services and their types, as `ros2 service list -t`."""
+        return dict(get_service_names_and_types(**self._at, timeout=LOOK_S))
+
+    def publishers(self, topic: str) -> list[dict[str, str]]:
+        """List who publishes a topic, as `ros2 topic info -v`."""
+        found = get_topic_info(topic, **self._at, timeout=LOOK_S, verbose=True)
+        return [vars(one) for one in found.publishers] if found else []
+
+    def hear(self, topic: str, kind: str, count: int, within_s: float, qos: str) -> list[object]:
+        """Subscribe, and take the first messages that come, up to a number of them."""
+        heard: list[object] = []
+        subscriber = ROS2Subscriber(topic, kind, heard.append, **self._declared(kind, qos))
+        deadline = time.monotonic() + within_s
+        while len(heard) < count and time.monotonic() < deadline:
+            time.sleep(POLL_S)
+        subscriber.close()
+        return [self._plain(message, kind) for message in heard[:count]]
+
+    def tell(self, topic: str, kind: str, fields: OfRos) -> None:
+        """Publish one message."""
+        if (topic, kind) not in self._tellers:
+            self._tellers[topic, kind] = ROS2Publisher(topic, kind, **self._declared(kind, ""))
+        values = {name: self._value(what, fields.get(name)) for name, what in self._fields(kind)}
+        self._tellers[topic, kind].publish(**values)
+
+    def _declared(self, kind: str, qos: str) -> dict[str, OfRos]:
+        definition, _ = STANDARD.generate_msgdef(kind, ros_version=2)
+        type_hash = STANDARD.hash_rihs01(kind)
+        return {
+            **self._at,
+            "msg_definition": definition,
+            "type_hash": type_hash,
+            "qos": qos or None,
+        }
+
+
+def main() -> None:
+    """Do what the lines say."""
+    observer = Observer(int(sys.argv[1]), int(sys.argv[2]))
+    try:
+        for line in sys.stdin:
+            given = json.loads(line)
+            answer = getattr(observer, given.pop("do"))(**given)
+            sys.stdout.write(json.dumps(answer) + "\n")
+            sys.stdout.flush()
+    finally:
+        observer.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,286 @@
+"""Robots as ROS 2 sees, hears and drives them: an independent client, and rmw_zenoh's rules."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import zenoh
+import zenoh.ext
+
+from tests.integration.processes import Server, driven, end, eventually, serving
+from tests.integration.ros_rules import (
+    BrokenRule,
+    Heard,
+    announced,
+    check_bytes,
+    check_topic,
+    heard_of,
+)
+
+ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+TYPES = {
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/r1/joint_states": "sensor_msgs/msg/JointState",
+    "/r1/odom": ODOMETRY,
+    "/r1/robot_description": "std_msgs/msg/String",
+    "/r1/tf": TF,
+    "/r1/tf_static": TF,
+    "/tf": TF,
+    "/tf_static": TF,
+}
+LATCHED = ("/r1/robot_description", "/r1/tf_static", "/tf_static")
+TRANSIENT_LOCAL = ":1:,1:,:,:,,"
+SIGHT_S = 10.0
+Ask = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving("--ros-domain", "0", "--ros-bridge") as found:
+        for name in ("r1", "r2"):
+            found.zensim("spawn", "box_bot", "-n", name, "-y", name[1:])
+        with driven(found, "r1", "r2"):
+            yield found
+
+
+@contextmanager
+def observing(server: Server, domain: int) -> Iterator[Ask]:
+    port = server.endpoint.rsplit(":", 1)[1]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.integration.ros_observer", port, str(domain)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+    def ask(do: str, **given: object) -> object:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write(json.dumps({"do": do, **given}) + "\n")
+        process.stdin.flush()
+        return json.loads(process.stdout.readline())
+
+    try:
+        yield ask
+    finally:
+        if process.stdin is not None:
+            process.stdin.close()
+        end(process)
+
+
+@pytest.fixture(scope="module")
+def ask(server: Server) -> Iterator[Ask]:
+    with observing(server, 0) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def session(server: Server) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
+    config.insert_json5("timestamping/enabled", "true")
+    with zenoh.open(config) as found:
+        yield found
+
+
+def tokens(session: zenoh.Session, pattern: str) -> list[str]:
+    replies = session.liveliness().get(pattern, zenoh.handlers.FifoChannel(4096), timeout=5.0)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok]
+
+
+def publishers_of(session: zenoh.Session, topic: str) -> list[str]:
+    return tokens(session, f"@ros2_lv/0/*/*/*/MP/*/*/*/{topic.replace('/', '%')}/**")
+
+
+def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
+    """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
+    key = announced(publishers_of(session, topic)[0]).key
+    came: list[Heard] = []
+    joiner = zenoh.ext.declare_advanced_subscriber(
+        session,
+        key,
+        lambda sample: came.append(heard_of(sample)),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        recovery=zenoh.ext.RecoveryConfig(heartbeat=True),  # type: ignore[call-arg]
+        subscriber_detection=True,
+    )
+    eventually(lambda: len(came) >= count, SIGHT_S, f"late joining of {topic}")
+    joiner.undeclare()
+    return came
+
+
+def captured(session: zenoh.Session, topic: str, count: int = 3) -> list[Heard]:
+    if topic in LATCHED:
+        return joined_late(session, topic, 1)
+    key = announced(publishers_of(session, topic)[0]).key
+    channel = zenoh.handlers.FifoChannel(4096)
+    subscriber = session.declare_subscriber(key, channel)
+    came = [heard_of(subscriber.recv()) for _ in range(count)]
+    subscriber.undeclare()
+    return came
+
+
+def test_topics_are_listed_with_their_types(ask: Ask) -> None:
+    listed = ask("topics")
+
+    assert {topic: listed[topic] for topic in TYPES} == {k: [v] for k, v in TYPES.items()}
+    assert listed["/r2/odom"] == [ODOMETRY]
+    assert listed["/r1/cmd_vel"] == ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"]
+
+
+def test_services_are_listed_with_their_types(ask: Ask) -> None:
+    listed = ask("services")
+
+    assert "simulation_interfaces/srv/SpawnEntity" in listed["/spawn_entity"]
+    assert "gazebo_msgs/srv/SpawnEntity" in listed["/spawn_entity"]
+
+
+def test_each_robot_is_a_node(ask: Ask, session: zenoh.Session) -> None:
+    (publisher,) = ask("publishers", topic="/r1/odom")
+
+    assert (publisher["node_namespace"], publisher["node_name"]) == ("/r1", "agent")
+    nodes = {"/".join(key.split("/")[7:]) for key in tokens(session, "@ros2_lv/0/*/*/*/NN/**")}
+    assert {"%/zensim", "%r1/agent", "%r2/agent"} <= nodes
+
+
+@pytest.mark.parametrize("topic", ["/r1/odom", "/clock", "/r1/tf", "/r1/joint_states"])
+def test_messages_are_heard(ask: Ask, topic: str) -> None:
+    heard = ask("hear", topic=topic, kind=TYPES[topic], count=3, within_s=SIGHT_S, qos="")
+
+    assert len(heard) == 3
+
+
+def test_late_joiner_hears_fixed_transforms_of_all_robots(ask: Ask) -> None:
+    heard = ask("hear", topic="/tf_static", kind=TF, count=2, within_s=SIGHT_S, qos=TRANSIENT_LOCAL)
+
+    roots = {message["transforms"][0]["header"]["frame_id"] for message in heard}
+    assert roots == {"r1/base_footprint", "r2/base_footprint"}
+
+
+@pytest.mark.parametrize("topic", LATCHED)
+def test_late_joiner_of_rmws_kind_hears_the_last_value_once(
+    session: zenoh.Session, topic: str
+) -> None:
+    count = 2 if topic == "/tf_static" else 1
+
+    came = joined_late(session, topic, count)
+
+    assert len(came) == count
+    assert all(
+        publisher.is_latched for publisher in check_topic(publishers_of(session, topic), came)
+    )
+
+
+@pytest.mark.parametrize("topic", TYPES)
+def test_topic_keeps_to_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
+    came = captured(session, topic)
+
+    publishers = check_topic(publishers_of(session, topic), came)
+
+    assert {(one.name, one.ros_type) for one in publishers} == {(topic, TYPES[topic])}
+
+
+@pytest.mark.parametrize("topic", TYPES)
+def test_bytes_are_those_that_rosbags_writes(session: zenoh.Session, topic: str) -> None:
+    for heard in captured(session, topic):
+        check_bytes(TYPES[topic], heard.payload)
+
+
+@pytest.mark.parametrize(
+    ("broken", "complaint"),
+    [
+        (lambda one: replace(one, attachment=b""), "0 bytes are attached"),
+        (lambda one: replace(one, attachment=one.attachment[:-1]), "32 bytes"),
+        (lambda one: replace(one, key=one.key[:-1] + "x"), "nobody announced"),
+        (lambda one: replace(one, key=one.key.removeprefix("0")), "nobody announced"),
+    ],
+)
+def test_rules_find_a_broken_sample(
+    session: zenoh.Session, broken: Callable[[Heard], Heard], complaint: str
+) -> None:
+    came, told = captured(session, "/r1/odom"), publishers_of(session, "/r1/odom")
+
+    with pytest.raises(BrokenRule, match=complaint):
+        check_topic(told, [broken(one) for one in came])
+
+
+@pytest.mark.parametrize(
+    ("broken", "complaint"),
+    [
+        (lambda _: [], "nobody announced"),
+        (lambda told: [told[0].replace("RIHS01_3", "RIHS01_4")], "hash"),
+        (lambda told: [told[0].replace("::,10:,:,:,,", "::,10")], "qos"),
+        (lambda told: [told[0].replace("/MP/", "/MS/")], "no token"),
+        (lambda told: [told[0].replace("%odom", "%odometry")], "nobody announced"),
+    ],
+)
+def test_rules_find_a_broken_token(
+    session: zenoh.Session, broken: Callable[[list[str]], list[str]], complaint: str
+) -> None:
+    came, told = captured(session, "/r1/odom"), publishers_of(session, "/r1/odom")
+
+    with pytest.raises(BrokenRule, match=complaint):
+        check_topic(broken(told), came)
+
+
+def test_rules_find_a_lost_message_and_foreign_bytes(session: zenoh.Session) -> None:
+    came, told = captured(session, "/r1/odom"), publishers_of(session, "/r1/odom")
+
+    with pytest.raises(BrokenRule, match="came after"):
+        check_topic(told, [came[0], came[2]])
+    with pytest.raises(BrokenRule, match="rosbags writes otherwise"):
+        check_bytes(ODOMETRY, came[0].payload + b"\0")
+
+
+@pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
+def test_robot_is_driven(ask: Ask, server: Server, kind: str) -> None:
+    before = place_of(server, "r2")
+    twist = {"linear": {"x": 0.5}}
+    fields = {"twist": twist} if kind == "TwistStamped" else twist
+
+    def has_moved() -> bool:
+        ask("tell", topic="/r2/cmd_vel", kind=f"geometry_msgs/msg/{kind}", fields=fields)
+        return abs(place_of(server, "r2") - before) > 0.05
+
+    eventually(has_moved, 20.0, f"driving by {kind}")
+
+
+def place_of(server: Server, name: str) -> float:
+    return server.client.entity_state(name).pose.position.x
+
+
+def test_other_domain_sees_nothing(server: Server) -> None:
+    with observing(server, 7) as ask:
+        assert (ask("topics"), ask("services")) == ({}, {})
+        assert (
+            ask("hear", topic="/clock", kind=TYPES["/clock"], count=1, within_s=1.0, qos="") == []
+        )
+
+
+def test_tokens_go_with_the_agent_and_with_the_robot(
+    server: Server, session: zenoh.Session
+) -> None:
+    server.zensim("spawn", "box_bot", "-n", "r3", "-y", "3")
+    with driven(server, "r3") as agents:
+        eventually(lambda: bool(publishers_of(session, "/r3/odom")), SIGHT_S, "coming")
+        agents["r3"].kill()
+        eventually(lambda: not publishers_of(session, "/r3/odom"), SIGHT_S, "withdrawal")
+    with driven(server, "r3"):
+        eventually(lambda: bool(publishers_of(session, "/r3/odom")), SIGHT_S, "return")
+        server.zensim("delete", "r3")
+        eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r3/**"), SIGHT_S, "leaving")
+
+
+def test_bridge_is_told_of_routes(server: Server) -> None:
+    routes = server.bus.alive("@/*/@ros2_lv/**")
+
+    told = {"/".join(route.split("/")[3:6]) for route in routes}
+    assert "MP/clock/rosgraph_msgs§msg§Clock" in told
+    assert "SS/spawn_entity/simulation_interfaces§srv§SpawnEntity" in told
+    assert "SS/gazebo§spawn_entity/gazebo_msgs§srv§SpawnEntity" in told
