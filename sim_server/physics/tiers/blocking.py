@@ -16,6 +16,7 @@ GAP_M = 0.001
 SLACK = 1e-9
 ROUNDS = 4
 """After so many, who still is in the way of another stands."""
+NOBODY, NO_SHARES = np.zeros(0, np.intp), np.zeros(0)
 CREEPS = 12
 """Steps towards an edge; what has not arrived by then waits for the next time."""
 
@@ -29,6 +30,7 @@ class Moves:
         way: (n, 2) from there.
         radius: (n,).
         bend: (n,) how far [m] the true path leaves the straight one at most.
+        reach: (n,) how far [m] from its centre a disc gets, the gap included.
         may_stop: (n,) whether it can be stopped here.
     """
 
@@ -36,6 +38,7 @@ class Moves:
     way: FloatArray
     radius: FloatArray
     bend: FloatArray
+    reach: FloatArray
     may_stop: np.ndarray[tuple[int], np.dtype[np.bool_]]
 
 
@@ -123,10 +126,15 @@ def _meeting(
 ) -> tuple[IntArray, FloatArray]:
     """Name those who run into another, and the share of their way until then."""
     apart = moves.start.take(other, axis=0) - moves.start.take(one, axis=0)
+    square = np.einsum("ij,ij->i", apart, apart)
+    within = moves.reach[one] + moves.reach[other]
+    near = np.flatnonzero(square < within * within)
+    if not len(near):
+        return NOBODY, NO_SHARES
+    one, other, apart, square = one[near], other[near], apart[near], square[near]
     closing = way.take(other, axis=0) - way.take(one, axis=0)
     b = np.einsum("ij,ij->i", apart, closing)
     a = np.einsum("ij,ij->i", closing, closing)
-    square = np.einsum("ij,ij->i", apart, apart)
     total = moves.radius[one] + moves.radius[other] + GAP_M
     bend = moves.bend[one] + moves.bend[other]
     is_wild = bend > GAP_M / 2.0
@@ -136,7 +144,7 @@ def _meeting(
     nearest = np.where(-b > a, square + 2.0 * b + a, passing)
     meet = (b < -SLACK * np.sqrt(a * square)) & (nearest < wide - SLACK * total * total)
     if not meet.any():
-        return np.zeros(0, np.intp), np.zeros(0)
+        return NOBODY, NO_SHARES
     a, b, c = a[meet], b[meet], (square - kept)[meet]
     share = (-b - np.sqrt(np.maximum(b * b - a * c, 0.0))) / a
     share = np.where(is_wild[meet], 0.0, np.clip(share * (1.0 - SLACK), 0.0, 1.0))

@@ -5,20 +5,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.blocking import Moves
+from sim_server.physics.tiers.blocking import GAP_M, Moves
 from sim_server.physics.tiers.grid import IntArray
 from sim_server.physics.tiers.motion import (
     arcs,
     ramped,
     rolling_speeds,
     twists_by_steering,
-    twists_by_wheels,
 )
 from sim_server.physics.tiers.rows import At, Pool, Rows, Tier, at_rows, turned
 from sim_server.physics.tiers.vehicle import Vehicle
 
 HARSH_M_S = 0.1
 """A change of speed that may tip over what can be tipped over by its wheels."""
+NO_TWISTS = np.zeros((3, 0))
 STEP_OVER_M = 0.01
 """What is no higher than this over the ground of a robot does not stop it."""
 
@@ -32,14 +32,23 @@ class Make:
         rows: Of those in the kinematic tier.
         joints: (n, j) where all their joints are in the pool.
         targets: (n, w) likewise.
+        driven, told: (n, k) those of the driven wheels, and their targets.
+        wheels: (n, m) those of all wheels.
+        matrix: (3, k) root twists by wheel speeds.
+        radii: (k,) of driven wheels [m].
     """
 
     vehicle: Vehicle
+    matrix: FloatArray
+    radii: FloatArray
     members: set[int] = field(default_factory=set)
     all_rows: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
     rows: IntArray = field(default_factory=lambda: np.zeros(0, np.intp))
     joints: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
     targets: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+    driven: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+    told: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
+    wheels: IntArray = field(default_factory=lambda: np.zeros((0, 0), np.intp))
 
     def gather(self, rows: Rows) -> None:
         """Find who of the members is in the kinematic tier."""
@@ -48,6 +57,15 @@ class Make:
         counts = np.arange(self.vehicle.joint_count)
         self.joints = rows.joint_start[self.rows][:, None] + counts
         self.targets = rows.target_start[self.rows][:, None] + np.arange(self.vehicle.width)
+        self.driven = self.joints[:, list(self.vehicle.driven.joints)]
+        self.told = self.targets[:, list(self.vehicle.driven.places)]
+        self.wheels = self.joints[:, [wheel.joint for wheel in self.vehicle.wheels]]
+
+
+def make_of(vehicle: Vehicle) -> Make:
+    """Begin with nobody."""
+    radii = [wheel.radius_m for wheel in vehicle.wheels[: len(vehicle.driven.joints)]]
+    return Make(vehicle, np.array(vehicle.matrix).reshape(3, -1), np.array(radii))
 
 
 class Kinematic:
@@ -60,6 +78,7 @@ class Kinematic:
     def __init__(self, rows: Rows, dt_s: float) -> None:
         self.rows: IntArray = np.zeros(0, np.intp)
         self._at: At = self.rows
+        self._has_arms = False
         self.positions = Pool()
         self.velocities: FloatArray = np.zeros(0)
         self.targets = Pool()
@@ -78,7 +97,9 @@ class Kinematic:
             self.velocities = np.concatenate([self.velocities, np.zeros(more)])
         self.set_joints(row, np.zeros(vehicle.joint_count), np.zeros(vehicle.joint_count))
         self.set_targets(row, np.zeros(vehicle.width))
-        self._makes.setdefault(vehicle, Make(vehicle)).members.add(row)
+        if vehicle not in self._makes:
+            self._makes[vehicle] = make_of(vehicle)
+        self._makes[vehicle].members.add(row)
         self._vehicles[row] = vehicle
 
     def dismiss(self, row: int) -> None:
@@ -98,6 +119,7 @@ class Kinematic:
             make.gather(self._known)
         self.rows = np.concatenate([self.rows[:0], *(m.rows for m in self._makes.values())])
         self._at = at_rows(self.rows)
+        self._has_arms = bool(self._known.centre[:, self._at].any())
 
     def joints(self, row: int) -> tuple[FloatArray, FloatArray]:
         """Find positions and velocities (j,) of the joints of a robot."""
@@ -126,7 +148,7 @@ class Kinematic:
         positions, velocities = (numbers[None] for numbers in self.joints(row))
         speeds = velocities[:, list(vehicle.driven.joints)]
         if vehicle.matrix:
-            return twists_by_wheels(vehicle, speeds)[:, 0]
+            return np.asarray(self._makes[vehicle].matrix @ speeds[0])
         angles = positions[:, list(vehicle.steering)]
         return twists_by_steering(vehicle, speeds, angles)[:, 0]
 
@@ -149,31 +171,31 @@ class Kinematic:
     def propose(self) -> tuple[FloatArray, FloatArray]:
         """Turn motors for a step, and find root twists and ways (3, n) of `rows`."""
         twists = [self._driven(make) for make in self._makes.values() if len(make.rows)]
-        found = np.concatenate([np.zeros((3, 0)), *twists], axis=1)
+        found = twists[0] if len(twists) == 1 else np.concatenate([NO_TWISTS, *twists], axis=1)
         return found, arcs(self._known.headings(self._at), found, self._dt_s)
 
     def _driven(self, make: Make) -> FloatArray:
         vehicle, positions = make.vehicle, self.positions.numbers
-        told = self.targets.numbers[make.targets]
         if vehicle.twist >= 0:
-            return np.asarray(told[:, vehicle.twist : vehicle.twist + 3].T)
-        driven = make.joints[:, list(vehicle.driven.joints)]
-        radii = np.array([w.radius_m for w in vehicle.wheels[: driven.shape[1]]])
-        most = vehicle.max_rim * self._dt_s / radii
-        speeds = ramped(self.velocities[driven], told[:, list(vehicle.driven.places)], most)
-        self.velocities[driven] = speeds
+            twists = self.targets.numbers[make.targets[:, vehicle.twist : vehicle.twist + 3]]
+            return np.ascontiguousarray(twists.T)
+        most = vehicle.max_rim * self._dt_s / make.radii
+        told = self.targets.numbers[make.told]
+        speeds = ramped(self.velocities[make.driven], told, most)
+        self.velocities[make.driven] = speeds
         if vehicle.matrix:
-            return twists_by_wheels(vehicle, speeds)
-        self._steer(make, told)
+            return np.asarray(make.matrix @ speeds.T)
+        self._steer(make)
         angles = positions[make.joints[:, list(vehicle.steering)]]
         twists = twists_by_steering(vehicle, speeds, angles)
         rolling = [wheel.joint for wheel in vehicle.wheels[len(vehicle.driven.joints) :]]
         self.velocities[make.joints[:, rolling]] = rolling_speeds(vehicle, twists, angles)
         return twists
 
-    def _steer(self, make: Make, told: FloatArray) -> None:
+    def _steer(self, make: Make) -> None:
         """Turn what is steered; it turns on the spot too, so that nothing holds it up."""
         vehicle, positions = make.vehicle, self.positions.numbers
+        told = self.targets.numbers[make.targets]
         steered = make.joints[:, list(vehicle.steered.joints)]
         most = np.array(vehicle.steering_rad_s) * self._dt_s
         angles = ramped(positions[steered], told[:, list(vehicle.steered.places)], most)
@@ -194,46 +216,51 @@ class Kinematic:
         radius = known.radius[discs]
         ways, may_stop = np.zeros((len(radius), 2)), np.zeros(len(radius), np.bool_)
         dx, dy, turn = way
-        x, y = known.centre[0, self._at], known.centre[1, self._at]
-        if x.any() or y.any():
+        if self._has_arms:
+            x, y = known.centre[:, self._at]
             arm = turned(x, y, known.headings(self._at))
             swung = turned(*arm, (np.cos(turn), np.sin(turn)))
             dx, dy = dx + swung[0] - arm[0], dy + swung[1] - arm[1]
         ways[mine, 0], ways[mine, 1] = dx, dy
         bend = known.pace[discs] * unseen_s
-        bend[mine] = _bend(np.hypot(dx, dy), np.abs(turn))
+        chord = np.hypot(dx, dy)
+        bend[mine] = _bend(chord, np.abs(turn))
         may_stop[mine] = True
-        return Moves(known.discs(discs), ways, radius, bend, may_stop)
+        reach = radius + bend + GAP_M
+        reach[mine] += chord
+        return Moves(known.discs(discs), ways, radius, bend, reach, may_stop)
 
     def commit(self, twists: FloatArray, way: FloatArray, shares: FloatArray) -> None:
         """Go so much of the way; who did not go all of it stands."""
         known, at = self._known, self._at
-        is_free = shares >= 1.0
-        if not is_free.all():
-            held = ~is_free
+        held = np.flatnonzero(shares < 1.0)
+        if len(held):
             heading = known.headings(self.rows[held])
             way[:, held] = arcs(heading, twists[:, held], self._dt_s * shares[held])
-            twists = twists * is_free
+            twists[:, held] = 0.0
         known.place[0, at] += way[0]
         known.place[1, at] += way[1]
         known.turn_to(at, known.yaw[at] + way[2])
         known.twist[:, at] = twists
-        self._roll_on(shares)
+        self._roll_on(shares, is_free=not len(held))
 
-    def _roll_on(self, shares: FloatArray) -> None:
+    def _roll_on(self, shares: FloatArray, *, is_free: bool) -> None:
         at = 0
         for make in self._makes.values():
             count = len(make.rows)
             if count and make.vehicle.joint_count:
-                share = shares[at : at + count, None]
-                self._roll(make, share)
+                self._roll(make, shares[at : at + count, None], is_free=is_free)
             at += count
 
-    def _roll(self, make: Make, share: FloatArray) -> None:
+    def _roll(self, make: Make, share: FloatArray, *, is_free: bool) -> None:
         vehicle = make.vehicle
-        wheels = make.joints[:, [wheel.joint for wheel in vehicle.wheels]]
-        self.positions.numbers[wheels] += self.velocities[wheels] * self._dt_s * share
-        self.velocities[wheels] *= share >= 1.0
+        wheels = make.wheels
+        rolled = self.velocities[wheels]
+        if is_free:
+            self.positions.numbers[wheels] += rolled * self._dt_s
+        else:
+            self.positions.numbers[wheels] += rolled * (self._dt_s * share)
+            self.velocities[wheels] = rolled * (share >= 1.0)
         steering = make.joints[:, [*vehicle.steered.joints, *vehicle.turned.joints]]
         if steering.shape[1]:
             self.positions.numbers[steering] += self.velocities[steering] * self._dt_s

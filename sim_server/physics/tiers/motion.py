@@ -6,19 +6,13 @@ from sim_server.physics.engine import FloatArray
 from sim_server.physics.tiers.rows import turned
 from sim_server.physics.tiers.vehicle import Vehicle
 
-STRAIGHT = 1e-6
-"""Turning by less [rad], an arc is taken as straight: it differs by less than rounding does."""
+HARDLY = 1e-300
+"""Stands for no turn [rad], of which an arc has no radius."""
 
 
 def ramped(now: FloatArray, wanted: FloatArray, most: FloatArray | float) -> FloatArray:
     """Bring numbers nearer to what is wanted, by so much at most."""
-    return np.asarray(now + np.clip(wanted - now, -most, most))
-
-
-def twists_by_wheels(vehicle: Vehicle, speeds: FloatArray) -> FloatArray:
-    """Find root twists (3, n): vx, vy, wz by the speeds (n, k) [rad/s] of all wheels."""
-    matrix = np.array(vehicle.matrix).reshape(3, -1)
-    return np.asarray(matrix @ speeds.T)
+    return np.minimum(np.maximum(wanted, now - most), now + most)
 
 
 def twists_by_steering(vehicle: Vehicle, speeds: FloatArray, angles: FloatArray) -> FloatArray:
@@ -90,12 +84,11 @@ def arcs(
         dt_s: How long; (n,) or one for all.
     """
     turn = twists[2] * dt_s
-    is_straight = np.abs(turn) < STRAIGHT
-    share = dt_s / np.where(is_straight, 1.0, turn)
     half = turn * 0.5
-    sin, cos = np.sin(half), np.cos(half)
-    along = np.where(is_straight, dt_s, 2.0 * sin * cos * share)
-    across = np.where(is_straight, half * dt_s, 2.0 * sin * sin * share)
+    half[half == 0.0] = HARDLY
+    sin = np.sin(half)
+    chord = sin / half * dt_s
+    along, across = chord * np.cos(half), chord * sin
     ahead = twists[0] * along - twists[1] * across
     left = twists[0] * across + twists[1] * along
     return np.stack([*turned(ahead, left, heading), turn])

@@ -36,6 +36,7 @@ class Neighbours:
         self._samples: FloatArray = np.zeros((0, 2))
         self._owners: IntArray = np.zeros(0, np.intp)
         self._is_true = False
+        self._gone_m = 0.0
 
     def set_edges(self, edges: Edges) -> None:
         """Take other edges."""
@@ -54,8 +55,10 @@ class Neighbours:
             radius: (n,).
             way: (n,) how far each may go until it is asked again.
         """
-        if self._is_true and not self._is_too_far(centres, way):
+        self._gone_m += float(way.max()) if len(way) else 0.0
+        if self._is_true and (self._gone_m < LEAST_M or not self._is_too_far(centres, way)):
             return
+        self._gone_m = 0.0
         self._centres = centres.copy()
         self._allowed = np.maximum(LEAST_M, AHEAD * way)
         reach = radius + self._allowed + self._margin_m / 2.0

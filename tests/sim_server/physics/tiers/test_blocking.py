@@ -7,6 +7,7 @@ from hypothesis.extra.numpy import arrays
 
 from sim_server.physics.engine import FloatArray
 from sim_server.physics.tiers.blocking import (
+    GAP_M,
     Moves,
     from_edges,
     shares_by_each_other,
@@ -22,7 +23,8 @@ radii = arrays(np.float64, MANY, elements=st.floats(0.05, 0.5))
 
 def some_moves(start: FloatArray, way: FloatArray, radius: FloatArray) -> Moves:
     count = len(radius)
-    return Moves(start, way, radius, np.zeros(count), np.ones(count, np.bool_))
+    reach = radius + np.linalg.norm(way, axis=1) + GAP_M
+    return Moves(start, way, radius, np.zeros(count), reach, np.ones(count, np.bool_))
 
 
 def all_pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
