@@ -14,8 +14,8 @@ from spawner.client import SimClient
 from tests.benchmark.crowd import TALLY, Tally
 from tests.benchmark.fleet import soon
 from tests.benchmark.machine import used_s
-from tests.benchmark.served import program
-from tests.integration.processes import START_S, free_endpoint, joined, running
+from tests.benchmark.served import PATIENCE_S, program
+from tests.integration.processes import free_endpoint, joined, running
 
 CALL_TIMEOUT_S = 60.0
 TALLIES = 256
@@ -45,7 +45,7 @@ def staffed(serve: Sequence[str], agents: Sequence[Sequence[str]]) -> Iterator[C
         bus = stack.enter_context(joined(endpoint, router))
         server = stack.enter_context(running("serve", "--connect", endpoint, *serve))
         client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
-        client.wait_for_server(START_S)
+        client.wait_for_server(PATIENCE_S)
         staff = [
             stack.enter_context(running("agent", *words, "--connect", endpoint, "--quiet"))
             for words in agents
