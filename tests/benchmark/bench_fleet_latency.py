@@ -17,9 +17,14 @@ from tests.benchmark.served import Served, served
 
 __all__ = ["rows", "table"]
 
-CASES = ((10, 240.0, 1.0), (100, 240.0, 1.0), (100, 100.0, 1.0), (1000, 100.0, 5.0))
-"""Robots, steps a simulated second, and what is asked of the median answer [ms]."""
-CASES_WHEN_SHORT = ((2, 240.0, 1.0),)
+CASES = (
+    (10, 240.0, "full", 1.0),
+    (100, 240.0, "full", 1.0),
+    (100, 100.0, "full", 1.0),
+    (1000, 100.0, "auto", 5.0),
+)
+"""Robots, steps a simulated second, dynamics, and what is asked of the median answer [ms]."""
+CASES_WHEN_SHORT = ((2, 240.0, "full", 1.0),)
 SECONDS, SECONDS_WHEN_SHORT = 6.0, 0.5
 """For each size and kind of request."""
 LONGEST_PAUSE_S = 0.02
@@ -30,9 +35,10 @@ SEED = 11
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure requests at several sizes."""
     seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
-    for count, step_hz, limit_ms in CASES_WHEN_SHORT if is_short else CASES:
-        whom = f"{count} robots, {step_hz:g} Hz"
-        with served(count, "--rtf", "1", "--step-hz", f"{step_hz:g}") as server:
+    for count, step_hz, dynamics, limit_ms in CASES_WHEN_SHORT if is_short else CASES:
+        whom = f"{count} robots, dynamics {dynamics}, {step_hz:g} Hz"
+        wish = ("--rtf", "1", "--step-hz", f"{step_hz:g}", "--dynamics", dynamics)
+        with served(count, *wish) as server:
             yield from _states(whom, server, seconds, Asked("median", "<=", limit_ms))
 
 

@@ -31,12 +31,16 @@ class Case:
     asked: Asked | None = None
 
 
+KINEMATIC = ("--dynamics", "kinematic")
 CASES = (
     Case("1000 robots, one PyBullet world", 1000, 100.0, ("--clusters", "off")),
     Case("1000 robots, PyBullet in cells", 1000, 100.0, ("--clusters", "on")),
     Case("1000 robots, MuJoCo", 1000, 100.0, ("--engine", "mujoco"), Asked("median", ">=", 1.3)),
+    Case("1000 robots, dynamics auto", 1000, 100.0, ("--dynamics", "auto")),
+    Case("1000 robots, kinematic", 1000, 50.0, KINEMATIC, Asked("median", ">=", 25.0)),
+    Case("10,000 robots, kinematic", 10_000, 50.0, KINEMATIC, Asked("median", ">=", 3.0)),
 )
-SHORT_CASES = (Case("2 robots, MuJoCo", 2, 100.0, ("--engine", "mujoco")),)
+SHORT_CASES = (Case("2 robots, kinematic", 2, 50.0, KINEMATIC),)
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:

@@ -55,11 +55,17 @@ def cases(*, is_short: bool) -> Sequence[Case]:
         return (Case("2 robots, 1 pool, 50 Hz", 2, (), (pool(50.0),), SECONDS_WHEN_SHORT),)
     agents = tuple((f"box_bot{i}",) for i in range(10))
     quickly, in_time = Asked("median", "<=", 15.0), Asked("p99", "<=", 60.0)
-    coarse = ("--step-hz", "100")
+    coarse = ("--step-hz", "100", "--dynamics", "auto")
     return (
         Case("10 robots, 10 agents", 10, (), agents, SECONDS_FOR_TEN, quickly),
         Case("100 robots, 2 pools, 50 Hz", 100, (), (pool(50.0),) * POOLS, SECONDS, in_time),
-        Case("1000 robots, 2 pools, 10 Hz", 1000, coarse, (pool(10.0),) * POOLS, SECONDS_FOR_TEN),
+        Case(
+            "1000 robots, dynamics auto, 100 Hz, 2 pools, 10 Hz",
+            1000,
+            coarse,
+            (pool(10.0),) * POOLS,
+            SECONDS_FOR_TEN,
+        ),
     )
 
 
