@@ -55,6 +55,8 @@ class Desk:
     alive_bonds: set[str] = field(default_factory=set)
     stepping: Stepping = field(default_factory=Stepping)
     lockstep: Lockstep = field(default_factory=Lockstep)
+    due_ns: int = 0
+    """When the next step is due: wall time."""
     has_read: bool = False
     """Whether descriptions have been read since the last turn."""
     journal: Durable | None = None

@@ -1,5 +1,8 @@
 """Spawning: everything is checked before anything is made; a dry run stops there."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from proto.model import Model, ReportEntry
@@ -12,6 +15,7 @@ from sim_server.later import Later
 from sim_server.lookup.frames import in_world
 from sim_server.physics.engine import FloatArray
 from sim_server.world.birth import Birth
+from sim_server.world.entity import Entity
 from sim_server.world.infos import checked
 from sim_server.world.poses import is_zero, pose_row
 
@@ -43,13 +47,56 @@ def spawn_model(
         return SpawnEntityReport(Result(), name, namespace, (*notes, *birth.model.report))
     entity = desk.world.spawn(birth)
     if not order.strict:
-        notes.extend(_overlaps(desk.world.overlapped(entity.name)))
-    if order.bond:
-        desk.bonded.setdefault(order.bond, []).append((entity.name, entity.born_ns))
-    for note in notes:
-        desk.world.warn(entity.name, f"{note.subject}: {note.reason}")
+        notes.extend(_overlaps(desk.world.overlapped(entity)))
+    _tell_of(desk, Expected(entity, order.bond, tuple(notes)))
     report = (*notes, *birth.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What was ordered and is not there yet."""
+
+    entity: Entity
+    bond: str
+    notes: tuple[ReportEntry, ...]
+
+
+def expect_model(desk: Desk, order: SpawnEntityOrder, model: Model, description: str) -> Expected:
+    """Make what `spawn_model` spawns, but let it in later; raises as that does."""
+    _check_bond(desk, order.bond)
+    birth, notes = _planned(desk, order, model, description)
+    entity = desk.world.expect(birth)
+    notes.extend(_overlaps(desk.world.overlapped(entity)))
+    if order.strict:
+        try:
+            _refuse_suspicious((*notes, *birth.model.report))
+        except ModelError:
+            desk.world.turn_away([entity])
+            raise
+    return Expected(entity, order.bond, tuple(notes))
+
+
+def let_in(desk: Desk, expected: Sequence[Expected]) -> None:
+    """Let all that is expected be there between two steps.
+
+    Raises:
+        IncorrectState: A reset or another world has ended it, or what it hangs on is gone.
+    """
+    for bond in {one.bond for one in expected}:
+        _check_bond(desk, bond)
+    if not all(desk.world.expects(one.entity) for one in expected):
+        raise IncorrectState("the world was reset or replaced meanwhile; ask again")
+    desk.world.let_in([one.entity for one in expected])
+    for one in expected:
+        _tell_of(desk, one)
+
+
+def _tell_of(desk: Desk, one: Expected) -> None:
+    if one.bond:
+        desk.bonded.setdefault(one.bond, []).append((one.entity.name, one.entity.born_ns))
+    for note in one.notes:
+        desk.world.warn(one.entity.name, f"{note.subject}: {note.reason}")
 
 
 def spawn_when_read(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport | Later:

@@ -19,13 +19,15 @@ from proto.services import Resource, SpawnEntityOrder
 from sim_server.desk import Desk
 from sim_server.errors import Refused, SimError
 from sim_server.later import Later
-from sim_server.spawning import spawn_model
+from sim_server.spawning import Expected, expect_model, let_in, spawn_model
 
 SLICE_NS = 5 * NANOSECONDS // 1000
-"""What spawning one by one takes of each turn of the loop; the last begun is finished.
+"""What spawning takes of each turn of the loop where steps are late; the last begun is finished.
 
 Where a quarter of a step is more, it is that.
 """
+SPARE_NS = NANOSECONDS // 1000
+"""Where that much is left before the next step is due, spawning takes what is left."""
 AHEAD = 64
 """Descriptions that are waited for at once."""
 Read = tuple[Model, str] | SimError
@@ -75,12 +77,11 @@ class _Fleet:
                 self._read[number] = error
         return number in self._read
 
-    def _spawn(self, order: SpawnEntityOrder) -> SpawnResult:
+    def _model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
         read = self._read[id(order.entity_resource)]
         if isinstance(read, SimError):
             raise read
-        report = spawn_model(self._desk, order, *read)
-        return SpawnResult(report.result, report.entity_name)
+        return read
 
     def response(self) -> SpawnEntitiesResponse:
         """Say what became of each."""
@@ -102,7 +103,7 @@ class _OneByOne(_Fleet):
 
     def go_on(self) -> bool:
         """Spawn for a while; say whether that was the last."""
-        end_ns = self._desk.now_ns() + self._desk.meter.share_ns(SLICE_NS)
+        end_ns = _end_of_slice(self._desk)
         for has_spawned in self._work:
             if not has_spawned or self._desk.now_ns() >= end_ns:
                 return False
@@ -113,18 +114,15 @@ class _OneByOne(_Fleet):
             while not self._is_read(order):
                 yield False
             try:
-                self._results.append(self._spawn(order))
+                report = spawn_model(self._desk, order, *self._model(order))
+                self._results.append(SpawnResult(report.result, report.entity_name))
             except SimError as error:
                 self._results.append(_refused(error))
             yield True
 
 
-class _Rehearsed(SimError):
-    """All could be spawned, and was only to be tried."""
-
-
 class _Together(_Fleet):
-    """All orders between two steps, or none."""
+    """All orders between two steps, or none; they are made before, out of sight."""
 
     def __init__(self, desk: Desk, orders: list[SpawnEntityOrder]) -> None:
         self._is_rehearsal = any(order.dry_run for order in orders)
@@ -132,21 +130,23 @@ class _Together(_Fleet):
         super().__init__(desk, [replace(order, dry_run=False) for order in orders])
         self._unread = list({id(one.entity_resource): one for one in self._orders}.values())
         self._has_begun = False
+        self._expected: list[Expected] = []
 
     def go_on(self) -> bool:
-        """Spawn all once all is read; say whether that is over."""
+        """Make some once all is read; let all in with the last; say whether that is over."""
         if self._desk.has_read or not self._has_begun:
             self._has_begun = True
             self._take_read()
         if self._unread:
             return False
-        bonded = {bond: list(names) for bond, names in self._desk.bonded.items()}
         try:
-            self._spawn_all()
+            if not self._make_some():
+                return False
+            if not self._is_rehearsal:
+                let_in(self._desk, self._expected)
         except SimError as error:
-            self._desk.bonded = bonded
-            if not isinstance(error, _Rehearsed):
-                self._give_up(error)
+            self._give_up(error)
+        self._desk.world.turn_away(one.entity for one in self._expected)
         return True
 
     def _take_read(self) -> None:
@@ -159,20 +159,35 @@ class _Together(_Fleet):
                 waiting.append(order)
         self._unread = waiting
 
-    def _spawn_all(self) -> None:
-        with self._desk.world.all_or_none():
-            for order in self._orders:
-                self._results.append(self._spawn(order))
-            if self._is_rehearsal:
-                raise _Rehearsed("")
+    def _make_some(self) -> bool:
+        """Make entities while there is time; say whether none is left to be made."""
+        end_ns = _end_of_slice(self._desk)
+        for order in self._orders[len(self._expected) :]:
+            made = expect_model(self._desk, order, *self._model(order))
+            self._expected.append(made)
+            self._results.append(SpawnResult(Result(), made.entity.name))
+            if self._desk.now_ns() >= end_ns:
+                break
+        return len(self._expected) == len(self._orders)
 
     def _give_up(self, error: SimError) -> None:
         failed = len(self._results)
+        if failed == len(self._orders):
+            self._results = [_refused(error)] * failed
+            return
         name = self._orders[failed].name or f"number {failed}"
         reason = f"{HELD_BACK} '{name[:80]}': all or none were asked for"
         other = SpawnResult(Result(ResultCode.OPERATION_FAILED, reason))
         self._results = [other] * len(self._orders)
         self._results[failed] = _refused(error)
+
+
+def _end_of_slice(desk: Desk) -> int:
+    """Say until when spawning may hold the loop up: steps that can be in time are to be so."""
+    now_ns = desk.now_ns()
+    if desk.due_ns - now_ns > SPARE_NS:
+        return desk.due_ns - SPARE_NS // 2
+    return now_ns + desk.meter.share_ns(SLICE_NS)
 
 
 def _refused(error: SimError) -> SpawnResult:

@@ -148,3 +148,14 @@ class Tiered(Protocol):
 
     def tier_of(self, body: int) -> TierName:
         """Say by which dynamics a body moves now."""
+
+
+@runtime_checkable
+class Concealing(Protocol):
+    """An engine that can keep bodies out of the world until others are made too."""
+
+    def conceal(self, body: int) -> None:
+        """Let a body that was just added neither move nor touch anything."""
+
+    def reveal(self, bodies: Sequence[int]) -> None:
+        """Let concealed bodies take part from the next step on."""

@@ -20,20 +20,12 @@ from sim_server.physics.planning import Planner
 from sim_server.physics.readback import base_states, joint_states
 from sim_server.physics.roots import Roots
 from sim_server.physics.silence import silenced
+from sim_server.physics.solving import SOLVING
 from sim_server.physics.spreading import ShapeKey, key_of
 from sim_server.physics.touch import self_touching, standing_friction, touches_itself
 
 with silenced():
     import pybullet
-
-SOLVER_ITERATIONS = 20
-"""10 costs 0.85 of this, and a box_bot that has stopped goes on rocking; 50 costs 1.5."""
-
-SOLVED = 3e-7
-"""Square of the greatest change of a speed [m/s] in an iteration after which the solver stops.
-
-The usual 1e-7 costs 1.1 of this; 1e-5 would cost 0.85, and ten times the sideways drift.
-"""
 
 MAX_PARTS = 128
 """Bullet reads the states of a body's first 127 joints back and no more."""
@@ -41,6 +33,7 @@ MAX_PARTS = 128
 TINY = (0.01, 0.01, 0.01)
 ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
 AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
+NOTHING, ALL = (0, 0), (1, -1)  # group and mask of what is touched
 AT_ORIGIN: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
 OVERLAP_M = 0.001
@@ -74,19 +67,10 @@ class PyBulletEngine:
         self._loads: dict[int, Sequence[Load]] = {}
         self._brought_back: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._gravity = config.gravity
-        self._dt_s = config.step_ns * 1e-9
+        self._dt_s = dt_s = config.step_ns * 1e-9
         self._roots = Roots()
         self._orders = Orders(lambda body: self._bodies[body].actuation.width)
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=self._dt_s,
-            numSolverIterations=SOLVER_ITERATIONS,
-            solverResidualThreshold=SOLVED,
-            # One that is solved need not go on with others that are not.
-            minimumSolverIslandSize=1,
-            enableConeFriction=0,
-            enableFileCaching=0,
-            physicsClientId=client,
-        )
+        pybullet.setPhysicsEngineParameter(fixedTimeStep=dt_s, **SOLVING, physicsClientId=client)
         pybullet.setGravity(*config.gravity, physicsClientId=client)
         box = pybullet.GEOM_BOX
         self._visual = pybullet.createVisualShape(box, halfExtents=TINY, physicsClientId=client)
@@ -137,6 +121,20 @@ class PyBulletEngine:
         for gear in known.gears:
             pybullet.removeConstraint(gear, physicsClientId=self._client)
         pybullet.removeBody(body, physicsClientId=self._client)
+
+    def conceal(self, body: int) -> None:
+        """See `Concealing.conceal`; gears would wake it."""
+        if not (known := self._bodies[body]).gears:
+            self._loads.pop(body, None)
+            self._let_touch(body, known, *NOTHING)
+            self._set_state([body], ASLEEP)
+
+    def reveal(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        self._set_state(bodies, AWAKE)
+        for body in bodies:
+            self._let_touch(body, known := self._bodies[body], *ALL)
+            self._admit(body, known)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -225,8 +223,8 @@ class PyBulletEngine:
             self._loads[body] = known.loads
 
     def _set_velocity(self, body: int, velocity: FloatArray) -> None:
-        numbers = velocity.tolist()
-        pybullet.resetBaseVelocity(body, numbers[:3], numbers[3:], physicsClientId=self._client)
+        linear, angular = velocity[:3].tolist(), velocity[3:].tolist()
+        pybullet.resetBaseVelocity(body, linear, angular, physicsClientId=self._client)
 
     def _set_joints(self, body: int, positions: FloatArray, velocities: FloatArray) -> None:
         joints = self._bodies[body].joints
@@ -237,25 +235,26 @@ class PyBulletEngine:
 
     def _park(self, body: int, known: Body) -> None:
         """Put a body where it touches nothing, to sleep there unless it is to be ready."""
-        client = self._client
-        for part in range(-1, known.parts):
-            pybullet.setCollisionFilterGroupMask(body, part, 0, 0, physicsClientId=client)
+        self._let_touch(body, known, *NOTHING)
         self.place(body, self._parking.keep(body, known))
         self._set_state(self._parking.keep_awake(body), ASLEEP)
+
+    def _let_touch(self, body: int, known: Body, group: int, mask: int) -> None:
+        client = self._client
+        for part in range(-1, known.parts):
+            pybullet.setCollisionFilterGroupMask(body, part, group, mask, physicsClientId=client)
 
     def _set_state(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
         for body, state in product(bodies, states):
             pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=self._client)
 
     def _bring_back(self, base: FloatArray, body: int, known: Body, *, awake: bool) -> int:
-        client = self._client
         if not awake:
             self._set_state([body], AWAKE)
             self._brought_back[body] = np.zeros(6), np.zeros(len(known.joints))
         elif (sleeper := self._parking.next_to_rise(known.model)) is not None:
             self._set_state([sleeper], AWAKE)
-        for part in range(-1, known.parts):
-            pybullet.setCollisionFilterGroupMask(body, part, 1, -1, physicsClientId=client)
+        self._let_touch(body, known, *ALL)
         self._admit(body, known)
         self.rest(body, base)
         return body

@@ -20,6 +20,8 @@ LOG = logging.getLogger(__name__)
 
 POLL_S = 0.0003
 IDLE_POLL_S = 0.001
+EVENTS = 128
+"""That are told at a turn: a fleet brings more, and steps come between."""
 MAX_LAG_NS = 50_000_000
 """How far the loop may run behind and still catch up; beyond, the deadline slips."""
 
@@ -78,6 +80,7 @@ class Loop:
 
     def serve(self) -> None:
         """Take in everything that has come."""
+        self._desk.due_ns = self._deadline_ns
         # Calls are taken before tokens and answered after them: an agent's token comes first.
         calls = self._inbox.take_calls()
         self._driving.serve()
@@ -101,7 +104,7 @@ class Loop:
 
     def publish(self) -> None:
         """Tell everybody what is due."""
-        for event in self._world.take_events():
+        for event in self._world.take_events(EVENTS):
             LOG.info(
                 "event kind=%s entity=%s agent=%s message=%s",
                 event.kind,

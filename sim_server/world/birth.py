@@ -1,13 +1,11 @@
 """A checked wish to spawn, and the names that it would get."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from proto.info import EntityInfo
 from proto.model import Model
 from sim_server.physics.engine import FloatArray
-from sim_server.world.entity import Entity
-from sim_server.world.naming import free_name, free_namespace
+from sim_server.world.naming import Names, free_name, free_namespace
 
 
 @dataclass(frozen=True)
@@ -24,7 +22,7 @@ class Birth:
     belongs_to_world: bool = False
     info: EntityInfo | None = None
 
-    def names_among(self, entities: Mapping[str, Entity]) -> tuple[str, str]:
+    def names_among(self, names: Names) -> tuple[str, str]:
         """Find the name and the namespace that it would get beside others.
 
         Raises:
@@ -32,7 +30,7 @@ class Birth:
             NameRefused: The name is not valid.
             NamespaceRefused: The namespace is not valid, or another entity has it.
         """
-        name = free_name(self.name, entities, allow_renaming=self.allow_renaming)
+        name = free_name(self.name, names.taken, allow_renaming=self.allow_renaming)
         if self.belongs_to_world and self.model.drive is None:
             return name, ""
-        return name, free_namespace(self.namespace or name, entities.values())
+        return name, free_namespace(self.namespace or name, names.owners)

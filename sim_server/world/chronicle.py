@@ -48,9 +48,9 @@ class Chronicle:
         if self.state != State.PAUSED:
             raise IncorrectState(f"the simulation is {self.state_name}; pause it before stepping")
 
-    def take_events(self) -> list[Event]:
-        """Take what has happened since the last time."""
-        events, self._events = self._events, []
+    def take_events(self, most: int | None = None) -> list[Event]:
+        """Take what has happened since the last time, the beginning of it if it is much."""
+        events, self._events = self._events[:most], [] if most is None else self._events[most:]
         return events
 
     def warn(self, entity: str, message: str) -> None:

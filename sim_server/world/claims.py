@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from proto.claims import DriveCommand, OnRelease
+from proto.result import ClaimCode
+from sim_server.errors import Refused
 from sim_server.physics.engine import FloatArray
 from sim_server.world.entity import Entity, Fleet, Hold, Roster, fleet_of
 
@@ -43,6 +45,18 @@ class Claims:
         """Who drives an entity; empty when nobody does."""
         hold = self._holds.get(name)
         return hold.agent if hold else ""
+
+    def require_free(self, name: str, agent: str) -> None:
+        """Refuse what another agent drives.
+
+        Raises:
+            Refused: Another agent drives the entity.
+        """
+        if (holder := self.agent_of(name)) not in ("", agent):
+            raise Refused(
+                ClaimCode.ALREADY_CLAIMED,
+                f"entity '{name}' is driven by agent '{holder}'; stop that agent first",
+            )
 
     def held_by(self, agent: str) -> list[tuple[str, Hold]]:
         """What an agent drives, in the order of claiming."""

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from proto.model import Joint, Model, Origin
+from sim_server.errors import IncorrectState
 from sim_server.geometry.kinematics import joint_motion, placed, row_of
 from sim_server.physics.engine import FloatArray, Reading
 from sim_server.world.entity import Entity, Roster
@@ -52,6 +53,15 @@ class Watch:
     def is_frozen(self, name: str) -> bool:
         """Whether an entity is frozen."""
         return name in self._frozen
+
+    def require_alive(self, name: str) -> None:
+        """Refuse what is frozen.
+
+        Raises:
+            IncorrectState: The entity is frozen.
+        """
+        if self.is_frozen(name):
+            raise IncorrectState(f"entity '{name}' is {FROZEN}")
 
     def bad(self, roster: Roster, reading: Reading) -> list[str]:
         """Name the entities that have gone bad, but for those that are frozen already."""

@@ -1,6 +1,6 @@
 """Names and namespaces that are still free."""
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 
 from proto.names import InvalidName, check_name, check_namespace
 from sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
@@ -30,8 +30,12 @@ def free_name(name: str, taken: Collection[str], *, allow_renaming: bool) -> str
     return next(candidate for candidate in numbered if candidate not in taken)
 
 
-def free_namespace(namespace: str, entities: Iterable[Entity]) -> str:
+def free_namespace(namespace: str, owners: Mapping[str, str]) -> str:
     """Return the namespace without slashes around it.
+
+    Args:
+        namespace: What was wished for.
+        owners: Entities by the namespaces that they have.
 
     Raises:
         NamespaceRefused: It is not valid, or another entity has it.
@@ -40,9 +44,39 @@ def free_namespace(namespace: str, entities: Iterable[Entity]) -> str:
         bare = check_namespace(namespace)
     except InvalidName as error:
         raise NamespaceRefused(str(error)) from error
-    for entity in entities:
-        if entity.namespace == bare:
-            raise NamespaceRefused(
-                f"namespace '{bare}' belongs to entity '{entity.name}'; choose another"
-            )
+    if (owner := owners.get(bare)) is not None:
+        raise NamespaceRefused(f"namespace '{bare}' belongs to entity '{owner}'; choose another")
     return bare
+
+
+class Names:
+    """Which names, namespaces and bodies belong to whom, of those too that are expected only."""
+
+    def __init__(self, entities: Iterable[Entity] = ()) -> None:
+        self.taken: set[str] = set()
+        self.owners: dict[str, str] = {}
+        """Entities by their namespaces."""
+        self._of_body: dict[int, str] = {}
+        for entity in entities:
+            self.add(entity)
+
+    def add(self, entity: Entity) -> None:
+        """Note an entity, or that it has another body."""
+        self.taken.add(entity.name)
+        self._of_body[entity.body] = entity.name
+        if entity.namespace:
+            self.owners[entity.namespace] = entity.name
+
+    def drop(self, entity: Entity) -> None:
+        """Note that an entity has gone."""
+        self.taken.discard(entity.name)
+        self.owners.pop(entity.namespace, None)
+        self.drop_body(entity.body)
+
+    def drop_body(self, body: int) -> None:
+        """Note that a body has gone."""
+        self._of_body.pop(body, None)
+
+    def of_bodies(self, bodies: Iterable[int]) -> list[str]:
+        """Name the entities that have these bodies."""
+        return [self._of_body[body] for body in bodies if body in self._of_body]

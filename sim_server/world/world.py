@@ -1,137 +1,43 @@
 """The World: entities and simulation time, over an engine. No network, no clock, no files."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from proto.claims import Claim, DriveCommand, DriveState, OnRelease
-from proto.info import EntityInfo
 from proto.model import Model
-from proto.result import ClaimCode
 from proto.services import ResetScope, State
 from proto.telemetry import Snapshot
-from sim_server.errors import EntityNotFound, IncorrectState, Refused, SimError
 from sim_server.physics.actuation import standing
 from sim_server.physics.engine import Engine, FloatArray, Reading
-from sim_server.world.birth import Birth
-from sim_server.world.chronicle import Chronicle
 from sim_server.world.claims import Claims
-from sim_server.world.entity import Entity, Fleet, Roster, info_of, roster_of
+from sim_server.world.entity import Entity, Fleet
 from sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, is_good, still
+from sim_server.world.inhabited import Inhabited
+from sim_server.world.naming import Names
 from sim_server.world.pushes import Pushes
 
 
-class World(Chronicle):
+class World(Inhabited):
     """One engine, one time, its entities, and who drives them."""
 
     def __init__(self, engine: Engine, *, name: str, step_ns: int, control_steps: int) -> None:
-        super().__init__(step_ns=step_ns)
+        super().__init__(engine, step_ns=step_ns)
         self.name = name
         self.control_steps = control_steps
-        self.roster_number = self.placed = 0
+        self.placed = 0
         self.ready_s: dict[str, float] = {}
-        self._engine = engine
-        self._entities: dict[str, Entity] = {}
+        self._noted: dict[str, int] = {}
         self.claims = Claims()
         self.pushes = Pushes()
-        self._roster: Roster | None = None
         self._reading: Reading | None = None
         self.watch = Watch()
-
-    @property
-    def engine(self) -> Engine:
-        """What simulates it: to be asked, and told nothing."""
-        return self._engine
-
-    @property
-    def entities(self) -> tuple[Entity, ...]:
-        """All entities in the order of spawning."""
-        return tuple(self._entities.values())
 
     @property
     def is_control_step(self) -> bool:
         """Whether agents are told at this step."""
         return self.steps % self.control_steps == 0
-
-    def entity(self, name: str) -> Entity:
-        """Find an entity.
-
-        Raises:
-            EntityNotFound: There is none of this name.
-        """
-        if (found := self._entities.get(name)) is None:
-            raise EntityNotFound(name)
-        return found
-
-    def prepare(self, model: Model) -> bool:
-        """Make a part of what `spawn` needs for a model; say whether nothing is left."""
-        return self._engine.prepare(model)
-
-    def spawn(self, birth: Birth) -> Entity:
-        """Put an entity into the world.
-
-        Raises:
-            NameNotUnique: The name is taken and may not be changed.
-            NameRefused: The name is not valid.
-            NamespaceRefused: The namespace is not valid, or another entity has it.
-            EngineRefused: The engine cannot simulate the model.
-        """
-        name, namespace = self.names_for(birth)
-        body = self._engine.add(birth.model, birth.base)
-        entity = Entity(
-            *(name, namespace, birth.model, body, birth.base.copy(), birth.description),
-            born_ns=birth.born_ns,
-            belongs_to_world=birth.belongs_to_world,
-            info=birth.info or info_of(birth.model),
-        )
-        self._entities[name] = entity
-        self._changed()
-        self._tell("spawned", entity=name)
-        return entity
-
-    def names_for(self, birth: Birth) -> tuple[str, str]:
-        """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
-        return birth.names_among(self._entities)
-
-    @contextmanager
-    def all_or_none(self) -> Iterator[None]:
-        """Take back what is spawned in this block when it is refused; nobody is told of it."""
-        before, told = set(self._entities), len(self._events)
-        try:
-            yield
-        except SimError:
-            for name in [name for name in self._entities if name not in before]:
-                self._engine.remove(self._entities.pop(name).body)
-            del self._events[told:]
-            self._changed()
-            raise
-
-    def describe(self, name: str, info: EntityInfo) -> None:
-        """Say what an entity is; raises EntityNotFound."""
-        self._entities[name] = replace(self.entity(name), info=info)
-
-    def rehearse(self, birth: Birth) -> list[str]:
-        """Spawn and take back at once; name the entities that it overlaps; raises as `spawn` does.
-
-        Nobody is told.
-        """
-        self.names_for(birth)
-        body = self._engine.add(birth.model, birth.base)
-        try:
-            return self._overlapped(body)
-        finally:
-            self._engine.remove(body)
-
-    def overlapped(self, name: str) -> list[str]:
-        """Name the entities that an entity overlaps."""
-        return self._overlapped(self.entity(name).body)
-
-    def _overlapped(self, body: int) -> list[str]:
-        if not (bodies := set(self._engine.overlapping(body))):
-            return []
-        return [name for name, other in self._entities.items() if other.body in bodies]
 
     def delete(self, name: str) -> None:
         """Take an entity out; its claim ends.
@@ -144,7 +50,7 @@ class World(Chronicle):
         self.watch.forget(name)
         self.pushes.forget(name)
         self._engine.remove(entity.body)
-        del self._entities[name]
+        self._names.drop(self._entities.pop(name))
         self.ready_s.pop(name, None)
         self._changed()
         self._tell("deleted", entity=name)
@@ -181,8 +87,7 @@ class World(Chronicle):
             EngineRefused: The engine cannot simulate the model.
         """
         entity = self.entity(name)
-        if self.watch.is_frozen(name):
-            raise IncorrectState(f"entity '{name}' is {FROZEN}")
+        self.watch.require_alive(name)
         positions = self.reading().joint_positions[self.roster().joints_of(name)]
         stand = Stand(self.state_of(name), positions.copy())
         self._engine.remove(self._engine.add(model, stand.base))  # else it would be gone if refused
@@ -199,13 +104,8 @@ class World(Chronicle):
         """
         wanted = [self.entity(name) for name in dict.fromkeys(names)]
         for entity in wanted:
-            if self.watch.is_frozen(entity.name):
-                raise IncorrectState(f"entity '{entity.name}' is {FROZEN}")
-            if (holder := self.claims.agent_of(entity.name)) not in ("", agent):
-                raise Refused(
-                    ClaimCode.ALREADY_CLAIMED,
-                    f"entity '{entity.name}' is driven by agent '{holder}'; stop that agent first",
-                )
+            self.watch.require_alive(entity.name)
+            self.claims.require_free(entity.name, agent)
         return tuple(self._grant(agent, entity, on_release) for entity in wanted)
 
     def release(self, agent: str) -> None:
@@ -220,6 +120,7 @@ class World(Chronicle):
             elif hold.on_release == "delete":
                 self.delete(name)
         self.claims.forget_agent(agent)
+        self._noted.pop(agent, None)
 
     def command(self, agent: str, command: DriveCommand) -> bool:
         """Take an agent's targets for the next step; one that does not fit is dropped and counted.
@@ -232,6 +133,9 @@ class World(Chronicle):
 
     def note_ready(self, agent: str, now_ns: int) -> None:
         """Remember how long each entity of an agent took from spawn to its first command."""
+        if self._noted.get(agent) == self.claims.changes:
+            return
+        self._noted[agent] = self.claims.changes
         for name, _ in self.claims.held_by(agent):
             if name not in self.ready_s:
                 self.ready_s[name] = (now_ns - self._entities[name].born_ns) * 1e-9
@@ -252,6 +156,7 @@ class World(Chronicle):
         """Go back to the start: time, states, spawned entities, by the bits of `ResetScope`."""
         bits = scope or ResetScope.ALL
         if bits & ResetScope.SPAWNED:
+            self.turn_away(tuple(self._expected.values()))
             for name in [entity.name for entity in self.entities if not entity.belongs_to_world]:
                 self.delete(name)
             self._engine.forget_removed()
@@ -268,12 +173,6 @@ class World(Chronicle):
         self.pushes.forget_all()
         self._reading = None
         self._tell("reset", message=f"scope={scope}")
-
-    def roster(self) -> Roster:
-        """Where each entity stands in the arrays."""
-        if self._roster is None:
-            self._roster = roster_of(self.entities)
-        return self._roster
 
     def reading(self) -> Reading:
         """Read every entity back, once a step at most; those that have gone bad are mended."""
@@ -325,6 +224,7 @@ class World(Chronicle):
         self.pushes.forget_all()
         self.ready_s.clear()
         self._engine, self._entities = other.give_up()
+        self._names, self._expected = Names(self._entities.values()), {}
         self.step_ns, self.control_steps = other.step_ns, other.control_steps
         self.watch, self.state = Watch(), state
         self.steps, self.epoch = 0, self.epoch + 1
@@ -371,7 +271,9 @@ class World(Chronicle):
     def _make_anew(self, entity: Entity, model: Model, base: FloatArray) -> None:
         """Give an entity another body: an engine may never let go of numbers that went bad."""
         self._engine.remove(entity.body)
+        self._names.drop_body(entity.body)
         self._entities[entity.name] = replace(entity, body=self._engine.add(model, base))
+        self._names.add(self._entities[entity.name])
         self.claims.forget_rows()
         self._roster = self._reading = None
 
@@ -388,6 +290,6 @@ class World(Chronicle):
         )
 
     def _changed(self) -> None:
-        self.roster_number += 1
+        super()._changed()
         self.claims.forget_rows()
-        self._roster = self._reading = None
+        self._reading = None

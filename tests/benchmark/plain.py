@@ -12,7 +12,8 @@ import pybullet
 from sim_server.description.library import model_text
 from sim_server.description.urdf import read_urdf
 from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import SOLVER_ITERATIONS, PyBulletEngine
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.solving import SOLVER_ITERATIONS
 from spawner.placement import fleet_places
 from tests.benchmark.bodies import standing_at
 from tests.benchmark.circling import WHEEL_SPEEDS

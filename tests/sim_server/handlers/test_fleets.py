@@ -9,7 +9,7 @@ from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnEntity
 from proto.geometry import Point, Pose, PoseStamped
 from proto.info import EntityInfo
 from proto.result import ResultCode, SpawnCode, SpawnEntitiesCode
-from proto.services import Resource, SpawnEntityOrder
+from proto.services import ResetScope, Resource, SpawnEntityOrder
 from sim_server.desk import Desk
 from sim_server.errors import SimError
 from sim_server.handlers import fleets
@@ -199,6 +199,70 @@ def test_spawns_one_by_one_leave_room_for_steps() -> None:
     assert names_in(desk.world) == ["a"]
     assert not response.is_ready()
     assert names_in(desk.world) == ["a", "b"]
+
+
+def test_a_fleet_is_made_over_some_turns_and_there_at_once() -> None:
+    desk = a_desk(a_world("x"), SlowWall())
+
+    response = handle(desk, an_order("a", "b", "c", atomic=True))
+
+    assert isinstance(response, Later)
+    assert names_in(desk.world) == ["x"]
+    desk.world.step()
+    assert not response.is_ready()
+    assert kinds_of_events(desk.world) == []
+    assert response.is_ready()
+    assert names_in(desk.world) == ["x", "a", "b", "c"]
+
+
+def test_a_fleet_that_is_being_made_is_given_up_when_the_world_is_reset() -> None:
+    desk = a_desk(a_world("x"), SlowWall())
+    response = handle(desk, an_order("a", "b", atomic=True))
+    assert isinstance(response, Later)
+
+    desk.world.reset(ResetScope.ALL)
+
+    assert response.is_ready()
+    told = response.outcome()
+    assert isinstance(told, SpawnEntitiesResponse)
+    assert codes(told) == [3, 3]
+    assert "reset or replaced meanwhile" in told.results[0].result.error_message
+    assert names_in(desk.world) == []
+
+
+def test_a_fleet_whose_bond_has_gone_meanwhile_is_given_up() -> None:
+    desk = a_desk(a_world("x"), SlowWall())
+    desk.alive_bonds.add("bond")
+    common = msgspec.structs.replace(COMMON, bond="bond")
+    response = handle(desk, an_order("a", "b", atomic=True, common=common))
+    assert isinstance(response, Later)
+
+    desk.end_bond("bond")
+
+    assert response.is_ready()
+    assert names_in(desk.world) == ["x"]
+
+
+class TickingWall(WallTime):
+    """A clock that goes on whenever it is read."""
+
+    def now_ns(self) -> int:
+        self.ns += fleets.SPARE_NS
+        return self.ns
+
+
+@pytest.mark.parametrize(("spare", "is_over"), [(0, False), (1000, True)])
+def test_spawning_uses_the_time_that_is_left_before_the_next_step(
+    spare: int,
+    is_over: bool,  # noqa: FBT001
+) -> None:
+    wall = TickingWall()
+    desk = a_desk(a_world(), wall)
+    desk.due_ns = wall.ns + spare * fleets.SPARE_NS
+
+    response = handle(desk, an_order(*"abcdef", atomic=True))
+
+    assert isinstance(response, SpawnEntitiesResponse) == is_over
 
 
 def test_too_many_orders_are_refused() -> None:

@@ -4,12 +4,12 @@ import pytest
 
 from sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
 from sim_server.world.entity import Entity
-from sim_server.world.naming import MAX_RENAMES, free_name, free_namespace
+from sim_server.world.naming import MAX_RENAMES, Names, free_name, free_namespace
 from tests.models import a_box, a_state
 
 
-def an_entity(name: str, namespace: str) -> Entity:
-    return Entity(name, namespace, a_box(), 1, a_state(), "", 0)
+def an_entity(name: str, namespace: str = "", body: int = 1) -> Entity:
+    return Entity(name, namespace, a_box(), body, a_state(), "", 0)
 
 
 def test_name_is_kept_when_it_is_free() -> None:
@@ -46,18 +46,40 @@ def test_name_is_refused_when_it_is_none(name: str, *, allow_renaming: bool) -> 
 
 @pytest.mark.parametrize(("given", "bare"), [("r1", "r1"), ("/r1", "r1"), ("/team/r1", "team/r1")])
 def test_namespace_is_returned_without_a_leading_slash(given: str, bare: str) -> None:
-    assert free_namespace(given, [an_entity("r2", "r2")]) == bare
+    assert free_namespace(given, {"r2": "r2"}) == bare
 
 
 @pytest.mark.parametrize("namespace", ["r1", "/r1"])
 def test_namespace_is_refused_when_it_is_taken(namespace: str) -> None:
-    entities = [an_entity("box", "r1")]
-
     with pytest.raises(NamespaceRefused, match="'r1' belongs to entity 'box'; choose another"):
-        free_namespace(namespace, entities)
+        free_namespace(namespace, {"r1": "box"})
 
 
 @pytest.mark.parametrize("namespace", ["", "/", "a//b", "a b", "sim", "/world/r", "a/" * 8 + "a"])
 def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
     with pytest.raises(NamespaceRefused, match="use"):
-        free_namespace(namespace, [])
+        free_namespace(namespace, {})
+
+
+def test_names_know_whose_a_body_is() -> None:
+    names = Names([an_entity("a", body=1), an_entity("b", body=2)])
+
+    assert names.of_bodies([2, 3, 1]) == ["b", "a"]
+
+
+def test_names_forget_all_of_an_entity_that_has_gone() -> None:
+    entity = an_entity("a", "team/a")
+    names = Names([entity])
+
+    names.drop(entity)
+
+    assert (names.taken, names.owners, names.of_bodies([1])) == (set(), {}, [])
+
+
+def test_names_of_entities_without_a_namespace_leave_all_namespaces_free() -> None:
+    names = Names([an_entity("a")])
+    names.add(an_entity("b"))
+
+    names.drop(an_entity("a"))
+
+    assert (names.taken, names.owners) == ({"b"}, {})

@@ -295,7 +295,8 @@ def test_world_names_the_entities_that_an_entity_overlaps() -> None:
     world = a_world("r0", "r1")
     world.spawn(a_birth("r2", base=on_ground(0.02)))
 
-    assert (world.overlapped("r0"), world.overlapped("r1")) == (["r2"], [])
+    first, second, _ = world.entities
+    assert (world.overlapped(first), world.overlapped(second)) == (["r2"], [])
 
 
 def test_what_belongs_to_the_world_has_no_namespace_and_outlives_a_reset() -> None:
