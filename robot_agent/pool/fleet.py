@@ -139,6 +139,7 @@ class PoolFleet:
         """Tell last values to those who have asked; declare some of what is to be declared."""
         for outlet in tuple(self._outlets.values()):
             outlet.declare_some()
+            outlet.announce_some()
             outlet.answer()
         for robot in self._robots.values():
             robot.answer()
@@ -147,7 +148,7 @@ class PoolFleet:
         """Publish what never changes to those who have begun to listen."""
         for (pattern, _), outlet in self._outlets.items():
             if keys.last_chunk(pattern) in CONSTANT:
-                outlet.announce_some()
+                outlet.announce()
         for robot in self._robots.values():
             robot.announce()
 

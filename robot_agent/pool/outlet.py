@@ -52,7 +52,8 @@ class FleetOutlet:
         self._encoding = encoding_of(message_type, Format.CDR)
         self._lines: dict[str, list[Line]] = {}
         self._undeclared: list[Line] = []
-        self._announced: list[Line] = []
+        self._unannounced: list[Line] = []
+        self._has_announced = False
         self._probe = network.advertise(pattern, self._encoding)
         # Other pools have other robots on the same pattern.
         self._queries = network.serve(pattern, QUERY_DEPTH, is_complete=False)
@@ -96,16 +97,24 @@ class FleetOutlet:
             if line.publisher is not None:
                 line.publisher.send(payload)
 
-    def announce_some(self) -> None:
-        """Put last values where somebody has begun to listen; a part of the lines at a time."""
-        if not self.is_wanted:
-            for line in self._announced:
-                line.was_matched = False
-            self._announced = []
+    def announce(self) -> None:
+        """Begin to put last values where somebody has begun to listen; see `announce_some`."""
+        if self._unannounced:
             return
-        if not self._announced:
-            self._announced = [line for lines in self._lines.values() for line in lines]
-        some, self._announced = self._announced[:AT_ONCE], self._announced[AT_ONCE:]
+        lines = [line for lines in self._lines.values() for line in lines]
+        if self.is_wanted:
+            self._unannounced = lines
+        elif self._has_announced:
+            for line in lines:
+                line.was_matched = False
+            self._has_announced = False
+
+    def announce_some(self) -> None:
+        """Go on with what `announce` has begun, by a part of the robots."""
+        if not self._unannounced:
+            return
+        self._has_announced = True
+        some, self._unannounced = self._unannounced[:AT_ONCE], self._unannounced[AT_ONCE:]
         for line in some:
             _announce(line)
 

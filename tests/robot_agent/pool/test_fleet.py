@@ -247,6 +247,22 @@ def test_pool_announces_constants_to_each_who_begins_to_listen() -> None:
     assert heard("r2/*") == ["r2/tf_static", "r2/robot_description"]
 
 
+def test_pool_announces_again_to_who_listens_when_others_have_gone() -> None:
+    bus = MemoryBus()
+    pool = PoolFleet(bus, 0)
+    pool.take([Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")])
+    for _ in range(2):
+        listener = bus.subscribe("*/tf_static", 16)
+        for _ in range(3):
+            pool.answer()
+            pool.announce()
+        assert len(listener.take()) == 1
+        listener.close()
+        for _ in range(2):
+            pool.answer()
+            pool.announce()
+
+
 def test_pool_leaves_nothing_when_it_has_lost_all() -> None:
     rng, both = np.random.default_rng(3), Both()
     both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["car"]))
