@@ -24,6 +24,7 @@ NAMES = (
     "fleet_latency",
     "fleet_traffic",
     "fleet_physics",
+    "pools",
     "codec",
 )
 HEAD = """# Benchmarks
