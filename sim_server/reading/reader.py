@@ -69,6 +69,8 @@ class Reader:
         self._command = command
         self._queue: deque[tuple[ReadRequest, int]] = deque()
         self._ended: list[subprocess.Popen[bytes]] = []
+        self._has_been_ready = False
+        """Until then the server waits for it."""
         self._begin()
 
     @property
@@ -118,7 +120,8 @@ class Reader:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._time.watch(self._process.pid)
-        _come_last(self._process.pid)
+        if self._has_been_ready:
+            _come_last(self._process.pid)
         self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
         for stream in (self._in, self._out):
             os.set_blocking(stream, False)
@@ -199,6 +202,8 @@ class Reader:
         answers = []
         while (message := self._next_message()) is not None:
             if isinstance(message, ReaderReady):
+                self._has_been_ready = True
+                _come_last(self._process.pid)
                 self._note_free()
                 continue
             if isinstance(message, TextRead):
@@ -228,7 +233,8 @@ def _refused(request: ReadRequest, message: str, *, slug: str) -> TextRead:
 
 def _come_last(process_id: int) -> None:
     """Let physics come first when cores are few."""
-    os.setpriority(os.PRIO_PROCESS, process_id, NICENESS)
+    with suppress(ProcessLookupError):
+        os.setpriority(os.PRIO_PROCESS, process_id, NICENESS)
     # Where the kernel shares cores among sessions, niceness counts inside of the reader's only.
     with suppress(OSError):
         Path(f"/proc/{process_id}/autogroup").write_text(str(NICENESS), encoding="ascii")

@@ -166,6 +166,7 @@ def test_polling_never_waits(reader: Reader) -> None:
 
 def test_reader_comes_last_among_all_sessions(reader: Reader) -> None:
     shares = Path(f"/proc/{reader.process_id}/autogroup")
+    read(reader, ReadRequest(1, ROBOT))
 
     niceness = os.getpriority(os.PRIO_PROCESS, reader.process_id)
 
