@@ -121,6 +121,11 @@ class Face:
         number = max(self._sent, 1)
         return write_attachment(Attachment(number, time.time_ns(), self._gid))
 
+    def add_reply(self, call: Call, key: str, payload: bytes, encoding: str) -> None:
+        """Tell the value to somebody who came late; who hears it twice takes it for one."""
+        if self._stamp is not None:
+            call.add_reply(key, payload, encoding, self.attachment(), self._stamp)
+
     def greet(self, payload: Payload) -> None:
         """Put the value if somebody has begun to listen since the last time."""
         is_matched = self._publisher.is_matched
@@ -136,19 +141,17 @@ class Face:
 class Cache:
     """Tells the last value on ROS 2's face to those who come late."""
 
-    def __init__(self, queue: CallQueue, face: Face, key: str, encoding: str, stamp: Stamp) -> None:
+    def __init__(self, queue: CallQueue, face: Face, key: str, encoding: str) -> None:
         self._queue = queue
         self._face = face
         self._key = key
         self._encoding = encoding
-        self._stamp = stamp
 
     def answer(self, payload: Payload) -> None:
         """Tell everybody who has asked."""
         for call in self._queue.take():
             if (value := payload()) is not None:
-                attachment = self._face.attachment()
-                call.add_reply(self._key, value, self._encoding, attachment, self._stamp)
+                self._face.add_reply(call, self._key, value, self._encoding)
             call.drop()
 
     def close(self) -> None:
@@ -203,7 +206,7 @@ class TopicSubscription:
         """Take all that have come, oldest first on each face."""
         taken = self._plain.take()
         for subscription in self._ros:
-            taken += [_as_plain(sample) for sample in subscription.take()]
+            taken += [as_plain(sample) for sample in subscription.take()]
         return taken
 
     def newest(self) -> Sample | None:
@@ -238,12 +241,11 @@ class Faces:
         if not topic.is_latched:
             return TopicPublisher([*faces, Face(publisher, endpoint)], ())
         # A latched value does not change: who is told it twice hears it once, by its stamp.
-        stamp = self._network.stamp()
-        faces.append(Face(publisher, endpoint, stamp))
+        faces.append(Face(publisher, endpoint, self._network.stamp()))
         queue = self._network.serve(
             f"{key}/{CACHE}/{node.graph.zid}/{endpoint.number}/_", CACHE_DEPTH
         )
-        return TopicPublisher(faces, [Cache(queue, faces[1], key, encoding, stamp)])
+        return TopicPublisher(faces, [Cache(queue, faces[1], key, encoding)])
 
     def subscription(
         self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int
@@ -277,7 +279,8 @@ def faces_of(network: Network, graph: RosGraph | None, namespace: str, name: str
     return Faces(network, graph.node(namespace, name), graph.settings)
 
 
-def _as_plain(sample: Sample) -> Sample:
+def as_plain(sample: Sample) -> Sample:
+    """Say a sample of ROS 2's face as one of the bare key; its type goes into its encoding."""
     parsed = parse_data_key(sample.key)
     if parsed is None:
         return sample

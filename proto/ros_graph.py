@@ -80,6 +80,14 @@ class RosGraph:
         self.nodes.append(found)
         return found
 
+    def data_key(self, topic: "Topic") -> str:
+        """Find the key of a topic's data, or the pattern of several, in ROS 2's form."""
+        return keys.data_key(self.domain or 0, topic.key, topic.ros_type, self.hash_of(topic))
+
+    def hash_of(self, topic: "Topic") -> str:
+        """Find the hash of a topic's type, as the distribution has it."""
+        return type_hash(topic.kind) if self.settings.has_hashes else keys.NO_HASH
+
     def close(self) -> None:
         """Withdraw all nodes, and end the sessions that were opened beside."""
         for node in tuple(self.nodes):
@@ -135,12 +143,12 @@ class RosNode:
 
     def data_key(self, topic: Topic) -> str:
         """Find the key of a topic's data in ROS 2's form."""
-        return keys.data_key(self.domain, topic.key, topic.ros_type, self._hash_of(topic))
+        return self.graph.data_key(topic)
 
     def join_topic(self, kind: EndpointKind, topic: Topic) -> Endpoint:
         """Say that the node publishes a topic, or hears it."""
         return self.join(
-            kind, topic.key, topic.ros_type, type_hash=self._hash_of(topic), qos=topic.qos
+            kind, topic.key, topic.ros_type, type_hash=self.graph.hash_of(topic), qos=topic.qos
         )
 
     def join(
@@ -175,9 +183,6 @@ class RosNode:
             self._seat.nodes -= 1
         while self._tokens:
             self._tokens.pop().close()
-
-    def _hash_of(self, topic: Topic) -> str:
-        return type_hash(topic.kind) if self.graph.settings.has_hashes else keys.NO_HASH
 
 
 def gid_of_endpoint(endpoint: Endpoint) -> bytes:

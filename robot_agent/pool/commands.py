@@ -11,8 +11,10 @@ from proto import keys
 from proto.bus import Sample
 from proto.codec import Format, MalformedPayload, encoding_of
 from proto.commands import decode_twist
-from proto.geometry import Twist
-from robot_agent.network import Network, Subscription
+from proto.faces import TopicSubscription
+from proto.geometry import Twist, TwistStamped
+from proto.ros2.keys import ANY_HASH, data_key
+from robot_agent.network import Network
 from robot_agent.pool.rows import FloatArray, IntArray, carried, carried_ints
 
 DEPTH = 8192
@@ -27,16 +29,18 @@ PLAIN_ENCODINGS = frozenset({encoding_of(Twist, Format.CDR), Format.CDR.value, "
 class FleetCommands:
     """The twists that hold now, a row a robot; robots stand until they are told."""
 
-    def __init__(self, network: Network, timeout_ns: int) -> None:
+    def __init__(self, network: Network, timeout_ns: int, domain: int | None = None) -> None:
         """Begin to listen to nobody.
 
         Args:
             network: Where.
             timeout_ns: Simulation time that a twist holds after it was first seen; 0 = for ever.
+            domain: Where ROS 2 is heard too; None = nowhere.
         """
+        self._domain = domain
         self._network = network
         self._timeout_ns = timeout_ns
-        self._subscriptions: dict[str, Subscription] = {}
+        self._subscriptions: dict[str, TopicSubscription] = {}
         self._rows: dict[str, tuple[int, ...]] = {}
         self._twists = np.zeros((0, TWIST_COLUMNS))
         self._seen_ns = np.zeros(0, dtype=np.int64)
@@ -46,7 +50,17 @@ class FleetCommands:
         """Hear a key from now on; its robot gets a row later."""
         pattern = keys.pattern_of(key)
         if pattern not in self._subscriptions:
-            self._subscriptions[pattern] = self._network.subscribe(pattern, DEPTH)
+            self._subscriptions[pattern] = self._hear(pattern)
+
+    def _hear(self, pattern: str) -> TopicSubscription:
+        plain = self._network.subscribe(pattern, DEPTH)
+        if self._domain is None:
+            return TopicSubscription(plain, ())
+        forms = [
+            data_key(self._domain, pattern, kind.ros_type, ANY_HASH)
+            for kind in (Twist, TwistStamped)
+        ]
+        return TopicSubscription(plain, [self._network.subscribe(one, DEPTH) for one in forms])
 
     def recut(self, robots: Sequence[str], before: IntArray) -> None:
         """Carry rows over; see `rows.carried`.

@@ -8,6 +8,7 @@ from proto import cdr, keys
 from proto.claims import Claim
 from proto.header import Time
 from proto.model import Model
+from proto.ros_graph import RosNode
 from proto.topics import String, TFMessage
 from robot_agent.frames import base_of, fixed_edges
 from robot_agent.pool.outlet import FleetOutlet, Line
@@ -33,9 +34,9 @@ class Constants:
         self._fixed: dict[int, tuple[Model, Constant | None]] = {}
         self._texts: dict[str, Constant] = {}
 
-    def add(self, claim: Claim) -> tuple[Line, ...]:
-        """Begin to tell a robot's constants."""
-        lines = tuple(Line(key, value) for key, value in self._values(claim))
+    def add(self, claim: Claim, node: RosNode | None = None) -> tuple[Line, ...]:
+        """Begin to tell a robot's constants; its node is in ROS 2's graph."""
+        lines = tuple(Line(key, value, node=node) for key, value in self._values(claim))
         for line in lines:
             self._outlet(line).add(line)
         return lines

@@ -10,12 +10,14 @@ import numpy as np
 from proto import keys
 from proto.claims import Claim, DriveCommand, DriveState
 from proto.faces import faces_of
-from proto.ros_graph import RosGraph
+from proto.geometry import Twist, TwistStamped
+from proto.ros_graph import RosGraph, RosNode, Topic
 from robot_agent.network import Network
 from robot_agent.pool.commands import FleetCommands
 from robot_agent.pool.constants import Constants
 from robot_agent.pool.kinds import Kind, is_common, kind_of, topics_of
 from robot_agent.pool.outlet import FleetOutlet
+from robot_agent.pool.ros_face import RosFace
 from robot_agent.pool.rows import NEW, FloatArray
 from robot_agent.pool.seating import Seating, claims_in
 from robot_agent.pool.squad import Member, PoolState, Squad
@@ -56,7 +58,7 @@ class PoolFleet:
         self._robots: dict[int, Robot] = {}
         self._outlets: dict[tuple[str, type[msgspec.Struct]], FleetOutlet] = {}
         self._constants = Constants(self._outlet)
-        self._commands = FleetCommands(network, timeout_ns)
+        self._commands = FleetCommands(network, timeout_ns, graph.domain if graph else None)
         self._squads: dict[Kind, Squad] = {}
         self._claims: bytes | None = None
         self._seating = Seating((), ())
@@ -69,7 +71,8 @@ class PoolFleet:
                 topics = topics_of(claim)
                 self._commands.listen(topics.cmd_vel)
                 member = Member(claim, kind_of(claim.model, topics), topics)
-                member.constants = self._constants.add(claim)
+                member.node = self._greeted(claim.namespace, topics.cmd_vel)
+                member.constants = self._constants.add(claim, member.node)
                 self._members[claim.claim] = member
             else:
                 faces = faces_of(self._network, self._graph, claim.namespace, NODE)
@@ -168,6 +171,8 @@ class PoolFleet:
         self._constants.remove(member.constants)
         if member.kind in self._squads:
             self._squads[member.kind].dismiss(member)
+        if member.node is not None:
+            member.node.close()
         return member.claim.entity
 
     def _recut(self, claims: bytes) -> None:
@@ -212,8 +217,22 @@ class PoolFleet:
     def _outlet(self, pattern: str, message: type[msgspec.Struct]) -> FleetOutlet:
         key = (pattern, message)
         if key not in self._outlets:
-            self._outlets[key] = FleetOutlet(self._network, pattern, message)
+            ros = self._ros_face(Topic(pattern, message, keys.last_chunk(pattern) in CONSTANT))
+            self._outlets[key] = FleetOutlet(self._network, pattern, message, ros)
         return self._outlets[key]
+
+    def _ros_face(self, topic: Topic) -> RosFace | None:
+        if self._graph is None or self._graph.domain is None:
+            return None
+        return RosFace(self._network, self._graph, topic)
+
+    def _greeted(self, namespace: str, cmd_vel: str) -> RosNode | None:
+        """Let a robot into ROS 2's graph: as a node that hears commands."""
+        node = self._graph.node(namespace, NODE) if self._graph else None
+        if node is not None:
+            for kind in (Twist, TwistStamped):
+                node.join_topic("MS", Topic(cmd_vel, kind))
+        return node
 
 
 def _reading_of(loner: _Loner, read: PoolState) -> Reading:

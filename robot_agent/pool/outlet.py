@@ -12,7 +12,9 @@ from typing import Protocol
 import msgspec
 
 from proto.codec import Format, encoding_of
+from proto.ros_graph import RosNode
 from robot_agent.network import Call, Network, Publisher
+from robot_agent.pool.ros_face import RosFace
 
 QUERY_DEPTH = 256
 AT_ONCE = 32
@@ -33,6 +35,7 @@ class Line:
     key: str
     values: Values
     row: int = 0
+    node: RosNode | None = None
     publisher: Publisher | None = None
     was_matched: bool = False
 
@@ -40,14 +43,22 @@ class Line:
 class FleetOutlet:
     """A topic on all keys of one pattern; payloads in, puts where somebody listens."""
 
-    def __init__(self, network: Network, pattern: str, message_type: type[msgspec.Struct]) -> None:
+    def __init__(
+        self,
+        network: Network,
+        pattern: str,
+        message_type: type[msgspec.Struct],
+        ros: RosFace | None = None,
+    ) -> None:
         """Declare the topic.
 
         Args:
             network: Where.
             pattern: Of the keys that lines have; see `proto.keys.pattern_of`.
             message_type: What payloads are; they travel as CDR.
+            ros: The same on ROS 2's keys.
         """
+        self._ros = ros
         self._network = network
         self._encoding = encoding_of(message_type, Format.CDR)
         self._lines: dict[str, list[Line]] = {}
@@ -61,7 +72,7 @@ class FleetOutlet:
     @property
     def is_wanted(self) -> bool:
         """Whether anybody listens to any of it."""
-        return self._probe.is_matched
+        return self._probe.is_matched or (self._ros is not None and self._ros.is_wanted)
 
     @property
     def is_empty(self) -> bool:
@@ -72,6 +83,8 @@ class FleetOutlet:
         """Take a robot in; its publisher is declared once somebody listens."""
         self._lines.setdefault(line.key, []).append(line)
         self._undeclared.append(line)
+        if self._ros is not None:
+            self._ros.add(line)
 
     def remove(self, line: Line) -> None:
         """Let a robot go."""
@@ -81,10 +94,14 @@ class FleetOutlet:
         if line.publisher is not None:
             line.publisher.close()
             line.publisher = None
+        if self._ros is not None:
+            self._ros.remove(line)
 
     def declare_some(self) -> None:
         """Declare some of the publishers that are missing, when anybody listens."""
-        if not self._undeclared or not self.is_wanted:
+        if self._ros is not None:
+            self._ros.declare_some()
+        if not self._undeclared or not self._probe.is_matched:
             return
         some, self._undeclared = self._undeclared[:AT_ONCE], self._undeclared[AT_ONCE:]
         for line in some:
@@ -96,6 +113,8 @@ class FleetOutlet:
         for line, payload in zip(lines, payloads, strict=True):
             if line.publisher is not None:
                 line.publisher.send(payload)
+        if self._ros is not None:
+            self._ros.put(lines, payloads)
 
     def announce(self) -> None:
         """Begin to put last values where somebody has begun to listen; see `announce_some`."""
@@ -130,6 +149,8 @@ class FleetOutlet:
                 call.reply_each(answers, self._encoding)
             else:
                 call.drop()
+        if self._ros is not None:
+            self._ros.answer()
 
     def close(self) -> None:
         """Withdraw the topic."""
@@ -137,6 +158,8 @@ class FleetOutlet:
             self.remove(line)
         self._probe.close()
         self._queries.close()
+        if self._ros is not None:
+            self._ros.close()
 
     def _asked(self, call: Call) -> Iterator[Line]:
         if call.key in self._lines:

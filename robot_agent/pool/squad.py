@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from proto.claims import Claim
+from proto.ros_graph import RosNode
 from robot_agent.pool.driven import DrivenBases
 from robot_agent.pool.kinds import Kind, Topics
 from robot_agent.pool.outlet import Line
@@ -26,6 +27,8 @@ class Member:
     """In its pool."""
     lines: tuple[Line, ...] = ()
     constants: tuple[Line, ...] = ()
+    node: RosNode | None = None
+    """In ROS 2's graph."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,7 @@ class Squad:
         named = [key for key in told if key]
         lines = []
         for topic, key in zip(self._telling.topics, named, strict=True):
-            lines.append(Line(key, topic))
+            lines.append(Line(key, topic, node=member.node))
             topic.outlet.add(lines[-1])
         return tuple(lines)
 

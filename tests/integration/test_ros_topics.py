@@ -81,6 +81,12 @@ def ask(server: Server) -> Iterator[Ask]:
 
 @pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
+    with session_of(server) as found:
+        yield found
+
+
+@contextmanager
+def session_of(server: Server) -> Iterator[zenoh.Session]:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))

@@ -1,0 +1,160 @@
+"""One topic of many robots on ROS 2's keys, beside the plain ones of its `outlet.FleetOutlet`.
+
+One publisher on a pattern sees whoever listens to any robot; tokens, and then publishers, are
+declared a few at a time.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import msgspec
+
+from proto.codec import Format, encoding_of
+from proto.faces import CACHE, Face
+from proto.ros2.tokens import Endpoint
+from proto.ros_graph import RosGraph, RosNode, Topic
+from robot_agent.network import Call, Network
+
+QUERY_DEPTH = 256
+AT_ONCE = 16
+"""Tokens, or publishers, that are declared in one go: a millisecond or two."""
+
+
+class Values(Protocol):
+    """The last values of a topic, by row."""
+
+    def payload(self, row: int) -> bytes | None:
+        """Write the last value of a row as CDR; None while there is none."""
+
+
+class Line(Protocol):
+    """One robot's part in a topic; see `outlet.Line`."""
+
+    @property
+    def key(self) -> str:
+        """The plain key."""
+
+    @property
+    def values(self) -> Values:
+        """Where its value is."""
+
+    @property
+    def row(self) -> int:
+        """Which of them."""
+
+    @property
+    def node(self) -> RosNode | None:
+        """The robot in ROS 2's graph."""
+
+
+class RosFace:
+    """A topic on all of ROS 2's keys of one pattern."""
+
+    def __init__(self, network: Network, graph: RosGraph, topic: Topic) -> None:
+        """Declare the topic.
+
+        Args:
+            network: Where.
+            graph: Of the nodes that lines have.
+            topic: Its key is the pattern of the lines' keys.
+        """
+        self._network = network
+        self._topic = topic
+        self._encoding = encoding_of(topic.kind, Format.CDR)
+        self._unjoined: list[Line] = []
+        self._joined: dict[Line, Endpoint] = {}
+        self._faces: dict[Line, Face] = {}
+        self._ros_keys: dict[Line, str] = {}
+        self._graph = graph
+        key = graph.data_key(topic)
+        self._probe = network.advertise(key, self._encoding)
+        cache = f"{key}/{CACHE}/{graph.zid}/*/_"
+        self._queries = network.serve(cache, QUERY_DEPTH) if topic.is_latched else None
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anybody listens to any of it."""
+        return self._probe.is_matched
+
+    def add(self, line: Line) -> None:
+        """Take a robot in; it is announced soon."""
+        if line.node is not None:
+            self._unjoined.append(line)
+            self._ros_keys[line] = self._graph.data_key(self._of(line))
+
+    def remove(self, line: Line) -> None:
+        """Let a robot go; its node withdraws the token."""
+        self._joined.pop(line, None)
+        self._ros_keys.pop(line, None)
+        if (face := self._faces.pop(line, None)) is not None:
+            face.close()
+
+    def declare_some(self) -> None:
+        """Announce some of those that are not yet; and declare publishers when anybody listens."""
+        if self._unjoined:
+            some, self._unjoined = self._unjoined[:AT_ONCE], self._unjoined[AT_ONCE:]
+            for line in some:
+                self._join(line)
+        elif len(self._faces) < len(self._joined) and self.is_wanted:
+            missing = [line for line in self._joined if line not in self._faces]
+            for line in missing[:AT_ONCE]:
+                self._declare(line)
+
+    def put(self, lines: Sequence[Line], payloads: Sequence[bytes]) -> None:
+        """Put a payload on each line; on those without a publisher yet nothing."""
+        for line, payload in zip(lines, payloads, strict=True):
+            if (face := self._faces.get(line)) is not None:
+                face.send(payload)
+
+    def answer(self) -> None:
+        """Tell last values to those who have come late."""
+        for call in self._queries.take() if self._queries is not None else ():
+            for line in self._asked(call):
+                self._tell(line, call)
+            call.drop()
+
+    def close(self) -> None:
+        """Withdraw the topic."""
+        for line in tuple(self._ros_keys):
+            self.remove(line)
+        self._probe.close()
+        if self._queries is not None:
+            self._queries.close()
+
+    def _of(self, line: Line) -> Topic:
+        return msgspec.structs.replace(self._topic, key=line.key)
+
+    def _join(self, line: Line) -> Endpoint | None:
+        if line.node is None or line not in self._ros_keys:
+            return None
+        if line not in self._joined:
+            self._joined[line] = line.node.join_topic("MP", self._of(line))
+        return self._joined[line]
+
+    def _declare(self, line: Line) -> Face | None:
+        if line in self._faces:
+            return self._faces[line]
+        if (endpoint := self._join(line)) is None:
+            return None
+        publisher = self._network.advertise(self._ros_keys[line], self._encoding)
+        stamp = self._network.stamp() if self._topic.is_latched else None
+        face = self._faces[line] = Face(publisher, endpoint, stamp)
+        if self._topic.is_latched and publisher.is_matched:
+            payload = line.values.payload(line.row)
+            if payload is not None:
+                face.send(payload)
+        return face
+
+    def _tell(self, line: Line, call: Call) -> None:
+        payload, face = line.values.payload(line.row), self._declare(line)
+        if payload is not None and face is not None:
+            face.add_reply(call, self._ros_keys[line], payload, self._encoding)
+
+    def _asked(self, call: Call) -> Iterator[Line]:
+        wanted, is_cached, _ = call.key.partition("/@adv/")
+        for line, key in tuple(self._ros_keys.items()):
+            if key == wanted if is_cached and "*" not in wanted else call.covers(self._place(key)):
+                yield line
+
+    def _place(self, key: str) -> str:
+        return f"{key}/{CACHE}/{self._graph.zid}/0/_"

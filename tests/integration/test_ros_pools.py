@@ -1,0 +1,84 @@
+"""Robots of a pool as ROS 2 has them: by rmw_zenoh's rules, and by driving them."""
+
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+
+from proto.codec import Format, encode
+from proto.geometry import Twist, TwistStamped, Vector3
+from proto.ros2.keys import data_key
+from proto.ros2.type_hash import type_hash
+from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
+from tests.integration.ros_rules import check_bytes, check_topic
+from tests.integration.test_ros_topics import (
+    SIGHT_S,
+    TYPES,
+    captured,
+    joined_late,
+    place_of,
+    publishers_of,
+    session_of,
+    tokens,
+)
+
+ROBOTS = ("r1", "r2", "r3")
+FASTER = Vector3(x=0.5)
+OF_ROBOT = tuple(topic for topic in TYPES if topic.startswith("/r1/"))
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving("--ros-domain", "0") as found:
+        for name in ROBOTS:
+            found.zensim("spawn", "box_bot", "-n", name, "-y", name[1:])
+        with running("agent", "--pool", "0", "--connect", found.endpoint):
+            wait_for_agents(found, ROBOTS)
+            yield found
+
+
+@pytest.fixture(scope="module")
+def session(server: Server) -> Iterator[zenoh.Session]:
+    with session_of(server) as found:
+        eventually(lambda: all(publishers_of(found, t) for t in OF_ROBOT), SIGHT_S, "tokens")
+        yield found
+
+
+@pytest.mark.parametrize("topic", OF_ROBOT)
+def test_topic_of_a_pool_keeps_to_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
+    came = captured(session, topic)
+
+    publishers = check_topic(publishers_of(session, topic), came)
+
+    assert {(one.name, one.ros_type) for one in publishers} == {(topic, TYPES[topic])}
+    for heard in came:
+        check_bytes(TYPES[topic], heard.payload)
+
+
+def test_late_joiner_of_a_pool_hears_its_own_robot_only(session: zenoh.Session) -> None:
+    came = joined_late(session, "/r2/tf_static", 1)
+
+    assert [heard.key.split("/")[1] for heard in came] == ["r2"]
+
+
+@pytest.mark.parametrize("message", [Twist(FASTER), TwistStamped(twist=Twist(FASTER))])
+def test_robot_of_a_pool_is_driven(
+    server: Server, session: zenoh.Session, message: Twist | TwistStamped
+) -> None:
+    kind = type(message)
+    key = data_key(0, "/r2/cmd_vel", kind.ros_type, type_hash(kind))
+    before = [place_of(server, name) for name in ROBOTS]
+
+    def has_moved() -> bool:
+        session.put(key, encode(message, Format.CDR))
+        return abs(place_of(server, "r2") - before[1]) > 0.05
+
+    eventually(has_moved, 20.0, "driving")
+    assert place_of(server, "r3") == pytest.approx(before[2], abs=0.01)
+
+
+def test_tokens_go_with_a_robot_of_a_pool(server: Server, session: zenoh.Session) -> None:
+    server.zensim("delete", "r1")
+
+    eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r1/**"), SIGHT_S, "leaving")
+    assert publishers_of(session, "/r2/odom")
