@@ -25,7 +25,7 @@ CASES = (
 )
 """Robots, steps a simulated second, dynamics, and what is asked of the median answer [ms]."""
 CASES_WHEN_SHORT = ((2, 240.0, "full", 1.0),)
-SECONDS, SECONDS_WHEN_SHORT = 6.0, 0.5
+SECONDS, SECONDS_WHEN_SHORT = 4.0, 0.5
 """For each size and kind of request."""
 LONGEST_PAUSE_S = 0.02
 SETTLE_S = 1.0

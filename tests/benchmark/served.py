@@ -36,8 +36,8 @@ class Spent(Turn):
 
     process_cpu_s: float
     """With the router's threads."""
-    all_cpu_s: float
-    """With the processes that it started."""
+    children_cpu_s: float
+    """Of the processes that the server started, among them those that step cells."""
     parts_s: dict[str, float]
 
 
@@ -50,7 +50,7 @@ class Served:
 
     def turn(self, seconds: float) -> Spent:
         """Let time run for a while."""
-        used_before_s = self._used_s()
+        used_before_s = self._children_used_s()
         before = self._enter(State.PLAYING)
         time.sleep(seconds)
         after = self._enter(State.PAUSED)
@@ -59,7 +59,7 @@ class Served:
             wall_s=after.wall_s - before.wall_s,
             cpu_s=after.loop_cpu_s - before.loop_cpu_s,
             process_cpu_s=after.process_cpu_s - before.process_cpu_s,
-            all_cpu_s=self._used_s() - used_before_s,
+            children_cpu_s=self._children_used_s() - used_before_s,
             parts_s={
                 part: spent_s - before.parts_s.get(part, 0.0)
                 for part, spent_s in after.parts_s.items()
@@ -75,9 +75,9 @@ class Served:
         linear = [state.twist.linear for state in self.client.entity_states().values()]
         return [math.hypot(one.x, one.y) for one in linear]
 
-    def _used_s(self) -> float:
-        process = psutil.Process(self.process.pid)
-        return sum(used_s(one.pid) for one in (process, *process.children(recursive=True)))
+    def _children_used_s(self) -> float:
+        children = psutil.Process(self.process.pid).children(recursive=True)
+        return sum(used_s(child.pid) for child in children)
 
     def _enter(self, state: State) -> Used:
         self.client.set_simulation_state(state)
