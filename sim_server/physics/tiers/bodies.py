@@ -16,7 +16,7 @@ from sim_server.physics.tiers.surroundings import Surroundings
 
 if TYPE_CHECKING:
     from proto.model import Model
-    from sim_server.physics.engine import Engine, FloatArray
+    from sim_server.physics.engine import Engine, FloatArray, Reading
     from sim_server.physics.tiers.planning import FlatPlan
 
 HARDLY = 1e-9
@@ -50,6 +50,7 @@ class Bodies:
         self._corners = corners
         self._unlined: dict[int, FloatArray] = {}
         self._is_gathered = True
+        self._last: tuple[tuple[int, ...], Reading] | None = None
 
     def take(self, model: Model, plan: FlatPlan | None, *, is_auto: bool) -> int:
         """Make a row of a body that is in no engine yet."""
@@ -130,6 +131,7 @@ class Bodies:
         elif self.held:
             self.see(np.array([row]), base[None])
         self.surroundings.moved()
+        self._last = None
         self._is_gathered = False
 
     def see(self, rows: IntColumn, base: FloatArray) -> None:
@@ -155,6 +157,16 @@ class Bodies:
         self.kinematic.set_targets(row, np.zeros(int(self.rows.width[row])))
         self.kinematic.set_joints(row, angles, np.zeros(count))
 
+    def read_full(self, numbers: tuple[int, ...]) -> Reading:
+        """Read bodies of the full engine, those that were asked for last not again in a step."""
+        if self._last is None or self._last[0] != numbers:
+            self._last = (numbers, self._full.read(numbers))
+        return self._last[1]
+
+    def forget_reading(self) -> None:
+        """Note that bodies of the full engine are elsewhere."""
+        self._last = None
+
     def gather(self) -> None:
         """Find who is where, if that has changed."""
         if self._is_gathered:
@@ -172,5 +184,6 @@ class Bodies:
         self._is_gathered = True
 
     def _changed(self) -> None:
+        self._last = None
         self._is_gathered = False
         self.mappings.forget()

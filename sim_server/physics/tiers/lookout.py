@@ -10,9 +10,9 @@ from sim_server.physics.tiers.grid import IntArray
 from sim_server.physics.tiers.outline import Edges
 from sim_server.physics.tiers.rows import BoolColumn
 
-NEAR_M = 0.05
+NEAR_M = 0.02
 """Discs with a smaller gap are near each other, if any of them moves."""
-ALONE_M = 0.15
+ALONE_M = 0.06
 """With a larger gap they are alone again."""
 MARGIN_M = 2.0 * ALONE_M
 MOVING_M_S = 1e-3

@@ -5,7 +5,7 @@ import numpy as np
 from sim_server.physics.engine import FloatArray
 from sim_server.physics.tiers.vehicle import Vehicle
 
-SETTLED_S = 0.5
+SETTLED_S = 0.3
 """For how long a robot has been alone and even before it leaves full dynamics."""
 LEVEL = 0.01
 """Most of the x and y of a quaternion that stands upright."""

@@ -37,7 +37,7 @@ class Tiers:
         self._every = max(1, round(LOOK_S / dt_s))
         self._steps_to_look = 0
         self._bodies = Bodies(full, self._plans.corners, dt_s, self._every * dt_s)
-        self._watching = Watching(self._bodies, full, self._every * dt_s)
+        self._watching = Watching(self._bodies, self._every * dt_s)
         self._tried: dict[int, Model] = {}
 
     @property
@@ -112,7 +112,7 @@ class Tiers:
         flat = self._bodies.kinematic
         positions[kinematic.joints] = flat.positions.numbers[mapping.pooled_joints]
         velocities[kinematic.joints] = flat.velocities[mapping.pooled_joints]
-        reading = self._full.read(mapping.bodies)
+        reading = self._bodies.read_full(mapping.bodies)
         base[full.places] = reading.base
         positions[full.joints] = reading.joint_positions
         velocities[full.joints] = reading.joint_velocities
@@ -190,6 +190,7 @@ class Tiers:
         self._steps_to_look -= 1
         bodies.gather()
         self._go()
+        bodies.forget_reading()
         return self._full.step() if bodies.movers else True
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from sim_server.physics.tiers.rows import spans
 from sim_server.physics.tiers.switching import SETTLED_S, goes_flat, has_reached, stands_flat
 
 if TYPE_CHECKING:
-    from sim_server.physics.engine import Engine, FloatArray
+    from sim_server.physics.engine import FloatArray
     from sim_server.physics.tiers.bodies import Bodies
 
 FALL_M_S2 = 20.0
@@ -24,9 +24,8 @@ class Watching:
     Robots are taken in the order of their rows, so that the same requests give the same bodies.
     """
 
-    def __init__(self, bodies: Bodies, full: Engine, period_s: float) -> None:
+    def __init__(self, bodies: Bodies, period_s: float) -> None:
         self._bodies = bodies
-        self._full = full
         self._period_s = period_s
         self._calm_s: dict[int, float] = {}
         self._seen: dict[int, FloatArray] = {}
@@ -62,7 +61,7 @@ class Watching:
         bodies, rows = self._bodies, self._bodies.rows
         if not bodies.movers:
             return
-        reading, moving = self._full.read(bodies.movers), bodies.moving_rows
+        reading, moving = bodies.read_full(bodies.movers), bodies.moving_rows
         base = reading.base
         good = np.isfinite(base).all(axis=1)
         bodies.see(moving[good], base[good])

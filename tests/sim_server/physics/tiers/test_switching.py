@@ -46,7 +46,7 @@ def test_robots_are_full_before_they_touch_and_push_each_other_as_full_ones_do()
 def test_robot_passes_another_without_a_jump_and_is_kinematic_again() -> None:
     with two_tiers() as engine:
         body = engine.add(a_box_bot(), box_bot_at())
-        engine.add(a_box_bot(), box_bot_at(2.0, 0.22))
+        engine.add(a_box_bot(), box_bot_at(2.0, 0.195))
         engine.command((body,), np.full(2, SPEED))
         steps(engine, 60)
         tiers = []
