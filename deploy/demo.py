@@ -56,6 +56,8 @@ class DemoConfig(msgspec.Struct, frozen=True, kw_only=True):
     is_strict: bool = False
     is_lockstep: bool = False
     engine: str = ""
+    clusters: str = "auto"
+    engine_workers: int | None = None
     dynamics: Dynamics = "full"
     """Empty = as a server chooses by itself."""
     agents: AgentsConfig = AgentsConfig()
@@ -115,6 +117,8 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
         *(("--strict",) if config.is_strict else ()),
         *(("--lockstep",) if config.is_lockstep else ()),
         *(("--engine", config.engine) if config.engine else ()),
+        *(("--clusters", config.clusters) if config.clusters != "auto" else ()),
+        *_workers(config.engine_workers),
         *(("--dynamics", config.dynamics) if config.dynamics != "full" else ()),
         *arguments_of(config.ros),
     )
@@ -140,6 +144,10 @@ def agent_arguments(config: DemoConfig) -> dict[str, tuple[str, ...]]:
 def pools_for(robots: int, cores: int) -> int:
     """Choose how many pools drive so many robots on a host."""
     return max(1, min(cores, -(-robots // ROBOTS_OF_A_POOL)))
+
+
+def _workers(count: int | None) -> tuple[str, ...]:
+    return () if count is None else ("--engine-workers", str(count))
 
 
 def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:

@@ -135,6 +135,18 @@ TfScope = Annotated[
 RosBridge = Annotated[
     bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
 ]
+ClustersWord = Annotated[
+    str, typer.Option("--clusters", help="Step robots that cannot touch apart: auto, on or off.")
+]
+EngineWorkers = Annotated[
+    int | None,
+    typer.Option(
+        "--engine-workers",
+        min=0,
+        help="Processes beside the server's own that step clusters.",
+        show_default="a process for each further core",
+    ),
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,6 +165,8 @@ class UpOptions:
     strict: Strict = False
     lockstep: Locked = False
     engine: Engine = ""
+    clusters: ClustersWord = "auto"
+    engine_workers: EngineWorkers = None
     agents: Agents = ""
     odom_hz: OdomHz = None
     tf_hz: TfHz = None
@@ -190,6 +204,8 @@ def _config(given: UpOptions) -> DemoConfig:
         is_lockstep=given.lockstep,
         dynamics=dynamics_of(given.dynamics),
         engine=given.engine,
+        clusters=given.clusters,
+        engine_workers=given.engine_workers,
         ros=ros_settings(given.ros_domain, given.ros_distro, given.tf, is_bridged=given.ros_bridge),
         agents=_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
         has_viewer=given.viewer,
