@@ -36,7 +36,14 @@ def test_server_waits_for_agents_when_told_to() -> None:
 def test_server_has_the_engine_that_is_asked_for() -> None:
     chosen = msgspec.structs.replace(PLAIN, engine="mujoco")
 
-    assert serve_arguments(chosen) == (*JOINING, "--engine", "mujoco")
+    assert serve_arguments(chosen) == (*JOINING, "--engine", "mujoco", *ROS)
+
+
+def test_server_steps_clusters_as_it_is_told_to() -> None:
+    chosen = msgspec.structs.replace(PLAIN, clusters="on", engine_workers=0)
+
+    asked = ("--clusters", "on", "--engine-workers", "0")
+    assert serve_arguments(chosen) == (*JOINING, *asked, *ROS)
 
 
 def test_server_looks_where_it_is_told_to() -> None:
