@@ -1,6 +1,6 @@
 """The World: entities and simulation time, over an engine. No network, no clock, no files."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -110,17 +110,27 @@ class World(Inhabited):
 
     def release(self, agent: str) -> None:
         """End all claims of an agent, as each of them said it should end."""
-        for name, hold in self.claims.held_by(agent):
-            entity = self._entities[name]
+        held = self.claims.held_by(agent)
+        for name, _ in held:
             self.claims.drop(name)
             self._tell("released", entity=name, agent=agent)
-            if hold.on_release == "stop":
-                positions = self._engine.read([entity.body]).joint_positions
-                self._engine.command([entity.body], standing(entity.model, positions))
-            elif hold.on_release == "delete":
+        self._stop([self._entities[name] for name, hold in held if hold.on_release == "stop"])
+        for name, hold in held:
+            if hold.on_release == "delete":
                 self.delete(name)
         self.claims.forget_agent(agent)
         self._noted.pop(agent, None)
+
+    def _stop(self, entities: Sequence[Entity]) -> None:
+        """Let entities stand, all at once: a pool may have held hundreds."""
+        if not entities:
+            return
+        bodies = [entity.body for entity in entities]
+        positions = self._engine.read(bodies).joint_positions
+        ends = np.cumsum([len(entity.model.joints) for entity in entities])
+        parts = zip(entities, np.split(positions, ends[:-1]), strict=True)
+        targets = [standing(entity.model, part) for entity, part in parts]
+        self._engine.command(bodies, np.concatenate(targets))
 
     def command(self, agent: str, command: DriveCommand) -> bool:
         """Take an agent's targets for the next step; one that does not fit is dropped and counted.
