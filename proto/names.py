@@ -6,6 +6,8 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
 FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,255}")
 RESERVED = frozenset({"sim", "world"})
 MAX_NAMESPACE_CHUNKS = 8
+MAX_NAMESPACE_LENGTH = 200
+"""ROS 2 refuses names of topics beyond 247 characters; this leaves room for a topic."""
 SHOWN = 80
 """Characters of a bad name that an error repeats."""
 
@@ -31,13 +33,19 @@ def check_namespace(namespace: str) -> str:
     """Return the namespace without a leading slash.
 
     Raises:
-        InvalidName: A chunk is no name, there are more than 8, or the first is reserved.
+        InvalidName: A chunk is no name, there are more than 8, it is longer than 200 characters, or
+            the first is reserved.
     """
     bare = namespace.removeprefix("/")
     chunks = bare.split("/")
     if not all(NAME.fullmatch(chunk) for chunk in chunks) or len(chunks) > MAX_NAMESPACE_CHUNKS:
         raise InvalidName(
             f"namespace {_shown(namespace)} is not valid; use names joined by '/', as 'team/r1'"
+        )
+    if len(bare) > MAX_NAMESPACE_LENGTH:
+        raise InvalidName(
+            f"namespace {_shown(namespace)} has {len(bare)} characters; use at most "
+            f"{MAX_NAMESPACE_LENGTH}, since ROS 2 refuses longer topics"
         )
     if chunks[0] in RESERVED:
         raise InvalidName(

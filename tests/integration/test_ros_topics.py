@@ -290,3 +290,11 @@ def test_bridge_is_told_of_routes(server: Server) -> None:
     assert "MP/clock/rosgraph_msgs§msg§Clock" in told
     assert "SS/spawn_entity/simulation_interfaces§srv§SpawnEntity" in told
     assert "SS/gazebo§spawn_entity/gazebo_msgs§srv§SpawnEntity" in told
+
+
+@pytest.mark.parametrize("name", ["1robot", "my-robot", "r1 ", "_r1", "r" * 65])
+def test_name_that_ros_refuses_is_refused_at_the_spawn(server: Server, name: str) -> None:
+    answer = server.zensim("spawn", "box_bot", "-n", name)
+
+    assert answer.returncode != 0
+    assert "is not valid" in answer.stderr

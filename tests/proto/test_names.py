@@ -4,7 +4,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.names import FRAME, NAME, InvalidName, check_frame, check_name, check_namespace
+from proto.names import (
+    FRAME,
+    MAX_NAMESPACE_LENGTH,
+    NAME,
+    InvalidName,
+    check_frame,
+    check_name,
+    check_namespace,
+)
 
 NAMES = st.from_regex(NAME, fullmatch=True)
 
@@ -74,7 +82,7 @@ def test_check_namespace_returns_it_without_its_slash(namespace: str, bare: str)
 
 @given(chunks=st.lists(NAMES, min_size=1, max_size=8))
 def test_check_namespace_accepts_names_joined_by_slashes(chunks: list[str]) -> None:
-    namespace = "/".join(["robots", *chunks[1:]])
+    namespace = "/".join(["robots", *chunks[1:]])[:MAX_NAMESPACE_LENGTH].rstrip("/")
 
     assert check_namespace(namespace) == namespace
 
@@ -119,3 +127,11 @@ def test_check_frame_returns_a_frame(frame_id: str) -> None:
 def test_check_frame_refuses_what_tf_would_not_take(frame_id: str) -> None:
     with pytest.raises(InvalidName, match=r"^frame_id .* is not valid; use letters, digits"):
         check_frame(frame_id)
+
+
+def test_check_namespace_refuses_what_makes_topics_longer_than_ros_allows() -> None:
+    levels = "/".join(["n" * 49] * 4) + "n"
+
+    assert check_namespace(levels) == levels
+    with pytest.raises(InvalidName, match="has 201 characters; use at most 200"):
+        check_namespace(levels + "n")
