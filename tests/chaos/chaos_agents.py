@@ -17,7 +17,7 @@ from tests.integration.robots import Robot, robot
 if TYPE_CHECKING:
     import subprocess
 
-ROUNDS, ROUNDS_WHEN_SHORT = 100, 5
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 3
 TIMEOUT_S = 0.5
 """After which a robot without commands stands still, also when nobody is killed."""
 MARGIN_S = 0.05

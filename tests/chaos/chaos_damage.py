@@ -16,7 +16,7 @@ from tests.benchmark.figures import Asked, Figure
 from tests.integration.journals import kept_in, kill_hard
 from tests.integration.processes import command_line, end, eventually, free_endpoint, zensim
 
-COPIES, COPIES_WHEN_SHORT = 200, 4
+COPIES, COPIES_WHEN_SHORT = 200, 2
 STARTED_EVERY = 20
 ROBOTS = 10
 SEED = 41

@@ -6,11 +6,13 @@ clients saw must be explained by one order of events.
 """
 
 import random
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 from proto import catalog
 from proto.bus import Bus, BusConfig, open_bus
@@ -33,7 +35,15 @@ NAMES = tuple(f"n{i}" for i in range(8))
 KINDS: tuple[Kind, ...] = ("spawn", "delete", "look")
 LIFE_S, LIFE_WHEN_SHORT_S = (1.0, 5.0), (0.2, 0.4)
 """From the first answer to the kill."""
+KILLS, KILLS_WHEN_SHORT = sys.maxsize, 2
 SEED = 31
+
+
+class Fate(NamedTuple):
+    """How long a server lives, from and to, and how often it is killed at most."""
+
+    life_s: tuple[float, float]
+    kills: int
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -42,7 +52,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     operations = OPERATIONS_WHEN_SHORT if is_short else OPERATIONS
     life_s = LIFE_WHEN_SHORT_S if is_short else LIFE_S
     with tempfile.TemporaryDirectory() as folder:
-        histories, kills = _loose(Path(folder), clients, operations, life_s)
+        most = KILLS_WHEN_SHORT if is_short else KILLS
+        histories, kills = _loose(Path(folder), clients, operations, Fate(life_s, most))
     faults = [name for name, history in histories.items() if first_fault(history) is not None]
     yield Figure(
         what="names whose history nothing explains",
@@ -66,27 +77,25 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _loose(
-    folder: Path, clients: int, operations: int, life_s: tuple[float, float]
+    folder: Path, clients: int, operations: int, fate: Fate
 ) -> tuple[dict[str, list[Operation]], int]:
     histories: dict[str, list[Operation]] = {name: [] for name in NAMES}
     with mortal(folder) as (server, endpoint), ThreadPoolExecutor(clients) as pool:
         with open_bus(BusConfig(connect=(endpoint,))) as bus:
             SimClient(bus).wait_for_server(START_S)
         work = [pool.submit(_client, endpoint, i, operations) for i in range(clients)]
-        kills = _kill_until(server, endpoint, life_s, lambda: all(one.done() for one in work))
+        kills = _kill_until(server, endpoint, fate, lambda: all(one.done() for one in work))
         for one in work:
             for name, operation in one.result():
                 histories[name].append(operation)
     return histories, kills
 
 
-def _kill_until(
-    server: Mortal, endpoint: str, life_s: tuple[float, float], is_over: Callable[[], bool]
-) -> int:
+def _kill_until(server: Mortal, endpoint: str, fate: Fate, is_over: Callable[[], bool]) -> int:
     """Kill the server again and again, each time some time after it has answered."""
     moment, kills = random.Random(SEED), 0
-    while not is_over():
-        _wait(moment.uniform(*life_s), is_over)
+    while kills < fate.kills and not is_over():
+        _wait(moment.uniform(*fate.life_s), is_over)
         if is_over():
             break
         server.die()

@@ -29,7 +29,7 @@ from tests.benchmark.figures import Asked, Figure
 from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
 from tests.integration.processes import START_S, eventually, zensim
 
-ROUNDS, ROUNDS_WHEN_SHORT = 100, 3
+ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 5
 EVERY_S = 0.2
 LONGEST_LIFE_S = 2.0
@@ -142,7 +142,7 @@ def _toll(folder: Path, rounds: int, robots: int) -> Toll:
 
 
 def _kill_once(server: Mortal, bus: Bus, clock: Subscription, churn: Churn, toll: Toll) -> None:
-    heard = eventually(lambda: _clocks(clock), START_S, "a clock")
+    heard = eventually(lambda: _clocks(clock) or None, START_S, "a clock")
     server.die()
     last = [*heard, *_clocks(clock)][-1]
     begin_s = time.monotonic()
@@ -152,7 +152,9 @@ def _kill_once(server: Mortal, bus: Bus, clock: Subscription, churn: Churn, toll
     toll.back_s.append(time.monotonic() - begin_s)
     _compare(names, before, churn, toll)
     told = eventually(
-        lambda: [one for one in _clocks(clock) if one.epoch > last.epoch], START_S, "a new epoch"
+        lambda: [one for one in _clocks(clock) if one.epoch > last.epoch] or None,
+        START_S,
+        "a new epoch",
     )
     toll.old_s.append(max(0.0, _seconds(last) - _seconds(told[0])))
 
