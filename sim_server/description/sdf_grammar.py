@@ -28,6 +28,7 @@ class Tag(msgspec.Struct, frozen=True):
 
 
 LEAF = Tag()
+OURS = ("{urn:zensim}dynamics", "zensim:dynamics")
 OPAQUE = Tag(is_opaque=True)
 UNUSED = Tag(unread=NO_EFFECT, is_opaque=True)
 PLAIN = Tag(unread=DRAWN, is_opaque=True)
@@ -141,7 +142,7 @@ JOINT = Tag(
 )  # fmt: skip
 MODEL = Tag(
     children={
-        **dict.fromkeys(("pose", "static", "frame", "self_collide"), LEAF),
+        **dict.fromkeys(("pose", "static", "frame", "self_collide", *OURS), LEAF),
         "link": LINK,
         "joint": JOINT,
         "model": OPAQUE,

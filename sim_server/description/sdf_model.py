@@ -16,6 +16,7 @@ from sim_server.description.lumping import Lumped, lump
 from sim_server.description.part_list import Parts
 from sim_server.description.plugins import read_plugins
 from sim_server.description.report import Report
+from sim_server.description.sdf_dynamics import read_dynamics
 from sim_server.description.sdf_frames import MODEL, inverse
 from sim_server.description.sdf_gather import WORLD, Gathered, canonical_link, gather
 from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
@@ -136,6 +137,7 @@ def model_of(element: Element, rule: MeshRule, report: Report) -> Model:
             ground_truths=plugins.ground_truths,
             sensors=read_sensors(found.sensors, lumped, report),
             is_static=is_static,
+            dynamics=read_dynamics(element, report),
         )
 
 

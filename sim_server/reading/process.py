@@ -102,7 +102,9 @@ def read_model(request: ReadRequest, files: Files, _: Wanted) -> tuple[TextRead,
         allow_missing=request.allow_missing,
         compat=request.compat,
     )
-    model = msgspec.structs.replace(described.model, dynamics=request.dynamics)
+    model = described.model
+    if request.dynamics:
+        model = msgspec.structs.replace(model, dynamics=request.dynamics)
     return TextRead(request.number, model), described.meshes
 
 

@@ -1,0 +1,76 @@
+"""Dynamics that entities ask for, on a real server: told, changed in time, and kept on the disk."""
+
+from pathlib import Path
+
+import pytest
+
+from proto.catalog import GET_ENTITY_INFO
+from proto.entities import GetEntityInfoRequest
+from proto.geometry import Point, Pose, PoseStamped
+from proto.model import Dynamics
+from proto.result import ServiceError
+from proto.services import Resource, SpawnEntityOrder
+from tests.integration.journals import kept_in, kill_hard
+from tests.integration.processes import Server, driven, eventually, free_endpoint, serving
+from tests.integration.robots import robot
+
+CRATE = """<robot name="crate"><link name="base"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""
+
+
+def an_order(
+    name: str, x: float, dynamics: Dynamics, resource: str = "box_bot"
+) -> SpawnEntityOrder:
+    return SpawnEntityOrder(
+        name,
+        entity_resource=Resource(resource),
+        initial_pose=PoseStamped(pose=Pose(Point(x))),
+        snap_to_ground=True,
+        dynamics=dynamics,
+    )
+
+
+def tier_of(server: Server, name: str) -> str:
+    return server.bus.call(GET_ENTITY_INFO, GetEntityInfoRequest(name), world="default").dynamics
+
+
+def test_entities_move_as_they_ask_and_a_killed_server_remembers(tmp_path: Path) -> None:
+    endpoint = free_endpoint()
+    with kept_in(tmp_path, endpoint) as server:
+        for x, dynamics in enumerate(("", "kinematic", "auto")):
+            server.client.spawn(an_order(f"r{x}", float(x), dynamics))  # type: ignore[arg-type]
+        assert [tier_of(server, f"r{x}") for x in range(3)] == ["full", "kinematic", "kinematic"]
+        kill_hard(server)
+
+    with kept_in(tmp_path, endpoint) as server:
+        eventually(lambda: tier_of(server, "r2") == "kinematic", 10.0, "settling")
+        assert [tier_of(server, f"r{x}") for x in range(2)] == ["full", "kinematic"]
+
+
+def test_what_has_no_drive_is_refused_in_one_line() -> None:
+    order = SpawnEntityOrder(
+        "crate", entity_resource=Resource(resource_string=CRATE), dynamics="kinematic"
+    )
+    with serving() as server:
+        with pytest.raises(ServiceError, match="cannot be kinematic: it has no drive; use full"):
+            server.client.spawn(order)
+
+        assert server.client.entities() == ()
+
+
+def test_robot_becomes_full_before_it_meets_another_and_its_agent_sees_no_jump() -> None:
+    with serving("--dynamics", "auto") as server:
+        server.client.spawn(an_order("r0", 0.0, ""))
+        server.client.spawn(an_order("r1", 0.6, ""))
+        with driven(server, "r0"):
+            driver = robot(server.bus, "r0")
+
+            def has_met() -> bool:
+                driver.command(0.3)
+                return tier_of(server, "r1") == "full"
+
+            assert tier_of(server, "r0") == "kinematic"
+            eventually(has_met, 20.0, "meeting")
+            assert tier_of(server, "r0") == "full"
+            place = server.client.entity_state("r0").pose.position
+            assert 0.3 < place.x < 0.5
