@@ -27,7 +27,7 @@ from sim_server.physics.casting.seat import Seat
 from sim_server.physics.casting.selection import Body, Selection, selection_of
 from sim_server.physics.casting.slots import Cast, Slots
 from sim_server.physics.casting.stock import stock_of
-from sim_server.physics.casting.switching import carry, empty, fill, man
+from sim_server.physics.casting.switching import carry, empty, empty_all, fill, man
 from sim_server.physics.casting.wishes import no_wishes
 from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.loads import loads_of
@@ -243,8 +243,7 @@ class MujocoEngine:
         self._wishes = no_wishes(self._model.nv)
         self._is_changed = True
         self._selections: dict[tuple[int, ...], Selection] = {}
-        for _, seat in casting.plan.seats():
-            self._empty(seat)
+        empty_all(self._model, self._data, casting.plan)
 
     def _recast(self, casting: Casting) -> None:
         """Go on with a cast that has other slots; what is in them stays as it is."""

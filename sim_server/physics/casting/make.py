@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from proto.model import Shape
 from sim_server.physics.blueprint import Blueprint, Part
@@ -23,6 +24,14 @@ class Make:
     parts: tuple[Part, ...]
     self_collides: tuple[bool, ...]
     is_static: bool
+
+    def __hash__(self) -> int:
+        """Hash it once: it is what casts are known by."""
+        return self._hash
+
+    @cached_property
+    def _hash(self) -> int:
+        return hash((self.parts, self.self_collides, self.is_static))
 
     @property
     def bones(self) -> tuple[Part, ...]:

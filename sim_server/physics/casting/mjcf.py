@@ -15,6 +15,8 @@ SLIP = 10.0
 """How much less a contact slips than it sinks."""
 LEAST_RANGE = 1e-6
 """Between the limits of a joint that has both in one place [rad or m]."""
+SLOT = "@"
+"""Stands for the number of a slot in its text."""
 CYLINDRICAL = ("cylinder", "capsule")
 
 
@@ -25,10 +27,14 @@ def mjcf_of(slots: Iterable[tuple[Make, int]], config: EngineConfig, pieces: Pie
     world, rules, gears = [_ground(config)], [""], [""]
     number = 0
     for make, count in slots:
+        texts = (
+            _body(make, 0, names, config.step_ns * 1e-9),
+            "".join(_exclusions(make)),
+            "".join(_gears(make, config.step_ns * 1e-9)),
+        )
         for _ in range(count):
-            world.append(_body(make, 0, number, names, config.step_ns * 1e-9))
-            rules.extend(_exclusions(make, number))
-            gears.extend(_gears(make, number, config.step_ns * 1e-9))
+            for written, text in zip((world, rules, gears), texts, strict=True):
+                written.append(text.replace(SLOT, str(number)))
             number += 1
     return (
         '<mujoco><compiler angle="radian" balanceinertia="true" boundmass="0"/>'
@@ -83,18 +89,18 @@ def _ground(config: EngineConfig) -> str:
     return f'<geom type="plane" size="0 0 1" {touch}/>'
 
 
-def _body(make: Make, link: int, slot: int, names: Meshes, dt_s: float) -> str:
+def _body(make: Make, link: int, names: Meshes, dt_s: float) -> str:
     part = make.bones[link]
     inside = [_inertial(part)]
     if link:
-        inside.append(_joint(part, slot, link, dt_s))
+        inside.append(_joint(part, link, dt_s))
     elif not make.is_static:
         inside.append("<freejoint/>")
     inside.extend(_geometries(make, link, names, dt_s))
-    inside.extend(_body(make, child, slot, names, dt_s) for child in make.children(link))
+    inside.extend(_body(make, child, names, dt_s) for child in make.children(link))
     # Compiled in, as MuJoCo else passes over what is written into the model later.
     return (
-        f'<body name="b{slot}.{link}" gravcomp="1" {_place(part.origin)}>{"".join(inside)}</body>'
+        f'<body name="b{SLOT}.{link}" gravcomp="1" {_place(part.origin)}>{"".join(inside)}</body>'
     )
 
 
@@ -105,7 +111,7 @@ def _inertial(part: Part) -> str:
     return f'<inertial {place} mass="{mass!r}" diaginertia="{_row(moments)}"/>'
 
 
-def _joint(part: Part, slot: int, link: int, dt_s: float) -> str:
+def _joint(part: Part, link: int, dt_s: float) -> str:
     joint = part.joint
     if joint is None or joint.kind == "fixed":
         return ""
@@ -115,7 +121,7 @@ def _joint(part: Part, slot: int, link: int, dt_s: float) -> str:
         high = max(joint.upper, joint.lower + LEAST_RANGE)
         limits = f'limited="true" range="{joint.lower!r} {high!r}" {_how("limit", rigid(dt_s))} '
     return (
-        f'<joint name="j{slot}.{link}" type="{kind}" axis="{_row(joint.axis)}" {limits}'
+        f'<joint name="j{SLOT}.{link}" type="{kind}" axis="{_row(joint.axis)}" {limits}'
         f'damping="{joint.damping!r}" frictionloss="{joint.friction!r}" '
         f"{_how('friction', motor(dt_s))}/>"
     )
@@ -160,23 +166,23 @@ def _row(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 
-def _exclusions(make: Make, slot: int) -> Iterator[str]:
+def _exclusions(make: Make) -> Iterator[str]:
     """Keep the links of a slot apart that do not touch each other."""
     solid = [link for link in range(len(make.bones)) if any(True for _ in make.shapes(link))]
     for i, one in enumerate(solid):
         for other in solid[i + 1 :]:
             asks = make.self_collides[one] or make.self_collides[other]
             if not asks or one == make.bones[other].parent or other == make.bones[one].parent:
-                yield f'<exclude body1="b{slot}.{one}" body2="b{slot}.{other}"/>'
+                yield f'<exclude body1="b{SLOT}.{one}" body2="b{SLOT}.{other}"/>'
 
 
-def _gears(make: Make, slot: int, dt_s: float) -> Iterator[str]:
+def _gears(make: Make, dt_s: float) -> Iterator[str]:
     index = {part.joint.name: link for link, part in enumerate(make.bones) if part.joint}
     for link in followers(make):
         joint = make.bones[link].joint
         if joint is not None and joint.mimic is not None:
             yield (
-                f'<joint joint1="j{slot}.{link}" joint2="j{slot}.{index[joint.mimic.joint]}" '
+                f'<joint joint1="j{SLOT}.{link}" joint2="j{SLOT}.{index[joint.mimic.joint]}" '
                 f'polycoef="{joint.mimic.offset!r} {joint.mimic.multiplier!r} 0 0 0" '
                 f"{_how('', rigid(dt_s))}/>"
             )

@@ -10,6 +10,7 @@ from sim_server.physics.casting.make import Layout, Make, Widths, layout_of
 from sim_server.physics.casting.mjcf import Pieces, geometries_of
 from sim_server.physics.casting.seat import Seat
 from sim_server.physics.casting.slots import Cast
+from sim_server.physics.casting.wishes import Places
 from sim_server.physics.engine import MIN_INERTIA, EngineConfig, FloatArray
 
 
@@ -40,6 +41,15 @@ class Plan:
         for make, count in self.cast:
             for slot in range(count):
                 yield make, self.seat(make, slot)
+
+    def heights(self) -> Places:
+        """List where in qpos the heights of all roots are that move."""
+        found = [
+            self.begins[make].positions + 2 + self.layouts[make].widths.positions * np.arange(count)
+            for make, count in self.cast
+            if not make.is_static
+        ]
+        return np.concatenate([np.zeros(0, np.intp), *found])
 
     def lopsided(self) -> Iterator[tuple[int, FloatArray]]:
         """List bodies with moments that no solid could have: MuJoCo makes others of them."""

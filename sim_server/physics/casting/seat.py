@@ -1,6 +1,7 @@
 """Where one body's slot begins, and what is in it."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,31 +18,31 @@ class Seat:
     is_free: bool
     """It has a root that moves."""
 
-    @property
+    @cached_property
     def positions(self) -> Places:
         """All places in qpos."""
         first = self.begins.positions
         return np.arange(first, first + self.layout.widths.positions)
 
-    @property
+    @cached_property
     def velocities(self) -> Places:
         """All places in qvel."""
         first = self.begins.velocities
         return np.arange(first, first + self.layout.widths.velocities)
 
-    @property
+    @cached_property
     def bodies(self) -> Places:
         """All of its bodies."""
         first = self.begins.bodies
         return np.arange(first, first + self.layout.widths.bodies)
 
-    @property
+    @cached_property
     def geometries(self) -> Places:
         """All of its geometries."""
         first = self.begins.geometries
         return np.arange(first, first + self.layout.widths.geometries)
 
-    @property
+    @cached_property
     def equalities(self) -> Places:
         """All of its equalities."""
         first = self.begins.equalities
@@ -52,7 +53,7 @@ class Seat:
         offset = self.layout.velocities[joint]
         return NONE if offset == NONE else self.begins.velocities + offset
 
-    @property
+    @cached_property
     def joints(self) -> tuple[Places, Places, Places]:
         """Find the joints that move, by their places in the model, in qpos and in qvel."""
         moving = np.array([i for i, at in enumerate(self.layout.velocities) if at != NONE], np.intp)

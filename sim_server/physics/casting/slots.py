@@ -8,11 +8,8 @@ FREE = None
 
 
 def room_for(count: int) -> int:
-    """Find how many slots to have for so many bodies: 1, 2, 3, 4, 6, 8, 12, 16 and so on."""
-    room = 1
-    while room < count:
-        room += max(1, room // 2) if room & (room - 1) == 0 else room // 3
-    return room
+    """Find how many slots to have for so many bodies: the next power of 2."""
+    return 1 << (count - 1).bit_length()
 
 
 class Slots:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from sim_server.physics.actuation import Actuation
 from sim_server.physics.casting.make import NONE
+from sim_server.physics.casting.plan import Plan
 from sim_server.physics.casting.seat import Seat
 from sim_server.physics.casting.wishes import Places, Wishes
 from sim_server.physics.engine import FloatArray
@@ -63,6 +64,17 @@ def man(model: Switches, wishes: Wishes, seat: Seat, actuation: Actuation) -> No
             if (place := seat.joint_velocity(joint)) != NONE:
                 model.dof_frictionloss[place] = min(effort, MOST_EFFORT)
                 wishes.holds[place] = holds
+
+
+def empty_all(model: Switches, data: State, plan: Plan) -> None:
+    """Empty all slots at once, as `empty` does one."""
+    first = plan.firsts
+    model.geom_contype[first.geometries :] = model.geom_conaffinity[first.geometries :] = 0
+    model.body_contype[first.bodies :] = model.body_conaffinity[first.bodies :] = 0
+    model.body_gravcomp[first.bodies :] = 1.0
+    model.dof_frictionloss[:] = 0.0
+    data.eq_active[:] = 0
+    data.qpos[plan.heights()] = -DEPTH_M
 
 
 def empty(model: Switches, data: State, seat: Seat) -> None:
