@@ -200,6 +200,9 @@ class TiersOfAuto(Tiers):
         super().__init__(PyBulletEngine(config), config, "auto")
 
 
+PHYSICAL: tuple[MakeEngine, ...] = (PyBulletEngine, MujocoEngine)
+"""Those with forces, masses and friction."""
+
 ENGINES: tuple[MakeEngine, ...] = (
     PyBulletEngine,
     MujocoEngine,

@@ -9,7 +9,16 @@ import numpy.typing as npt
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int32]
 
+class mjtSolver:
+    mjSOL_CG: mjtSolver
+    def __int__(self) -> int: ...
+
+class _Option:
+    solver: int
+    iterations: int
+
 class MjModel:
+    opt: _Option
     nv: int
     qpos0: _Floats
     body_pos: _Floats
@@ -36,6 +45,7 @@ class MjModel:
 class _Contacts:
     dim: _Ints
     efc_address: _Ints
+    dist: _Floats
     friction: _Floats
 
 class MjData:
@@ -44,11 +54,11 @@ class MjData:
     ncon: int
     qpos: _Floats
     qvel: _Floats
-    qacc_warmstart: _Floats
     qfrc_applied: _Floats
     xfrc_applied: _Floats
     eq_active: npt.NDArray[np.uint8]
     efc_aref: _Floats
+    efc_KBIP: _Floats
     geom_xpos: _Floats
     cvel: _Floats
     xipos: _Floats

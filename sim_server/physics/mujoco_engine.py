@@ -17,7 +17,7 @@ from proto.rotation import conjugate, rotate
 from proto.stl import read_corners
 from sim_server.physics.acceptance import check_meshes
 from sim_server.physics.actuation import actuation_of
-from sim_server.physics.casting.contact import GRIPPING_ROWS, sliding, soft
+from sim_server.physics.casting.contact import correct, soft
 from sim_server.physics.casting.gathering import XYZ_XYZW
 from sim_server.physics.casting.hulls import Points, pieces_of
 from sim_server.physics.casting.make import NONE, Make, make_of
@@ -41,6 +41,10 @@ OVERLAP_M = 0.001
 """Bodies that only touch do not overlap."""
 FARTHEST = 1e9
 """A state with larger numbers is taken for broken: MuJoCo bears 1e10."""
+WILD = 20.0
+"""A change of a speed in one step [m/s or rad/s] that is solved again to be sure of it."""
+CONJUGATE = int(mujoco.mjtSolver.mjSOL_CG), 1000
+"""Method and most iterations of what is solved again."""
 KEPT_CASTS, KEPT_SELECTIONS = 16, 4096
 JOINTS = ("revolute", "continuous", "prismatic", "fixed")
 SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
@@ -130,7 +134,8 @@ class MujocoEngine:
             gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[own], axis=1)
             reach = model.geom_rbound[others] + model.geom_rbound[own]
             for other in others[gaps <= reach].tolist():
-                if owners[other] not in found and self._depth(own, other) > OVERLAP_M:
+                gap = mujoco.mj_geomDistance(model, data, own, other, 1.0, None)
+                if gap < -OVERLAP_M:
                     found.add(owners[other])
         return sorted(found)
 
@@ -162,7 +167,6 @@ class MujocoEngine:
         self._data.qpos[first + XYZ_XYZW] = base[:7]
         self._data.qvel[rate : rate + 3] = base[7:10]
         self._data.qvel[rate + 3 : rate + 6] = rotate(conjugate(base[3:7]), base[10:])
-        self._data.qacc_warmstart[placed.seat.velocities] = 0.0
 
     def put(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
@@ -213,8 +217,8 @@ class MujocoEngine:
         if len(stock.motors):
             self._drive()
         if data.ncon:
-            self._hold_down()
-        mujoco.mj_step2(model, data)
+            correct(data.efc_aref, data.contact, data.efc_KBIP, self._dt_s, self._weight)
+        self._solve()
         if self._is_pushed or len(stock.pulls):
             data.xfrc_applied[:] = 0.0
             data.qfrc_applied[:] = 0.0
@@ -302,6 +306,22 @@ class MujocoEngine:
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
         )
 
+    def _solve(self) -> None:
+        """End a step; once more by conjugate gradients where Newton's method lost its way.
+
+        It does so, rarely, among many contacts that contradict each other.
+        """
+        model, data = self._model, self._data
+        positions, velocities = data.qpos.copy(), data.qvel.copy()
+        mujoco.mj_step2(model, data)
+        if float(np.abs(data.qvel - velocities).max(initial=0.0)) <= WILD:
+            return
+        data.qpos[:], data.qvel[:] = positions, velocities
+        solver, iterations = model.opt.solver, model.opt.iterations
+        model.opt.solver, model.opt.iterations = CONJUGATE
+        mujoco.mj_step2(model, data)
+        model.opt.solver, model.opt.iterations = solver, iterations
+
     def _drive(self) -> None:
         """Give each motor the speed that it is to reach in this step.
 
@@ -312,12 +332,6 @@ class MujocoEngine:
         speeds = self._stock.speeds(self._wishes, data.qpos, self._dt_s)
         data.efc_aref[data.ne : data.ne + data.nf] += speeds / self._dt_s
 
-    def _hold_down(self) -> None:
-        """See `sliding`: corrects the rows of contacts before they are solved."""
-        contacts = self._data.contact
-        rows = contacts.efc_address[chosen := contacts.dim == GRIPPING_ROWS]
-        sliding(self._data.efc_aref, rows, contacts.friction[chosen, 0], self._weight)
-
     def _pull(self) -> None:
         data, bodies = self._data, self._stock.pulls.bodies
         spins = data.cvel[bodies, :3]
@@ -326,10 +340,6 @@ class MujocoEngine:
         linear = data.cvel[bodies, 3:] + np.cross(spins, arms)
         turns = data.ximat[bodies].reshape(-1, 3, 3)
         data.xfrc_applied[bodies] += self._stock.pulls.wrenches(turns, linear, spins)
-
-    def _depth(self, one: int, other: int) -> float:
-        """Find how deep [m] a geometry is in another."""
-        return -float(mujoco.mj_geomDistance(self._model, self._data, one, other, 1.0, None))
 
     def _selection(self, bodies: Sequence[int]) -> Selection:
         key = tuple(bodies)

@@ -1,4 +1,4 @@
-"""PyBullet gives the same numbers again, whatever the world has been through before."""
+"""Each engine gives the same numbers again, whatever the world has been through before."""
 
 from collections.abc import Callable
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sim_server.physics.engine import Engine, EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from tests.engines import STEP_NS, advance
+from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance
 from tests.models import a_box_bot, box_bot_at
 
 ROBOTS, STEPS, PERIOD = 6, 480, 24
@@ -15,9 +14,9 @@ SPACING_M = 0.11
 """So near that they touch."""
 
 
-def drive(before: Callable[[Engine], object]) -> bytes:
+def drive(make: MakeEngine, before: Callable[[Engine], object]) -> bytes:
     """Drive a heap of robots in an engine with a past; return where all of it is."""
-    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    engine = make(EngineConfig(STEP_NS))
     before(engine)
     model, draws = a_box_bot(), np.random.default_rng(1)
     places = [divmod(i, 3) for i in range(ROBOTS)]
@@ -44,6 +43,9 @@ PASTS: dict[str, Callable[[Engine], object]] = {
 }
 
 
+@pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 @pytest.mark.parametrize("past", PASTS.values(), ids=PASTS)
-def test_engine_gives_the_same_bytes_whatever_was_before(past: Callable[[Engine], object]) -> None:
-    assert drive(past) == drive(PASTS["none"])
+def test_engine_gives_the_same_bytes_whatever_was_before(
+    make: MakeEngine, past: Callable[[Engine], object]
+) -> None:
+    assert drive(make, past) == drive(make, PASTS["none"])

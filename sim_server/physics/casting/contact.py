@@ -6,6 +6,7 @@ b = 1 / h and k = erp / h^2 with erp = h kp / (h kp + kd).
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +26,12 @@ PLAIN_RANK = -2_000_000_000
 """Of ground and static models that leave what touches them its own friction."""
 RANKS_PER_FRICTION = 1e6
 MOST_FRICTION = 900.0
+FASTEST_OUT_MPS = 0.5
+"""Speed at which what is deep in another is pushed out, at most."""
 GRIPPING_ROWS = 3
 """What MuJoCo solves of a contact with friction: its normal, and two ways across it."""
+
+Ints = npt.NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -93,9 +98,37 @@ def grip(friction: float, *, is_static: bool, is_soft: bool = False) -> Grip:
     return Grip(bounded, -2 * round(bounded * RANKS_PER_FRICTION) + is_soft)
 
 
-def sliding(
-    wanted: FloatArray, rows: npt.NDArray[np.integer], friction: FloatArray, weight: float
+class Contacts(Protocol):
+    """What MuJoCo tells of contacts, each an entry."""
+
+    dim: Ints
+    efc_address: Ints
+    dist: FloatArray
+    friction: FloatArray
+
+
+def correct(
+    wanted: FloatArray, contacts: Contacts, how: FloatArray, dt_s: float, weight: float
 ) -> None:
+    """Correct what the rows of contacts are to do, before they are solved; see below.
+
+    Args:
+        wanted: Acceleration that each row is to have; changed.
+        contacts: In the order of MuJoCo's.
+        how: (n, 4) stiffness, damping, impedance and its slope of each row.
+        dt_s: Length of a step.
+        weight: Force [N] on each kg that presses contacts together, about.
+    """
+    is_solved = contacts.efc_address >= 0
+    rows = contacts.efc_address[is_solved]
+    if contacts.dist.min() * MENDED < -FASTEST_OUT_MPS * dt_s:
+        pushes = -how[rows, 0] * how[rows, 2] * contacts.dist[is_solved]
+        wanted[rows] -= np.maximum(pushes - FASTEST_OUT_MPS / dt_s, 0.0)
+    grips = contacts.dim[is_solved] == GRIPPING_ROWS
+    sliding(wanted, rows[grips], contacts.friction[is_solved, 0][grips], weight)
+
+
+def sliding(wanted: FloatArray, rows: Ints, friction: FloatArray, weight: float) -> None:
     """Keep what slides from being lifted, as friction does to it where it is a convex problem.
 
     Such friction wants the speed away from a contact to be as high as friction times the speed
@@ -105,11 +138,9 @@ def sliding(
 
     Args:
         wanted: Acceleration that each row is to have; changed.
-        rows: Of the normals of contacts with friction, negative for none; two ways follow each.
+        rows: Of the normals of contacts with friction; two ways follow each.
         friction: Of each of these contacts.
-        weight: Force [N] on each kg that presses contacts together, about.
+        weight: See `correct`.
     """
-    is_solved = rows >= 0
-    rows, friction = rows[is_solved], friction[is_solved]
     slips = np.hypot(wanted[rows + 1], wanted[rows + 2])
     wanted[rows] -= friction * np.maximum(slips - weight * friction, 0.0)

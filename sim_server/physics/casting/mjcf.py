@@ -40,7 +40,8 @@ def mjcf_of(slots: Iterable[tuple[Make, int]], config: EngineConfig, pieces: Pie
         '<mujoco><compiler angle="radian" balanceinertia="true" boundmass="0"/>'
         f'<option timestep="{config.step_ns * 1e-9!r}" gravity="{_row(config.gravity)}" '
         f'integrator="implicitfast" cone="elliptic" jacobian="sparse" impratio="{SLIP}">'
-        '<flag autoreset="disable"/></option>'
+        # Whether a step begins where the last one ended is chosen for all islands together.
+        '<flag autoreset="disable" warmstart="disable"/></option>'
         f"<asset>{''.join(assets)}</asset><worldbody>{''.join(world)}</worldbody>"
         f"<contact>{''.join(rules)}</contact><equality>{''.join(gears)}</equality></mujoco>"
     )

@@ -6,7 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_server.physics.blueprint import Part
-from sim_server.physics.casting.make import Layout, Make, Widths, layout_of
+from sim_server.physics.casting.make import (
+    Layout,
+    Make,
+    Widths,
+    layout_of,
+)
 from sim_server.physics.casting.mjcf import Pieces, geometries_of
 from sim_server.physics.casting.seat import Seat
 from sim_server.physics.casting.slots import Cast

@@ -39,7 +39,6 @@ class State(Protocol):
 
     qpos: FloatArray
     qvel: FloatArray
-    qacc_warmstart: FloatArray
     qfrc_applied: FloatArray
     xfrc_applied: FloatArray
     eq_active: npt.NDArray[np.uint8]
@@ -72,7 +71,7 @@ def empty_all(model: Switches, data: State, plan: Plan) -> None:
     model.geom_contype[first.geometries :] = model.geom_conaffinity[first.geometries :] = 0
     model.body_contype[first.bodies :] = model.body_conaffinity[first.bodies :] = 0
     model.body_gravcomp[first.bodies :] = 1.0
-    model.dof_frictionloss[:] = 0.0
+    model.dof_frictionloss[first.velocities :] = 0.0
     data.eq_active[:] = 0
     data.qpos[plan.heights()] = -DEPTH_M
 
@@ -85,7 +84,7 @@ def empty(model: Switches, data: State, seat: Seat) -> None:
     model.dof_frictionloss[seat.velocities] = 0.0
     data.eq_active[seat.equalities] = 0
     data.qpos[seat.positions] = model.qpos0[seat.positions]
-    data.qvel[seat.velocities] = data.qacc_warmstart[seat.velocities] = 0.0
+    data.qvel[seat.velocities] = 0.0
     if seat.is_free:
         data.qpos[seat.begins.positions + 2] = -DEPTH_M
 
@@ -112,7 +111,6 @@ def carry(
     )
     other_data.qpos[places[1]] = data.qpos[places[0]]
     other_data.qvel[rates[1]] = data.qvel[rates[0]]
-    other_data.qacc_warmstart[rates[1]] = data.qacc_warmstart[rates[0]]
     other_data.qfrc_applied[rates[1]] = data.qfrc_applied[rates[0]]
     other_data.xfrc_applied[links[1]] = data.xfrc_applied[links[0]]
     other_model.body_pos[links[1]] = model.body_pos[links[0]]

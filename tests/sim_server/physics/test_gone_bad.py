@@ -1,4 +1,4 @@
-"""A robot whose physics fails is frozen; the others, over real Bullet, drive on."""
+"""A robot whose physics fails is frozen; the others, over real physics, drive on."""
 
 from collections.abc import Iterator
 
@@ -9,10 +9,9 @@ from proto.model import Model
 from proto.services import ResetScope
 from sim_server.description.urdf import read_urdf
 from sim_server.errors import IncorrectState
-from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.engine import Engine, FloatArray
 from sim_server.world.world import World
-from tests.engines import STEP_NS
+from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.fakes import a_birth, a_command
@@ -22,15 +21,14 @@ CONTROL_STEPS = 5
 NAMES = ("a", "b", "c")
 
 
-@pytest.fixture
-def engine() -> Iterator[PyBulletEngine]:
-    made = PyBulletEngine(EngineConfig(STEP_NS))
-    yield made
-    made.close()
+@pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
+def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+    with running(request.param) as made:
+        yield made
 
 
 @pytest.fixture
-def world(engine: PyBulletEngine) -> World:
+def world(engine: Engine) -> World:
     """Three box_bots 1 m apart; each has an agent of its own, and all drive."""
     made = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     for i, name in enumerate(NAMES):

@@ -1,4 +1,4 @@
-"""Joints of PyBulletEngine: followers, damping, chains of planar and floating joints, nails."""
+"""Joints of each engine: followers, damping, chains of planar and floating joints, nails."""
 
 import math
 from collections.abc import Iterator
@@ -9,9 +9,9 @@ import pytest
 
 from proto.model import Model
 from sim_server.description.urdf import MAX_JOINTS, read_urdf
-from sim_server.physics.engine import EngineConfig
+from sim_server.physics.engine import Engine, EngineConfig
 from sim_server.physics.pybullet_engine import PyBulletEngine
-from tests.engines import STEP_NS, advance
+from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_state, an_arm
 from tests.sim_server.description.robots import (
     a_collision,
@@ -25,11 +25,10 @@ from tests.sim_server.physics.bullet import dynamics_of
 LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
 
 
-@pytest.fixture
-def engine() -> Iterator[PyBulletEngine]:
-    made = PyBulletEngine(EngineConfig(STEP_NS))
-    yield made
-    made.close()
+@pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
+def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+    with running(request.param) as made:
+        yield made
 
 
 def a_finger(number: int, kind: str, mimic: str = "", tip: str = "0.1 0 0") -> str:
@@ -58,7 +57,7 @@ def a_gripper(mimic: str, kind: str = "continuous") -> Model:
     [("continuous", 1.0, 0.0), ("continuous", -1.0, 0.2), ("revolute", 0.5, 0.0)],
 )
 def test_joint_follows_another_as_its_mimic_says(
-    engine: PyBulletEngine, kind: str, multiplier: float, offset: float
+    engine: Engine, kind: str, multiplier: float, offset: float
 ) -> None:
     mimic = f'<mimic joint="j1" multiplier="{multiplier}" offset="{offset}"/>'
     body = engine.add(a_gripper(mimic, kind), a_state((0.0, 0.0, 2.0)))
@@ -69,7 +68,7 @@ def test_joint_follows_another_as_its_mimic_says(
         assert follower == pytest.approx(multiplier * leader + offset, abs=0.02)
 
 
-def test_joint_slides_as_another_turns_when_it_mimics_it(engine: PyBulletEngine) -> None:
+def test_joint_slides_as_another_turns_when_it_mimics_it(engine: Engine) -> None:
     body = engine.add(
         a_gripper('<mimic joint="j1" multiplier="0.1"/>', "prismatic"), a_state((0.0, 0.0, 2.0))
     )
@@ -81,7 +80,7 @@ def test_joint_slides_as_another_turns_when_it_mimics_it(engine: PyBulletEngine)
     assert follower == pytest.approx(0.1 * leader, abs=5e-3)
 
 
-def test_engine_takes_followers_out_and_puts_others_in(engine: PyBulletEngine) -> None:
+def test_engine_takes_followers_out_and_puts_others_in(engine: Engine) -> None:
     model = a_gripper('<mimic joint="j1"/>')
     for _ in range(20):
         engine.remove(engine.add(model, a_state((0.0, 0.0, 2.0))))
@@ -94,9 +93,7 @@ def test_engine_takes_followers_out_and_puts_others_in(engine: PyBulletEngine) -
 
 
 @pytest.mark.parametrize("damping", [0.01, 1.0, 100.0, 1e6])
-def test_joint_comes_to_rest_however_strong_its_damping(
-    engine: PyBulletEngine, damping: float
-) -> None:
+def test_joint_comes_to_rest_however_strong_its_damping(engine: Engine, damping: float) -> None:
     arm = an_arm("continuous", damping=damping)
     body = engine.add(arm, a_state((0.0, 0.0, 5.0)))
 
@@ -110,7 +107,7 @@ def test_joint_comes_to_rest_however_strong_its_damping(
     assert np.isfinite(speeds).all()
 
 
-def test_damped_wheel_without_much_inertia_slows_down(engine: PyBulletEngine) -> None:
+def test_damped_wheel_without_much_inertia_slows_down(engine: Engine) -> None:
     wheel = a_link("wheel", an_inertial("0.01", "1e-6"))
     spin = '<axis xyz="0 0 1"/><dynamics damping="0.7"/>'
     text = a_robot(
@@ -125,7 +122,7 @@ def test_damped_wheel_without_much_inertia_slows_down(engine: PyBulletEngine) ->
     assert abs(float(engine.read([body]).joint_velocities[0])) < 1e-3
 
 
-def test_as_many_damped_joints_as_may_be_left_are_simulated(engine: PyBulletEngine) -> None:
+def test_as_many_damped_joints_as_may_be_left_are_simulated(engine: Engine) -> None:
     spines = "".join(
         a_link(f"s{i}", an_inertial("0.1", "0.001"))
         + a_joint(f"j{i}", ("body", f"s{i}"), "continuous", '<dynamics damping="0.5"/>')
@@ -151,7 +148,7 @@ def a_free_pair(kind: str, axis: str = "0 0 1") -> Model:
     )
 
 
-def test_link_falls_freely_when_its_joint_floats(engine: PyBulletEngine) -> None:
+def test_link_falls_freely_when_its_joint_floats(engine: Engine) -> None:
     body = engine.add(a_free_pair("floating"), a_state((0.0, 0.0, 100.0)))
 
     advance(engine, 240)
@@ -164,7 +161,7 @@ def test_link_falls_freely_when_its_joint_floats(engine: PyBulletEngine) -> None
 
 @pytest.mark.parametrize(("axis", "falls"), [("0 0 1", False), ("1 0 0", True)])
 def test_link_stays_in_its_plane_when_its_joint_is_planar(
-    engine: PyBulletEngine, axis: str, *, falls: bool
+    engine: Engine, axis: str, *, falls: bool
 ) -> None:
     body = engine.add(a_free_pair("planar", axis), a_state((0.0, 0.0, 100.0)))
 
@@ -175,16 +172,17 @@ def test_link_stays_in_its_plane_when_its_joint_is_planar(
     assert turn == pytest.approx(0.0, abs=1e-6)
 
 
-def test_arm_on_a_nailed_root_has_the_inertia_of_its_model(engine: PyBulletEngine) -> None:
-    arm = an_arm("continuous")
-    body = engine.add(arm, a_state((0.0, 0.0, 5.0)))
+def test_arm_on_a_nailed_root_has_the_inertia_of_its_model() -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    body = engine.add(an_arm("continuous"), a_state((0.0, 0.0, 5.0)))
 
     _, hanging = dynamics_of(engine, body)
+    engine.close()
 
     assert sorted(hanging.inertia) == pytest.approx([0.01] * 3)
 
 
-def test_nailed_root_stays_where_it_was_put(engine: PyBulletEngine) -> None:
+def test_nailed_root_stays_where_it_was_put(engine: Engine) -> None:
     place = a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))
     body = engine.add(a_gripper(""), place)
 
@@ -193,7 +191,7 @@ def test_nailed_root_stays_where_it_was_put(engine: PyBulletEngine) -> None:
     assert engine.read([body]).base[0] == pytest.approx(place, abs=1e-9)
 
 
-def test_body_starts_with_the_twist_that_it_is_given(engine: PyBulletEngine) -> None:
+def test_body_starts_with_the_twist_that_it_is_given(engine: Engine) -> None:
     model = msgspec.structs.replace(an_arm("fixed"), is_static=False)
     start = a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0))
 

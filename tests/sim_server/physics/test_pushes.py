@@ -1,4 +1,4 @@
-"""Pushes and properties in PyBullet: what Newton says."""
+"""Pushes and properties in each engine: what Newton says."""
 
 from collections.abc import Iterator
 
@@ -8,10 +8,9 @@ import pytest
 
 from proto.model import Inertial, Model
 from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.world.pushes import JointPush, LinkPush, Span
 from sim_server.world.world import World
-from tests.engines import STEP_NS
+from tests.engines import PHYSICAL, STEP_NS
 from tests.models import a_box, a_box_bot, a_lopsided_box, a_state, an_arm, box_bot_at
 from tests.sim_server.fakes import a_birth
 
@@ -20,18 +19,18 @@ SECOND = 240
 FOREVER = Span(0, None)
 
 
-@pytest.fixture
-def space() -> Iterator[World]:
-    engine = PyBulletEngine(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
+@pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
+def space(request: pytest.FixtureRequest) -> Iterator[World]:
+    engine = request.param(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
     world = World(engine, name="default", step_ns=STEP_NS, control_steps=3)
     yield world
     world.close()
 
 
-@pytest.fixture
-def earth() -> Iterator[World]:
+@pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
+def earth(request: pytest.FixtureRequest) -> Iterator[World]:
     world = World(
-        PyBulletEngine(EngineConfig(STEP_NS)), name="default", step_ns=STEP_NS, control_steps=3
+        request.param(EngineConfig(STEP_NS)), name="default", step_ns=STEP_NS, control_steps=3
     )
     yield world
     world.close()

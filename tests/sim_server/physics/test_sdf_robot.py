@@ -1,6 +1,7 @@
 """What SDF describes behaves as it should in the engine."""
 
 import numpy as np
+import pytest
 
 from proto.model import Inertial, Link, Model, Shape
 from sim_server.description.clearance import ground_clearance
@@ -8,17 +9,18 @@ from sim_server.description.library import world_text
 from sim_server.description.sdf import read_world
 from sim_server.description.sdf_model import read_sdf_model
 from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from tests.engines import STEP_NS
+from tests.engines import PHYSICAL, STEP_NS, MakeEngine
 from tests.models import a_state
 from tests.sim_server.description.sdf_robots import PIONEER
 
 RACK_TOP_M = 2.2
+every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 
 
-def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn() -> None:
+@every_engine
+def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn(make: MakeEngine) -> None:
     model = read_sdf_model(PIONEER)
-    engine = PyBulletEngine(EngineConfig(STEP_NS))
+    engine = make(EngineConfig(STEP_NS))
     body = engine.add(model, a_state((0.0, 0.0, -ground_clearance(model))))
     engine.command([body], np.array([2.0, 2.0]))
 
@@ -31,8 +33,9 @@ def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn() -> None:
     assert abs(y) < 0.01
 
 
-def test_every_shelf_of_the_warehouse_holds_what_is_dropped_on_it() -> None:
-    engine = PyBulletEngine(EngineConfig(STEP_NS))
+@every_engine
+def test_every_shelf_of_the_warehouse_holds_what_is_dropped_on_it(make: MakeEngine) -> None:
+    engine = make(EngineConfig(STEP_NS))
     racks = next(p.model for p in read_world(world_text("warehouse")).models if "east" in p.name)
     engine.add(racks, a_state())
     ball = Shape("sphere", (0.1, 0.0, 0.0))

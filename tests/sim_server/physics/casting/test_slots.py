@@ -1,0 +1,48 @@
+"""How many slots a cast has, and who gets which."""
+
+import pytest
+
+from sim_server.physics.blueprint import blueprint_of
+from sim_server.physics.casting.make import make_of
+from sim_server.physics.casting.slots import Slots, room_for
+from tests.models import a_box, a_cart
+
+BOX, CART = make_of(blueprint_of(a_box())), make_of(blueprint_of(a_cart()))
+
+
+@pytest.mark.parametrize(("count", "room"), [(1, 1), (2, 2), (3, 4), (5, 8), (64, 64), (65, 128)])
+def test_room_is_the_next_power_of_two(count: int, room: int) -> None:
+    assert room_for(count) == room
+
+
+def test_slots_are_given_lowest_first() -> None:
+    slots = Slots()
+    assert [slots.take(BOX, body) for body in range(4)] == [0, 1, 2, 3]
+
+    slots.release(BOX, 2)
+    slots.release(BOX, 1)
+
+    assert [slots.take(BOX, body) for body in (7, 8, 9)] == [1, 2, 4]
+
+
+def test_cast_names_makes_in_the_order_of_their_first_body() -> None:
+    slots = Slots()
+    for body, make in enumerate((CART, BOX, BOX, CART, BOX)):
+        slots.take(make, body)
+
+    assert slots.cast == ((CART, 2), (BOX, 4))
+
+
+def test_cast_is_told_before_a_slot_is_taken() -> None:
+    slots = Slots()
+    for body, make in enumerate((CART, BOX, BOX)):
+        foretold = slots.with_one_more(make)
+        slots.take(make, body)
+
+        assert slots.cast == foretold
+
+
+def test_robots_that_differ_in_name_only_are_of_one_make() -> None:
+    assert make_of(blueprint_of(a_box("other"))) == BOX
+    assert hash(make_of(blueprint_of(a_box("other")))) == hash(BOX)
+    assert make_of(blueprint_of(a_box(friction=0.5))) != BOX
