@@ -66,8 +66,8 @@ def expect_model(desk: Desk, order: SpawnEntityOrder, model: Model, description:
     """Make what `spawn_model` spawns, but let it in later; raises as that does."""
     _check_bond(desk, order.bond)
     birth, notes = _planned(desk, order, model, description)
-    entity = desk.world.expect(birth)
-    notes.extend(_overlaps(desk.world.overlapped(entity)))
+    entity, overlapped = desk.world.expect(birth)
+    notes.extend(_overlaps(overlapped))
     if order.strict:
         try:
             _refuse_suspicious((*notes, *birth.model.report))

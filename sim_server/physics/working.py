@@ -13,7 +13,7 @@ from typing import Any
 from proto.model import Model
 from sim_server.physics.clusters.sharing import Board
 from sim_server.physics.clusters.worker import Answer, CellTold
-from sim_server.physics.engine import Engine, EngineRefused, FloatArray
+from sim_server.physics.engine import Concealing, Engine, EngineRefused, FloatArray
 from sim_server.physics.making import CellOrders
 
 SIMPLE = ("remove", "forget_removed", "place", "rest", "put", "push_link", "push_joint")
@@ -61,6 +61,14 @@ class Working:
         assert self._orders is not None
         made = self._cells[cell] = self._orders.make()
         return Answer(made.name)
+
+    def _conceal(self, cell: int, body: int) -> None:
+        if isinstance(engine := self._cells[cell], Concealing):
+            engine.conceal(body)
+
+    def _reveal(self, cell: int, bodies: Sequence[int]) -> None:
+        if isinstance(engine := self._cells[cell], Concealing):
+            engine.reveal(bodies)
 
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).close()

@@ -66,16 +66,20 @@ class Inhabited(Chronicle):
         """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
         return birth.names_among(self._names)
 
-    def expect(self, birth: Birth) -> Entity:
+    def expect(self, birth: Birth) -> tuple[Entity, list[str]]:
         """Make an entity that is not there before it is let in; its names are; raises as `spawn`.
 
         An engine that cannot conceal it lets it stand where it will be.
+
+        Returns:
+            The entity, and the names of those that it overlaps.
         """
         entity = self._make(birth)
         self._expected[entity.name] = entity
+        overlapped = self.overlapped(entity)
         if isinstance(self._engine, Concealing):
             self._engine.conceal(entity.body)
-        return entity
+        return entity, overlapped
 
     def expects(self, entity: Entity) -> bool:
         """Whether an entity is still expected: a reset or another world ends it."""

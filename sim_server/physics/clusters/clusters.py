@@ -73,7 +73,7 @@ class Clusters:
         self._routes: dict[int, tuple[Sequence[int], int, Route]] = {}
         self._now: Reading | None = None
         self._steps = self._looked_at = self._next_look = self._alarm_until = 0
-        self._is_due = self._is_bad = self._is_news = False
+        self._is_due = self._was_due = self._is_bad = self._is_news = False
 
     @property
     def name(self) -> str:
@@ -87,8 +87,20 @@ class Clusters:
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         number = self._homes.add(model, self._measure.reach(model), base)
+        self._was_due = self._is_due
         self._note_place(number, base)
         return number
+
+    def conceal(self, body: int) -> None:
+        """See `Concealing.conceal`; who takes no part is looked at by nobody."""
+        self._homes.conceal(body)
+        if body in self._members.concealed:
+            self._is_due = self._was_due
+
+    def reveal(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        self._homes.reveal(bodies)
+        self._now, self._is_due = None, True
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`."""
@@ -110,6 +122,8 @@ class Clusters:
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
+        if not self._members.concealed.isdisjoint(bodies):
+            return self._homes.read_apart(bodies)
         if self._homes.is_one:
             return self._homes.engines[0].read(self._route(bodies).alone)
         return self._route(bodies).cut(self._reading())

@@ -1,6 +1,6 @@
 """Which cells there are, and who lives in each: what never moves in all, and the rest in one."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from sim_server.physics.clusters.discs import IntArray
 from sim_server.physics.clusters.members import EVERYWHERE, Members
 from sim_server.physics.clusters.reach import Reach, moves
 from sim_server.physics.clusters.routes import Lineup
-from sim_server.physics.engine import Engine, FloatArray, Reading
+from sim_server.physics.engine import Concealing, Engine, FloatArray, Reading
 
 
 class Homes:
@@ -50,6 +50,33 @@ class Homes:
         for engine, inner in self.of(body):
             engine.remove(inner)
         self.members.dismiss(body)
+
+    def conceal(self, body: int) -> None:
+        """Let a body wait; one whose engine cannot do that stands where it will be."""
+        for engine, inner in self.of(body):
+            if isinstance(engine, Concealing):
+                engine.conceal(inner)
+                self.members.show(body, is_concealed=True)
+
+    def reveal(self, bodies: Iterable[int]) -> None:
+        """Let bodies that wait take part."""
+        homes: dict[int, tuple[Concealing, list[int]]] = {}
+        for body in bodies:
+            for engine, inner in self.of(body) if body in self.members.concealed else ():
+                if isinstance(engine, Concealing):
+                    homes.setdefault(id(engine), (engine, []))[1].append(inner)
+            self.members.show(body, is_concealed=False)
+        for waiting, inners in homes.values():
+            waiting.reveal(inners)
+
+    def read_apart(self, bodies: Iterable[int]) -> Reading:
+        """Read bodies one by one: also those that are in no lineup."""
+        each = [engine.read([inner]) for engine, inner in (self.of(body)[0] for body in bodies)]
+        return Reading(
+            np.concatenate([one.base for one in each]),
+            np.concatenate([one.joint_positions for one in each]),
+            np.concatenate([one.joint_velocities for one in each]),
+        )
 
     def of(self, body: int) -> Sequence[tuple[Engine, int]]:
         """List the engines that have a body, and its number there."""

@@ -49,12 +49,14 @@ class Members:
         is_due: (m,) whether they are still to be told to its cell.
         targets: of all, body by body.
         moving_count: How many move.
+        concealed: Numbers of those that wait until others are made too.
         version: Changes whenever somebody comes, goes or moves to another cell.
     """
 
     def __init__(self) -> None:
         self.version = self.moving_count = 0
         self.by_number: dict[int, Member] = {}
+        self.concealed: set[int] = set()
         self.cell: IntArray = np.full(FIRST, NOWHERE, np.intp)
         self.inner: IntArray = np.zeros(FIRST, np.intp)
         self.place: FloatArray = np.zeros((FIRST, 2))
@@ -75,6 +77,17 @@ class Members:
     def moving(self) -> IntArray:
         """Numbers of what moves, ascending."""
         return np.flatnonzero(self.cell >= 0)
+
+    @property
+    def present(self) -> IntArray:
+        """Numbers of what moves and is not concealed, ascending."""
+        moving = self.moving
+        return np.setdiff1d(moving, list(self.concealed)) if self.concealed else moving
+
+    def show(self, number: int, *, is_concealed: bool) -> None:
+        """Note that a body takes part, or does not."""
+        (self.concealed.add if is_concealed else self.concealed.discard)(number)
+        self.version += 1
 
     def admit(self, model: Model, reach: Reach, *, cell: int, inner: int) -> int:
         """Give a new body the least number that is free."""
@@ -97,6 +110,7 @@ class Members:
         member = self.by_number.pop(number)
         self.moving_count -= int(self.cell[number]) >= 0
         self.cell[number] = NOWHERE
+        self.concealed.discard(number)
         self.kick[number] = 0.0
         self.told[number] = self.is_due[number] = False
         width = member.targets.stop - member.targets.start

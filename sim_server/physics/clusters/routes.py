@@ -38,8 +38,8 @@ class Lineup:
 
 
 def lineup_of(members: Members) -> Lineup:
-    """Line up all that moves."""
-    moving = members.moving
+    """Line up all that moves and takes part."""
+    moving = members.present
     numbers = moving[np.argsort(members.cell[moving], kind="stable")]
     cells, firsts = np.unique(members.cell[numbers], return_index=True)
     inner = members.inner[numbers]

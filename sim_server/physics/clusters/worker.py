@@ -166,6 +166,14 @@ class RemoteCell:
         """See `Engine.remove`."""
         self.worker.tell("remove", self.cell, body)
 
+    def conceal(self, body: int) -> None:
+        """See `Concealing.conceal`; a worker's engine that cannot lets the body be."""
+        self.worker.tell("conceal", self.cell, body)
+
+    def reveal(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        self.worker.tell("reveal", self.cell, bodies)
+
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self.worker.tell("forget_removed", self.cell)

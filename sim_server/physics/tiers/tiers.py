@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_server.physics.engine import EngineConfig, FloatArray, Reading
+from sim_server.physics.engine import Concealing, EngineConfig, FloatArray, Reading
 from sim_server.physics.tiers.bodies import Bodies
 from sim_server.physics.tiers.planning import FlatPlans
 from sim_server.physics.tiers.rows import Tier
@@ -77,6 +77,17 @@ class Tiers:
         """See `Engine.remove`."""
         self._bodies.give_back(body)
         self._watching.forget(body)
+
+    def conceal(self, body: int) -> None:
+        """See `Concealing.conceal`; who is kinematic costs nothing and stands where it will be."""
+        if isinstance(self._full, Concealing) and self._bodies.rows.full[body] >= 0:
+            self._full.conceal(int(self._bodies.rows.full[body]))
+
+    def reveal(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        if isinstance(self._full, Concealing):
+            numbers = self._bodies.rows.full[list(bodies)]
+            self._full.reveal(numbers[numbers >= 0].tolist())
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""

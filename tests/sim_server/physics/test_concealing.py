@@ -1,23 +1,62 @@
 """Bodies that wait out of sight until others are made too."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Protocol
 
 import numpy as np
 import pytest
 
+from sim_server.physics.clusters.cells import CellsHere
+from sim_server.physics.clusters.clusters import Clusters, Settings
+from sim_server.physics.clusters.workers import CellsOfWorkers
+from sim_server.physics.engine import Concealing, Engine, EngineConfig
+from sim_server.physics.making import CellOrders
 from sim_server.physics.pybullet_engine import PyBulletEngine
-from tests.engines import advance, running
+from sim_server.physics.tiers.tiers import Tiers
+from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 
+CONFIG = EngineConfig(STEP_NS)
 
-@pytest.fixture
-def engine() -> Iterator[PyBulletEngine]:
-    with running(PyBulletEngine) as made:
-        assert isinstance(made, PyBulletEngine)
+
+def tiered() -> Tiers:
+    return Tiers(PyBulletEngine(CONFIG), CONFIG, "full")
+
+
+def clustered(*, most: int) -> Clusters:
+    settings = Settings(alone=most, most=most, period_steps=1)
+    return Clusters(CONFIG, CellsHere(lambda: PyBulletEngine(CONFIG, awake=2)), settings)
+
+
+def remote() -> Clusters:
+    orders = CellOrders("pybullet", CONFIG)
+    cells = CellsOfWorkers(orders.make, orders, workers=1)
+    return Clusters(CONFIG, cells, Settings(alone=1, most=1, period_steps=1))
+
+
+class Hiding(Engine, Concealing, Protocol):
+    """An engine that can conceal."""
+
+
+MAKERS: dict[str, Callable[[], Hiding]] = {
+    "pybullet": lambda: PyBulletEngine(CONFIG),
+    "tiers": tiered,
+    "one cell": lambda: clustered(most=8),
+    "cells": lambda: clustered(most=1),
+    "workers": remote,
+}
+
+
+@pytest.fixture(params=MAKERS.values(), ids=list(MAKERS))
+def engine(request: pytest.FixtureRequest) -> Iterator[Hiding]:
+    made: Hiding = request.param()
+    try:
         yield made
+    finally:
+        made.close()
 
 
-def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: PyBulletEngine) -> None:
+def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: Hiding) -> None:
     hidden = engine.add(a_box(), a_state((0.0, 0.0, 0.5)))
     engine.conceal(hidden)
     falling = engine.add(a_box(), a_state((0.0, 0.0, 0.8)))
@@ -28,7 +67,7 @@ def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: PyBulletEngin
     assert heights == pytest.approx([0.5, 0.1], abs=1e-3)
 
 
-def test_revealed_body_does_as_one_that_was_just_added(engine: PyBulletEngine) -> None:
+def test_revealed_body_does_as_one_that_was_just_added(engine: Hiding) -> None:
     first = engine.add(a_box_bot(), box_bot_at(0.0, 2.0))
     engine.conceal(first)
     advance(engine, 50)
@@ -43,15 +82,18 @@ def test_revealed_body_does_as_one_that_was_just_added(engine: PyBulletEngine) -
     assert one - other == pytest.approx(np.array([0.0, 2.0, 0.0]), abs=1e-3)
 
 
-def test_concealed_body_overlaps_what_it_will_overlap(engine: PyBulletEngine) -> None:
-    there = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
-    hidden = engine.add(a_box(), a_state((0.1, 0.0, 0.1)))
+def test_concealed_body_can_be_read(engine: Hiding) -> None:
+    there = engine.add(a_box(), a_state((3.0, 0.0, 0.1)))
+    hidden = engine.add(a_box_bot(), box_bot_at(1.0, 2.0))
     engine.conceal(hidden)
 
-    assert list(engine.overlapping(hidden)) == [there]
+    reading = engine.read((hidden, there))
+
+    assert reading.base[:, :2] == pytest.approx(np.array([[1.0, 2.0], [3.0, 0.0]]), abs=1e-6)
+    assert reading.joint_positions.shape == (2,)
 
 
-def test_concealed_body_can_be_removed(engine: PyBulletEngine) -> None:
+def test_concealed_body_can_be_removed(engine: Hiding) -> None:
     hidden = engine.add(a_box_bot(), box_bot_at())
     engine.conceal(hidden)
     engine.remove(hidden)

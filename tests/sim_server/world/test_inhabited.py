@@ -8,6 +8,7 @@ from proto.services import ResetScope
 from sim_server.errors import NameNotUnique, NamespaceRefused
 from sim_server.physics.engine import EngineConfig
 from tests.engines import STEP_NS, ObedientEngine
+from tests.models import on_ground
 from tests.sim_server.fakes import a_birth, a_world, names_in
 
 
@@ -27,7 +28,7 @@ def test_expected_entity_is_not_there_but_its_names_are() -> None:
 
 def test_expected_entities_are_let_in_all_at_once() -> None:
     world = a_world("a")
-    expected = [world.expect(a_birth(name)) for name in "cb"]
+    expected = [world.expect(a_birth(name))[0] for name in "cb"]
 
     world.let_in(expected)
 
@@ -40,7 +41,7 @@ def test_entity_that_is_turned_away_leaves_nothing() -> None:
     engine = ObedientEngine(EngineConfig(STEP_NS))
     world = a_world("a", engine=engine)
 
-    world.turn_away([world.expect(a_birth("b"))])
+    world.turn_away([world.expect(a_birth("b"))[0]])
 
     assert len(engine.bodies) == 1
     world.spawn(a_birth("b"))
@@ -50,7 +51,7 @@ def test_entity_that_is_turned_away_leaves_nothing() -> None:
 def test_reset_that_deletes_what_was_spawned_expects_nobody() -> None:
     engine = ObedientEngine(EngineConfig(STEP_NS))
     world = a_world("a", engine=engine)
-    entity = world.expect(a_birth("b"))
+    entity, _ = world.expect(a_birth("b"))
 
     world.reset(ResetScope.SPAWNED)
 
@@ -76,9 +77,18 @@ def test_expected_entity_is_concealed_until_it_is_let_in() -> None:
     engine = ConcealingEngine()
     world = a_world("a", engine=engine)
 
-    entity = world.expect(a_birth("b"))
+    entity, _ = world.expect(a_birth("b"))
     before = set(engine.concealed)
     world.let_in([entity])
 
     assert before == {entity.body}
     assert engine.concealed == set()
+
+
+def test_expected_entity_overlaps_others_that_are_expected_too() -> None:
+    world = a_world("a")
+    world.expect(a_birth("b", base=on_ground(5.0)))
+
+    _, overlapped = world.expect(a_birth("c", base=on_ground(5.02)))
+
+    assert overlapped == ["b"]
