@@ -26,7 +26,7 @@ from robot_agent.share_claimer import ShareClaimer, ShareWish
 from robot_agent.upkeep import Kept, Upkeep
 
 LOG = logging.getLogger("zensim.agent")
-LOOK_S = 0.01
+LOOK_S = 0.02
 """Pause between looks for anything else: none of it is urgent, and each look costs."""
 
 

@@ -32,7 +32,7 @@ class Scene:
         self.agent = Agent(self.bus, AgentConfig(agent=AGENT, entities=entities))
 
     def poll(self) -> bool:
-        self.now_s += 0.01
+        self.now_s += 0.02
         return self.agent.poll(self.now_s)
 
     def drive_to(self, step: int, *claims: int, epoch: int = 0) -> list[tuple[float, ...]]:
