@@ -1,11 +1,13 @@
 """Fleets: spawning
 
 Box_bots are spawned by one request, all between two steps or none, while a robot far away drives at
-real-time factor 1. `longest wait` is how much later than due the robot's next state came at worst,
-in an equal time before the request (quiet) and from the request to its answer. Memory is what the
-server's process alone holds (USS), before and after. Floor: the same bodies put into PyBullet.
-Last: two pools are up and users command every robot at 2 Hz before it is there; from the start of
-`zensim fleet` until each robot's own odometry has shown that it moves.
+real-time factor 1: with `--dynamics auto` at 100 Hz, which two cores can pace, and with full
+dynamics at 240 Hz, which they cannot. `longest wait` is how much later than due the robot's next
+state came at worst, in an equal time before the request (quiet) and from the request to its answer.
+Memory is what the server and the processes that step its cells hold alone (USS), before and after.
+Floor: the same bodies put into PyBullet. Last: two pools are up and users command every robot at
+2 Hz before it is there; from the start of `zensim fleet` until each robot's own odometry has shown
+that it moves.
 """
 
 import time
@@ -30,7 +32,9 @@ from tests.integration.processes import zensim
 
 __all__ = ["rows", "table"]
 
-RUNS, MOVING_RUNS = 3, 2
+RUNS = 2
+FULL, AUTO = "full, 240 Hz", "dynamics auto, 100 Hz"
+AUTO_WISH = ("--dynamics", "auto", "--step-hz", "100")
 COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
 KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
 GOAL = 1000
@@ -56,27 +60,38 @@ class Spawns:
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Measure fleets of two sizes, the larger beside the smaller."""
-    counts = COUNTS_WHEN_SHORT if is_short else COUNTS
+    """Measure how fleets come to be, and how soon they move."""
+    if is_short:
+        yield from _spawned(FULL, (), COUNTS_WHEN_SHORT, runs=1)
+        yield from _moved(2, pools=1, runs=1)
+    else:
+        yield from _spawned(AUTO, AUTO_WISH, COUNTS, runs=RUNS)
+        yield from _spawned(FULL, (), COUNTS, runs=1)
+        yield from _moved(GOAL, pools=POOLS, runs=RUNS)
+
+
+def _spawned(
+    how: str, serve: tuple[str, ...], counts: tuple[int, ...], *, runs: int
+) -> Iterator[Figure]:
+    """Spawn fleets of two sizes, the larger beside the smaller."""
     seen = {count: Spawns() for count in counts}
-    for _ in range(1 if is_short else RUNS):
-        with served(1, "--rtf", "1") as server, watched(server.client.bus) as lateness:
+    for _ in range(runs):
+        with (
+            served(1, "--rtf", "1", *serve) as server,
+            watched(server.client.bus) as lateness,
+        ):
             for count, spawns in seen.items():
                 _spawn(server, lateness, count, spawns)
         for count, spawns in seen.items():
             spawns.floor_s.append(_floor_s(count))
     for count, spawns in seen.items():
-        yield from _figures(count, spawns)
-    if is_short:
-        yield from _moved(2, pools=1, runs=1)
-    else:
-        yield from _moved(GOAL, pools=POOLS, runs=MOVING_RUNS)
+        yield from _figures(f"{count} robots, {how}", spawns, is_goal=count == GOAL)
 
 
 def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
     """Spawn a fleet while time runs, and let it stand afterwards: it may be too large to pace."""
-    process, client = psutil.Process(server.process.pid), server.client
-    before = process.memory_full_info().uss
+    client = server.client
+    before = _held(server)
     client.set_simulation_state(State.PLAYING)
     quiet_s = spawns.took_s[-1] if spawns.took_s else 1.0
     time.sleep(quiet_s)
@@ -84,17 +99,24 @@ def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> No
     spawn(client, count, prefix=f"of{count}_", at=(FAR_M, count * APART_M))
     end_s = time.perf_counter()
     client.set_simulation_state(State.PAUSED)
-    held = process.memory_full_info().uss - before
+    held = _held(server) - before
     spawns.took_s.append(end_s - start_s)
     spawns.quiet_ms.append(lateness.longest_ms(start_s - quiet_s, start_s))
     spawns.waited_ms.append(lateness.longest_ms(start_s, end_s))
     spawns.robot_kib.append(held / count * KIBIBYTES)
 
 
+def _held(server: Served) -> int:
+    """Tell the memory [bytes] that nobody but a server's processes uses."""
+    process = psutil.Process(server.process.pid)
+    family = (process, *process.children(recursive=True))
+    return sum(one.memory_full_info().uss for one in family)
+
+
 def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
     """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
     seen = [_all_moved(count, pools) for _ in range(runs)]
-    whom = f"{count} robots, {pools} pools" if pools > 1 else f"{count} robots, 1 pool"
+    whom = f"{count} robots, {AUTO}, {pools} pools"
     yield Figure(
         what=f"{whom}: fleet command to all have moved",
         unit="s",
@@ -113,7 +135,7 @@ def _all_moved(count: int, pools: int) -> tuple[float, int]:
     """Return the time [s] until all had moved, or that was waited for, and how many had."""
     wish = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
     with (
-        staffed((), (pool(10.0),) * pools) as crew,
+        staffed(AUTO_WISH, (pool(10.0),) * pools) as crew,
         crowd(crew.bus, count, COMMANDS_HZ) as (tallies, _),
     ):
         soon(tallies.newest, CROWD_S)
@@ -143,9 +165,7 @@ def _floor_s(count: int) -> float:
     return took_ms * SECONDS
 
 
-def _figures(count: int, spawns: Spawns) -> Iterator[Figure]:
-    is_goal = count == GOAL
-    whom = f"{count} robots"
+def _figures(whom: str, spawns: Spawns, *, is_goal: bool) -> Iterator[Figure]:
     yield Figure(
         what=f"{whom}: request to all spawned",
         unit="s",
