@@ -8,11 +8,13 @@ from proto import cdr, keys
 from proto.claims import Claim
 from proto.header import Time
 from proto.model import Model
+from proto.ros2.settings import NO_ROS, RosSettings
 from proto.ros_graph import RosNode
 from proto.topics import String, TFMessage
 from robot_agent.frames import base_of, fixed_edges
 from robot_agent.pool.outlet import FleetOutlet, Line
 from robot_agent.pool.telling import OutletOf
+from robot_agent.tf_outlets import with_namespace
 
 
 class Constant:
@@ -29,9 +31,10 @@ class Constant:
 class Constants:
     """Puts robots' constants on their outlets; robots of one model share them."""
 
-    def __init__(self, outlet_of: OutletOf) -> None:
+    def __init__(self, outlet_of: OutletOf, ros: RosSettings = NO_ROS) -> None:
         self._outlet_of = outlet_of
-        self._fixed: dict[int, tuple[Model, Constant | None]] = {}
+        self._ros = ros
+        self._fixed: dict[int, _Fixed] = {}
         self._texts: dict[str, Constant] = {}
 
     def add(self, claim: Claim, node: RosNode | None = None) -> tuple[Line, ...]:
@@ -52,23 +55,33 @@ class Constants:
         self._texts.clear()
 
     def _values(self, claim: Claim) -> Iterator[tuple[str, Constant]]:
-        if (fixed := self._fixed_of(claim.model)) is not None:
-            yield keys.robot(claim.namespace, keys.TF_STATIC), fixed
+        fixed = self._fixed_of(claim.model)
+        if fixed.message.transforms and self._ros.has_own_tf:
+            yield keys.robot(claim.namespace, keys.TF_STATIC), fixed.constant
+        if fixed.message.transforms and self._ros.has_global_tf:
+            yield keys.TF_STATIC, Constant(with_namespace(fixed.message, claim.namespace))
         if text := claim.robot_description:
             if text not in self._texts:
                 self._texts[text] = Constant(String(text))
             yield keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION), self._texts[text]
 
-    def _fixed_of(self, model: Model) -> Constant | None:
-        # The model is kept beside, so that its id stays its own.
+    def _fixed_of(self, model: Model) -> "_Fixed":
         if (found := self._fixed.get(id(model))) is None:
-            edges = fixed_edges(model, base_of(model))
-            # Stamped 0: it holds from the beginning of time.
-            message = TFMessage(tuple(edge.stamped(Time()) for edge in edges))
-            found = self._fixed[id(model)] = (model, Constant(message) if edges else None)
-        return found[1]
+            found = self._fixed[id(model)] = _Fixed(model)
+        return found
 
     def _outlet(self, line: Line) -> FleetOutlet:
         topic = keys.last_chunk(line.key)
         kind = TFMessage if topic == keys.TF_STATIC else String
         return self._outlet_of(keys.pattern_of(line.key), kind)
+
+
+class _Fixed:
+    """The fixed transforms of a model, which is kept beside so that its id stays its own."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        # Stamped 0: it holds from the beginning of time.
+        edges = fixed_edges(model, base_of(model))
+        self.message = TFMessage(tuple(edge.stamped(Time()) for edge in edges))
+        self.constant = Constant(self.message)

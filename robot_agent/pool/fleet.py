@@ -11,6 +11,7 @@ from proto import keys
 from proto.claims import Claim, DriveCommand, DriveState
 from proto.faces import faces_of
 from proto.geometry import Twist, TwistStamped
+from proto.ros2.settings import NO_ROS
 from proto.ros_graph import RosGraph, RosNode, Topic
 from robot_agent.network import Network
 from robot_agent.pool.commands import FleetCommands
@@ -53,11 +54,12 @@ class PoolFleet:
         """The newest claim that is held; 0 without any."""
         self._network = network
         self._graph = graph
+        self._ros = graph.settings if graph else NO_ROS
         self._timeout_ns = timeout_ns
         self._members: dict[int, Member] = {}
         self._robots: dict[int, Robot] = {}
         self._outlets: dict[tuple[str, type[msgspec.Struct]], FleetOutlet] = {}
-        self._constants = Constants(self._outlet)
+        self._constants = Constants(self._outlet, self._ros)
         self._commands = FleetCommands(network, timeout_ns, graph.domain if graph else None)
         self._squads: dict[Kind, Squad] = {}
         self._claims: bytes | None = None
@@ -68,7 +70,7 @@ class PoolFleet:
         """Hold what was claimed: it is heard from now on, and told of from its first state on."""
         for claim in claims:
             if is_common(claim.model):
-                topics = topics_of(claim)
+                topics = topics_of(claim, self._ros)
                 self._commands.listen(topics.cmd_vel)
                 member = Member(claim, kind_of(claim.model, topics), topics)
                 member.node = self._greeted(claim.namespace, topics.cmd_vel)

@@ -1,6 +1,7 @@
 """CDR images of one topic of many robots: written once, then only their numbers are filled in."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import msgspec
 import numpy as np
@@ -11,6 +12,8 @@ from proto.header import NANOSECONDS
 from robot_agent.pool.rows import FloatArray, IntArray
 
 WORD = 8
+KEPT_IMAGES = 8192
+"""Where numbers go in messages that were written before: robots come and go one by one."""
 
 
 class Images:
@@ -26,7 +29,8 @@ class Images:
             numbers: Paths of their float64 numbers that change; see `proto.cdr_places`.
             stamps: Paths of their `Time`s.
         """
-        images = {one: _Image(one, numbers, stamps) for one in dict.fromkeys(templates)}
+        paths = tuple(numbers), tuple(stamps)
+        images = {one: _image(one, *paths) for one in dict.fromkeys(templates)}
         rows = [images[one] for one in templates]
         starts, end = [], 0
         for image in rows:
@@ -74,6 +78,11 @@ class _Image:
         places = places_of(template)
         self.numbers = [places[path] for path in numbers]
         self.stamps = [places[f"{path}.sec"] for path in stamps]
+
+
+@lru_cache(maxsize=KEPT_IMAGES)
+def _image(template: msgspec.Struct, numbers: tuple[str, ...], stamps: tuple[str, ...]) -> _Image:
+    return _Image(template, numbers, stamps)
 
 
 def _places(listed: Sequence[Sequence[int]], count: int) -> IntArray:

@@ -6,6 +6,7 @@ from proto import keys
 from proto.claims import Claim
 from proto.drives import Drive, RosBlock
 from proto.model import Model, Origin
+from proto.ros2.settings import NO_ROS, RosSettings
 from robot_agent.driven_base import drive_of
 from robot_agent.frames import ALL_JOINTS, base_of, moving_joints, published_joints
 from robot_agent.remapping import command_key, odometry_key, topic_key
@@ -18,6 +19,8 @@ class Topics(msgspec.Struct, frozen=True):
     odom: str = ""
     tf: str = ""
     joint_states: str = ""
+    shared_tf: str = ""
+    """The same for all robots."""
 
 
 class Kind(msgspec.Struct, frozen=True):
@@ -43,7 +46,7 @@ class Kind(msgspec.Struct, frozen=True):
     """Of the topics' keys."""
 
 
-def topics_of(claim: Claim) -> Topics:
+def topics_of(claim: Claim, ros: RosSettings = NO_ROS) -> Topics:
     """Find where a robot hears and tells."""
     namespace, model, drive = claim.namespace, claim.model, drive_of(claim.model)
     publisher = model.joint_state or ALL_JOINTS
@@ -51,8 +54,9 @@ def topics_of(claim: Claim) -> Topics:
     return Topics(
         command_key(namespace, drive),
         odometry_key(namespace, drive) if drive.publish_odom else "",
-        topic_key(namespace, keys.TF, drive.ros) if has_tf else "",
+        topic_key(namespace, keys.TF, drive.ros) if has_tf and ros.has_own_tf else "",
         topic_key(namespace, keys.JOINT_STATES, publisher.ros) if published_joints(model) else "",
+        keys.TF if has_tf and ros.has_global_tf else "",
     )
 
 

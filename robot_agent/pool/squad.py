@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 
 from proto.claims import Claim
@@ -27,6 +28,8 @@ class Member:
     """In its pool."""
     lines: tuple[Line, ...] = ()
     constants: tuple[Line, ...] = ()
+    templates: Sequence[msgspec.Struct] = ()
+    """A message a line."""
     node: RosNode | None = None
     """In ROS 2's graph."""
 
@@ -123,8 +126,7 @@ class Squad:
         member.lines = ()
 
     def _lines(self, member: Member) -> tuple[Line, ...]:
-        told = (member.topics.odom, member.topics.tf, member.topics.joint_states)
-        named = [key for key in told if key]
+        named = self._telling.keys_of(member.topics)
         lines = []
         for topic, key in zip(self._telling.topics, named, strict=True):
             lines.append(Line(key, topic, node=member.node))
@@ -132,11 +134,14 @@ class Squad:
         return tuple(lines)
 
     def _recut_topics(self, members: Sequence[Member], before: IntArray) -> None:
-        models = {id(one.claim.model): one.claim.model for one in members}
+        new = [member for member in members if not member.templates]
+        models = {id(one.claim.model): one.claim.model for one in new}
         written = {key: self._telling.templates_of(model) for key, model in models.items()}
+        for one in new:
+            one.templates = self._telling.named(written[id(one.claim.model)], one.claim.namespace)
         for number, topic in enumerate(self._telling.topics):
             topic.recut(
                 [member.lines[number] for member in members],
-                [written[id(member.claim.model)][number] for member in members],
+                [member.templates[number] for member in members],
                 before,
             )

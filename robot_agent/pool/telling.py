@@ -11,11 +11,12 @@ from robot_agent.driven_base import motion_rates
 from robot_agent.pool import templates
 from robot_agent.pool.driven import DrivenBases
 from robot_agent.pool.joint_frames import POSE_COLUMNS, JointFrames
-from robot_agent.pool.kinds import Kind
+from robot_agent.pool.kinds import Kind, Topics
 from robot_agent.pool.outlet import FleetOutlet
 from robot_agent.pool.rate_gates import RateGates
 from robot_agent.pool.rows import FloatArray, IntArray, carried
 from robot_agent.pool.topic import SquadTopic
+from robot_agent.tf_outlets import with_namespace
 
 OutletOf = Callable[[str, type[msgspec.Struct]], FleetOutlet]
 """Finds the outlet of a pattern."""
@@ -37,10 +38,10 @@ class OdometryTopic(SquadTopic):
 class TransformTopic(SquadTopic):
     """The odometry frame, and the frames of moving joints."""
 
-    def __init__(self, kind: Kind, bases: DrivenBases, outlet_of: OutletOf) -> None:
+    def __init__(self, kind: Kind, pattern: str, bases: DrivenBases, outlet_of: OutletOf) -> None:
         count = templates.tf_count(kind.drive, kind.moving)
         super().__init__(
-            outlet_of(kind.patterns.tf, TFMessage),
+            outlet_of(pattern, TFMessage),
             numbers=self._poses,
             paths=templates.tf_paths(count),
             stamps=templates.tf_stamps(count),
@@ -112,25 +113,43 @@ class Telling:
         wanted = kind.patterns
         self._published = kind.published
         self.odometry = OdometryTopic(kind, bases, outlet_of) if wanted.odom else None
-        self.transforms = TransformTopic(kind, bases, outlet_of) if wanted.tf else None
+        self.transforms = tuple(
+            TransformTopic(kind, pattern, bases, outlet_of)
+            for pattern in (wanted.tf, wanted.shared_tf)
+            if pattern
+        )
+        self._shared = self.transforms[-1] if wanted.shared_tf else None
         self.joints = JointTopic(kind, outlet_of) if wanted.joint_states else None
 
     @property
     def topics(self) -> tuple[SquadTopic, ...]:
-        """Those that there are, in the order of `templates_of`."""
-        found = (self.odometry, self.transforms, self.joints)
+        """Those that there are, in the order of `keys_of` and of `templates_of`."""
+        found = (self.odometry, *self.transforms, self.joints)
         return tuple(topic for topic in found if topic is not None)
 
+    def keys_of(self, topics: Topics) -> tuple[str, ...]:
+        """List where a robot tells each of them."""
+        told = (topics.odom, topics.tf, topics.shared_tf, topics.joint_states)
+        return tuple(key for key in told if key)
+
     def templates_of(self, model: Model) -> Sequence[msgspec.Struct]:
-        """Write a robot's messages, one a topic."""
+        """Write the messages of a robot without a name, one a topic."""
         made: list[msgspec.Struct] = []
         if self.odometry is not None:
             made.append(templates.odometry_template(model))
-        if self.transforms is not None:
-            made.append(templates.tf_template(model))
+        made += [templates.tf_template(model)] * len(self.transforms)
         if self.joints is not None:
             made.append(templates.joint_states_template(model, self._published))
         return made
+
+    def named(self, written: Sequence[msgspec.Struct], namespace: str) -> Sequence[msgspec.Struct]:
+        """Write a robot's name into those messages that all robots share a topic for."""
+        return [
+            with_namespace(message, namespace)
+            if topic is self._shared and isinstance(message, TFMessage)
+            else message
+            for topic, message in zip(self.topics, written, strict=True)
+        ]
 
     def reset(self) -> None:
         """Start again: time may have gone back."""
@@ -150,7 +169,7 @@ class Telling:
         """
         if self.odometry is not None:
             self.odometry.tell(self.odometry.due(rows, time_ns), time_ns)
-        if self.transforms is not None:
-            self.transforms.tell_poses(rows, positions, time_ns)
+        for transforms in self.transforms:
+            transforms.tell_poses(rows, positions, time_ns)
         if self.joints is not None:
             self.joints.tell_joints(positions, velocities, time_ns)

@@ -1,6 +1,7 @@
 """Robots of a pool as ROS 2 has them: by rmw_zenoh's rules, and by driving them."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 import zenoh
@@ -10,8 +11,9 @@ from proto.geometry import Twist, TwistStamped, Vector3
 from proto.ros2.keys import data_key
 from proto.ros2.type_hash import type_hash
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
-from tests.integration.ros_rules import check_bytes, check_topic
+from tests.integration.ros_rules import STANDARD, check_bytes, check_topic
 from tests.integration.test_ros_topics import (
+    LATCHED,
     SIGHT_S,
     TYPES,
     captured,
@@ -24,7 +26,7 @@ from tests.integration.test_ros_topics import (
 
 ROBOTS = ("r1", "r2", "r3")
 FASTER = Vector3(x=0.5)
-OF_ROBOT = tuple(topic for topic in TYPES if topic.startswith("/r1/"))
+OF_POOL = tuple(topic for topic in TYPES if topic != "/clock")
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +42,11 @@ def server() -> Iterator[Server]:
 @pytest.fixture(scope="module")
 def session(server: Server) -> Iterator[zenoh.Session]:
     with session_of(server) as found:
-        eventually(lambda: all(publishers_of(found, t) for t in OF_ROBOT), SIGHT_S, "tokens")
+        eventually(lambda: all(publishers_of(found, t) for t in OF_POOL), SIGHT_S, "tokens")
         yield found
 
 
-@pytest.mark.parametrize("topic", OF_ROBOT)
+@pytest.mark.parametrize("topic", OF_POOL)
 def test_topic_of_a_pool_keeps_to_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
     came = captured(session, topic)
 
@@ -59,6 +61,21 @@ def test_late_joiner_of_a_pool_hears_its_own_robot_only(session: zenoh.Session) 
     came = joined_late(session, "/r2/tf_static", 1)
 
     assert [heard.key.split("/")[1] for heard in came] == ["r2"]
+
+
+@pytest.mark.parametrize(("topic", "told"), [("/tf_static", "base_footprint"), ("/tf", "odom")])
+def test_frames_that_all_robots_share_begin_with_their_names(
+    session: zenoh.Session, topic: str, told: str
+) -> None:
+    came = joined_late(session, topic, 3)[:3] if topic in LATCHED else captured(session, topic, 9)
+
+    roots = {roots_of(heard.payload) for heard in came}
+    assert roots == {f"{name}/{told}" for name in ROBOTS}
+
+
+def roots_of(payload: bytes) -> str:
+    message: Any = STANDARD.deserialize_cdr(payload, TYPES["/tf"])
+    return str(message.transforms[0].header.frame_id)
 
 
 @pytest.mark.parametrize("message", [Twist(FASTER), TwistStamped(twist=Twist(FASTER))])
