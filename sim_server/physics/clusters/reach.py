@@ -14,6 +14,8 @@ from sim_server.physics.engine import FloatArray
 BEYOND = 1e-3
 """What engines put around a shape [m]."""
 
+KNOWN = 256
+"""Models that are remembered."""
 FARTHEST_M = 1e6
 """What has no end reaches over all of the world."""
 
@@ -91,14 +93,19 @@ def _length(vector: Vec3) -> float:
 
 
 class Measure:
-    """Measures models; the last one is kept, as fleets are of one model."""
+    """Measures models, and remembers them: meshes take long."""
 
     def __init__(self, mesh_folder: str) -> None:
         self._mesh_folder = mesh_folder
-        self._last: tuple[Model, Reach] | None = None
+        self._known: dict[int, tuple[Model, Reach]] = {}
 
     def reach(self, model: Model) -> Reach:
         """Measure a model."""
-        if self._last is None or self._last[0] is not model:
-            self._last = (model, reach_of(model, self._mesh_folder))
-        return self._last[1]
+        # Whoever is kept here keeps its identity.
+        if (known := self._known.get(id(model))) is not None:
+            return known[1]
+        if len(self._known) >= KNOWN:
+            self._known.clear()
+        found = reach_of(model, self._mesh_folder)
+        self._known[id(model)] = model, found
+        return found
