@@ -93,6 +93,9 @@ class Mappings:
         self._known = rows
         self._kept: OrderedDict[int, tuple[Sequence[int], IntArray, Mapping | None]] = OrderedDict()
 
+    def __len__(self) -> int:
+        return len(self._kept)
+
     def of(self, bodies: Sequence[int]) -> Mapping:
         """Part bodies by tier."""
         if not isinstance(bodies, tuple):
@@ -109,6 +112,9 @@ class Mappings:
         return mapping
 
     def forget(self) -> None:
-        """Note that bodies changed tiers, came or went."""
-        for number, (bodies, numbers, _) in self._kept.items():
-            self._kept[number] = (bodies, numbers, None)
+        """Note that bodies changed tiers, came or went; what nobody asked for since is gone."""
+        kept = list(self._kept.items())
+        self._kept.clear()
+        for number, (bodies, numbers, mapping) in kept:
+            if mapping is not None:
+                self._kept[number] = (bodies, numbers, None)

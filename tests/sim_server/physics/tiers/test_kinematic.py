@@ -168,6 +168,38 @@ def test_no_two_robots_of_a_crowd_ever_overlap(seed: int) -> None:
             assert np.hypot(*(at[one] - at[other]).T).min() >= 2.0 * RADIUS_M - 1e-6
 
 
+@pytest.mark.parametrize("speed", [10.0, 30.0])
+def test_robot_stops_before_full_bodies_that_stand_or_move(speed: float) -> None:
+    with two_tiers("kinematic") as engine:
+        box = engine.add(a_box(), a_state((1.0, 0.0, 0.1)))
+        other = engine.add(with_dynamics(a_box_bot(), "full"), box_bot_at(0.0, 5.0, -math.pi / 2.0))
+        bodies = [engine.add(a_box_bot(), box_bot_at(x)) for x in (0.0, -1.0)]
+        engine.command((other, *bodies), np.array([speed, speed, speed, speed, -speed, -speed]))
+
+        for _ in range(300):
+            engine.step()
+            at = places(engine, [box, other, *bodies])
+            assert np.hypot(*(at[2] - at[0])) > 0.05 + 0.1
+
+        assert engine.read((box,)).base[0, :3] == pytest.approx([1.0, 0.0, 0.1], abs=1e-3)
+        assert not engine.read((bodies[0],)).base[0, 7:].any()
+        assert places(engine, bodies)[1, 0] < -1.2
+
+
+def test_follower_keeps_behind_a_full_robot_that_is_slower() -> None:
+    with two_tiers("kinematic") as engine:
+        leader = engine.add(with_dynamics(a_box_bot(), "full"), box_bot_at(0.5))
+        follower = engine.add(a_box_bot(), box_bot_at())
+        engine.command((leader, follower), np.array([4.0, 4.0, 14.0, 14.0]))
+
+        for _ in range(500):
+            engine.step()
+            gap = float(np.diff(places(engine, [follower, leader])[:, 0])[0])
+            assert gap > 0.1
+
+        assert places(engine, [follower])[0, 0] > 0.5
+
+
 def test_robot_drives_over_what_is_flat_and_under_what_is_high() -> None:
     with two_tiers("kinematic") as engine:
         engine.add(a_wall(height=0.01), a_state((0.5, 0.0, 0.0)))
