@@ -16,7 +16,7 @@ from proto.model import Dynamics
 from proto.option_fields import takes
 from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
-from sim_server.config import AlreadyServed, ConfigError, ServerConfig, server_bus
+from sim_server.config import CONTROL_HZ, AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
 from sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
 from sim_server.physics.choice import (
@@ -46,6 +46,9 @@ WorldName = Annotated[
 StepHz = Annotated[
     float | None,
     typer.Option(help="Physics steps a simulated second.", show_default="the world's, or 240"),
+]
+ControlHz = Annotated[
+    float, typer.Option(help="How often agents are told of a simulated second, at most.")
 ]
 Factor = Annotated[
     float | None,
@@ -184,6 +187,7 @@ class ServeOptions:
     world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty"
     world_name: WorldName = "default"
     step_hz: StepHz = None
+    control_hz: ControlHz = CONTROL_HZ
     rtf: Factor = None
     paused: Annotated[bool, typer.Option("--paused", help="Start with time standing.")] = False
     seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0
@@ -221,6 +225,7 @@ def _config(given: ServeOptions) -> ServerConfig:
         world=given.world_name,
         world_file=given.world,
         step_hz=given.step_hz,
+        control_hz=given.control_hz,
         real_time_factor=given.rtf,
         is_paused=given.paused,
         seed=given.seed,

@@ -11,7 +11,7 @@ from sim_server.pacing.lockstep import LockstepSettings
 from sim_server.physics.choice import EngineChoice, EngineMissing, engine_of, engines_here
 
 CONTROL_HZ = 100.0
-"""Agents are told at this rate at most, as often as a Gazebo drive updates by default."""
+"""Agents are told at this rate at most unless asked for, as a Gazebo drive updates by default."""
 STEP_HZ = 240.0
 REAL_TIME_FACTOR = 1.0
 MAX_STEP_HZ = 10_000.0
@@ -35,6 +35,8 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     world_file: str = "empty"
     step_hz: float | None = None
     """None = as the world file says, else 240."""
+    control_hz: float = CONTROL_HZ
+    """How often agents are told of a simulated second, at most: each time all is read back."""
     real_time_factor: float | None = None
     """0 = as fast as it can; None = as the world file says, else 1."""
     model_paths: tuple[str, ...] = ()
@@ -61,7 +63,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def control_steps(self) -> int:
         """Steps between two drive states."""
-        return max(1, -int(-(self.step_hz or STEP_HZ) // CONTROL_HZ))
+        return max(1, -int(-(self.step_hz or STEP_HZ) // self.control_hz))
 
 
 def checked(config: ServerConfig) -> ServerConfig:
@@ -76,6 +78,10 @@ def checked(config: ServerConfig) -> ServerConfig:
         raise ConfigError(str(error)) from error
     if config.step_hz is not None and not 1.0 <= config.step_hz <= MAX_STEP_HZ:
         raise ConfigError(f"--step-hz {config.step_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
+    if not 1.0 <= config.control_hz <= MAX_STEP_HZ:
+        raise ConfigError(
+            f"--control-hz {config.control_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}"
+        )
     factor = config.real_time_factor
     if factor is not None and not 0.0 <= factor <= MAX_REAL_TIME_FACTOR:
         raise ConfigError(

@@ -27,6 +27,8 @@ def test_config_defaults_can_be_started_with() -> None:
         ({"step_hz": -240.0}, "--step-hz -240 is out of range"),
         ({"step_hz": 1e6}, r"--step-hz 1e\+06 is out of range"),
         ({"step_hz": float("nan")}, "--step-hz nan is out of range"),
+        ({"control_hz": 0.0}, "--control-hz 0 is out of range; use 1 to 10000"),
+        ({"control_hz": float("nan")}, "--control-hz nan is out of range"),
         ({"real_time_factor": -1.0}, r"--rtf -1 is out of range; use 0 \(flat out\) or up to 1000"),
         ({"real_time_factor": float("inf")}, "--rtf inf is out of range"),
         ({"real_time_factor": float("nan")}, "--rtf nan is out of range"),
@@ -61,6 +63,11 @@ def test_config_tells_step_and_control_period(
     config = replace(DEFAULTS, step_hz=step_hz)
 
     assert (config.step_ns, config.control_steps) == (step_ns, control_steps)
+
+
+@pytest.mark.parametrize(("control_hz", "steps"), [(50.0, 5), (240.0, 1), (1000.0, 1), (10.0, 24)])
+def test_agents_are_told_as_often_as_is_asked_for(control_hz: float, steps: int) -> None:
+    assert replace(DEFAULTS, step_hz=240.0, control_hz=control_hz).control_steps == steps
 
 
 @given(st.floats(1.0, 10_000.0))
