@@ -321,11 +321,20 @@ class Clusters:
         self._pushes.clear()
 
     def _told(self) -> Iterator[Told]:
-        lineup, members = self._lined_up(), self._members
-        due = np.flatnonzero(members.is_due[lineup.numbers])
+        lineup, members, engines = self._lined_up(), self._members, self._homes.engines
+        is_due = members.is_due[lineup.numbers]
+        if is_due[lineup.driven].all():
+            ends = lineup.cell_targets.tolist()
+            for cell, bodies, at, end in zip(
+                lineup.cells, lineup.bodies, ends, ends[1:], strict=False
+            ):
+                if at < end:
+                    yield Told(engines[cell], bodies, members.targets[lineup.targets[at:end]])
+            return
+        due = np.flatnonzero(is_due)
         cells = members.cell[lineup.numbers[due]]
         for cell in np.unique(cells).tolist():
             numbers = lineup.numbers[due[cells == cell]]
             targets = [members.targets[members.by_number[n].targets] for n in numbers.tolist()]
-            bodies = members.inner[numbers].tolist()
-            yield Told(self._homes.engines[cell], bodies, np.concatenate(targets))
+            bodies = tuple(members.inner[numbers].tolist())
+            yield Told(engines[cell], bodies, np.concatenate(targets))

@@ -23,6 +23,7 @@ class Lineup:
         targets: Of all targets, those of these bodies, but for those that have none.
         target_starts: Where the targets of each body that has any start.
         driven: (d,) rows of these bodies.
+        cell_targets: (c + 1,) where the targets of each cell start among `targets`.
         slides: Pairs: row, and where a joint that slides stands among all joints.
     """
 
@@ -34,6 +35,7 @@ class Lineup:
     targets: IntArray
     target_starts: IntArray
     driven: IntArray
+    cell_targets: IntArray
     slides: tuple[IntArray, IntArray]
 
 
@@ -63,6 +65,7 @@ def lineup_of(members: Members) -> Lineup:
         _ranges(starts, widths),
         (np.cumsum(widths) - widths)[widths > 0].astype(np.intp),
         np.flatnonzero(widths > 0),
+        np.concatenate([[0], np.cumsum(widths)])[[*firsts, len(numbers)]].astype(np.intp),
         (np.array([a for a, _ in slides], np.intp), np.array([b for _, b in slides], np.intp)),
     )
 
