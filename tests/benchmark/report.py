@@ -25,6 +25,7 @@ NAMES = (
     "fleet_traffic",
     "fleet_physics",
     "pools",
+    "ros2",
     "clusters",
     "codec",
 )
