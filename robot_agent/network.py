@@ -5,7 +5,6 @@ from typing import Protocol
 
 from proto.bus import Sample, Stamp
 from proto.catalog import Request, Response, Service
-from proto.ros_graph import Session
 
 
 class Publisher(Protocol):
@@ -97,7 +96,7 @@ class Network(Protocol):
     def stamp(self) -> Stamp:
         """Make a stamp of now."""
 
-    def beside(self) -> Session:
+    def beside(self) -> "Network":
         """Open another session."""
 
     def close(self) -> None:

@@ -42,13 +42,20 @@ class _Loner:
 class PoolFleet:
     """Robots by claim, in squads of one kind; those that no squad can drive, one by one."""
 
-    def __init__(self, network: Network, timeout_ns: int, graph: RosGraph | None = None) -> None:
+    def __init__(
+        self,
+        network: Network,
+        timeout_ns: int,
+        graph: RosGraph | None = None,
+        ears: Network | None = None,
+    ) -> None:
         """Hold nobody yet.
 
         Args:
-            network: Where robots hear and tell.
+            network: Where robots tell.
             timeout_ns: Simulation time that a command holds; 0 = for ever.
             graph: Where robots are nodes of ROS 2.
+            ears: A session without publishers, where commands are heard; None = `network`.
         """
         self.newest_claim = 0
         """The newest claim that is held; 0 without any."""
@@ -60,7 +67,7 @@ class PoolFleet:
         self._robots: dict[int, Robot] = {}
         self._outlets: dict[tuple[str, type[msgspec.Struct]], FleetOutlet] = {}
         self._constants = Constants(self._outlet, self._ros)
-        self._commands = FleetCommands(network, timeout_ns, graph.domain if graph else None)
+        self._commands = FleetCommands(ears or network, timeout_ns, graph.domain if graph else None)
         self._squads: dict[Kind, Squad] = {}
         self._claims: bytes | None = None
         self._seating = Seating((), ())
