@@ -1,6 +1,7 @@
 """Where each number of a message lies in its CDR bytes, so that an image can be filled in place."""
 
 from collections.abc import Sequence
+from functools import cache
 from operator import attrgetter
 
 import msgspec
@@ -36,9 +37,15 @@ def places_of(message: msgspec.Struct) -> dict[str, int]:
 
 
 def _walk(message: msgspec.Struct, prefix: str, at: int, found: dict[str, int]) -> int:
-    for leaf in Layout(type(message)).leaves:
+    for leaf in _layout(type(message)).leaves:
         at = _past(leaf, message, prefix, at, found)
     return at
+
+
+@cache
+def _layout(message_type: type[msgspec.Struct]) -> Layout:
+    """Read a type once: for each of a thousand messages anew it would take ten seconds."""
+    return Layout(message_type)
 
 
 def _past(leaf: Leaf, message: msgspec.Struct, prefix: str, at: int, found: dict[str, int]) -> int:
