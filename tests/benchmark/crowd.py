@@ -41,12 +41,14 @@ class Tally(msgspec.Struct):
 class Crowd:
     """Everybody who commands a robot or looks at it."""
 
-    def __init__(self, bus: Bus, names: list[str]) -> None:
+    def __init__(self, bus: Bus, mouth: Bus, names: list[str]) -> None:
         self.tally = Tally()
         self._odom = bus.subscribe(f"*/{keys.ODOM}", DEPTH)
         self._tf = bus.subscribe(f"*/{keys.TF}", DEPTH)
         encoding = encoding_of(Twist, Format.CDR)
-        self._cmd_vels = [bus.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names]
+        self._cmd_vels = [
+            mouth.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names
+        ]
         self._stand = {keys.robot(name, keys.ODOM) for name in names}
 
     def command(self) -> None:
@@ -76,8 +78,8 @@ def _count(subscription: Subscription) -> int:
     return len(subscription.take())
 
 
-def _serve(bus: Bus, names: list[str], hz: float) -> NoReturn:
-    crowd, was_all = Crowd(bus, names), False
+def _serve(bus: Bus, mouth: Bus, names: list[str], hz: float) -> NoReturn:
+    crowd, was_all = Crowd(bus, mouth, names), False
     told = bus.advertise(TALLY, "application/msgpack")
     command_s = tell_s = time.monotonic()
     while True:
@@ -96,5 +98,6 @@ def _serve(bus: Bus, names: list[str], hz: float) -> NoReturn:
 
 if __name__ == "__main__":
     die_with_parent(os.environ)
-    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined:
-        _serve(joined, [f"box_bot{i}" for i in range(int(sys.argv[2]))], float(sys.argv[3]))
+    # A session matches each message that comes against all publishers that it has.
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined, joined.beside() as mouth:
+        _serve(joined, mouth, [f"box_bot{i}" for i in range(int(sys.argv[2]))], float(sys.argv[3]))
