@@ -102,7 +102,7 @@ pins: ## resolve requirements/ anew
 			*) choice="-c requirements/dev.txt --extra $$name" ;; \
 		esac; \
 		build/pins/bin/uv pip compile -q pyproject.toml $$choice --universal --python-version 3.10 \
-			--generate-hashes --no-emit-index-url --no-annotate --custom-compile-command "make pins" \
+			--generate-hashes --no-strip-extras --no-emit-index-url --no-annotate --custom-compile-command "make pins" \
 			-o requirements/$$name.txt; \
 	done
 
