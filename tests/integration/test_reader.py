@@ -4,6 +4,7 @@ import array
 import fcntl
 import os
 import signal
+import struct
 import termios
 import time
 from collections.abc import Callable, Iterator
@@ -23,8 +24,8 @@ from tests.integration.processes import Server, eventually, serving
 
 LONGEST_ANSWER_S = 10.0
 STDIN = 0
-CORNERS = b"v 10 10 10\n" * (40 << 17)
-"""Of an OBJ file of 58 MB: three texts and three numbers for each line."""
+EXTRAS = b'{"asset":{"version":"2.0"},"extras":[' + b"[]," * (20 << 20) + b"[]]} "
+"""Of a GLB file of 63 MB: a list for every three bytes, where anything may stand."""
 
 
 @pytest.fixture(scope="module")
@@ -118,12 +119,18 @@ def test_spawn_works_when_the_reader_was_killed_before(server: Server) -> None:
     assert answer_to(server, an_order("later")) == ""
 
 
+def glb_of(text: bytes) -> bytes:
+    """Write a GLB file without any numbers."""
+    text += b" " * (-len(text) % 4)
+    return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
+
+
 def test_spawn_is_refused_and_the_next_works_when_a_mesh_takes_too_much_memory(
     server: Server, tmp_path: Path
 ) -> None:
-    tmp_path.joinpath("large.obj").write_bytes(CORNERS)
+    tmp_path.joinpath("large.glb").write_bytes(glb_of(EXTRAS))
     file = tmp_path / "large.urdf"
-    file.write_text(alone(BODY + solid('<mesh filename="large.obj"/>')), encoding="utf-8")
+    file.write_text(alone(BODY + solid('<mesh filename="large.glb"/>')), encoding="utf-8")
     cargo = cargo_of(from_word(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False)
     send_files(server.client, cargo.bundle)
     reader = reader_of(server)
