@@ -47,14 +47,18 @@ class Observer(Client):
         return [vars(one) for one in found.publishers] if found else []
 
     def hear(self, topic: str, kind: str, count: int, within_s: float, qos: str) -> list[object]:
-        """Subscribe, and take the first messages that come, up to a number of them."""
-        heard: list[object] = []
-        subscriber = ROS2Subscriber(topic, kind, heard.append, **self._declared(kind, qos))
+        """Subscribe, and take the first messages that differ, up to a number of them."""
+        came: list[object] = []
+        heard: dict[str, object] = {}
+        subscriber = ROS2Subscriber(topic, kind, came.append, **self._declared(kind, qos))
         deadline = time.monotonic() + within_s
         while len(heard) < count and time.monotonic() < deadline:
             time.sleep(POLL_S)
+            while came:
+                message = self._plain(came.pop(0), kind)
+                heard[json.dumps(message)] = message
         subscriber.close()
-        return [self._plain(message, kind) for message in heard[:count]]
+        return [*heard.values()][:count]
 
     def tell(self, topic: str, kind: str, fields: OfRos) -> None:
         """Publish one message."""
