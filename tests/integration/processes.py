@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import psutil
@@ -17,6 +18,7 @@ from deploy.parent import PARENT
 from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from proto.endpoint import with_free_port
 from spawner.client import SimClient
+from tests.contract.repository import ROOT
 
 T = TypeVar("T")
 POLL_S = 0.005
@@ -56,6 +58,14 @@ def zensim(
         check=False,
         stdin=subprocess.DEVNULL,
     )
+
+
+def without(library: str, folder: Path) -> tuple[str, ...]:
+    """Say what a command begins with in whose processes a library is not installed."""
+    block = f"import sys\nsys.modules[{library!r}] = None\n"
+    (folder / "sitecustomize.py").write_text(block)
+    path = os.pathsep.join((str(folder), str(ROOT)))
+    return ("env", f"PYTHONPATH={path}")
 
 
 @contextmanager

@@ -1,25 +1,22 @@
 """A server has the engine that it is told to have, or the one whose library is there."""
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from proto.exits import Exit
-from tests.contract.repository import ROOT
-from tests.integration.processes import Server, driven, free_endpoint, serving, zensim
+from tests.integration.processes import (
+    Server,
+    driven,
+    free_endpoint,
+    serving,
+    without,
+    zensim,
+)
 from tests.integration.robots import drive_for, robot
 
 TWO = ("box_bot0", "box_bot1")
-
-
-def without(library: str, folder: Path) -> tuple[str, ...]:
-    """Say what a command begins with in whose processes a library is not installed."""
-    block = f"import sys\nsys.modules[{library!r}] = None\n"
-    (folder / "sitecustomize.py").write_text(block)
-    path = os.pathsep.join((str(folder), str(ROOT)))
-    return ("env", f"PYTHONPATH={path}")
 
 
 @pytest.fixture(scope="module")

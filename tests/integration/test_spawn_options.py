@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +21,8 @@ from tests.integration.processes import (
     read_json_line,
     running,
     serving,
+    without,
+    zensim,
 )
 from tests.spawner.packages import a_package, robot_of
 
@@ -341,18 +342,8 @@ def test_xacro_that_cannot_be_expanded_is_refused_in_one_line(
 
 def test_xacro_names_the_extra_when_it_is_not_installed(tmp_path: Path) -> None:
     (tmp_path / "r.xacro").write_text(XACRO)
-    code = (
-        "import sys; sys.modules['xacrodoc'] = None; sys.argv = ['zensim', 'spawn', sys.argv[1]]; "
-        "from deploy.cli import main; main()"
-    )
 
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "r.xacro")],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-    )
+    done = zensim("spawn", str(tmp_path / "r.xacro"), prefix=without("xacrodoc", tmp_path))
 
     assert done.returncode != 0
     assert "pip install 'zensim[xacro]'" in done.stderr
