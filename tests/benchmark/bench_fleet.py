@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import msgspec
 
+from sim_server.config import CONTROL_HZ, ServerConfig
 from tests.benchmark import figures
 from tests.benchmark.bodies import CONFIG
 from tests.benchmark.figures import Asked, Figure, written
@@ -24,8 +25,6 @@ from tests.benchmark.fleet import CIRCLE, MILLISECONDS
 from tests.benchmark.plain import PlainLoop, Turn
 from tests.benchmark.served import Served, Spent, served
 
-COUNTS = (1, 10, 50, 100, 200, 500, 1000)
-COUNTS_WHEN_SHORT = (2,)
 TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1
 TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 4, 3
 """Short and many: what else runs on the machine then harms both sides alike."""
@@ -39,9 +38,36 @@ REST = "the rest"
 MOVES = 0.5
 """Of the speed that was commanded; below it a robot does not count as driving."""
 SHARE = Asked("median", ">=", 0.9)
-SHARE_AT = 100
 GROWTH = Asked("median", "<=", 1.3)
 GROWTH_FROM, GROWTH_TO = 100, 1000
+
+
+class Case(msgspec.Struct, frozen=True):
+    """So many robots, told so often."""
+
+    robots: int
+    control_hz: float = CONTROL_HZ
+
+    @property
+    def config(self) -> ServerConfig:
+        """What its server is told."""
+        return msgspec.structs.replace(CONFIG, control_hz=self.control_hz)
+
+    @property
+    def whom(self) -> str:
+        """What a figure calls it."""
+        robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
+        is_usual = self.control_hz == CONTROL_HZ
+        return robots if is_usual else f"{robots}, told at {self.control_hz:g} Hz"
+
+
+CASES = (
+    *(Case(count) for count in (1, 10, 50, 100)),
+    Case(100, control_hz=50.0),
+    *(Case(count) for count in (200, 500, 1000)),
+)
+CASES_WHEN_SHORT = (Case(2),)
+SHARE_OF = Case(100, control_hz=50.0)
 
 
 class Parts(msgspec.Struct, frozen=True):
@@ -54,11 +80,12 @@ class Parts(msgspec.Struct, frozen=True):
 def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
     """Measure fleets of several sizes, and how the cost of a robot grows with them."""
     costs: dict[int, float] = {}
-    for count in COUNTS_WHEN_SHORT if is_short else COUNTS:
-        turns = _taken_in_turn(count, is_short=is_short)
-        costs[count] = statistics.median(_cpu_ms(turn) for turn in turns.served) / count
-        yield from _figures(count, turns)
-        yield _parts(count, turns.looks)
+    for case in CASES_WHEN_SHORT if is_short else CASES:
+        turns = _taken_in_turn(case, is_short=is_short)
+        cost = statistics.median(_cpu_ms(turn) for turn in turns.served) / case.robots
+        costs.setdefault(case.robots, cost)
+        yield from _figures(case, turns)
+        yield _parts(case, turns.looks)
     if GROWTH_TO in costs:
         yield Figure(
             what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
@@ -90,13 +117,14 @@ class Turns(msgspec.Struct, frozen=True):
     looks: list[Spent]
 
 
-def _taken_in_turn(count: int, *, is_short: bool) -> Turns:
+def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
+    count, config = case.robots, case.config
     turn_s, turns = (LONG_TURN_S, LONG_TURNS) if count >= LONG_FROM else (TURN_S, TURNS)
     if is_short:
         turn_s, turns = TURN_WHEN_SHORT_S, TURNS_WHEN_SHORT
     found = Turns([], [], [], [])
-    with served(count) as server:
-        plain = PlainLoop(count, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps)
+    with served(count, "--control-hz", f"{case.control_hz:g}") as server:
+        plain = PlainLoop(count, step_ns=config.step_ns, control_steps=config.control_steps)
         try:
             begin(server, count)
             begin(plain, count)
@@ -125,8 +153,8 @@ def begin(loop: Served | PlainLoop, count: int) -> None:
     raise RuntimeError(f"{driving} of {count} robots drive, in {type(loop).__name__}")
 
 
-def _figures(count: int, turns: Turns) -> Iterator[Figure]:
-    whom, step_s = _whom(count), CONFIG.step_ns * 1e-9
+def _figures(case: Case, turns: Turns) -> Iterator[Figure]:
+    whom, step_s = case.whom, CONFIG.step_ns * 1e-9
     each: dict[str, list[Turn]] = {"served": [*turns.served], "floor": turns.floor}
     for what, some in each.items():
         factors = tuple(turn.steps * step_s / turn.wall_s for turn in some)
@@ -141,7 +169,7 @@ def _figures(count: int, turns: Turns) -> Iterator[Figure]:
         what=f"{whom}: floor / served",
         unit="",
         samples=_shares(turns.floor, turns.served),
-        asked=SHARE if count == SHARE_AT else None,
+        asked=SHARE if case == SHARE_OF else None,
     )
     shares = _shares(turns.alike, turns.served)
     yield Figure(what=f"{whom}: floor with the server's settings / served", unit="", samples=shares)
@@ -151,7 +179,7 @@ def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
     return tuple(_cpu_ms(floor) / _cpu_ms(turn) for turn, floor in zip(turns, floors, strict=True))
 
 
-def _parts(count: int, looks: list[Spent]) -> Parts:
+def _parts(case: Case, looks: list[Spent]) -> Parts:
     own_ms = {
         part: statistics.median(look.parts_s.get(part, 0.0) / look.steps for look in looks)
         * MILLISECONDS
@@ -161,13 +189,9 @@ def _parts(count: int, looks: list[Spent]) -> Parts:
     own_ms[REST] = statistics.median(
         rest_s / look.steps * MILLISECONDS for rest_s, look in zip(rest, looks, strict=True)
     )
-    return Parts(_whom(count), own_ms)
+    return Parts(case.whom, own_ms)
 
 
 def _cpu_ms(turn: Turn) -> float:
     workers_s = turn.children_cpu_s if isinstance(turn, Spent) else 0.0
     return (turn.cpu_s + workers_s) / turn.steps * MILLISECONDS
-
-
-def _whom(count: int) -> str:
-    return "1 robot" if count == 1 else f"{count} robots"
