@@ -2,7 +2,6 @@
 
 import logging
 import math
-from typing import NoReturn
 
 import msgspec
 
@@ -13,6 +12,7 @@ from proto.claims import Claim, ClaimEntityRequest, OnRelease, claims_of
 from proto.codec import MalformedPayload, decode
 from proto.result import ClaimCode, ResultCode, ServiceError
 from proto.telemetry import Event
+from robot_agent.giving_up import give_up
 from robot_agent.network import Network, Subscription
 
 LOG = logging.getLogger("zensim.agent")
@@ -130,7 +130,7 @@ class Claimer:
     def _put_off(self, error: Exception, now_s: float, *, is_passing: bool) -> None:
         is_over = self._give_up_s is not None and now_s >= self._give_up_s
         if not self._has_claimed and (is_over or not is_passing):
-            self._give_up(error)
+            give_up(error, self._wish.wait_s)
         if self._has_claimed and isinstance(error, ServiceError):
             # Of several, those that are there need not wait for those that are not.
             self._is_split = True
@@ -139,13 +139,6 @@ class Claimer:
             LOG.info("waiting agent=%s reason=%r", self._wish.agent, self._reason)
         self._next_s = now_s + self._retry_s
         self._retry_s = min(2.0 * self._retry_s, LAST_RETRY_S)
-
-    def _give_up(self, error: Exception) -> NoReturn:
-        waited = f" (waited {self._wish.wait_s:.1f} s)" if self._wish.wait_s else ""
-        if isinstance(error, ServiceError):
-            text = f"{error.message}{waited}"
-            raise ServiceError(error.service, error.code, error.code_name, text) from error
-        raise type(error)(f"{error}{waited}") from error
 
     def _count_in(self, claims: tuple[Claim, ...]) -> None:
         granted = {claim.entity for claim in claims}

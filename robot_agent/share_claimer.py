@@ -2,7 +2,6 @@
 
 import logging
 import math
-from typing import NoReturn
 
 import msgspec
 
@@ -13,6 +12,7 @@ from proto.claims import Claim, ClaimShareRequest, OnRelease, claims_of
 from proto.codec import MalformedPayload, decode
 from proto.result import ResultCode, ServiceError
 from proto.telemetry import Event
+from robot_agent.giving_up import give_up
 from robot_agent.network import Network
 
 LOG = logging.getLogger("zensim.agent")
@@ -107,16 +107,9 @@ class ShareClaimer:
         )
         is_over = self._give_up_s is not None and now_s >= self._give_up_s
         if not self._has_asked and (is_over or not is_passing):
-            self._give_up(error)
+            give_up(error, self._wish.wait_s)
         if str(error) != self._reason:
             self._reason = str(error)
             LOG.info("waiting agent=%s reason=%r", self._wish.agent, self._reason)
         self._next_s = now_s + self._retry_s
         self._retry_s = min(2.0 * self._retry_s, LATEST_S)
-
-    def _give_up(self, error: Exception) -> NoReturn:
-        waited = f" (waited {self._wish.wait_s:.1f} s)" if self._wish.wait_s else ""
-        if isinstance(error, ServiceError):
-            text = f"{error.message}{waited}"
-            raise ServiceError(error.service, error.code, error.code_name, text) from error
-        raise type(error)(f"{error}{waited}") from error
