@@ -44,15 +44,16 @@ class ReaderTime:
         self._process_id = process_id
         self._seen_waited_ns = self._waited(process_id)
 
-    def look(self) -> None:
-        """Go on by what has passed since the last look."""
+    def look(self, every_ns: int = LOOK_EVERY_NS) -> bool:
+        """Go on by what has passed since the last look, if that is enough; say whether it was."""
         now_ns = self._wall_ns()
         passed_ns = min(now_ns - self._seen_ns, LONGEST_LOOK_NS)
-        if passed_ns < LOOK_EVERY_NS:
-            return
+        if passed_ns < every_ns:
+            return False
         waited_ns = self._waited(self._process_id)
         # The kernel adds a wait when it is over: what was counted until then is taken back.
         self._own_ns += passed_ns - (waited_ns - self._seen_waited_ns)
         self._counted_ns += passed_ns
         self._seen_ns, self._seen_waited_ns = now_ns, waited_ns
         self.now_ns = max(self.now_ns, self._own_ns, self._counted_ns // LEAST_SHARE)
+        return True

@@ -41,6 +41,8 @@ DEADLINE_S = 9.0
 """From handing a request over to its answer, in the reader's own time: callers wait for 10 s."""
 START_S = 60.0
 TOO_LONG = f"reading took more than {DEADLINE_S:g} s; make the description smaller, or try again"
+IDLE_NS = 250_000_000
+"""Between two looks at a reader that has nothing to do."""
 PIECE_BYTES = 1 << 20
 """Written or read in one turn of the loop, at most."""
 NICENESS = 5
@@ -71,6 +73,8 @@ class Reader:
         self._ended: list[subprocess.Popen[bytes]] = []
         self._has_been_ready = False
         """Until then the server waits for it."""
+        # Kept: a buffer of this size would be mapped, and unmapped, at each reading.
+        self._piece = bytearray(PIECE_BYTES)
         self._begin()
 
     @property
@@ -83,14 +87,24 @@ class Reader:
         """Whether the process has started and reads nothing now."""
         return self._is_ready and self._current is None
 
+    @property
+    def _is_idle(self) -> bool:
+        return self.is_ready and not self._queue
+
     def submit(self, request: ReadRequest) -> None:
         """Hand a request over; it is read after those before it."""
+        self._time.look()
         self._queue.append((request, self._time.now_ns + round(DEADLINE_S * NANOSECONDS)))
 
     def poll(self) -> list[MeshMade | TextRead]:
-        """Move some bytes each way, and take what is read."""
-        self._ended = [process for process in self._ended if process.poll() is None]
+        """Move some bytes each way, and take what is read; one that is idle is looked at at times.
+
+        The loop polls at every turn, and each question to the kernel costs it some microseconds.
+        """
+        if self._is_idle and not self._time.look(IDLE_NS):
+            return []
         self._time.look()
+        self._ended = [process for process in self._ended if process.poll() is None]
         answers = self._received()
         if self._process.poll() is not None:
             return answers + self._ended_itself()
@@ -196,9 +210,10 @@ class Reader:
 
     def _received(self) -> list[MeshMade | TextRead]:
         try:
-            self._incoming += os.read(self._out, PIECE_BYTES)
+            count = os.readv(self._out, [self._piece])
         except BlockingIOError:
             return []
+        self._incoming += memoryview(self._piece)[:count]
         answers = []
         while (message := self._next_message()) is not None:
             if isinstance(message, ReaderReady):

@@ -164,6 +164,25 @@ def test_polling_never_waits(reader: Reader) -> None:
     assert longest_s < 0.02
 
 
+def test_reader_that_is_idle_is_looked_at_at_times(store: AssetStore) -> None:
+    wall = WallTime()
+    reader = Reader(store, wall.now_ns)
+    eventually(lambda: not reader.poll() and reader.is_ready, WITHIN_S, "a reader")
+    first = reader.process_id
+    os.kill(first, signal.SIGKILL)
+    dead = psutil.Process(first)
+    eventually(lambda: dead.status() == psutil.STATUS_ZOMBIE, WITHIN_S, "its end")
+
+    reader.poll()
+    at_once = reader.process_id
+    wall.sleep(0.25)
+    reader.poll()
+
+    assert at_once == first
+    assert reader.process_id != first
+    reader.close()
+
+
 def test_reader_comes_last_among_all_sessions(reader: Reader) -> None:
     shares = Path(f"/proc/{reader.process_id}/autogroup")
     read(reader, ReadRequest(1, ROBOT))
