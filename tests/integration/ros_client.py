@@ -1,10 +1,5 @@
-"""A client that knows nothing of ours: zenoh-ros2-sdk, told what it shall do by lines of JSON.
+"""A client of services that knows nothing of ours: zenoh-ros2-sdk."""
 
-`python -m tests.integration.ros_client PORT DOMAIN` answers each line with a line.
-"""
-
-import json
-import sys
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -98,18 +93,3 @@ class Client:
             case (Nodetype.SEQUENCE | Nodetype.ARRAY, _):
                 return list(value) if isinstance(value, list) else value.tolist()
         return value
-
-
-def main() -> None:
-    """Do what the lines say."""
-    client = Client(int(sys.argv[1]), int(sys.argv[2]))
-    try:
-        for line in sys.stdin:
-            sys.stdout.write(json.dumps(client.call(**json.loads(line))) + "\n")
-            sys.stdout.flush()
-    finally:
-        client.close()
-
-
-if __name__ == "__main__":
-    main()

@@ -11,8 +11,9 @@ from proto.geometry import Twist, TwistStamped, Vector3
 from proto.ros2.keys import data_key
 from proto.ros2.type_hash import type_hash
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
+from tests.integration.ros_asking import session_of
 from tests.integration.ros_rules import STANDARD, check_bytes, check_topic
-from tests.integration.test_ros_topics import (
+from tests.integration.ros_watching import (
     LATCHED,
     SIGHT_S,
     TYPES,
@@ -20,7 +21,6 @@ from tests.integration.test_ros_topics import (
     joined_late,
     place_of,
     publishers_of,
-    session_of,
     tokens,
 )
 

@@ -1,25 +1,19 @@
 """Services as ROS 2 calls them: by an independent client, and by bytes as rmw_zenoh sends them."""
 
 import json
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 
 import pytest
-import zenoh
 
-from proto import ros_actions as action
 from proto.codec import Format, decode, encode
 from proto.result import ResultCode
 from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.ros2.keys import data_key
-from proto.ros2.type_hash import service_hash, service_type
 from proto.ros_services import CDR
-from proto.services import DeleteEntityRequest, DeleteEntityResponse, State
+from proto.services import DeleteEntityRequest, DeleteEntityResponse
 from tests.integration import ros_interfaces as ros
-from tests.integration.processes import Server, end, serving
+from tests.integration.processes import Server, serving
+from tests.integration.ros_asking import Ask, replies, result_of, ros_client
 from tests.proto.ros_oracle import rewritten_by_ros
 
 SPAWN = "simulation_interfaces/srv/SpawnEntity"
@@ -32,8 +26,6 @@ BOX = (
     '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link></robot>'
 )
 GID = bytes(range(16))
-ANSWER_S = 10.0
-Ask = Callable[..., dict[str, object] | None]
 
 
 @pytest.fixture(scope="module")
@@ -42,86 +34,10 @@ def server() -> Iterator[Server]:
         yield found
 
 
-@contextmanager
-def ros_client(server: Server, domain: int = 0) -> Iterator[Ask]:
-    """Run the independent client, and ask it to call."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.integration.ros_client", port_of(server), str(domain)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-    def ask(name: str, kind: str, type_hash: str, /, **fields: object) -> dict[str, object] | None:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        line = {"name": name, "kind": kind, "type_hash": type_hash, "fields": fields}
-        process.stdin.write(json.dumps(line) + "\n")
-        process.stdin.flush()
-        answer: dict[str, object] | None = json.loads(process.stdout.readline())
-        return answer
-
-    try:
-        yield ask
-    finally:
-        if process.stdin is not None:
-            process.stdin.close()
-        end(process)
-
-
 @pytest.fixture(scope="module")
 def ask(server: Server) -> Iterator[Ask]:
     with ros_client(server) as found:
         yield found
-
-
-def port_of(server: Server) -> str:
-    return server.endpoint.rsplit(":", 1)[1]
-
-
-def result_of(answer: dict[str, object] | None) -> int:
-    assert answer is not None
-    result = answer["result"]
-    assert isinstance(result, dict)
-    return int(result["result"])
-
-
-@contextmanager
-def session_of(server: Server) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
-    with zenoh.open(config) as session:
-        yield session
-
-
-def replies(
-    server: Server, key: str, payload: bytes, attachment: bytes | None
-) -> list[zenoh.Sample]:
-    """Ask as rmw_zenoh does: every queryable that is complete, and no answer is merged."""
-    with session_of(server) as session:
-        found = session.get(
-            key,
-            payload=payload,
-            attachment=attachment,
-            target=zenoh.QueryTarget.ALL_COMPLETE,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=ANSWER_S,
-        )
-        return [reply.ok for reply in found if reply.ok is not None]
-
-
-def action_key(name: str) -> str:
-    """Find where rmw_zenoh asks a service of the action."""
-    request, response = action.SERVICES[name]
-    return data_key(0, name, service_type(request), service_hash(request, response))
-
-
-def taken(
-    subscriber: "zenoh.Subscriber[zenoh.handlers.Handler[zenoh.Sample]]",
-) -> Iterator[zenoh.Sample]:
-    while (sample := subscriber.try_recv()) is not None:
-        yield sample
 
 
 def listed(ask: Ask) -> list[object]:
@@ -289,28 +205,6 @@ def test_bridge_asks_on_bare_keys_in_either_version(server: Server, ask: Ask) ->
     answer = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR)
     assert answer.result.result == ResultCode.OK
     assert of_gazebo.payload.to_bytes()[4] == 0, "success is the first byte"
-
-
-def test_action_makes_steps_with_feedback_and_a_result(server: Server) -> None:
-    goal_id = action.GoalId(tuple(range(16)))
-    asked = write_attachment(Attachment(1, 0, GID))
-    send = action.SendGoalRequest(goal_id, action.StepsGoal(30))
-    feedback = "0/simulate_steps/_action/feedback/*/*"
-    before = server.steps()
-    server.client.set_simulation_state(State.PAUSED)
-    with session_of(server) as session:
-        told = session.declare_subscriber(feedback, zenoh.handlers.FifoChannel(100))
-        (sent,) = replies(server, action_key(action.SEND_GOAL), encode(send, Format.CDR), asked)
-        get = encode(action.GetResultRequest(goal_id), Format.CDR)
-        (ended,) = replies(server, action_key(action.GET_RESULT), get, asked)
-        heard = [decode(action.FeedbackMessage, one.payload.to_bytes(), CDR) for one in taken(told)]
-    server.client.set_simulation_state(State.PLAYING)
-
-    assert decode(action.SendGoalResponse, sent.payload.to_bytes(), CDR).accepted
-    result = decode(action.GetResultResponse, ended.payload.to_bytes(), CDR)
-    assert result.status == action.GoalStatus.SUCCEEDED
-    assert heard[-1].feedback == action.StepsFeedback(30, 0)
-    assert server.steps() >= before + 30
 
 
 def test_server_without_a_domain_answers_no_ros() -> None:

@@ -1,42 +1,27 @@
 """Robots as ROS 2 sees, hears and drives them: an independent client, and rmw_zenoh's rules."""
 
-import json
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import zenoh
-import zenoh.ext
 
-from tests.integration.processes import Server, driven, end, eventually, serving
-from tests.integration.ros_rules import (
-    BrokenRule,
-    Heard,
-    announced,
-    check_bytes,
-    check_topic,
-    heard_of,
+from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.ros_asking import Do, observing, session_of
+from tests.integration.ros_rules import BrokenRule, Heard, check_bytes, check_topic
+from tests.integration.ros_watching import (
+    LATCHED,
+    ODOMETRY,
+    SIGHT_S,
+    TF,
+    TRANSIENT_LOCAL,
+    TYPES,
+    captured,
+    joined_late,
+    place_of,
+    publishers_of,
+    tokens,
 )
-
-ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
-TYPES = {
-    "/clock": "rosgraph_msgs/msg/Clock",
-    "/r1/joint_states": "sensor_msgs/msg/JointState",
-    "/r1/odom": ODOMETRY,
-    "/r1/robot_description": "std_msgs/msg/String",
-    "/r1/tf": TF,
-    "/r1/tf_static": TF,
-    "/tf": TF,
-    "/tf_static": TF,
-}
-LATCHED = ("/r1/robot_description", "/r1/tf_static", "/tf_static")
-TRANSIENT_LOCAL = ":1:,1:,:,:,,"
-SIGHT_S = 10.0
-Ask = Callable[..., Any]
 
 
 @pytest.fixture(scope="module")
@@ -48,33 +33,8 @@ def server() -> Iterator[Server]:
             yield found
 
 
-@contextmanager
-def observing(server: Server, domain: int) -> Iterator[Ask]:
-    port = server.endpoint.rsplit(":", 1)[1]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.integration.ros_observer", port, str(domain)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-
-    def ask(do: str, **given: object) -> object:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        process.stdin.write(json.dumps({"do": do, **given}) + "\n")
-        process.stdin.flush()
-        return json.loads(process.stdout.readline())
-
-    try:
-        yield ask
-    finally:
-        if process.stdin is not None:
-            process.stdin.close()
-        end(process)
-
-
 @pytest.fixture(scope="module")
-def ask(server: Server) -> Iterator[Ask]:
+def ask(server: Server) -> Iterator[Do]:
     with observing(server, 0) as found:
         yield found
 
@@ -85,54 +45,7 @@ def session(server: Server) -> Iterator[zenoh.Session]:
         yield found
 
 
-@contextmanager
-def session_of(server: Server) -> Iterator[zenoh.Session]:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
-    config.insert_json5("timestamping/enabled", "true")
-    with zenoh.open(config) as found:
-        yield found
-
-
-def tokens(session: zenoh.Session, pattern: str) -> list[str]:
-    replies = session.liveliness().get(pattern, zenoh.handlers.FifoChannel(4096), timeout=5.0)
-    return [str(reply.ok.key_expr) for reply in replies if reply.ok]
-
-
-def publishers_of(session: zenoh.Session, topic: str) -> list[str]:
-    return tokens(session, f"@ros2_lv/0/*/*/*/MP/*/*/*/{topic.replace('/', '%')}/**")
-
-
-def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
-    """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
-    key = announced(publishers_of(session, topic)[0]).key
-    came: list[Heard] = []
-    joiner = zenoh.ext.declare_advanced_subscriber(
-        session,
-        key,
-        lambda sample: came.append(heard_of(sample)),
-        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
-        recovery=zenoh.ext.RecoveryConfig(heartbeat=True),  # type: ignore[call-arg]
-        subscriber_detection=True,
-    )
-    eventually(lambda: len(came) >= count, SIGHT_S, f"late joining of {topic}")
-    joiner.undeclare()
-    return came
-
-
-def captured(session: zenoh.Session, topic: str, count: int = 3) -> list[Heard]:
-    if topic in LATCHED:
-        return joined_late(session, topic, 1)
-    key = announced(publishers_of(session, topic)[0]).key
-    channel = zenoh.handlers.FifoChannel(4096)
-    subscriber = session.declare_subscriber(key, channel)
-    came = [heard_of(subscriber.recv()) for _ in range(count)]
-    subscriber.undeclare()
-    return came
-
-
-def test_topics_are_listed_with_their_types(ask: Ask) -> None:
+def test_topics_are_listed_with_their_types(ask: Do) -> None:
     listed = ask("topics")
 
     assert {topic: listed[topic] for topic in TYPES} == {k: [v] for k, v in TYPES.items()}
@@ -140,14 +53,14 @@ def test_topics_are_listed_with_their_types(ask: Ask) -> None:
     assert listed["/r1/cmd_vel"] == ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"]
 
 
-def test_services_are_listed_with_their_types(ask: Ask) -> None:
+def test_services_are_listed_with_their_types(ask: Do) -> None:
     listed = ask("services")
 
     assert "simulation_interfaces/srv/SpawnEntity" in listed["/spawn_entity"]
     assert "gazebo_msgs/srv/SpawnEntity" in listed["/spawn_entity"]
 
 
-def test_each_robot_is_a_node(ask: Ask, session: zenoh.Session) -> None:
+def test_each_robot_is_a_node(ask: Do, session: zenoh.Session) -> None:
     (publisher,) = ask("publishers", topic="/r1/odom")
 
     assert (publisher["node_namespace"], publisher["node_name"]) == ("/r1", "agent")
@@ -156,13 +69,13 @@ def test_each_robot_is_a_node(ask: Ask, session: zenoh.Session) -> None:
 
 
 @pytest.mark.parametrize("topic", ["/r1/odom", "/clock", "/r1/tf", "/r1/joint_states"])
-def test_messages_are_heard(ask: Ask, topic: str) -> None:
+def test_messages_are_heard(ask: Do, topic: str) -> None:
     heard = ask("hear", topic=topic, kind=TYPES[topic], count=3, within_s=SIGHT_S, qos="")
 
     assert len(heard) == 3
 
 
-def test_late_joiner_hears_fixed_transforms_of_all_robots(ask: Ask) -> None:
+def test_late_joiner_hears_fixed_transforms_of_all_robots(ask: Do) -> None:
     heard = ask("hear", topic="/tf_static", kind=TF, count=2, within_s=SIGHT_S, qos=TRANSIENT_LOCAL)
 
     roots = {message["transforms"][0]["header"]["frame_id"] for message in heard}
@@ -245,7 +158,7 @@ def test_rules_find_a_lost_message_and_foreign_bytes(session: zenoh.Session) -> 
 
 
 @pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
-def test_robot_is_driven(ask: Ask, server: Server, kind: str) -> None:
+def test_robot_is_driven(ask: Do, server: Server, kind: str) -> None:
     before = place_of(server, "r2")
     twist = {"linear": {"x": 0.5}}
     fields = {"twist": twist} if kind == "TwistStamped" else twist
@@ -255,10 +168,6 @@ def test_robot_is_driven(ask: Ask, server: Server, kind: str) -> None:
         return abs(place_of(server, "r2") - before) > 0.05
 
     eventually(has_moved, 20.0, f"driving by {kind}")
-
-
-def place_of(server: Server, name: str) -> float:
-    return server.client.entity_state(name).pose.position.x
 
 
 def test_other_domain_sees_nothing(server: Server) -> None:

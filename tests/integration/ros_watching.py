@@ -1,0 +1,63 @@
+"""Watching as rmw_zenoh does: tokens, and subscriptions that join late."""
+
+import zenoh
+import zenoh.ext
+
+from tests.integration.processes import Server, eventually
+from tests.integration.ros_rules import Heard, announced, heard_of
+
+ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+TYPES = {
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/r1/joint_states": "sensor_msgs/msg/JointState",
+    "/r1/odom": ODOMETRY,
+    "/r1/robot_description": "std_msgs/msg/String",
+    "/r1/tf": TF,
+    "/r1/tf_static": TF,
+    "/tf": TF,
+    "/tf_static": TF,
+}
+LATCHED = ("/r1/robot_description", "/r1/tf_static", "/tf_static")
+TRANSIENT_LOCAL = ":1:,1:,:,:,,"
+SIGHT_S = 10.0
+
+
+def tokens(session: zenoh.Session, pattern: str) -> list[str]:
+    replies = session.liveliness().get(pattern, zenoh.handlers.FifoChannel(4096), timeout=5.0)
+    return [str(reply.ok.key_expr) for reply in replies if reply.ok]
+
+
+def publishers_of(session: zenoh.Session, topic: str) -> list[str]:
+    return tokens(session, f"@ros2_lv/0/*/*/*/MP/*/*/*/{topic.replace('/', '%')}/**")
+
+
+def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
+    """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
+    key = announced(publishers_of(session, topic)[0]).key
+    came: list[Heard] = []
+    joiner = zenoh.ext.declare_advanced_subscriber(
+        session,
+        key,
+        lambda sample: came.append(heard_of(sample)),
+        history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
+        recovery=zenoh.ext.RecoveryConfig(heartbeat=True),  # type: ignore[call-arg]
+        subscriber_detection=True,
+    )
+    eventually(lambda: len(came) >= count, SIGHT_S, f"late joining of {topic}")
+    joiner.undeclare()
+    return came
+
+
+def captured(session: zenoh.Session, topic: str, count: int = 3) -> list[Heard]:
+    if topic in LATCHED:
+        return joined_late(session, topic, 1)
+    key = announced(publishers_of(session, topic)[0]).key
+    channel = zenoh.handlers.FifoChannel(4096)
+    subscriber = session.declare_subscriber(key, channel)
+    came = [heard_of(subscriber.recv()) for _ in range(count)]
+    subscriber.undeclare()
+    return came
+
+
+def place_of(server: Server, name: str) -> float:
+    return server.client.entity_state(name).pose.position.x
