@@ -96,10 +96,18 @@ class Face:
         self,
         publisher: Publisher,
         endpoint: Endpoint | None = None,
-        stamp: Stamp | None = None,
+        stamp: Callable[[], Stamp] | None = None,
     ) -> None:
+        """Take where it is put.
+
+        Args:
+            publisher: Puts it.
+            endpoint: Of ROS 2; None on a plain key.
+            stamp: Makes the stamps of a latched topic's values.
+        """
         self._publisher = publisher
         self._stamp = stamp
+        self._told: tuple[bytes, Stamp] | None = None
         self._gid = gid_of_endpoint(endpoint) if endpoint else b""
         self._was_matched = False
         self._sent = 0
@@ -112,7 +120,7 @@ class Face:
     def send(self, payload: bytes) -> None:
         """Put one message."""
         self._sent += 1
-        self._publisher.send(payload, self.attachment(), self._stamp)
+        self._publisher.send(payload, self.attachment(), self._stamp_of(payload))
 
     def attachment(self) -> bytes:
         """Write what goes with the last message, or will with the first."""
@@ -123,8 +131,8 @@ class Face:
 
     def add_reply(self, call: Call, key: str, payload: bytes, encoding: str) -> None:
         """Tell the value to somebody who came late; who hears it twice takes it for one."""
-        if self._stamp is not None:
-            call.add_reply(key, payload, encoding, self.attachment(), self._stamp)
+        if (stamp := self._stamp_of(payload)) is not None:
+            call.add_reply(key, payload, encoding, self.attachment(), stamp)
 
     def greet(self, payload: Payload) -> None:
         """Put the value if somebody has begun to listen since the last time."""
@@ -136,6 +144,14 @@ class Face:
     def close(self) -> None:
         """Withdraw the publisher."""
         self._publisher.close()
+
+    def _stamp_of(self, payload: bytes) -> Stamp | None:
+        """Find the stamp of a value: the same as long as it is, since a stamp is heard once."""
+        if self._stamp is None:
+            return None
+        if self._told is None or self._told[0] != payload:
+            self._told = payload, self._stamp()
+        return self._told[1]
 
 
 class Cache:
@@ -240,8 +256,7 @@ class Faces:
         publisher = self._network.advertise(key, encoding)
         if not topic.is_latched:
             return TopicPublisher([*faces, Face(publisher, endpoint)], ())
-        # A latched value does not change: who is told it twice hears it once, by its stamp.
-        faces.append(Face(publisher, endpoint, self._network.stamp()))
+        faces.append(Face(publisher, endpoint, self._network.stamp))
         queue = self._network.serve(
             f"{key}/{CACHE}/{node.graph.zid}/{endpoint.number}/_", CACHE_DEPTH
         )

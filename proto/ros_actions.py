@@ -14,7 +14,9 @@ from proto.header import Time
 from proto.result import Result
 from proto.widths import Int8, UInt8, UInt64
 
-ACTION: Final = "/simulate_steps/_action"
+NAME: Final = "simulate_steps"
+TYPE: Final = "simulation_interfaces/action/SimulateSteps"
+ACTION: Final = f"/{NAME}/_action"
 SEND_GOAL, CANCEL_GOAL, GET_RESULT = (
     f"{ACTION}/{name}" for name in ("send_goal", "cancel_goal", "get_result")
 )

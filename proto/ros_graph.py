@@ -14,6 +14,9 @@ from proto.ros2.type_hash import type_hash
 NODES_OF_SESSION: Final = 100
 """Declaring tokens takes time by the square of how many a session has."""
 
+OF_ACTIONS: Final = "/_action/"
+"""In the names of an action's services and topics, of which a bridge is not told one by one."""
+
 
 class Token(Protocol):
     """Says that something is there."""
@@ -172,9 +175,15 @@ class RosNode:
             qos=qos,
         )
         self._tokens.append(self._seat.session.token(endpoint_token(endpoint)))
-        if self.graph.settings.is_bridged:
+        if self.graph.settings.is_bridged and OF_ACTIONS not in endpoint.name:
             self._tokens.append(self._seat.session.token(_route(endpoint, bridge_key)))
         return endpoint
+
+    def offer_action(self, key: str, ros_type: str) -> None:
+        """Tell a bridge of an action, whose services and topics are one to it."""
+        if self.graph.settings.is_bridged:
+            route = bridge.Route(zid=self._node.zid, kind="AS", key=key, ros_type=ros_type)
+            self._tokens.append(self._seat.session.token(bridge.route_token(route)))
 
     def close(self) -> None:
         """Withdraw all tokens, the node's last; once is enough."""

@@ -137,7 +137,7 @@ class RosFace:
         if (endpoint := self._join(line)) is None:
             return None
         publisher = self._network.advertise(self._ros_keys[line], self._encoding)
-        stamp = self._network.stamp() if self._topic.is_latched else None
+        stamp = self._network.stamp if self._topic.is_latched else None
         face = self._faces[line] = Face(publisher, endpoint, stamp)
         if self._topic.is_latched and publisher.is_matched:
             payload = line.values.payload(line.row)

@@ -15,7 +15,7 @@ import msgspec
 from proto import ros_actions as action
 from proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
 from proto.codec import Format, MalformedPayload, decode, encode
-from proto.header import Time, time_from_ns
+from proto.header import Time, ns_from_time, time_from_ns
 from proto.result import Result, ResultCode
 from proto.ros2.attachment import Attachment, read_attachment, write_attachment
 from proto.stepping import (
@@ -99,6 +99,15 @@ class Goal:
     def is_over(self) -> bool:
         """Whether its result is known."""
         return self.status in ENDS.values()
+
+
+@dataclass
+class Gathered:
+    """What became of several goals that one request would end."""
+
+    awaited: int
+    """Of which it is not known yet."""
+    ended: list[str] = field(default_factory=list)
 
 
 class InnerCall:
@@ -186,8 +195,10 @@ class StepsAction:
     def _tell_canceled(self, asked: Query, payload: bytes, encoding: str) -> None:
         told = decode(CancelStepsResponse, payload, encoding)
         code = CANCEL_CODES.get(told.result.result, action.CancelCode.REJECTED)
-        ended = tuple(self._goals[name].info for name in told.goal_ids if name in self._goals)
-        self._answer(asked, action.CancelGoalResponse(code, ended))
+        self._answer(asked, action.CancelGoalResponse(code, self._infos(told.goal_ids)))
+
+    def _infos(self, names: Sequence[str]) -> tuple[action.GoalInfo, ...]:
+        return tuple(self._goals[name].info for name in names if name in self._goals)
 
     def _begin(self, query: Query) -> list[Call]:
         request = _read(action.SendGoalRequest, query)
@@ -202,13 +213,38 @@ class StepsAction:
         return [InnerCall(SIMULATE_STEPS.name, asked, partial(self._end, goal))]
 
     def _cancel(self, query: Query) -> list[Call]:
+        """End the goal of an id, those begun until a time, both, or when neither is told all."""
         request = _read(action.CancelGoalRequest, query)
         if request is None:
             rejected = action.CancelGoalResponse(action.CancelCode.REJECTED)
             self._answer(query, rejected)
             return []
-        asked = CancelStepsRequest(word_of(request.goal_info.goal_id))
-        return [InnerCall(CANCEL_STEPS.name, asked, partial(self._tell_canceled, query))]
+        name, until_ns = word_of(request.goal_info.goal_id), ns_from_time(request.goal_info.stamp)
+        if name and not until_ns:
+            tell = partial(self._tell_canceled, query)
+            return [InnerCall(CANCEL_STEPS.name, CancelStepsRequest(name), tell)]
+        return self._cancel_many(query, name, until_ns)
+
+    def _cancel_many(self, query: Query, name: str, until_ns: int) -> list[Call]:
+        wanted = [
+            one
+            for one, goal in self._goals.items()
+            if not goal.is_over
+            and (one == name or not until_ns or ns_from_time(goal.stamp) <= until_ns)
+        ]
+        if not wanted:
+            self._answer(query, action.CancelGoalResponse(action.CancelCode.NONE))
+        gather = partial(self._gather_canceled, query, Gathered(len(wanted)))
+        return [InnerCall(CANCEL_STEPS.name, CancelStepsRequest(one), gather) for one in wanted]
+
+    def _gather_canceled(
+        self, asked: Query, gathered: "Gathered", payload: bytes, encoding: str
+    ) -> None:
+        gathered.ended += decode(CancelStepsResponse, payload, encoding).goal_ids
+        gathered.awaited -= 1
+        if not gathered.awaited:
+            ended = self._infos(gathered.ended)
+            self._answer(asked, action.CancelGoalResponse(action.CancelCode.NONE, ended))
 
     def _ask_result(self, query: Query) -> None:
         request = _read(action.GetResultRequest, query)

@@ -77,6 +77,7 @@ def ros_side(bus: Bus, settings: RosSettings) -> RosSide:
 
 def _steps_action(bus: Bus, node: RosNode, faces: Faces) -> StepsAction:
     settings = node.graph.settings
+    node.offer_action(action.NAME, action.TYPE)
     queues = {}
     for name, (request, response) in action.SERVICES.items():
         kind = service_type(request)

@@ -16,15 +16,19 @@ Ask = Callable[..., dict[str, object] | None]
 Do = Callable[..., Any]
 
 
-def port_of(server: Server) -> str:
-    return server.endpoint.rsplit(":", 1)[1]
-
-
 @contextmanager
-def observing(server: Server, domain: int) -> Iterator[Do]:
-    """Run the independent client, and tell it what to do."""
+def observing(server: Server, domain: int, type_hash: str = "") -> Iterator[Do]:
+    """Run the independent client, and tell it what to do.
+
+    Args:
+        server: Whose network it joins.
+        domain: Of ROS 2.
+        type_hash: What stands for the hash of every topic's type; empty for the true ones.
+    """
+    port = server.endpoint.rsplit(":", 1)[1]
+    arguments = (port, str(domain), *([type_hash] if type_hash else []))
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.integration.ros_observer", port_of(server), str(domain)],
+        [sys.executable, "-m", "tests.integration.ros_observer", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -4,11 +4,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk import ROS2ServiceClient
 from zenoh_ros2_sdk.session import ZenohSession
 
 from tests.integration.ros_interfaces import INTERFACES
+from tests.proto.ros_oracle import HUMBLE
 
 HOST = "127.0.0.1"
 OfRos: TypeAlias = Any
@@ -21,11 +21,8 @@ class Client:
     def __init__(self, port: int, domain: int) -> None:
         self._port, self._domain = port, domain
         self._session = ZenohSession.get_instance(HOST, port)
-        standard = get_typestore(Stores.ROS2_HUMBLE)
-        self._session.store.register(dict(standard.fielddefs))
-        for name, text in INTERFACES.items():
-            if "/msg/" in name:
-                self._session.register_message_type(text.replace(";", "\n"), name)
+        known = {name: found for name, found in HUMBLE.fielddefs.items() if "/msg/" in name}
+        self._session.store.register(known)
 
     def call(self, name: str, kind: str, type_hash: str, fields: dict[str, OfRos]) -> object:
         """Call a service; None when nobody answered in time."""

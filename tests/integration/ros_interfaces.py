@@ -1,6 +1,7 @@
 """Interfaces as their packages define them, fields parted by semicolons, halves by dashes.
 
-Source: simulation_interfaces 1.x and 2.1, gazebo_msgs, std_srvs. Hashes are the published ones.
+Source: simulation_interfaces 1.x and 2.1, gazebo_msgs, std_srvs, action_msgs. Hashes are the
+published ones. Of the action, goal, result and feedback stand in place of the types that hold them.
 """
 
 SPAWN_V1 = "simulation_interfaces/srv/SpawnEntity@1"
@@ -9,18 +10,6 @@ INTERFACES = {
     SPAWN_V1: "string name; bool allow_renaming; string uri; string resource_string;"
     " string entity_namespace; geometry_msgs/PoseStamped initial_pose"
     "---simulation_interfaces/Result result; string entity_name",
-    "simulation_interfaces/msg/Result": "uint8 result; string error_message",
-    "simulation_interfaces/msg/Resource": "string uri; string resource_string",
-    "simulation_interfaces/msg/EntityCategory": "uint8 category",
-    "simulation_interfaces/msg/TagsFilter": "string[] tags; uint8 filter_mode",
-    "simulation_interfaces/msg/Bounds": "uint8 type; geometry_msgs/Vector3[] points",
-    "simulation_interfaces/msg/EntityFilters": "string filter;"
-    " simulation_interfaces/EntityCategory[] categories; simulation_interfaces/TagsFilter tags;"
-    " simulation_interfaces/Bounds bounds",
-    "simulation_interfaces/msg/EntityState": "std_msgs/Header header; geometry_msgs/Pose pose;"
-    " geometry_msgs/Twist twist; geometry_msgs/Accel acceleration",
-    "simulation_interfaces/msg/SimulatorFeatures": "uint16[] features; string[] spawn_formats;"
-    " string custom_info",
     "simulation_interfaces/srv/SpawnEntity": "string name; bool allow_renaming;"
     " simulation_interfaces/Resource entity_resource; string entity_namespace;"
     " geometry_msgs/PoseStamped initial_pose"
@@ -34,12 +23,18 @@ INTERFACES = {
     " simulation_interfaces/EntityState state---simulation_interfaces/Result result",
     "simulation_interfaces/srv/GetSpawnables": "string[] sources"
     "---simulation_interfaces/Result result; simulation_interfaces/Spawnable[] spawnables",
-    "simulation_interfaces/msg/Spawnable": "string uri; string description;"
-    " simulation_interfaces/Bounds spawn_bounds",
     "gazebo_msgs/srv/SpawnEntity": "string name; string xml; string robot_namespace;"
     " geometry_msgs/Pose initial_pose; string reference_frame"
     "---bool success; string status_message",
     "gazebo_msgs/srv/DeleteEntity": "string name---bool success; string status_message",
+    "simulation_interfaces/action/SimulateSteps_SendGoal": "unique_identifier_msgs/UUID goal_id;"
+    " uint64 steps---bool accepted; builtin_interfaces/Time stamp",
+    "simulation_interfaces/action/SimulateSteps_GetResult": "unique_identifier_msgs/UUID goal_id"
+    "---int8 status; simulation_interfaces/Result result",
+    "simulation_interfaces/action/SimulateSteps_FeedbackMessage": ""
+    "unique_identifier_msgs/UUID goal_id; uint64 completed_steps; uint64 remaining_steps",
+    "action_msgs/srv/CancelGoal": "action_msgs/GoalInfo goal_info"
+    "---int8 return_code; action_msgs/GoalInfo[] goals_canceling",
     "std_srvs/srv/Empty": "uint8 structure_needs_at_least_one_member"
     "---uint8 structure_needs_at_least_one_member",
 }

@@ -1,6 +1,6 @@
 """What zenoh-ros2-sdk, which knows nothing of ours, sees, hears and says; told by lines of JSON.
 
-`python -m tests.integration.ros_observer PORT DOMAIN` answers each line with a line.
+`python -m tests.integration.ros_observer PORT DOMAIN [HASH]` answers each line with a line.
 """
 
 import json
@@ -8,7 +8,6 @@ import sys
 import time
 from typing import Any, TypeAlias
 
-from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk import ROS2Publisher, ROS2Subscriber
 from zenoh_ros2_sdk.discovery import (
     get_service_names_and_types,
@@ -17,8 +16,10 @@ from zenoh_ros2_sdk.discovery import (
 )
 
 from tests.integration.ros_client import HOST, Client
+from tests.integration.ros_interfaces import INTERFACES
+from tests.proto.ros_hashes import hash_of_message
+from tests.proto.ros_oracle import HUMBLE
 
-STANDARD = get_typestore(Stores.ROS2_HUMBLE)
 LOOK_S = 2.0
 POLL_S = 0.01
 OfRos: TypeAlias = Any
@@ -28,10 +29,20 @@ OfRos: TypeAlias = Any
 class Observer(Client):
     """One session of the kit, for topics."""
 
-    def __init__(self, port: int, domain: int) -> None:
+    def __init__(self, port: int, domain: int, type_hash: str = "") -> None:
+        """Join.
+
+        Args:
+            port: Of the router, on this host.
+            domain: Of ROS 2.
+            type_hash: Of all types, where a distribution has no hashes.
+        """
         super().__init__(port, domain)
+        self._type_hash = type_hash
         self._at = {"domain_id": domain, "router_ip": HOST, "router_port": port}
         self._tellers: dict[tuple[str, str], ROS2Publisher] = {}
+        self._listeners: dict[str, ROS2Subscriber] = {}
+        self._heard: dict[str, list[object]] = {}
 
     def topics(self) -> dict[str, list[str]]:
         """List topics and their types, as `ros2 topic list -t`."""
@@ -60,6 +71,20 @@ class Observer(Client):
         subscriber.close()
         return [*heard.values()][:count]
 
+    def listen(self, topic: str, kind: str, qos: str) -> None:
+        """Subscribe, and go on listening."""
+        heard = self._heard.setdefault(topic, [])
+        self._listeners[topic] = ROS2Subscriber(
+            topic,
+            kind,
+            lambda message: heard.append(self._plain(message, kind)),
+            **self._declared(kind, qos),
+        )
+
+    def heard(self, topic: str) -> list[object]:
+        """List all that came since `listen`, oldest first."""
+        return list(self._heard[topic])
+
     def tell(self, topic: str, kind: str, fields: OfRos) -> None:
         """Publish one message."""
         if (topic, kind) not in self._tellers:
@@ -68,19 +93,21 @@ class Observer(Client):
         self._tellers[topic, kind].publish(**values)
 
     def _declared(self, kind: str, qos: str) -> dict[str, OfRos]:
-        definition, _ = STANDARD.generate_msgdef(kind, ros_version=2)
-        type_hash = STANDARD.hash_rihs01(kind)
+        if kind in INTERFACES:
+            definition = INTERFACES[kind].replace(";", "\n")
+        else:
+            definition, _ = HUMBLE.generate_msgdef(kind, ros_version=2)
         return {
             **self._at,
             "msg_definition": definition,
-            "type_hash": type_hash,
+            "type_hash": self._type_hash or hash_of_message(kind),
             "qos": qos or None,
         }
 
 
 def main() -> None:
     """Do what the lines say."""
-    observer = Observer(int(sys.argv[1]), int(sys.argv[2]))
+    observer = Observer(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:])
     try:
         for line in sys.stdin:
             given = json.loads(line)

@@ -1,5 +1,7 @@
 """Watching as rmw_zenoh does: tokens, and subscriptions that join late."""
 
+from collections.abc import Callable
+
 import zenoh
 import zenoh.ext
 
@@ -31,18 +33,25 @@ def publishers_of(session: zenoh.Session, topic: str) -> list[str]:
     return tokens(session, f"@ros2_lv/0/*/*/*/MP/*/*/*/{topic.replace('/', '%')}/**")
 
 
-def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
-    """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
-    key = announced(publishers_of(session, topic)[0]).key
-    came: list[Heard] = []
-    joiner = zenoh.ext.declare_advanced_subscriber(
+def subscribed(
+    session: zenoh.Session, key: str, hear: Callable[[zenoh.Sample], object]
+) -> "zenoh.ext.AdvancedSubscriber[None]":
+    """Subscribe as rmw_zenoh does to a transient_local topic."""
+    return zenoh.ext.declare_advanced_subscriber(
         session,
         key,
-        lambda sample: came.append(heard_of(sample)),
+        hear,
         history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1),
         recovery=zenoh.ext.RecoveryConfig(heartbeat=True),  # type: ignore[call-arg]
         subscriber_detection=True,
     )
+
+
+def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
+    """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
+    key = announced(publishers_of(session, topic)[0]).key
+    came: list[Heard] = []
+    joiner = subscribed(session, key, lambda sample: came.append(heard_of(sample)))
     eventually(lambda: len(came) >= count, SIGHT_S, f"late joining of {topic}")
     joiner.undeclare()
     return came

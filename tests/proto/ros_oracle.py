@@ -116,6 +116,24 @@ GAZEBO = {
     "SetLinkProperties_Request": f"string link_name; {_MASSES}",
     "SetLinkProperties_Response": _DONE,
 }
+ACTION = {
+    "SimulateSteps_Goal": "uint64 steps",
+    "SimulateSteps_Result": "simulation_interfaces/Result result",
+    "SimulateSteps_Feedback": "uint64 completed_steps; uint64 remaining_steps",
+    "SimulateSteps_SendGoal_Request": "unique_identifier_msgs/UUID goal_id;"
+    " simulation_interfaces/action/SimulateSteps_Goal goal",
+    "SimulateSteps_SendGoal_Response": "bool accepted; builtin_interfaces/Time stamp",
+    "SimulateSteps_GetResult_Request": "unique_identifier_msgs/UUID goal_id",
+    "SimulateSteps_GetResult_Response": "int8 status;"
+    " simulation_interfaces/action/SimulateSteps_Result result",
+    "SimulateSteps_FeedbackMessage": "unique_identifier_msgs/UUID goal_id;"
+    " simulation_interfaces/action/SimulateSteps_Feedback feedback",
+}
+"""What rosidl makes of the one action."""
+CANCEL = {
+    "CancelGoal_Request": "action_msgs/GoalInfo goal_info",
+    "CancelGoal_Response": "int8 return_code; action_msgs/GoalInfo[] goals_canceling",
+}
 ZENSIM = {
     "DriveState": "uint32 epoch; uint64 step; uint64 time_ns; uint8[] claims; uint8[] base;"
     " uint8[] joint_positions; uint8[] joint_velocities; uint32 newest_claim; bool is_awaited",
@@ -152,6 +170,10 @@ for _name, _fields in GAZEBO.items():
     define(f"gazebo_msgs/msg/{_name}", _fields)
 for _name in ("Empty_Request", "Empty_Response"):
     define(f"std_srvs/msg/{_name}", EMPTY)
+for _name, _fields in ACTION.items():
+    define(f"simulation_interfaces/action/{_name}", _fields)
+for _name, _fields in CANCEL.items():
+    define(f"action_msgs/msg/{_name}", _fields)
 for _name, _fields in ZENSIM.items():
     define(f"zensim/msg/{_name}", _fields)
 

@@ -1,8 +1,10 @@
 """A topic on its bare key and on ROS 2's."""
 
 from collections.abc import Callable
+from typing import cast
 
-from proto.faces import Faces, TopicPublisher
+from proto.channels import Stamp
+from proto.faces import Face, Faces, TopicPublisher
 from proto.geometry import Twist, TwistStamped
 from proto.ros2.attachment import read_attachment
 from proto.ros2.settings import RosSettings
@@ -166,3 +168,42 @@ def test_topics_have_one_face_without_ros() -> None:
     assert not bus.is_heard("0/r1/cmd_vel/a/b")
     heard.close()
     assert not bus.is_heard("r1/cmd_vel")
+
+
+class Stamps:
+    """A publisher that keeps the stamps of what is put, and a clock that makes them."""
+
+    is_matched = True
+
+    def __init__(self) -> None:
+        self.sent: list[object] = []
+
+    def make(self) -> Stamp:
+        return cast("Stamp", object())
+
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        del payload, attachment
+        self.sent.append(stamp)
+
+    def close(self) -> None:
+        raise AssertionError
+
+
+def test_latched_value_keeps_its_stamp_until_it_changes() -> None:
+    stamps = Stamps()
+    face = Face(stamps, None, stamps.make)
+
+    for payload in (b"1", b"1", b"2"):
+        face.send(payload)
+
+    first, again, changed = stamps.sent
+    assert first is again
+    assert changed is not first
+
+
+def test_value_that_is_not_latched_is_not_stamped() -> None:
+    stamps = Stamps()
+
+    Face(stamps).send(b"1")
+
+    assert stamps.sent == [None]

@@ -75,6 +75,19 @@ def test_bridge_is_told_of_routes_when_asked_for() -> None:
     assert bus.alive("@/*/@ros2_lv") == [f"@/{bus.zid}/@ros2_lv"]
 
 
+def test_bridge_is_told_of_an_action_and_not_of_what_it_is_made_of() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(is_bridged=True))
+
+    node.offer_action("simulate_steps", "simulation_interfaces/action/SimulateSteps")
+    node.join_topic("MP", Topic("simulate_steps/_action/status", String, is_latched=True))
+
+    assert bus.alive("@/*/@ros2_lv/*/**") == [
+        f"@/{bus.zid}/@ros2_lv/AS/simulate_steps/simulation_interfaces§action§SimulateSteps"
+    ]
+    assert bus.alive("@ros2_lv/0/*/*/*/MP/**") != []
+
+
 def test_bridge_is_not_told_unless_asked_for() -> None:
     bus = MemoryBus()
 

@@ -1,18 +1,16 @@
 """Hashes of our Structs against published ones, and against an independent implementation."""
 
-from typing import Any, ClassVar, cast
+from typing import ClassVar
 
 import msgspec
 import pytest
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 
 from proto import cdr, geometry, services, topics
 from proto.catalog import SERVICES, Service
 from proto.ros2.type_hash import service_hash, service_type, type_hash
 from proto.widths import Int64
-from tests.proto.ros_oracle import HUMBLE, knows
+from tests.proto.ros_hashes import hash_of_message, hash_of_service
+from tests.proto.ros_oracle import knows
 from tests.proto.test_cdr import EXPRESSIBLE, ros_type_of
 
 PUBLISHED = {
@@ -83,36 +81,6 @@ class NoWidth(msgspec.Struct, frozen=True):
     number: int = 0
 
 
-def oracle_store() -> Typestore:
-    """Know the oracle's types by the names of services' halves too, and what ROS says of char."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    store.fielddefs.update(HUMBLE.fielddefs)
-    for name, (constants, fields) in HUMBLE.fielddefs.items():
-        if name.endswith(("_Request", "_Response")):
-            store.fielddefs[name.replace("/msg/", "/srv/")] = (constants, fields)
-    info = get_types_from_msg(
-        "uint8 event_type\nbuiltin_interfaces/Time stamp\nuint8[16] client_gid\n"
-        "int64 sequence_number",
-        "service_msgs/msg/ServiceEventInfo",
-    )
-    store.fielddefs.update(info)
-    return store
-
-
-def oracle_service_hash(service: str) -> str:
-    store = oracle_store()
-    definitions = cast("dict[str, Any]", store.fielddefs)
-    halves = [(Nodetype.NAME, f"{service}_{half}") for half in ("Request", "Response")]
-    listed = [(Nodetype.SEQUENCE, (half, 1)) for half in halves]
-    info = (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo")
-    event = [("info", info), ("request", listed[0]), ("response", listed[1])]
-    definitions[f"{service}_Event"] = ([], event)
-    three = [*halves, (Nodetype.NAME, f"{service}_Event")]
-    names = ("request_message", "response_message", "event_message")
-    definitions[service] = ([], list(zip(names, three, strict=True)))
-    return store.hash_rihs01(service)
-
-
 def known_services() -> list[object]:
     return [
         pytest.param(service, id=name)
@@ -132,7 +100,7 @@ def test_type_hash_is_the_published_one(kind: type[msgspec.Struct]) -> None:
 
 @pytest.mark.parametrize("kind", EXPRESSIBLE)
 def test_type_hash_is_what_another_implementation_finds(kind: type[msgspec.Struct]) -> None:
-    assert type_hash(kind) == oracle_store().hash_rihs01(ros_type_of(kind))
+    assert type_hash(kind) == hash_of_message(ros_type_of(kind))
 
 
 @pytest.mark.parametrize("name", PUBLISHED_SERVICES)
@@ -150,7 +118,7 @@ def test_service_hash_is_what_another_implementation_finds(
 ) -> None:
     found = service_hash(service.request, service.response)
 
-    assert found == oracle_service_hash(service_type(service.request))
+    assert found == hash_of_service(service_type(service.request))
 
 
 def test_service_hash_is_that_of_the_design_document() -> None:

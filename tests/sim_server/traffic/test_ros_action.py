@@ -8,9 +8,10 @@ import msgspec
 
 from proto import ros_actions as action
 from proto.codec import Format, decode, encode
+from proto.header import Time, ns_from_time
 from proto.result import ResultCode
 from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.stepping import StepsProgress
+from proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
 from sim_server.traffic.ros_action import CDR, KEPT, MAX_WAITING, StepsAction
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_stage
@@ -69,8 +70,8 @@ class Scene:
     def result(self, goal_id: action.GoalId) -> MemoryCall:
         return self.ask(action.GET_RESULT, action.GetResultRequest(goal_id))
 
-    def cancel(self, goal_id: action.GoalId) -> MemoryCall:
-        info = action.GoalInfo(goal_id)
+    def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:  # noqa: B008
+        info = action.GoalInfo(goal_id, stamp)
         return self.ask(action.CANCEL_GOAL, action.CancelGoalRequest(info))
 
     def turn(self, turns: int = 1) -> None:
@@ -230,6 +231,73 @@ def test_cancel_without_an_id_ends_all_goals() -> None:
     told = read(canceled, action.CancelGoalResponse)
     assert {info.goal_id for info in told.goals_canceling} == {FIRST, SECOND}
     assert scene.statuses() == [action.GoalStatus.CANCELED] * 2
+
+
+def stamp_of(sent: MemoryCall) -> Time:
+    return read(sent, action.SendGoalResponse).stamp
+
+
+def two_goals(scene: Scene) -> tuple[MemoryCall, MemoryCall]:
+    """Begin two goals, the second later by the clock."""
+    first = scene.begin(FIRST, 10_000)
+    scene.turn(2)
+    second = scene.begin(SECOND, 10_000)
+    scene.turn(2)
+    assert ns_from_time(stamp_of(first)) < ns_from_time(stamp_of(second))
+    return first, second
+
+
+def test_cancel_by_a_time_ends_the_goals_that_had_begun() -> None:
+    scene = Scene()
+    first, _ = two_goals(scene)
+
+    canceled = scene.cancel(action.GoalId(), stamp_of(first))
+    scene.turn(3)
+
+    told = read(canceled, action.CancelGoalResponse)
+    assert (told.return_code, ids_of(told)) == (action.CancelCode.NONE, {FIRST})
+    assert scene.statuses() == [action.GoalStatus.CANCELED, action.GoalStatus.EXECUTING]
+
+
+def test_cancel_by_id_and_time_ends_that_goal_and_the_goals_before() -> None:
+    scene = Scene()
+    first, _ = two_goals(scene)
+
+    canceled = scene.cancel(SECOND, stamp_of(first))
+    scene.turn(3)
+
+    assert ids_of(read(canceled, action.CancelGoalResponse)) == {FIRST, SECOND}
+
+
+def test_cancel_by_a_time_before_all_goals_ends_none_and_is_no_error() -> None:
+    scene = Scene()
+    two_goals(scene)
+
+    canceled = scene.cancel(action.GoalId(), Time(1, 0))
+    scene.turn(3)
+
+    told = read(canceled, action.CancelGoalResponse)
+    assert (told.return_code, ids_of(told)) == (action.CancelCode.NONE, set())
+
+
+def ids_of(told: action.CancelGoalResponse) -> set[action.GoalId]:
+    return {info.goal_id for info in told.goals_canceling}
+
+
+def test_cancel_of_all_leaves_the_steps_that_others_asked_for() -> None:
+    scene = Scene()
+    asked = scene.stage.ask("simulate_steps", SimulateStepsRequest(50, "plain"))
+    sent = scene.begin(FIRST, 10_000)
+    scene.turn()
+    assert asked.answers == []
+
+    scene.cancel(action.GoalId())
+    scene.turn(200)
+
+    assert read(sent, action.SendGoalResponse).accepted
+    (answer,) = asked.answers
+    told = decode(SimulateStepsResponse, answer.payload, answer.encoding)
+    assert told.result.result == ResultCode.OK
 
 
 def test_cancel_of_nothing_says_which_nothing() -> None:

@@ -1,0 +1,164 @@
+"""The action /simulate_steps as an independent client drives it, by the rules of rcl_action.
+
+The rules: a goal's id is the client's; three services and two topics stand under `_action/`; the
+status topic is latched, and told at each change; a canceled goal is named in the answer.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+
+from proto.services import State
+from tests.integration.processes import Server, eventually, serving
+from tests.integration.ros_asking import Ask, Do, asking, observing, replies, session_of
+from tests.integration.ros_watching import SIGHT_S, TRANSIENT_LOCAL, subscribed
+from tests.proto.ros_hashes import hash_of_message, hash_of_service
+from tests.proto.ros_oracle import HUMBLE
+
+STEPS = "simulation_interfaces/action/SimulateSteps"
+UNDER = "/simulate_steps/_action"
+FEEDBACK, STATUS = f"{UNDER}/feedback", f"{UNDER}/status"
+STATUSES = "action_msgs/msg/GoalStatusArray"
+EXECUTING, SUCCEEDED, CANCELED = 2, 4, 5
+ENDLESS = 5_000_000
+OK, REJECTED_AS_UNKNOWN = 1, 2
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving("--ros-domain", "0", "--ros-bridge") as found:
+        found.client.set_simulation_state(State.PAUSED)
+        yield found
+
+
+@pytest.fixture
+def do(server: Server) -> Iterator[Do]:
+    with observing(server, 0) as found:
+        yield found
+
+
+def goal_of(number: int) -> dict[str, object]:
+    return {"uuid": [number, *range(15)]}
+
+
+def send(ask: Ask, number: int, steps: int) -> dict[str, object]:
+    kind = f"{STEPS}_SendGoal"
+    answer = ask(
+        f"{UNDER}/send_goal", kind, hash_of_service(kind), goal_id=goal_of(number), steps=steps
+    )
+    assert answer is not None
+    return answer
+
+
+def result(ask: Ask, number: int) -> dict[str, object]:
+    kind = f"{STEPS}_GetResult"
+    answer = ask(f"{UNDER}/get_result", kind, hash_of_service(kind), goal_id=goal_of(number))
+    assert answer is not None
+    return answer
+
+
+def cancel(ask: Ask, number: int) -> dict[str, object]:
+    kind = "action_msgs/srv/CancelGoal"
+    info = {"goal_id": goal_of(number)}
+    answer = ask(f"{UNDER}/cancel_goal", kind, hash_of_service(kind), goal_info=info)
+    assert answer is not None
+    return answer
+
+
+def told_of(heard: list[dict[str, list[dict[str, object]]]], number: int) -> list[object]:
+    """Find what the status topic told of one goal, without repetitions."""
+    all_told = [
+        one["status"]
+        for message in heard
+        for one in message["status_list"]
+        if one["goal_info"]["goal_id"] == goal_of(number)  # type: ignore[index]
+    ]
+    return [one for at, one in enumerate(all_told) if at == 0 or one != all_told[at - 1]]
+
+
+def test_goal_is_accepted_tells_of_its_progress_and_ends(server: Server, do: Do) -> None:
+    ask = asking(do)
+    do("listen", topic=FEEDBACK, kind=f"{STEPS}_FeedbackMessage", qos="")
+    do("listen", topic=STATUS, kind=STATUSES, qos=TRANSIENT_LOCAL)
+    before = server.steps()
+
+    sent = send(ask, 1, 30)
+    ended = result(ask, 1)
+
+    assert sent["accepted"]
+    assert sent["stamp"] != {"sec": 0, "nanosec": 0}
+    assert ended == {"status": SUCCEEDED, "result": {"result": OK, "error_message": ""}}
+    assert server.steps() == before + 30
+    eventually(lambda: told_of(do("heard", topic=STATUS), 1)[-1:] == [SUCCEEDED], SIGHT_S, "status")
+    assert told_of(do("heard", topic=STATUS), 1) == [EXECUTING, SUCCEEDED]
+    last = do("heard", topic=FEEDBACK)[-1]
+    assert last["goal_id"] == goal_of(1)
+    assert (last["completed_steps"], last["remaining_steps"]) == (30, 0)
+
+
+def test_canceled_goal_is_named_and_ends_so(do: Do) -> None:
+    ask = asking(do)
+    send(ask, 2, ENDLESS)
+
+    canceled = cancel(ask, 2)
+    ended = result(ask, 2)
+
+    assert canceled["return_code"] == 0
+    named = canceled["goals_canceling"]
+    assert isinstance(named, list)
+    assert [one["goal_id"] for one in named] == [goal_of(2)]
+    assert ended["status"] == CANCELED
+
+
+def test_goal_that_nobody_sent_is_unknown(do: Do) -> None:
+    ask = asking(do)
+
+    assert cancel(ask, 99)["return_code"] == REJECTED_AS_UNKNOWN
+    assert result(ask, 99)["status"] == 0
+
+
+def test_goal_is_refused_while_time_runs(server: Server, do: Do) -> None:
+    server.client.set_simulation_state(State.PLAYING)
+    try:
+        assert not send(asking(do), 3, 10)["accepted"]
+    finally:
+        server.client.set_simulation_state(State.PAUSED)
+
+
+def statuses_of(sample: zenoh.Sample, number: int) -> list[int]:
+    message: Any = HUMBLE.deserialize_cdr(sample.payload.to_bytes(), STATUSES)
+    listed = message.status_list
+    return [one.status for one in listed if one.goal_info.goal_id.uuid[0] == number]
+
+
+def test_subscriber_of_rmws_kind_hears_each_change_of_a_status(server: Server, do: Do) -> None:
+    key = f"0{STATUS}/action_msgs::msg::dds_::GoalStatusArray_/{hash_of_message(STATUSES)}"
+    came: list[list[int]] = []
+
+    with session_of(server) as session:
+        joiner = subscribed(session, key, lambda sample: came.append(statuses_of(sample, 4)))
+        eventually(lambda: bool(came), SIGHT_S, "what was before")
+        send(asking(do), 4, ENDLESS)
+        eventually(lambda: came[-1] == [EXECUTING], SIGHT_S, "the beginning")
+        cancel(asking(do), 4)
+        eventually(lambda: came[-1] == [CANCELED], SIGHT_S, "the end")
+        joiner.undeclare()
+
+
+def test_bridge_sends_a_goal_on_bare_keys_and_knows_of_the_action(server: Server) -> None:
+    name = f"{STEPS}_SendGoal"
+    uuid = HUMBLE.types["unique_identifier_msgs/msg/UUID"](np.arange(60, 76, dtype=np.uint8))
+    goal = HUMBLE.types[f"{STEPS}_Goal"](5)
+    request = HUMBLE.types[f"{name}_Request"](uuid, goal)
+    payload = bytes(HUMBLE.serialize_cdr(request, f"{name}_Request"))
+
+    (sent,) = replies(server, f"{UNDER}/send_goal".strip("/"), payload, None)
+
+    answer: Any = HUMBLE.deserialize_cdr(sent.payload.to_bytes(), f"{name}_Response")
+    assert answer.accepted
+    told = {"/".join(route.split("/")[3:]) for route in server.bus.alive("@/*/@ros2_lv/**")}
+    assert "AS/simulate_steps/simulation_interfaces§action§SimulateSteps" in told
+    assert not [route for route in told if "_action" in route]
