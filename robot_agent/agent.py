@@ -19,6 +19,7 @@ from robot_agent.claimer import Claimer, Wish
 from robot_agent.fleet import Fleet
 from robot_agent.network import Network
 from robot_agent.pool.fleet import PoolFleet
+from robot_agent.precedence import Precedence, be_nice
 from robot_agent.rates import Rates, with_rates
 from robot_agent.reading import Timeline
 from robot_agent.rhythm import Rhythm
@@ -115,6 +116,7 @@ class Agent:
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
         self._rhythm = Rhythm()
+        self._precedence = Precedence(be_nice)
         self._look_s = self._now_s = -math.inf
 
     def close(self) -> None:
@@ -181,6 +183,7 @@ class Agent:
         try:
             state = decode(DriveState, sample.payload, sample.encoding)
             self._rhythm.note_state(self._now_s, is_awaited=state.is_awaited)
+            self._precedence.note_state(self._now_s, state)
             self._follow(state)
         except MalformedPayload as error:
             self.malformed += 1
