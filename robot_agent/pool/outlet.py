@@ -14,6 +14,7 @@ import msgspec
 from proto.codec import Format, encoding_of
 from proto.ros_graph import RosNode
 from robot_agent.network import Call, Network, Publisher
+from robot_agent.pool.audience import Audience
 from robot_agent.pool.ros_face import RosFace
 
 QUERY_DEPTH = 256
@@ -65,6 +66,8 @@ class FleetOutlet:
         self._undeclared: list[Line] = []
         self._unannounced: list[Line] = []
         self._has_announced = False
+        self._audience = Audience[Line]()
+        self._has_put = False
         self._probe = network.advertise(pattern, self._encoding)
         # Other pools have other robots on the same pattern.
         self._queries = network.serve(pattern, QUERY_DEPTH, is_complete=False)
@@ -91,28 +94,33 @@ class FleetOutlet:
         left = [one for one in self._lines.pop(line.key, ()) if one is not line]
         if left:
             self._lines[line.key] = left
-        if line.publisher is not None:
-            line.publisher.close()
-            line.publisher = None
+        self._audience.remove(line)
+        line.publisher = None
         if self._ros is not None:
             self._ros.remove(line)
 
     def declare_some(self) -> None:
-        """Declare some of the publishers that are missing, when anybody listens."""
+        """Declare some of the publishers that are missing, when anybody listens; see who does."""
         if self._ros is not None:
             self._ros.declare_some()
-        if not self._undeclared or not self._probe.is_matched:
+        if not self._lines or not self._probe.is_matched:
             return
+        if self._has_put and not self._undeclared:
+            self._audience.ask_some()
+            self._has_put = False
         some, self._undeclared = self._undeclared[:AT_ONCE], self._undeclared[AT_ONCE:]
         for line in some:
             if line in self._lines.get(line.key, ()):
                 line.publisher = self._network.advertise(line.key, self._encoding)
+                self._audience.add(line, line.publisher)
 
     def put(self, lines: Sequence[Line], payloads: Sequence[bytes]) -> None:
-        """Put a payload on each line; on those without a publisher yet nothing."""
-        for line, payload in zip(lines, payloads, strict=True):
-            if line.publisher is not None:
-                line.publisher.send(payload)
+        """Put a payload on each line that is heard; on those without a publisher yet nothing."""
+        self._has_put = True
+        heard = self._audience.heard if self._probe.is_matched else {}
+        for line, payload in zip(lines, payloads, strict=True) if heard else ():
+            if (publisher := heard.get(line)) is not None:
+                publisher.send(payload)
         if self._ros is not None:
             self._ros.put(lines, payloads)
 

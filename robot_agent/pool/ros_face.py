@@ -4,6 +4,7 @@ One publisher on a pattern sees whoever listens to any robot; tokens, and then p
 declared a few at a time.
 """
 
+import time
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
@@ -11,9 +12,11 @@ import msgspec
 
 from proto.codec import Format, encoding_of
 from proto.faces import CACHE, Face
+from proto.ros2.attachment import Attachments
 from proto.ros2.tokens import Endpoint
-from proto.ros_graph import RosGraph, RosNode, Topic
+from proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
 from robot_agent.network import Call, Network
+from robot_agent.pool.audience import Audience
 
 QUERY_DEPTH = 256
 AT_ONCE = 16
@@ -64,6 +67,11 @@ class RosFace:
         self._unjoined: list[Line] = []
         self._joined: dict[Line, Endpoint] = {}
         self._faces: dict[Line, Face] = {}
+        """Of a latched topic: what each says does not change."""
+        self._audience = Audience[Line]()
+        self._attachments = Attachments()
+        self._rows: dict[Line, int] = {}
+        """Of a topic whose messages are put: where each has its attachment."""
         self._ros_keys: dict[Line, str] = {}
         self._graph = graph
         key = graph.data_key(topic)
@@ -88,6 +96,9 @@ class RosFace:
         self._ros_keys.pop(line, None)
         if (face := self._faces.pop(line, None)) is not None:
             face.close()
+        if (row := self._rows.pop(line, None)) is not None:
+            self._attachments.remove(row)
+            self._audience.remove(line)
 
     def declare_some(self) -> None:
         """Announce some of those that are not yet; and declare publishers when anybody listens."""
@@ -95,16 +106,27 @@ class RosFace:
             some, self._unjoined = self._unjoined[:AT_ONCE], self._unjoined[AT_ONCE:]
             for line in some:
                 self._join(line)
-        elif len(self._faces) < len(self._joined) and self.is_wanted:
-            missing = [line for line in self._joined if line not in self._faces]
+        elif not self.is_wanted:
+            return
+        elif len(self._faces) + len(self._rows) < len(self._joined):
+            is_there = self._faces if self._topic.is_latched else self._rows
+            missing = [line for line in self._joined if line not in is_there]
             for line in missing[:AT_ONCE]:
                 self._declare(line)
+        else:
+            self._audience.ask_some()
 
     def put(self, lines: Sequence[Line], payloads: Sequence[bytes]) -> None:
-        """Put a payload on each line; on those without a publisher yet nothing."""
-        for line, payload in zip(lines, payloads, strict=True):
-            if (face := self._faces.get(line)) is not None:
-                face.send(payload)
+        """Put a payload on each line that is heard; on those without a publisher yet nothing."""
+        heard = self._audience.heard
+        told = [
+            (publisher, payload, self._rows[line])
+            for line, payload in zip(lines, payloads, strict=True)
+            if (publisher := heard.get(line)) is not None
+        ]
+        attachments = self._attachments.following([row for _, _, row in told], time.time_ns())
+        for (publisher, payload, _), attachment in zip(told, attachments, strict=True):
+            publisher.send(payload, attachment)
 
     def answer(self) -> None:
         """Tell last values to those who have come late."""
@@ -131,22 +153,21 @@ class RosFace:
             self._joined[line] = line.node.join_topic("MP", self._of(line))
         return self._joined[line]
 
-    def _declare(self, line: Line) -> Face | None:
-        if line in self._faces:
-            return self._faces[line]
-        if (endpoint := self._join(line)) is None:
-            return None
+    def _declare(self, line: Line) -> None:
+        if line in self._faces or (endpoint := self._join(line)) is None:
+            return
         publisher = self._network.advertise(self._ros_keys[line], self._encoding)
-        stamp = self._network.stamp if self._topic.is_latched else None
-        face = self._faces[line] = Face(publisher, endpoint, stamp)
-        if self._topic.is_latched and publisher.is_matched:
-            payload = line.values.payload(line.row)
-            if payload is not None:
-                face.send(payload)
-        return face
+        if not self._topic.is_latched:
+            self._rows[line] = self._attachments.add(gid_of_endpoint(endpoint))
+            self._audience.add(line, publisher)
+            return
+        face = self._faces[line] = Face(publisher, endpoint, self._network.stamp)
+        if publisher.is_matched and (payload := line.values.payload(line.row)) is not None:
+            face.send(payload)
 
     def _tell(self, line: Line, call: Call) -> None:
-        payload, face = line.values.payload(line.row), self._declare(line)
+        self._declare(line)
+        payload, face = line.values.payload(line.row), self._faces.get(line)
         if payload is not None and face is not None:
             face.add_reply(call, self._ros_keys[line], payload, self._encoding)
 

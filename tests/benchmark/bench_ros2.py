@@ -1,32 +1,60 @@
 """ROS 2's face
 
-CPU time of the server and of a pool that drives 100 robots, a simulated second, with odometry and
-tf at every state: without ROS 2, with its face and nobody who looks, and with one who looks at
-everything on it. Floor: the same two processes with `--ros-domain off`, taken in turns. What is
-asked is asked of the server's tick; this is stricter, as it counts all that both processes do: the
-messages of a pool, and that the server's router passes them on.
+A server and a pool that drives 100 robots, with odometry and tf at every state, without ROS 2 (the
+floor, `--ros-domain off`) and with its face, taken in turns: while nobody looks, while one looks at
+everything on the face, and while one also looks at everything on the plain keys of the floor. What
+is asked is asked of the server's tick: CPU time of the loop's thread a step. Below it stands what
+the look makes the server's other threads pass on and the pool tell, beyond what they do when nobody
+looks; there the floor is what the same messages cost on plain keys.
 """
 
 import json
-import math
+import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 
-import psutil
 import zenoh
 
 from spawner.launch import spawn_fleet
 from spawner.placement import fleet_places
 from tests.benchmark.figures import Asked, Figure, table
+from tests.benchmark.fleet import MILLISECONDS
+from tests.benchmark.machine import thread_used_s, used_s
 from tests.integration.processes import Server, running, serving, wait_for_agents
 
 __all__ = ["rows", "table"]
 
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 3
-WINDOWS, WINDOW_S = 6, 2.0
+WINDOWS, WINDOW_S = 8, 2.0
 UNSEEN = Asked("median", "<=", 1.03)
 SEEN = Asked("median", "<=", 1.15)
+FACE = ("0/**",)
+PLAIN = ("*/*", "tf", *(f"sim/default/{name}" for name in ("clock", "model_states", "link_states")))
+"""The same, without ROS 2."""
+TICK, ROUTER, POOL = "the tick", "the server's other threads", "the pool"
+ALL = "both processes"
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A server, and a pool that drives all its robots."""
+
+    server: Server
+    pool: int
+    """Its process."""
+
+    def used_s(self) -> dict[str, float]:
+        """Tell the CPU time of each part so far."""
+        # The loop has the server's main thread.
+        pid = self.server.process.pid
+        tick_s = thread_used_s(pid, pid)
+        return {TICK: tick_s, ROUTER: used_s(pid) - tick_s, POOL: used_s(self.pool)}
+
+
+Costs = dict[str, float]
+"""CPU of each part a step [ms]."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
@@ -34,55 +62,79 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
     windows, window_s = (1, 0.2) if is_short else (WINDOWS, WINDOW_S)
     with ExitStack() as stack:
-        plain = stack.enter_context(_driven(robots, "off"))
-        faced = stack.enter_context(_driven(robots, "0"))
-        quiet = [(_cost(plain, window_s), _cost(faced, window_s)) for _ in range(windows)]
-        with _looking(faced[0]):
-            seen = [(_cost(plain, window_s), _cost(faced, window_s)) for _ in range(windows)]
-    yield from _figures(f"{robots} robots, nobody looks", quiet, UNSEEN)
-    yield from _figures(f"{robots} robots, one looks at all", seen, SEEN)
+        both = [stack.enter_context(_driven(robots, domain)) for domain in ("off", "0")]
+        quiet = _turns(both, windows, window_s)
+        with _looking(both[1].server, FACE):
+            seen = _turns(both, windows, window_s)
+            with _looking(both[0].server, PLAIN):
+                alike = _turns(both, windows, window_s)
+    yield from _ticks(f"{robots} robots, nobody looks", quiet, UNSEEN)
+    yield from _ticks(f"{robots} robots, one looks at all", seen, SEEN)
+    yield from _passing_on(f"{robots} robots, one looks at all", quiet, alike)
 
 
-def _figures(what: str, pairs: list[tuple[float, float]], asked: Asked) -> Iterator[Figure]:
-    for whom, samples in zip(("floor, no ROS 2", "ROS 2"), zip(*pairs, strict=True), strict=True):
-        yield Figure(what=f"{what}: {whom}", unit="ms CPU a simulated s", samples=tuple(samples))
-    ratio = tuple(faced / plain for plain, faced in pairs)
-    yield Figure(what=f"{what}: ROS 2 / floor", unit="", samples=ratio, asked=asked)
+def _ticks(whom: str, turns: Sequence[tuple[Costs, Costs]], asked: Asked) -> Iterator[Figure]:
+    for number, face in enumerate(("floor, no ROS 2", "ROS 2")):
+        samples = tuple(turn[number][TICK] for turn in turns)
+        yield Figure(what=f"{whom}: {TICK}, {face}", unit="CPU ms a step", samples=samples)
+    ratio = tuple(faced[TICK] / plain[TICK] for plain, faced in turns)
+    yield Figure(what=f"{whom}: {TICK}, ROS 2 / floor", unit="", samples=ratio, asked=asked)
+
+
+def _passing_on(
+    whom: str, quiet: Sequence[tuple[Costs, Costs]], seen: Sequence[tuple[Costs, Costs]]
+) -> Iterator[Figure]:
+    """Say what being looked at costs, beyond what each part does anyway."""
+    for part in (ROUTER, POOL):
+        anyway = [statistics.median(turn[number][part] for turn in quiet) for number in (0, 1)]
+        extra = [
+            [one[part] - idle for one, idle in zip(turn, anyway, strict=True)] for turn in seen
+        ]
+        for number, face in enumerate(("floor, plain keys", "ROS 2")):
+            samples = tuple(one[number] for one in extra)
+            yield Figure(what=f"{whom}: {part}, {face}", unit="CPU ms a step", samples=samples)
+        ratio = tuple(faced / plain for plain, faced in extra)
+        yield Figure(what=f"{whom}: {part}, ROS 2 / floor", unit="", samples=ratio)
+    ratio = tuple(sum(faced.values()) / sum(plain.values()) for plain, faced in seen)
+    yield Figure(what=f"{whom}: {ALL}, ROS 2 / floor, plain keys", unit="", samples=ratio)
 
 
 @contextmanager
-def _driven(robots: int, domain: str) -> Iterator[tuple[Server, list[psutil.Process]]]:
+def _driven(robots: int, domain: str) -> Iterator[Driven]:
     with serving("--ros-domain", domain) as server:
         places = fleet_places("box_bot", robots, "grid", 1.0)
         spawn_fleet(server.client, "box_bot", places, lambda _: None)
         arguments = ("agent", "--pool", "0", "--connect", server.endpoint, "--quiet")
         with running(*arguments, "--ros-domain", domain) as pool:
             wait_for_agents(server, [place.name for place in places])
-            # Of the process itself: the server's reader of descriptions has nothing to do here.
-            yield server, [psutil.Process(server.process.pid), psutil.Process(pool.pid)]
+            yield Driven(server, pool.pid)
 
 
 @contextmanager
-def _looking(server: Server) -> Iterator[None]:
+def _looking(server: Server, keys: Sequence[str]) -> Iterator[None]:
+    """Listen, and throw all away."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
     with zenoh.open(config) as session:
         channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
-        subscriber = session.declare_subscriber("0/**", channel)
+        subscribers = [session.declare_subscriber(key, channel) for key in keys]
+        # Publishers are declared when somebody listens.
         time.sleep(WINDOW_S)
         yield
-        subscriber.undeclare()
+        for subscriber in subscribers:
+            subscriber.undeclare()
 
 
-def _cost(driven: tuple[Server, list[psutil.Process]], window_s: float) -> float:
-    server, processes = driven
-    began, before_s = server.client.info().sim_time_s, _used_s(processes)
+def _turns(both: Sequence[Driven], windows: int, window_s: float) -> list[tuple[Costs, Costs]]:
+    return [(_costs(both[0], window_s), _costs(both[1], window_s)) for _ in range(windows)]
+
+
+def _costs(driven: Driven, window_s: float) -> Costs:
+    steps, before_s = driven.server.steps(), driven.used_s()
     time.sleep(window_s)
-    simulated_s = server.client.info().sim_time_s - began
-    return 1000.0 * (_used_s(processes) - before_s) / simulated_s
-
-
-def _used_s(processes: list[psutil.Process]) -> float:
-    times = [process.cpu_times() for process in processes]
-    return math.fsum(one.user + one.system for one in times)
+    steps = driven.server.steps() - steps
+    return {
+        part: (spent_s - before_s[part]) / steps * MILLISECONDS
+        for part, spent_s in driven.used_s().items()
+    }

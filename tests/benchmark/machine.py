@@ -65,6 +65,12 @@ def used_s(pid: int) -> float:
     return time.clock_gettime((~pid << 3) | 2)
 
 
+def thread_used_s(pid: int, thread: int) -> float:
+    """Tell the CPU time [s] of a thread of a running process, to its last change or tick."""
+    stat = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text(encoding="ascii")
+    return int(stat.split()[0]) * 1e-9
+
+
 def _cpu_model() -> str:
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
