@@ -22,7 +22,8 @@ from robot_agent.pool.fleet import PoolFleet
 from robot_agent.precedence import Precedence, be_nice
 from robot_agent.rates import Rates, with_rates
 from robot_agent.reading import Timeline
-from robot_agent.rhythm import Rhythm
+from robot_agent.revising import Revising
+from robot_agent.rhythm import COMMANDS_S, LONGEST_S, Rhythm
 from robot_agent.share_claimer import ShareClaimer, ShareWish
 from robot_agent.upkeep import Kept, Upkeep
 
@@ -67,6 +68,9 @@ class Held(Kept, Protocol):
 
     def advance(self, state: DriveState) -> DriveCommand:
         """Drive by one control period."""
+
+    def revise(self) -> DriveCommand | None:
+        """Answer the last state anew if a command that came since changes the answer."""
 
     def tell(self) -> None:
         """Publish what the last state made due."""
@@ -115,8 +119,9 @@ class Agent:
         self._fleet = _fleet_of(network, config, self._graph, self._ears)
         self._timeline = Timeline()
         self._upkeep = Upkeep(self._fleet)
-        self._rhythm = Rhythm()
         self._precedence = Precedence(be_nice)
+        self._rhythm = Rhythm(COMMANDS_S if config.pool_limit is None else LONGEST_S)
+        self._revising = Revising()
         self._look_s = self._now_s = -math.inf
 
     def close(self) -> None:
@@ -179,6 +184,7 @@ class Agent:
     def _drive(self) -> bool:
         sample = self._states.newest()
         if sample is None:
+            self._revise()
             return False
         try:
             state = decode(DriveState, sample.payload, sample.encoding)
@@ -204,6 +210,7 @@ class Agent:
         if not state.claims:
             return
         payload = encode(self._fleet.advance(state), Format.MSGPACK)
+        self._revising.note_state(state, self._now_s)
         if state.is_awaited:
             # One link keeps the order: who sees the command has seen what the state made due.
             self._fleet.tell()
@@ -211,6 +218,14 @@ class Agent:
         else:
             self._commands.send(payload)
             self._fleet.tell()
+
+    def _revise(self) -> None:
+        """Let a command that has come since the last state take effect before the next one."""
+        if not self._revising.is_open(self._now_s):
+            return
+        if (command := self._fleet.revise()) is not None:
+            self._commands.send(encode(command, Format.MSGPACK))
+            self._revising.close()
 
     def _lose(self, entities: tuple[str, ...], reason: str) -> None:
         if not entities:

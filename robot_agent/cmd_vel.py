@@ -27,23 +27,24 @@ class CommandedTwist:
         self._fault = ""
         self._subscription = subscription
         self._timeout_ns = timeout_ns
-        self._twist = STILL
+        self.twist = STILL
+        """As it was when it was asked for last."""
         self._seen_ns = 0
 
     def reset(self) -> None:
         """Forget the twist; one that waits in the channel still counts."""
-        self._twist = STILL
+        self.twist = STILL
 
     def at(self, time_ns: int) -> Twist:
         """Find the twist at a moment of simulation time."""
         for sample in reversed(self._subscription.take()):
             twist = self._read(sample)
             if twist is not None:
-                self._twist, self._seen_ns = twist, time_ns
+                self.twist, self._seen_ns = twist, time_ns
                 break
         if self._timeout_ns and time_ns - self._seen_ns > self._timeout_ns:
-            self._twist = STILL
-        return self._twist
+            self.twist = STILL
+        return self.twist
 
     def take_complaint(self) -> str:
         """Say what was malformed since the last time; empty when nothing was."""

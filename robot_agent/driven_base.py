@@ -1,5 +1,7 @@
 """A robot's base under its drive: readings and twists in, targets and odometry out."""
 
+from dataclasses import dataclass
+
 from proto.drives import DiffDrive, Drive
 from proto.geometry import Twist
 from proto.model import Model
@@ -44,6 +46,15 @@ def gate_of(rate_hz: float | None) -> RateGate | None:
     return None if rate_hz is None else RateGate(rate_hz)
 
 
+@dataclass(frozen=True, slots=True)
+class _Update:
+    """What the drive had before it at its last update."""
+
+    measured: Measured
+    elapsed_s: float
+    memory: tuple[float, ...]
+
+
 class DrivenBase:
     """Keeps a drive and its odometry at the drive's own rates."""
 
@@ -56,6 +67,8 @@ class DrivenBase:
         """As of the last odometry."""
         self._base_in_root = base_of(model).in_root
         self._drive = controller_of(drive)
+        self._last: _Update | None = None
+        """None when the drive was not due at the last reading."""
         self._gate = RateGate(drive.update_rate_hz)
         # Without a rate of its own a motion is due whenever the drive is.
         self._odometry_gate = gate_of(motion_rates(drive)[0])
@@ -71,6 +84,7 @@ class DrivenBase:
         """Start again: time may have gone back."""
         self.targets = self._standing
         self.motion = Motion()
+        self._last = None
         self._drive.reset()
         self._gate.reset()
         if self._odometry_gate is not None:
@@ -90,7 +104,16 @@ class DrivenBase:
             self.motion = self._motion(reading)
         return is_due
 
+    def revise(self, twist: Twist) -> bool:
+        """Make the last update anew, as if this twist had been there; tell whether it was due."""
+        if (last := self._last) is None:
+            return False
+        self._drive.memory = last.memory
+        self.targets = self._drive.update(twist, measured=last.measured, elapsed_s=last.elapsed_s)
+        return True
+
     def _drive_on(self, reading: Reading, twist: Twist) -> bool:
+        self._last = None
         elapsed_s = self._gate.elapsed_s(reading.time_ns)
         if elapsed_s is None:
             return False
@@ -98,8 +121,8 @@ class DrivenBase:
             [reading.positions[joint] for joint in self._measured],
             [reading.velocities[joint] for joint in self._measured],
         )
-        self.targets = self._drive.update(twist, measured=measured, elapsed_s=elapsed_s)
-        return True
+        self._last = _Update(measured, elapsed_s, self._drive.memory)
+        return self.revise(twist)
 
     def _motion(self, reading: Reading) -> Motion:
         if self._encoder is not None:

@@ -34,6 +34,8 @@ class Fleet:
         self.newest_claim = 0
         """The newest claim that is held; 0 without any."""
         self._ordered: tuple[Robot, ...] = ()
+        self._state: DriveState | None = None
+        """That was answered last."""
         self._layout = Layout(())
 
     @property
@@ -93,16 +95,28 @@ class Fleet:
             self._layout = Layout([robot.joint_count for robot in self._ordered])
             self._claims = state.claims
         readings = self._layout.readings(state)
-        targets: list[float] = []
         for robot, reading in zip(self._ordered, readings, strict=True):
-            targets += robot.advance(reading)
-        packed = struct.pack(f"<{len(targets)}d", *targets)
-        return DriveCommand(state.epoch, state.step, state.claims, packed)
+            robot.advance(reading)
+        self._state = state
+        return self._command(state)
+
+    def revise(self) -> DriveCommand | None:
+        """Answer the last state anew if a twist has come since that changes the answer."""
+        if self._state is None or self._state.claims != self._claims:
+            return None
+        # All are asked: each takes what it hears.
+        is_revised = [robot.revise() for robot in self._ordered]
+        return self._command(self._state) if any(is_revised) else None
 
     def tell(self) -> None:
         """Publish what the last state made due."""
         for robot in self._ordered:
             robot.tell()
+
+    def _command(self, state: DriveState) -> DriveCommand:
+        targets = [target for robot in self._ordered for target in robot.targets]
+        packed = struct.pack(f"<{len(targets)}d", *targets)
+        return DriveCommand(state.epoch, state.step, state.claims, packed)
 
     def answer(self) -> None:
         """Tell last values to those who have asked."""

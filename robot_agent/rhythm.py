@@ -10,6 +10,8 @@ LOOK_S = 0.001
 """Pause between looks around then."""
 LONGEST_S = 0.01
 """Pause in which everything else may wait."""
+COMMANDS_S = 0.0035
+"""Pause in which a command may wait that could change the last answer."""
 IDLE_AFTER_S, IDLE_S = 0.5, 0.003
 """When no state has come for so long, time stands: the first one then may wait a little."""
 EAGER_S, EAGER_LOOK_S = 0.02, 0.0003
@@ -21,7 +23,13 @@ SLOWER = 1.1
 class Rhythm:
     """Learns the wall time between drive states."""
 
-    def __init__(self) -> None:
+    def __init__(self, longest_s: float = LONGEST_S) -> None:
+        """Know nothing yet.
+
+        Args:
+            longest_s: Pause in which nothing else is looked for.
+        """
+        self._longest_s = longest_s
         self._state_s = self._eager_until_s = -math.inf
         self._period_s = 0.0
 
@@ -41,4 +49,4 @@ class Rhythm:
         if passed_s > IDLE_AFTER_S:
             return IDLE_S
         left_s = max(SOONEST_S, self._period_s - EARLY_S) - passed_s
-        return min(left_s, LONGEST_S) if left_s > 0.0 else LOOK_S
+        return min(left_s, self._longest_s) if left_s > 0.0 else LOOK_S

@@ -53,6 +53,19 @@ class Robot:
         self._is_motion_new = self._base.update(reading, twist)
         return self._base.targets
 
+    @property
+    def targets(self) -> tuple[float, ...]:
+        """Numbers for `Model.actuators`, as of the last reading."""
+        return self._base.targets
+
+    def revise(self) -> bool:
+        """Heed a new twist as if it had come before the last reading; tell whether one did."""
+        if self.commanded is None or self._reading is None:
+            return False
+        before = self.commanded.twist
+        twist = self.commanded.at(self._reading.time_ns)
+        return twist != before and self._base.revise(twist)
+
     def tell(self) -> None:
         """Publish what the last reading made due."""
         if self._reading is None:

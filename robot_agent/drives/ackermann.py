@@ -23,6 +23,7 @@ class AckermannSteering:
         self._half_track = parameters.track_m / 2.0
         self._ratio = parameters.max_steering_angle / max(parameters.max_steer, 1e-9)
         self._has_steering_wheel = bool(parameters.steering_wheel_joint)
+        self.memory: tuple[float, ...] = ()
 
     def reset(self) -> None:
         """Do nothing: it remembers nothing."""

@@ -20,6 +20,9 @@ class Measured(msgspec.Struct, frozen=True, gc=False):
 class Controller(Protocol):
     """Finds what actuators are to do."""
 
+    memory: tuple[float, ...]
+    """What updates leave behind; who sets it back can have the last one made anew."""
+
     def reset(self) -> None:
         """Forget what was told before."""
 

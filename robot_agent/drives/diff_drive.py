@@ -32,6 +32,15 @@ class DifferentialDrive:
         self._linear = LimitedVelocity(parameters.linear_limits)
         self._angular = LimitedVelocity(parameters.angular_limits)
 
+    @property
+    def memory(self) -> tuple[float, ...]:
+        """See `Controller.memory`."""
+        return (*self._instructed, self._linear.now, self._angular.now)
+
+    @memory.setter
+    def memory(self, memory: tuple[float, ...]) -> None:
+        *self._instructed, self._linear.now, self._angular.now = memory
+
     def reset(self) -> None:
         """Forget what the wheels were told."""
         self._instructed = [0.0] * len(self._radii)

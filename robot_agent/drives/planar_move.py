@@ -13,6 +13,9 @@ MAX_SPEED = 1e6
 class PlanarMotion:
     """Passes on what is planar of a twist: x, y and yaw."""
 
+    def __init__(self) -> None:
+        self.memory: tuple[float, ...] = ()
+
     def reset(self) -> None:
         """Do nothing: it remembers nothing."""
 

@@ -21,6 +21,7 @@ class TricycleSteering:
     def __init__(self, parameters: TricycleDrive) -> None:
         self._parameters = parameters
         self._radius = parameters.actuated_wheel_diameter_m / 2.0
+        self.memory: tuple[float, ...] = ()
 
     def reset(self) -> None:
         """Do nothing: it remembers nothing."""

@@ -13,11 +13,12 @@ class LimitedVelocity:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._now = 0.0
+        self.now = 0.0
+        """As of the last update."""
 
     def reset(self) -> None:
         """Stand."""
-        self._now = 0.0
+        self.now = 0.0
 
     def update(self, wanted: float, elapsed_s: float) -> float:
         """Find the velocity after so much simulation time."""
@@ -26,11 +27,11 @@ class LimitedVelocity:
             return wanted
         bounded = _between(wanted, limits.min_velocity, limits.max_velocity)
         slowest, fastest = (
-            None if rate is None else self._now + rate * elapsed_s
+            None if rate is None else self.now + rate * elapsed_s
             for rate in (limits.min_acceleration, limits.max_acceleration)
         )
-        self._now = _between(bounded, slowest, fastest)
-        return self._now
+        self.now = _between(bounded, slowest, fastest)
+        return self.now
 
 
 def _between(value: float, low: float | None, high: float | None) -> float:

@@ -140,6 +140,9 @@ class PoolFleet:
             targets[loner.targets] = loner.robot.advance(_reading_of(loner, read))
         return DriveCommand(state.epoch, state.step, state.claims, _bytes_of(targets))
 
+    def revise(self) -> None:
+        """Answer states only: for one robot's command, arrays of all would be made anew."""
+
     def tell(self) -> None:
         """Publish what the last state made due."""
         for squad in self._squads.values():

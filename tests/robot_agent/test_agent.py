@@ -273,3 +273,61 @@ def test_agent_that_runs_drives_until_something_raises() -> None:
         run_agent(bus, config, clock=clock, sleep=clock.sleep)
 
     assert clock.now_s == pytest.approx(2.5, abs=1.0)
+
+
+def revised(scene: Scene) -> list[tuple[float, ...]]:
+    """Poll between two states; return the targets of the commands that come of it."""
+    scene.server.commands()
+    scene.now_s += 0.004
+    assert not scene.agent.poll(scene.now_s)
+    return [
+        struct.unpack(f"<{len(command.targets) // 8}d", command.targets)
+        for command in scene.server.commands()
+    ]
+
+
+def test_agent_answers_the_last_state_anew_when_a_command_comes_between_two() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(3)
+    scene.drive_to(6)
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+
+    assert revised(scene) == [pytest.approx((5.0, 5.0))]
+    assert scene.drive_to(9) == [pytest.approx((5.0, 5.0))]
+
+
+def test_agent_answers_a_state_anew_only_once() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.drive_to(3)
+    scene.drive_to(6)
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+    revised(scene)
+    scene.bus.put_message("r1/cmd_vel", BACK)
+
+    assert revised(scene) == []
+    assert scene.drive_to(9) == [pytest.approx((-5.0, -5.0))]
+
+
+def test_agent_answers_nothing_anew_when_a_command_says_the_same_again() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+    scene.drive_to(3)
+    scene.drive_to(6)
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+
+    assert revised(scene) == []
+
+
+def test_agent_keeps_a_command_for_the_next_state_when_answers_are_awaited() -> None:
+    scene = Scene("r1")
+    scene.poll()
+    for step in (3, 6):
+        scene.server.send(replace(a_state(step), is_awaited=True))
+        scene.poll()
+    scene.bus.put_message("r1/cmd_vel", FORWARD)
+
+    assert revised(scene) == []
+    assert scene.drive_to(9) == [pytest.approx((5.0, 5.0))]

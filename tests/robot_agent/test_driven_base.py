@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from proto.drives import Compat, PlanarMove
+from proto.drives import Compat, Limits, PlanarMove
 from proto.geometry import Twist, Vector3
 from robot_agent.driven_base import DrivenBase
 from robot_agent.odometry import Motion
@@ -135,3 +135,38 @@ def test_speed_by_encoders_in_reverse_is_negative_unless_it_is_gazebos(
 
     assert base.motion.position == pytest.approx((-0.1, 0.0, 0.0))
     assert base.motion.linear_x == pytest.approx(speed)
+
+
+@pytest.mark.parametrize("first", [Twist(), FORWARD, Twist(Vector3(-0.3))])
+def test_base_whose_update_is_revised_goes_on_as_if_the_twist_had_come_before(first: Twist) -> None:
+    limits = Limits(min_acceleration=-2.0, max_acceleration=2.0)
+    drive = msgspec.structs.replace(LIMITED, linear_limits=limits)
+    revised, told = DrivenBase(two_wheeler(drive)), DrivenBase(two_wheeler(drive))
+    for base in (revised, told):
+        base.update(reading(0), Twist(Vector3(0.2)))
+    revised.update(reading(20, velocities=(1.0, 1.0)), first)
+    told.update(reading(20, velocities=(1.0, 1.0)), FORWARD)
+
+    assert revised.revise(FORWARD)
+    assert revised.targets == told.targets
+
+    for base in (revised, told):
+        base.update(reading(40, velocities=(1.2, 1.2)), FORWARD)
+    assert revised.targets == told.targets
+
+
+def test_base_keeps_its_targets_when_the_drive_was_not_due() -> None:
+    base = DrivenBase(two_wheeler(msgspec.structs.replace(DRIVE, update_rate_hz=10.0)))
+    base.update(reading(0), FORWARD)
+    base.update(reading(50), FORWARD)
+
+    assert not base.revise(Twist())
+    assert base.targets == pytest.approx((5.0, 5.0))
+
+
+def test_base_has_nothing_to_revise_after_a_reset() -> None:
+    base = DrivenBase(two_wheeler())
+    base.update(reading(0), Twist())
+    base.reset()
+
+    assert not base.revise(FORWARD)

@@ -128,3 +128,29 @@ def test_fleet_tells_for_every_robot() -> None:
     fleet.tell()
 
     assert {sample.key for sample in listener.take()} == {"r1/odom", "r2/odom"}
+
+
+def test_fleet_revises_the_answer_of_the_robot_that_heard_a_command() -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus, 1, 2)
+    bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
+    fleet.advance(a_state(7, (2, 1), epoch=3))
+    bus.put_message("r2/cmd_vel", Twist(Vector3(0.2)))
+
+    command = fleet.revise()
+
+    assert command is not None
+    assert (command.epoch, command.step) == (3, 7)
+    assert targets_of(command) == pytest.approx((2.0, 2.0, 1.0, 1.0))
+    assert fleet.revise() is None
+
+
+def test_fleet_revises_nothing_when_it_holds_others_than_it_answered_for() -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus, 1)
+    assert fleet.revise() is None
+    fleet.advance(a_state(1, (1,)))
+    fleet.hold(2, Robot(Faces(bus), a_claim(2, "r2"), 0))
+    bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
+
+    assert fleet.revise() is None

@@ -1,6 +1,6 @@
 """How often an agent looks for drive states."""
 
-from robot_agent.rhythm import EAGER_LOOK_S, IDLE_S, LONGEST_S, SOONEST_S, Rhythm
+from robot_agent.rhythm import COMMANDS_S, EAGER_LOOK_S, IDLE_S, LONGEST_S, SOONEST_S, Rhythm
 
 
 def looks_between_states(rhythm: Rhythm, period_s: float, *, states: int, awaited: bool) -> float:
@@ -18,6 +18,14 @@ def looks_between_states(rhythm: Rhythm, period_s: float, *, states: int, awaite
 
 def test_agent_looks_a_few_times_for_a_state_in_real_time() -> None:
     assert looks_between_states(Rhythm(), 0.0125, states=200, awaited=False) < 4.5
+
+
+def test_agent_looks_more_often_where_commands_are_not_to_wait_for_states() -> None:
+    rhythm = Rhythm(COMMANDS_S)
+    rhythm.note_state(1.0, is_awaited=False)
+    rhythm.note_state(1.1, is_awaited=False)
+
+    assert rhythm.pause_s(1.1) == COMMANDS_S
 
 
 def test_agent_answers_no_more_often_than_that_when_time_runs_fast() -> None:
