@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import msgspec
+import numpy.ma  # noqa: F401  # numpy would look for it in the loop, in the first np.unique: 60 ms
 
 from proto import keys
 from proto.bus import Bus, NoServer

@@ -1,6 +1,6 @@
 """Spawning: everything is checked before anything is made; a dry run stops there."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +48,7 @@ def spawn_model(
     entity = desk.world.spawn(birth)
     if not order.strict:
         notes.extend(_overlaps(desk.world.overlapped(entity)))
-    _tell_of(desk, Expected(entity, order.bond, tuple(notes)))
+    _tell_of(desk, entity, order.bond, notes)
     report = (*notes, *birth.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
 
@@ -60,6 +60,8 @@ class Expected:
     entity: Entity
     bond: str
     notes: tuple[ReportEntry, ...]
+    overlapped: Callable[[], list[str]]
+    """Says whom it overlaps."""
 
 
 def expect_model(desk: Desk, order: SpawnEntityOrder, model: Model, description: str) -> Expected:
@@ -67,14 +69,13 @@ def expect_model(desk: Desk, order: SpawnEntityOrder, model: Model, description:
     _check_bond(desk, order.bond)
     birth, notes = _planned(desk, order, model, description)
     entity, overlapped = desk.world.expect(birth)
-    notes.extend(_overlaps(overlapped))
     if order.strict:
         try:
-            _refuse_suspicious((*notes, *birth.model.report))
+            _refuse_suspicious((*notes, *_overlaps(overlapped()), *birth.model.report))
         except ModelError:
             desk.world.turn_away([entity])
             raise
-    return Expected(entity, order.bond, tuple(notes))
+    return Expected(entity, order.bond, tuple(notes), overlapped)
 
 
 def let_in(desk: Desk, expected: Sequence[Expected]) -> None:
@@ -87,16 +88,17 @@ def let_in(desk: Desk, expected: Sequence[Expected]) -> None:
         _check_bond(desk, bond)
     if not all(desk.world.expects(one.entity) for one in expected):
         raise IncorrectState("the world was reset or replaced meanwhile; ask again")
+    notes = [(*one.notes, *_overlaps(one.overlapped())) for one in expected]
     desk.world.let_in([one.entity for one in expected])
-    for one in expected:
-        _tell_of(desk, one)
+    for one, told in zip(expected, notes, strict=True):
+        _tell_of(desk, one.entity, one.bond, told)
 
 
-def _tell_of(desk: Desk, one: Expected) -> None:
-    if one.bond:
-        desk.bonded.setdefault(one.bond, []).append((one.entity.name, one.entity.born_ns))
-    for note in one.notes:
-        desk.world.warn(one.entity.name, f"{note.subject}: {note.reason}")
+def _tell_of(desk: Desk, entity: Entity, bond: str, notes: Sequence[ReportEntry]) -> None:
+    if bond:
+        desk.bonded.setdefault(bond, []).append((entity.name, entity.born_ns))
+    for note in notes:
+        desk.world.warn(entity.name, f"{note.subject}: {note.reason}")
 
 
 def spawn_when_read(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport | Later:

@@ -4,6 +4,7 @@
 and of the memory that they share. It ends with the server: its line is closed then.
 """
 
+import pickle
 import signal
 import sys
 from collections.abc import Sequence
@@ -13,11 +14,32 @@ from typing import Any
 from proto.model import Model
 from sim_server.physics.clusters.sharing import Board
 from sim_server.physics.clusters.worker import Answer, CellTold
-from sim_server.physics.engine import Concealing, Engine, EngineRefused, FloatArray
+from sim_server.physics.engine import Engine, EngineRefused, FloatArray, concealing
 from sim_server.physics.making import CellOrders
 
-SIMPLE = ("remove", "forget_removed", "place", "rest", "put", "push_link", "push_joint")
-"""What a cell is told as an engine is; nothing comes of it."""
+SIMPLE = ("place", "rest", "put", "push_link", "push_joint")
+"""What a cell is told of a body as an engine is; nothing comes of it."""
+
+
+class Cell:
+    """An engine, and what the server calls its bodies.
+
+    Attributes:
+        inner: The engine's number of each body, by the server's.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.inner: dict[int, int] = {}
+
+    def inners(self, bodies: Sequence[int]) -> tuple[int, ...]:
+        """Find the engine's numbers of bodies."""
+        return tuple([self.inner[body] for body in bodies])
+
+    def outers(self, inners: Sequence[int]) -> list[int]:
+        """Find the server's numbers of bodies."""
+        outer = {inner: body for body, inner in self.inner.items()}
+        return [outer[inner] for inner in inners]
 
 
 class Working:
@@ -26,7 +48,7 @@ class Working:
     def __init__(self, line: "Connection[Any, Any]", states: Board, targets: Board) -> None:
         self._line = line
         self._states, self._targets = states, targets
-        self._cells: dict[int, Engine] = {}
+        self._cells: dict[int, Cell] = {}
         self._orders: CellOrders | None = None
         self._model: Model | None = None
 
@@ -34,15 +56,17 @@ class Working:
         """Do what is told until the server closes its end."""
         while True:
             try:
-                what, given = self._line.recv()
+                told = self._line.recv()
             except EOFError:
                 return
-            self._do(what, given)
+            for order in told:
+                self._do(*pickle.loads(order))
 
     def _do(self, what: str, given: tuple[Any, ...]) -> None:
         if what in SIMPLE:
-            cell, *arguments = given
-            getattr(self._cells[cell], what)(*arguments)
+            cell, body, *arguments = given
+            known = self._cells[cell]
+            getattr(known.engine, what)(known.inner[body], *arguments)
             return
         try:
             answer = getattr(self, f"_{what}")(*given)
@@ -57,42 +81,64 @@ class Working:
     def _model_is(self, model: Model) -> None:
         self._model = model
 
-    def _make(self, cell: int) -> Answer:
+    def _make(self, cell: int) -> None:
         assert self._orders is not None
-        made = self._cells[cell] = self._orders.make()
-        return Answer(made.name)
+        self._cells[cell] = Cell(self._orders.make())
 
     def _conceal(self, cell: int, body: int) -> None:
-        if isinstance(engine := self._cells[cell], Concealing):
-            engine.conceal(body)
+        known = self._cells[cell]
+        if engine := concealing(known.engine):
+            engine.conceal(known.inner[body])
 
     def _reveal(self, cell: int, bodies: Sequence[int]) -> None:
-        if isinstance(engine := self._cells[cell], Concealing):
-            engine.reveal(bodies)
+        known = self._cells[cell]
+        if engine := concealing(known.engine):
+            engine.reveal(known.inners(bodies))
 
     def _close(self, cell: int) -> None:
-        self._cells.pop(cell).close()
+        self._cells.pop(cell).engine.close()
 
     def _prepare(self, cell: int) -> Answer:
         assert self._model is not None
-        return Answer(self._cells[cell].prepare(self._model))
+        return Answer(self._cells[cell].engine.prepare(self._model))
 
-    def _add(self, cell: int, base: FloatArray) -> Answer:
+    def _add(self, cell: int, body: int, base: FloatArray) -> Answer:
+        self._put_in(cell, body, base)
+        return Answer(value=True)
+
+    def _add_another(self, cell: int, body: int, base: FloatArray) -> None:
+        try:
+            self._put_in(cell, body, base)
+        except EngineRefused as refused:
+            # It took others of this model, and nobody waits for what it says of this one.
+            raise RuntimeError(f"body {body} of cell {cell}: {refused}") from refused
+
+    def _put_in(self, cell: int, body: int, base: FloatArray) -> None:
         assert self._model is not None
-        return Answer(self._cells[cell].add(self._model, base))
+        known = self._cells[cell]
+        known.inner[body] = known.engine.add(self._model, base)
+
+    def _remove(self, cell: int, body: int) -> None:
+        known = self._cells[cell]
+        known.engine.remove(known.inner.pop(body))
+
+    def _forget_removed(self, cell: int) -> None:
+        self._cells[cell].engine.forget_removed()
 
     def _overlapping(self, cell: int, body: int) -> Answer:
-        return Answer(list(self._cells[cell].overlapping(body)))
+        known = self._cells[cell]
+        return Answer(known.outers(known.engine.overlapping(known.inner[body])))
 
     def _step(self, cells: Sequence[int], steps: int) -> Answer:
         is_well = True
         for cell in cells:
             for _ in range(steps):
-                is_well &= self._cells[cell].step()
+                is_well &= self._cells[cell].engine.step()
         return Answer(is_well)
 
     def _read(self, asked: Sequence[tuple[int, Sequence[int]]]) -> Answer:
-        found = [self._cells[cell].read(bodies) for cell, bodies in asked]
+        cells = ((self._cells[cell], bodies) for cell, bodies in asked)
+        found = [known.engine.read(known.inners(bodies)) for known, bodies in cells]
         arrays = [(one.base, one.joint_positions, one.joint_velocities) for one in found]
         self._states.write([array for three in arrays for array in three])
         return Answer([(len(one.base), one.joint_positions.size) for one in found])
@@ -100,10 +146,11 @@ class Working:
     def _command(self, told: Sequence[CellTold]) -> None:
         targets = self._targets.read([count for _, (_, count) in told])
         for (cell, (bodies, _)), mine in zip(told, targets, strict=True):
-            self._cells[cell].command(bodies, mine)
+            self._command_one(cell, bodies, mine)
 
     def _command_one(self, cell: int, bodies: Sequence[int], targets: FloatArray) -> None:
-        self._cells[cell].command(bodies, targets)
+        known = self._cells[cell]
+        known.engine.command(known.inners(bodies), targets)
 
 
 def main() -> None:

@@ -1,12 +1,12 @@
 """A world's entities, each with its body: made, expected, there."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 from proto.info import EntityInfo
 from proto.model import Model
 from sim_server.errors import EntityNotFound
-from sim_server.physics.engine import Concealing, Engine
+from sim_server.physics.engine import Engine, concealing, patient
 from sim_server.world.birth import Birth
 from sim_server.world.chronicle import Chronicle
 from sim_server.world.entity import Entity, Roster, info_of, roster_of
@@ -66,20 +66,26 @@ class Inhabited(Chronicle):
         """Find the name and the namespace that a spawn would get; raises as `spawn` does."""
         return birth.names_among(self._names)
 
-    def expect(self, birth: Birth) -> tuple[Entity, list[str]]:
+    def expect(self, birth: Birth) -> tuple[Entity, Callable[[], list[str]]]:
         """Make an entity that is not there before it is let in; its names are; raises as `spawn`.
 
         An engine that cannot conceal it lets it stand where it will be.
 
         Returns:
-            The entity, and the names of those that it overlaps.
+            The entity, and what says the names of those that it overlaps: it may wait for them
+            unless `is_settled`, and is to be asked before anybody goes.
         """
         entity = self._make(birth)
         self._expected[entity.name] = entity
-        overlapped = self.overlapped(entity)
-        if isinstance(self._engine, Concealing):
-            self._engine.conceal(entity.body)
+        overlapped = self._overlapped_soon(entity)
+        if hiding := concealing(self._engine):
+            hiding.conceal(entity.body)
         return entity, overlapped
+
+    @property
+    def is_settled(self) -> bool:
+        """Whether the engine has done all that it was told; asked at every turn of the loop."""
+        return (engine := patient(self._engine)) is None or engine.is_settled()
 
     def expects(self, entity: Entity) -> bool:
         """Whether an entity is still expected: a reset or another world ends it."""
@@ -87,8 +93,8 @@ class Inhabited(Chronicle):
 
     def let_in(self, entities: Sequence[Entity]) -> None:
         """Let what is expected be there, all at once."""
-        if isinstance(self._engine, Concealing):
-            self._engine.reveal([entity.body for entity in entities])
+        if hiding := concealing(self._engine):
+            hiding.reveal([entity.body for entity in entities])
         for entity in entities:
             self._let_in(self._expected.pop(entity.name))
 
@@ -135,6 +141,13 @@ class Inhabited(Chronicle):
     def overlapped(self, entity: Entity) -> list[str]:
         """Name the entities that an entity overlaps."""
         return self._names.of_bodies(self._engine.overlapping(entity.body))
+
+    def _overlapped_soon(self, entity: Entity) -> Callable[[], list[str]]:
+        if (engine := patient(self._engine)) is None:
+            names = self.overlapped(entity)
+            return lambda: names
+        soon = engine.overlapping_soon(entity.body)
+        return lambda: self._names.of_bodies(soon())
 
     def roster(self) -> Roster:
         """Where each entity stands in the arrays."""

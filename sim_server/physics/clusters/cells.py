@@ -25,6 +25,9 @@ class Told(NamedTuple):
 class Cells(Protocol):
     """Makes engines for cells, and works many of them at once."""
 
+    def start(self) -> None:
+        """Get ready for more than one cell, and wait for nothing."""
+
     def make(self) -> Engine:
         """Make an engine for a new cell."""
 
@@ -48,6 +51,9 @@ class CellsHere:
         self.make = make
         self._threads = threads
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
+
+    def start(self) -> None:
+        """See `Cells.start`: there is nothing to do."""
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """See `Cells.step`; each thread has every n-th cell, and this one is one of them."""

@@ -5,7 +5,7 @@ next look is in one cell, what never moves is in every cell, and a body moves to
 being read here, parked, and put there.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -46,13 +46,15 @@ class Settings:
         alone: So many moving bodies at most stay in one cell.
         most: Bodies of a cell, once there are several.
         period_steps: The least time between two looks, while nobody is too fast.
+        largest: Bodies of a cell of a large world.
         at_once: Bodies that leave a cell that is too full in one look.
     """
 
     alone: int = 150
     most: int = 64
     period_steps: int = 1
-    at_once: int = 32
+    at_once: int = 8
+    largest: int = 0
 
 
 class Clusters:
@@ -61,12 +63,12 @@ class Clusters:
     def __init__(self, config: EngineConfig, cells: Cells, settings: Settings) -> None:
         self._cells = cells
         self._settings = settings
-        self._room = Room(settings.most, settings.at_once)
+        self._room = Room(settings.most, settings.at_once, settings.largest)
         self._dt_s = config.step_ns * 1e-9
         self._ahead_s = settings.period_steps * PERIODS[0] * self._dt_s
         self._gained_mps = SPARE_MPS + float(np.linalg.norm(config.gravity)) * self._ahead_s
         self._measure = Measure(config.mesh_folder)
-        self._homes = Homes(cells, alone=settings.alone, most=settings.most)
+        self._homes = Homes(cells, settings.alone, self._room)
         self._members = self._homes.members
         self._pushes: list[Push] = []
         self._lineup: tuple[int, Lineup] | None = None
@@ -90,6 +92,9 @@ class Clusters:
         self._was_due = self._is_due
         self._note_place(number, base)
         return number
+
+    def trust(self, model: Model) -> None:
+        """See `Patient.trust`; here cells trust each other."""
 
     def conceal(self, body: int) -> None:
         """See `Concealing.conceal`; who takes no part is looked at by nobody."""
@@ -116,9 +121,17 @@ class Clusters:
 
     def overlapping(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
+        return self.overlapping_soon(body)()
+
+    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+        """See `Patient.overlapping_soon`."""
         if not self._homes.is_one and self._may_touch_others(body):
             self._look()
-        return self._homes.overlapping(body)
+        return self._homes.overlapping_soon(body)
+
+    def is_settled(self) -> bool:
+        """See `Patient.is_settled`."""
+        return self._homes.is_settled()
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
@@ -293,7 +306,7 @@ class Clusters:
         choices = PERIODS[-1:] if self._steps < self._alarm_until else PERIODS
         for periods in choices:
             found = part(now.base[:, :2], radii, speeds, period_s, periods=periods)
-            if found.largest <= self._settings.most:
+            if found.largest <= self._room.of(len(numbers)):
                 break
         return found
 

@@ -10,6 +10,9 @@ from sim_server.physics.engine import FloatArray
 FILLED = 0.75
 """To which share of its room a cell that is too full is emptied, and others are filled."""
 
+PARTS = 4
+"""Cells of a large world, while they need not be larger than the largest."""
+
 
 @dataclass(frozen=True)
 class Room:
@@ -19,15 +22,21 @@ class Room:
         most: Bodies of a cell, but for a group that is larger.
         at_once: Bodies that are given away in one go; those of a group that must be joined are
             beside it.
+        largest: Bodies of a cell of a large world, where each has a fourth of all: a cell takes
+            memory, however few it has.
     """
 
     most: int
     at_once: int
+    largest: int = 0
 
-    @property
-    def filled(self) -> int:
-        """So many a cell is filled up to."""
-        return max(1, int(self.most * FILLED))
+    def of(self, count: int) -> int:
+        """Say how many bodies a cell has at most in a world of so many."""
+        return max(self.most, min(self.largest, count // PARTS))
+
+    def filled(self, count: int) -> int:
+        """Say up to how many a cell is filled in a world of so many."""
+        return max(1, int(self.of(count) * FILLED))
 
 
 def deal(cells: IntArray, groups: IntArray, places: FloatArray, room: Room) -> IntArray:
@@ -43,7 +52,7 @@ def deal(cells: IntArray, groups: IntArray, places: FloatArray, room: Room) -> I
         (n,) cells. Numbers that nobody had may be among them: the least that are free.
     """
     found = _joined(cells, groups)
-    for cell in np.flatnonzero(np.bincount(found, minlength=1) > room.most):
+    for cell in np.flatnonzero(np.bincount(found, minlength=1) > room.of(len(cells))):
         _shed(int(cell), found, groups, places, room)
     return found
 
@@ -65,7 +74,7 @@ def _shed(cell: int, cells: IntArray, groups: IntArray, places: FloatArray, room
     held = np.flatnonzero(cells == cell)
     left, moved = len(held), 0
     for members in _from_the_end(held, groups, places):
-        if left <= room.filled or moved >= room.at_once or len(members) == len(held):
+        if left <= room.filled(len(cells)) or moved >= room.at_once or len(members) == len(held):
             return
         target = _receiver(cell, members, cells, places, room)
         cells[members] = target
@@ -88,7 +97,7 @@ def _receiver(
 ) -> int:
     """Find the nearest cell that has room for a group, else a new one."""
     counts = np.bincount(cells)
-    fits = (counts > 0) & (counts + len(members) <= room.filled)
+    fits = (counts > 0) & (counts + len(members) <= room.filled(len(cells)))
     fits[giver] = False
     if not fits.any():
         free = np.flatnonzero(counts == 0)

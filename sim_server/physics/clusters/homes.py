@@ -1,16 +1,20 @@
 """Which cells there are, and who lives in each: what never moves in all, and the rest in one."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
 from proto.model import Model
 from sim_server.physics.clusters.cells import Cells
+from sim_server.physics.clusters.dealing import Room
 from sim_server.physics.clusters.discs import IntArray
 from sim_server.physics.clusters.members import EVERYWHERE, Members
 from sim_server.physics.clusters.reach import Reach, moves
 from sim_server.physics.clusters.routes import Lineup
-from sim_server.physics.engine import Concealing, Engine, FloatArray, Reading
+from sim_server.physics.engine import Concealing, Engine, FloatArray, Reading, concealing, patient
+
+READY_AT = 0.8
+"""Of the bodies that one cell has before there are several: from then on workers start."""
 
 
 class Homes:
@@ -21,11 +25,12 @@ class Homes:
         engines: By number of the cell.
     """
 
-    def __init__(self, cells: Cells, *, alone: int, most: int) -> None:
+    def __init__(self, cells: Cells, alone: int, room: Room) -> None:
         self._cells = cells
         self._alone = alone
-        self._most = most
+        self._room = room
         self.members = Members()
+        self._taken: Model | None = None
         self.engines: dict[int, Engine] = {0: cells.make()}
 
     @property
@@ -41,8 +46,11 @@ class Homes:
             self.members.by_number[number].copies = copies
             self.note_still(number)
             return number
+        if self.members.moving_count > self._alone * READY_AT:
+            self._cells.start()
         cell = self._cell_near(base)
-        inner = self.engine(cell).add(model, base)
+        inner = self._trusting(cell, model).add(model, base)
+        self._taken = model
         return self.members.admit(model, reach, cell=cell, inner=inner)
 
     def remove(self, body: int) -> None:
@@ -54,8 +62,8 @@ class Homes:
     def conceal(self, body: int) -> None:
         """Let a body wait; one whose engine cannot do that stands where it will be."""
         for engine, inner in self.of(body):
-            if isinstance(engine, Concealing):
-                engine.conceal(inner)
+            if (hiding := concealing(engine)) is not None:
+                hiding.conceal(inner)
                 self.members.show(body, is_concealed=True)
 
     def reveal(self, bodies: Iterable[int]) -> None:
@@ -63,8 +71,8 @@ class Homes:
         homes: dict[int, tuple[Concealing, list[int]]] = {}
         for body in bodies:
             for engine, inner in self.of(body) if body in self.members.concealed else ():
-                if isinstance(engine, Concealing):
-                    homes.setdefault(id(engine), (engine, []))[1].append(inner)
+                if (waiting := concealing(engine)) is not None:
+                    homes.setdefault(id(engine), (waiting, []))[1].append(inner)
             self.members.show(body, is_concealed=False)
         for waiting, inners in homes.values():
             waiting.reveal(inners)
@@ -110,6 +118,20 @@ class Homes:
             found.update(self._numbers(cell, set(self.engines[cell].overlapping(int(inner)))))
         return sorted(found)
 
+    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+        """See `Patient.overlapping_soon`."""
+        cell, inner = int(self.members.cell[body]), int(self.members.inner[body])
+        if cell < 0 or (engine := patient(self.engines[cell])) is None:
+            found = self.overlapping(body)
+            return lambda: found
+        soon = engine.overlapping_soon(inner)
+        return lambda: sorted(self._numbers(cell, set(soon())))
+
+    def is_settled(self) -> bool:
+        """See `Patient.is_settled`."""
+        waiting = [patient(engine) for engine in self.engines.values()]
+        return all(engine is None or engine.is_settled() for engine in waiting)
+
     def move(self, lineup: Lineup, now: Reading, cells: IntArray) -> bool:
         """Move bodies that are to be in other cells, as they are now.
 
@@ -127,7 +149,7 @@ class Homes:
             number, cell = int(lineup.numbers[row]), int(cells[row])
             joints = slice(lineup.joint_start[row], lineup.joint_start[row + 1])
             self.engines[int(members.cell[number])].remove(int(members.inner[number]))
-            engine = self.engine(cell)
+            engine = self._trusting(cell, members.by_number[number].model)
             inner = engine.add(members.by_number[number].model, now.base[row])
             positions, velocities = now.joint_positions[joints], now.joint_velocities[joints]
             engine.put(inner, now.base[row], positions, velocities)
@@ -152,6 +174,13 @@ class Homes:
             engine.close()
         self._cells.close()
 
+    def _trusting(self, cell: int, model: Model) -> Engine:
+        """Find the engine of a cell; it knows whether others have taken a model."""
+        engine = self.engine(cell)
+        if model is self._taken and (trusting := patient(engine)) is not None:
+            trusting.trust(model)
+        return engine
+
     def _cell_near(self, base: FloatArray) -> int:
         """Find a cell with room for a new body: the one where its nearest fellow is."""
         if len(self.engines) == 1 and self.members.moving_count < self._alone:
@@ -159,7 +188,7 @@ class Homes:
         moving = self.members.moving
         cells = self.members.cell[moving]
         counts = np.bincount(cells, minlength=1)
-        has_room = counts[cells] < self._most
+        has_room = counts[cells] < self._room.of(len(moving))
         if not has_room.any():
             return int(np.append(counts, 0).argmin())
         apart = np.linalg.norm(self.members.place[moving] - base[:2], axis=1)

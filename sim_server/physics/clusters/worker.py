@@ -1,13 +1,17 @@
 """The server's side of a worker: a process that has cells of its own, and what they are told."""
 
 import os
+import pickle
+import select
 import socket
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import count
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -20,6 +24,8 @@ CellTold = tuple[int, tuple[Sequence[int], int]]
 """A cell by number, its bodies, and how many targets they have together."""
 
 MODULE = "sim_server.physics.working"
+MOST_HELD = 32
+"""Orders that are held back to be sent together, unless something is asked before."""
 
 
 class WorkerEnded(RuntimeError):
@@ -38,6 +44,21 @@ class Answer(NamedTuple):
     value: object = None
     refused: str = ""
     fault: str = ""
+
+
+class Promise(Generic[Kind]):
+    """What a worker was asked and has perhaps not answered yet."""
+
+    def __init__(self, worker: "Worker", kind: type[Kind]) -> None:
+        self._worker = worker
+        self._kind = kind
+        self.answer: Answer | None = None
+
+    def outcome(self) -> Kind:
+        """Wait for what was asked; raises as `Worker.answer` does."""
+        while self.answer is None:
+            self._worker.receive()
+        return self._worker.value(self.answer, self._kind)
 
 
 class Worker:
@@ -66,6 +87,8 @@ class Worker:
         there.close()
         self._line: Connection[Any, Any] = Connection(here.detach())
         self._model: Model | None = None
+        self._held: list[bytes] = []
+        self._owed: deque[Promise[Any]] = deque()
         self.tell("begin", orders)
 
     @property
@@ -74,21 +97,43 @@ class Worker:
         return self._process.pid
 
     def tell(self, what: str, *given: object) -> None:
-        """Have something done, and wait for nothing.
+        """Have something done at once, and wait for nothing.
 
         Raises:
             WorkerEnded: It is no more.
         """
-        try:
-            self._line.send((what, given))
-        except OSError as error:
-            raise self._ended() from error
+        self._hold(what, given)
+        self._send_held()
+
+    def tell_soon(self, what: str, *given: object) -> None:
+        """Have something done before anything that is told later; raises as `tell` does."""
+        self._hold(what, given)
+        if len(self._held) >= MOST_HELD:
+            self._send_if_it_listens()
 
     def tell_model(self, model: Model) -> None:
         """Have the worker know which model is meant from now on."""
         if self._model is not model:
             self._model = model
-            self.tell("model_is", model)
+            self.tell_soon("model_is", model)
+
+    def ask_soon(self, kind: type[Kind], what: str, *given: object) -> Promise[Kind]:
+        """Have something done as `tell_soon` does, and get what comes of it later."""
+        promise = Promise(self, kind)
+        self._owed.append(promise)
+        self.tell_soon(what, *given)
+        return promise
+
+    def is_settled(self) -> bool:
+        """Whether all that it was told is sent, and all that it was asked is answered."""
+        self._send_if_it_listens()
+        return not (self._held or self._owed)
+
+    def receive(self) -> None:
+        """Wait for the next answer that was promised."""
+        if self._held:
+            self._send_held()
+        self._owed.popleft().answer = self._received()
 
     def answer(self, kind: type[Kind]) -> Kind:
         """Wait for what was asked, which is of a kind.
@@ -97,10 +142,12 @@ class Worker:
             EngineRefused: The engine cannot do it.
             WorkerEnded: It is no more, or something went wrong in it.
         """
-        try:
-            answer: Answer = self._line.recv()
-        except (EOFError, OSError) as error:
-            raise self._ended() from error
+        while self._owed:
+            self.receive()
+        return self.value(self._received(), kind)
+
+    def value(self, answer: Answer, kind: type[Kind]) -> Kind:
+        """Take an answer apart; raises as `answer` does."""
         if answer.refused:
             raise EngineRefused(answer.refused)
         if answer.fault:
@@ -138,6 +185,34 @@ class Worker:
         self._states.close()
         self._targets.close()
 
+    def _hold(self, what: str, given: tuple[object, ...]) -> None:
+        # At once: arrays may be others by the time that they are sent.
+        self._held.append(pickle.dumps((what, given), pickle.HIGHEST_PROTOCOL))
+
+    def _send_if_it_listens(self) -> None:
+        """Send what is held, unless that would wait for the worker; take what it has answered."""
+        try:
+            while self._owed and self._line.poll():
+                self.receive()
+        except OSError as error:
+            raise self._ended() from error
+        if self._held and select.select((), (self._line,), (), 0.0)[1]:
+            self._send_held()
+
+    def _send_held(self) -> None:
+        held, self._held = self._held, []
+        try:
+            self._line.send(held)
+        except OSError as error:
+            raise self._ended() from error
+
+    def _received(self) -> Answer:
+        try:
+            answer: Answer = self._line.recv()
+        except (EOFError, OSError) as error:
+            raise self._ended() from error
+        return answer
+
     def _ended(self) -> WorkerEnded:
         status = self._process.poll()
         said = "" if status is None else f" with status {status}"
@@ -145,42 +220,64 @@ class Worker:
 
 
 class RemoteCell:
-    """The Engine of a cell that a worker has."""
+    """The Engine of a cell that a worker has; it numbers bodies itself and so waits for none."""
 
     def __init__(self, worker: Worker, cell: int, name: str) -> None:
         self.worker = worker
         self.cell = cell
         self.name = name
+        self._numbers = count()
+        self._taken: Model | None = None
+        worker.tell_soon("make", cell)
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`."""
         self.worker.tell_model(model)
         return self.worker.ask(bool, "prepare", self.cell)
 
+    def trust(self, model: Model) -> None:
+        """See `Patient.trust`; files of meshes may be gone by the time that they are read here."""
+        if model is not self._taken and not _has_meshes(model):
+            self._taken = model
+
     def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`."""
+        """See `Engine.add`; a model that was taken before is not waited for."""
         self.worker.tell_model(model)
-        return self.worker.ask(int, "add", self.cell, base)
+        number = next(self._numbers)
+        if model is self._taken:
+            self.worker.tell_soon("add_another", self.cell, number, base)
+        else:
+            self.worker.ask(bool, "add", self.cell, number, base)
+            self._taken = model
+        return number
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`."""
-        self.worker.tell("remove", self.cell, body)
+        self.worker.tell_soon("remove", self.cell, body)
 
     def conceal(self, body: int) -> None:
         """See `Concealing.conceal`; a worker's engine that cannot lets the body be."""
-        self.worker.tell("conceal", self.cell, body)
+        self.worker.tell_soon("conceal", self.cell, body)
 
     def reveal(self, bodies: Sequence[int]) -> None:
         """See `Concealing.reveal`."""
-        self.worker.tell("reveal", self.cell, bodies)
+        self.worker.tell_soon("reveal", self.cell, bodies)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
-        self.worker.tell("forget_removed", self.cell)
+        self.worker.tell_soon("forget_removed", self.cell)
 
     def overlapping(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
         return self.worker.ask(list, "overlapping", self.cell, body)
+
+    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+        """See `Patient.overlapping_soon`."""
+        return self.worker.ask_soon(list, "overlapping", self.cell, body).outcome
+
+    def is_settled(self) -> bool:
+        """See `Patient.is_settled`."""
+        return self.worker.is_settled()
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""
@@ -189,29 +286,29 @@ class RemoteCell:
 
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
-        self.worker.tell("place", self.cell, body, base)
+        self.worker.tell_soon("place", self.cell, body, base)
 
     def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
-        self.worker.tell("rest", self.cell, body, base, positions)
+        self.worker.tell_soon("rest", self.cell, body, base, positions)
 
     def put(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
         """See `Engine.put`."""
-        self.worker.tell("put", self.cell, body, base, positions, velocities)
+        self.worker.tell_soon("put", self.cell, body, base, positions, velocities)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        self.worker.tell("command_one", self.cell, bodies, np.asarray(targets))
+        self.worker.tell_soon("command_one", self.cell, bodies, np.asarray(targets))
 
     def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.push_link`."""
-        self.worker.tell("push_link", self.cell, body, link, wrench)
+        self.worker.tell_soon("push_link", self.cell, body, link, wrench)
 
     def push_joint(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.push_joint`."""
-        self.worker.tell("push_joint", self.cell, body, joint, effort)
+        self.worker.tell_soon("push_joint", self.cell, body, joint, effort)
 
     def step(self) -> bool:
         """See `Engine.step`."""
@@ -222,3 +319,7 @@ class RemoteCell:
         self.worker.cells -= 1
         with suppress(WorkerEnded):
             self.worker.tell("close", self.cell)
+
+
+def _has_meshes(model: Model) -> bool:
+    return any(shape.mesh for link in model.links for shape in link.collisions)

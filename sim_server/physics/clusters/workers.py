@@ -54,16 +54,15 @@ class CellsOfWorkers:
             self._workers.append(Worker(self._orders, len(self._workers) + 1))
 
     def make(self) -> Engine:
-        """See `Cells.make`: whoever has least gets it, this process the first."""
+        """See `Cells.make`: whoever has least gets it, this process the first and then the last."""
         if self._own:
             self.start()
         least = min(self._workers, key=lambda worker: worker.cells, default=None)
-        if least is None or len(self._own) <= least.cells:
+        if least is None or len(self._own) < least.cells:
             self._own.append(self._make())
             return self._own[-1]
         least.cells += 1
-        number = next(self._numbers)
-        return RemoteCell(least, number, least.ask(str, "make", number))
+        return RemoteCell(least, next(self._numbers), self._own[0].name)
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """See `Cells.step`."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_server.physics.engine import Concealing, EngineConfig, FloatArray, Reading
+from sim_server.physics.engine import EngineConfig, FloatArray, Reading, concealing, patient
 from sim_server.physics.tiers.bodies import Bodies
 from sim_server.physics.tiers.planning import FlatPlans
 from sim_server.physics.tiers.rows import Tier
@@ -14,7 +14,7 @@ from sim_server.physics.tiers.switching import goes_flat, stands_flat
 from sim_server.physics.tiers.watching import Watching
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from proto.model import Dynamics, Model, TierName
     from sim_server.physics.engine import Engine
@@ -78,16 +78,21 @@ class Tiers:
         self._bodies.give_back(body)
         self._watching.forget(body)
 
+    def trust(self, model: Model) -> None:
+        """See `Patient.trust`."""
+        if full := patient(self._full):
+            full.trust(model)
+
     def conceal(self, body: int) -> None:
         """See `Concealing.conceal`; who is kinematic costs nothing and stands where it will be."""
-        if isinstance(self._full, Concealing) and self._bodies.rows.full[body] >= 0:
-            self._full.conceal(int(self._bodies.rows.full[body]))
+        if (full := concealing(self._full)) and self._bodies.rows.full[body] >= 0:
+            full.conceal(int(self._bodies.rows.full[body]))
 
     def reveal(self, bodies: Sequence[int]) -> None:
         """See `Concealing.reveal`."""
-        if isinstance(self._full, Concealing):
+        if full := concealing(self._full):
             numbers = self._bodies.rows.full[list(bodies)]
-            self._full.reveal(numbers[numbers >= 0].tolist())
+            full.reveal(numbers[numbers >= 0].tolist())
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -108,6 +113,20 @@ class Tiers:
         for visit in visits.values():
             self._full.remove(visit)
         return found
+
+    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+        """See `Patient.overlapping_soon`; where somebody is kinematic it is found at once."""
+        number, full = int(self._bodies.rows.full[body]), patient(self._full)
+        if full is None or number < 0 or self._bodies.held:
+            found = self.overlapping(body)
+            return lambda: found
+        soon, rows = full.overlapping_soon(number), self._bodies.numbers
+        return lambda: sorted(rows[other] for other in soon() if other in rows)
+
+    def is_settled(self) -> bool:
+        """See `Patient.is_settled`."""
+        full = patient(self._full)
+        return full is None or full.is_settled()
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`."""

@@ -91,4 +91,4 @@ def test_expected_entity_overlaps_others_that_are_expected_too() -> None:
 
     _, overlapped = world.expect(a_birth("c", base=on_ground(5.02)))
 
-    assert overlapped == ["b"]
+    assert overlapped() == ["b"]

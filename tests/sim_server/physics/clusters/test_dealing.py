@@ -61,3 +61,12 @@ def test_deal_never_parts_a_group(bodies: list[tuple[int, int]]) -> None:
         assert len(set(found[groups == group].tolist())) == 1
     counts, sizes = np.bincount(found), np.bincount(groups)
     assert counts.max() <= max(ROOM.most, sizes.max())
+
+
+def test_cells_of_a_large_world_are_larger_but_not_without_end() -> None:
+    room = Room(most=100, at_once=1, largest=250)
+
+    assert [room.of(count) for count in (0, 400, 500, 900, 1000, 9000)] == [
+        *(100, 100, 125),
+        *(225, 250, 250),
+    ]

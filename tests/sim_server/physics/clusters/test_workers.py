@@ -125,3 +125,48 @@ def test_worker_refuses_what_its_engine_refuses_and_goes_on() -> None:
         assert engine.read(carts).base[:, 0] == pytest.approx(
             [5.0 * x + 0.2 for x in range(8)], abs=0.03
         )
+
+
+def test_worker_that_does_not_get_on_is_not_waited_for_while_bodies_are_made() -> None:
+    model = a_cart()
+    with worked(1) as (engine, cells):
+        bodies = [engine.add(model, on_ground(5.0 * x)) for x in range(4)]
+        engine.step()
+        (worker,) = cells.process_ids
+        os.kill(worker, signal.SIGSTOP)
+        try:
+            bodies += [engine.add(model, on_ground(5.0 * x)) for x in range(4, 40)]
+            overlapped = [engine.overlapping_soon(body) for body in bodies[-5:]]
+            was_settled = engine.is_settled()
+        finally:
+            os.kill(worker, signal.SIGCONT)
+
+        assert not was_settled
+        assert [list(named()) for named in overlapped] == [[]] * 5
+        assert engine.is_settled()
+        assert engine.read(bodies).base[:, 0] == pytest.approx([5.0 * x for x in range(40)])
+
+
+def test_overlaps_that_are_asked_for_soon_are_those_that_are_there() -> None:
+    model = a_cart()
+    with worked(1) as (engine, _):
+        bodies = [engine.add(model, on_ground(0.05 * x, 5.0 * (x // 2))) for x in range(8)]
+        soon = [engine.overlapping_soon(body) for body in bodies]
+
+        assert [list(named()) for named in soon] == [list(engine.overlapping(b)) for b in bodies]
+        assert any(named() for named in soon)
+
+
+def test_workers_start_before_the_second_cell_is_needed() -> None:
+    cells = CellsOfWorkers(ORDERS.make, ORDERS, workers=1)
+    engine = Clusters(ORDERS.config, cells, Settings(alone=10, most=10))
+    try:
+        for x in range(9):
+            engine.add(a_cart(), on_ground(5.0 * x))
+        before = list(cells.process_ids)
+        engine.add(a_cart(), on_ground(-5.0))
+
+        assert before == []
+        assert len(cells.process_ids) == 1
+    finally:
+        engine.close()
