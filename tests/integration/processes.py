@@ -178,11 +178,15 @@ def joined(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Ite
 
 
 @contextmanager
-def driven(server: Server, *names: str) -> Iterator[dict[str, "subprocess.Popen[str]"]]:
+def driven(
+    server: Server, *names: str, options: Sequence[str] = ()
+) -> Iterator[dict[str, "subprocess.Popen[str]"]]:
     """Run an agent for each of these entities, and return when all are claimed."""
     with ExitStack() as stack:
         agents = {
-            name: stack.enter_context(running("agent", name, "--connect", server.endpoint))
+            name: stack.enter_context(
+                running("agent", name, "--connect", server.endpoint, *options)
+            )
             for name in names
         }
         wait_for_agents(server, names)

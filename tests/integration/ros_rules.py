@@ -7,13 +7,15 @@ data come on the key that the endpoint's name, type and hash make.
 from dataclasses import dataclass
 
 import zenoh
-from rosbags.typesys import Stores, get_typestore
 from zenoh_ros2_sdk.attachment import Attachment
 from zenoh_ros2_sdk.keyexpr import ADMIN_SPACE, topic_keyexpr
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 from zenoh_ros2_sdk.utils import dds_to_ros_type, demangle_name
 
-STANDARD = get_typestore(Stores.ROS2_HUMBLE)
+from tests.integration.ros_interfaces import OF_HUMBLE
+from tests.proto.ros_hashes import hash_of_message
+from tests.proto.ros_oracle import HUMBLE
+
 ATTACHMENT_BYTES = 33
 TOKEN_PARTS = 13
 
@@ -47,8 +49,8 @@ def heard_of(sample: zenoh.Sample) -> Heard:
     return Heard(str(sample.key_expr), sample.payload.to_bytes(), attachment)
 
 
-def announced(token: str) -> Announced:
-    """Read the token of a publisher."""
+def announced(token: str, *, has_hashes: bool = True) -> Announced:
+    """Read the token of a publisher; in humble types have no hashes."""
     parts = token.split("/")
     if len(parts) != TOKEN_PARTS or parts[0] != ADMIN_SPACE or parts[5] != "MP":
         raise BrokenRule(f"no token of a publisher: {token}")
@@ -57,7 +59,7 @@ def announced(token: str) -> Announced:
     except ValueError as error:
         raise BrokenRule(f"qos of {token}: {error}") from error
     ros_type, name = dds_to_ros_type(parts[10]), demangle_name(parts[9])
-    if parts[11] != STANDARD.hash_rihs01(ros_type):
+    if parts[11] != (hash_of_message(ros_type) if has_hashes else OF_HUMBLE):
         raise BrokenRule(f"hash of {token}")
     return Announced(
         f"{demangle_name(parts[7])}/{parts[8]}".replace("//", "/"),
@@ -68,13 +70,15 @@ def announced(token: str) -> Announced:
     )
 
 
-def check_topic(tokens: list[str], samples: list[Heard]) -> list[Announced]:
+def check_topic(
+    tokens: list[str], samples: list[Heard], *, has_hashes: bool = True
+) -> list[Announced]:
     """Judge one topic: who announced it, and what came on its key.
 
     Raises:
         BrokenRule: Nobody announced the key, or a sample would be dropped.
     """
-    publishers = [announced(token) for token in tokens]
+    publishers = [announced(token, has_hashes=has_hashes) for token in tokens]
     keys = {publisher.key for publisher in publishers}
     numbers: dict[bytes, int] = {}
     if not samples:
@@ -98,6 +102,6 @@ def check_bytes(ros_type: str, payload: bytes) -> None:
     Raises:
         BrokenRule: It writes other bytes.
     """
-    message = STANDARD.deserialize_cdr(payload, ros_type)
-    if bytes(STANDARD.serialize_cdr(message, ros_type)) != payload:
+    message = HUMBLE.deserialize_cdr(payload, ros_type)
+    if bytes(HUMBLE.serialize_cdr(message, ros_type)) != payload:
         raise BrokenRule(f"a {ros_type} that rosbags writes otherwise")

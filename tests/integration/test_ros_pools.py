@@ -12,7 +12,7 @@ from proto.ros2.keys import data_key
 from proto.ros2.type_hash import type_hash
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
 from tests.integration.ros_asking import session_of
-from tests.integration.ros_rules import STANDARD, check_bytes, check_topic
+from tests.integration.ros_rules import check_bytes, check_topic
 from tests.integration.ros_watching import (
     LATCHED,
     SIGHT_S,
@@ -23,6 +23,7 @@ from tests.integration.ros_watching import (
     publishers_of,
     tokens,
 )
+from tests.proto.ros_oracle import HUMBLE
 
 ROBOTS = ("r1", "r2", "r3")
 FASTER = Vector3(x=0.5)
@@ -74,7 +75,7 @@ def test_frames_that_all_robots_share_begin_with_their_names(
 
 
 def roots_of(payload: bytes) -> str:
-    message: Any = STANDARD.deserialize_cdr(payload, TYPES["/tf"])
+    message: Any = HUMBLE.deserialize_cdr(payload, TYPES["/tf"])
     return str(message.transforms[0].header.frame_id)
 
 

@@ -115,6 +115,11 @@ GAZEBO = {
     "GetLinkProperties_Response": f"{_MASSES}; {_DONE}",
     "SetLinkProperties_Request": f"string link_name; {_MASSES}",
     "SetLinkProperties_Response": _DONE,
+    "SpawnEntity_Request": "string name; string xml; string robot_namespace;"
+    " geometry_msgs/Pose initial_pose; string reference_frame",
+    "SpawnEntity_Response": _DONE,
+    "DeleteEntity_Request": "string name",
+    "DeleteEntity_Response": _DONE,
 }
 ACTION = {
     "SimulateSteps_Goal": "uint64 steps",

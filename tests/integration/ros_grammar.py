@@ -1,0 +1,133 @@
+"""The tokens of rmw_zenoh by their grammar, written from its design and not from our code.
+
+node      @ros2_lv/DOMAIN/ZID/NODE/NODE/NN/ENCLAVE/NAMESPACE/NAME
+endpoint  @ros2_lv/DOMAIN/ZID/NODE/ENTITY/KIND/ENCLAVE/NAMESPACE/NAME/TOPIC/TYPE/HASH/QOS
+
+Names have % for /; a name of ROS is words of letters, digits and _ that begin with no digit.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from tests.proto.ros_hashes import hash_of_message, hash_of_service
+
+WORD = "[A-Za-z_][A-Za-z0-9_]*"
+NAME = f"(?:%{WORD})+"
+QOS = "([12]?):([12]?):([12]?),([0-9]*):[0-9]*,[0-9]*:[0-9]*,[0-9]*:[123]?,[0-9]*,[0-9]*"
+TYPE = "([a-z][a-z0-9_]*)::(msg|srv|action)::dds_::([A-Z][A-Za-z0-9_]*)_"
+NODE = re.compile(f"@ros2_lv/([0-9]+)/([0-9a-f]+)/([0-9]+)/([0-9]+)/NN/%/(%|{NAME})/({WORD})")
+ENDPOINT = re.compile(
+    "@ros2_lv/([0-9]+)/([0-9a-f]+)/([0-9]+)/([0-9]+)/(MP|MS|SS|SC)/%"
+    f"/(%|{NAME})/({WORD})/({NAME})/{TYPE}/(RIHS01_[0-9a-f]{{64}}|TypeHashNotSupported)/({QOS})"
+)
+HUMBLES = "TypeHashNotSupported"
+LONGEST = 247
+"""Characters of a topic with its namespace."""
+VERSION_1 = {
+    "simulation_interfaces/srv/SpawnEntity": "RIHS01_"
+    "d4c086345d4194a5fc4c9ae45095736ca4062b5cdac4d06a42dec93d683e03cf",
+    "simulation_interfaces/srv/LoadWorld": "RIHS01_"
+    "f210682338f195f6f06191b46b20ec4992bddf485d33e2cffab2dd15341b4e3e",
+    "simulation_interfaces/srv/SetEntityState": "RIHS01_"
+    "ca210e7d2b66629ae133c8e1edf5246e618106d75c78ed0556c0e7a33c59ee5e",
+    "simulation_interfaces/srv/GetSpawnables": "RIHS01_"
+    "3bc0266bf8236058ff589c44512e013afe4f295427c39d44cff363d1c956bf36",
+}
+"""Published hashes of what simulation_interfaces 1.x has in another form than 2.1."""
+
+
+class NoToken(AssertionError):
+    """rmw_zenoh would not read it."""
+
+
+@dataclass(frozen=True)
+class Owner:
+    """A node."""
+
+    domain: int
+    zid: str
+    number: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Told:
+    """A publisher, subscription, server or client."""
+
+    owner: Owner
+    number: int
+    kind: str
+    name: str
+    ros_type: str
+    type_hash: str
+    qos: str
+    """Its reliability, durability, history and depth, as they are written."""
+
+    @property
+    def key(self) -> str:
+        """Where its data goes."""
+        package, kind, name = self.ros_type.split("/")
+        dds = f"{package}::{kind}::dds_::{name}_"
+        return f"{self.owner.domain}{self.name}/{dds}/{self.type_hash}"
+
+
+def graph_of(tokens: Iterable[str]) -> list[Told]:
+    """Read all tokens of a network, and check what rmw_zenoh needs of them together.
+
+    Raises:
+        NoToken: One does not parse, or does not fit the others.
+    """
+    owners: set[Owner] = set()
+    endpoints = []
+    for token in tokens:
+        if found := NODE.fullmatch(token):
+            domain, zid, number, again, namespace, name = found.groups()
+            if number != again:
+                raise NoToken(f"a node of two numbers: {token}")
+            owners.add(Owner(int(domain), zid, int(number), _full(namespace, name)))
+        else:
+            endpoints.append(_endpoint(token))
+    numbers = [(one.zid, one.number) for one in owners]
+    numbers += [(one.owner.zid, one.number) for one in endpoints]
+    if len(set(numbers)) < len(numbers):
+        raise NoToken("two have one number")
+    for one in endpoints:
+        if one.owner not in owners:
+            raise NoToken(f"nobody is the node of {one}")
+    return endpoints
+
+
+def check_hash(told: Told, *, has_hashes: bool) -> None:
+    """Compare a hash with that of another implementation, or with the published ones.
+
+    Raises:
+        NoToken: It is another.
+    """
+    find = hash_of_message if told.kind in ("MP", "MS") else hash_of_service
+    known = {find(told.ros_type), VERSION_1.get(told.ros_type)} if has_hashes else {HUMBLES}
+    if told.type_hash not in known:
+        raise NoToken(f"the hash of {told} is none of {known}")
+
+
+def _endpoint(token: str) -> Told:
+    found = ENDPOINT.fullmatch(token)
+    if found is None:
+        raise NoToken(token)
+    domain, zid, node, number, kind, namespace, name, topic = found.groups()[:8]
+    package, folder, type_name, type_hash = found.groups()[8:12]
+    if len(topic) > LONGEST:
+        raise NoToken(f"{len(topic)} characters: {token}")
+    return Told(
+        Owner(int(domain), zid, int(node), _full(namespace, name)),
+        int(number),
+        kind,
+        topic.replace("%", "/"),
+        f"{package}/{folder}/{type_name}",
+        type_hash,
+        ":".join(found.group(13).split(":")[:3]),
+    )
+
+
+def _full(namespace: str, name: str) -> str:
+    return f"{'' if namespace == '%' else namespace.replace('%', '/')}/{name}"

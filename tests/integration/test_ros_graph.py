@@ -1,0 +1,201 @@
+"""All that a network of ours says of itself to ROS 2: each token, topic and service, none left out.
+
+What is looped over is what is on the wire, so that a new topic or service is judged by itself.
+"""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+from sim_server.description.library import model_text
+from tests.integration.processes import (
+    Server,
+    driven,
+    eventually,
+    running,
+    serving,
+    wait_for_agents,
+)
+from tests.integration.ros_asking import replies, session_of
+from tests.integration.ros_grammar import HUMBLES, NoToken, Told, check_hash, graph_of
+from tests.integration.ros_rules import check_bytes, check_topic
+from tests.integration.ros_watching import SIGHT_S, captured, publishers_of, tokens
+from tests.integration.test_ground_truth import P3D
+from tests.proto.ros_oracle import HUMBLE, message_name
+
+ODOMETRY, TF, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
+STATES = "sensor_msgs/msg/JointState"
+OF_ROBOT = {
+    "odom": ODOMETRY,
+    "tf": TF,
+    "tf_static": TF,
+    "joint_states": STATES,
+    "robot_description": TEXT,
+}
+ROBOTS = ("/team/r1", "/r2", "/r3")
+ACTION = "/simulate_steps/_action"
+PUBLISHED = {
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/model_states": "gazebo_msgs/msg/ModelStates",
+    "/link_states": "gazebo_msgs/msg/LinkStates",
+    "/tf": TF,
+    "/tf_static": TF,
+    f"{ACTION}/feedback": "simulation_interfaces/action/SimulateSteps_FeedbackMessage",
+    f"{ACTION}/status": "action_msgs/msg/GoalStatusArray",
+    "/team/r1/ground_truth/state": ODOMETRY,
+    **{f"{robot}/{topic}": kind for robot in ROBOTS for topic, kind in OF_ROBOT.items()},
+}
+LATCHED = ("tf_static", "robot_description", "status")
+RELIABLE_10, TRANSIENT_LOCAL_1 = "::,10", ":1:,1"
+SILENT = f"{ACTION}/feedback"
+"""Tells of goals only; see `test_ros_action`."""
+GID = bytes(range(16))
+SEQUENCE, HEADER = 41, b"\x00\x01"
+
+
+@pytest.fixture(scope="module", params=["jazzy", "humble"])
+def distribution(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def server(distribution: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """Run a robot with an agent of its own, which has ground truth, and two of a pool."""
+    file = tmp_path_factory.mktemp("robot") / "seen.urdf"
+    ros = ("--ros-distro", distribution)
+    with serving("--ros-domain", "0", *ros) as found:
+        write_with_truth(file, found)
+        with (
+            driven(found, "r1", options=ros),
+            running("agent", "--pool", "0", "--connect", found.endpoint, *ros),
+        ):
+            wait_for_agents(found, ("r2", "r3"))
+            yield found
+
+
+def write_with_truth(file: Path, server: Server) -> None:
+    file.write_text(model_text("box_bot").replace("</robot>", P3D), encoding="utf-8")
+    server.zensim("spawn", str(file), "-n", "r1", "--namespace", "team/r1")
+    for place, name in enumerate(("r2", "r3"), 1):
+        server.zensim("spawn", "box_bot", "-n", name, "-y", str(place))
+
+
+@pytest.fixture(scope="module")
+def session(server: Server) -> Iterator[zenoh.Session]:
+    with session_of(server) as found:
+        eventually(lambda: all(publishers_of(found, one) for one in PUBLISHED), SIGHT_S, "tokens")
+        yield found
+
+
+@pytest.fixture(scope="module")
+def graph(session: zenoh.Session) -> list[Told]:
+    return graph_of(tokens(session, "@ros2_lv/**"))
+
+
+def test_each_token_is_read_by_the_grammar_and_fits_the_others(graph: list[Told]) -> None:
+    nodes = {one.owner.name for one in graph}
+
+    assert nodes == {"/zensim", *(f"{robot}/agent" for robot in ROBOTS)}
+    assert {one.owner.domain for one in graph} == {0}
+
+
+def test_each_hash_is_what_another_implementation_finds(
+    graph: list[Told], distribution: str
+) -> None:
+    for one in graph:
+        check_hash(one, has_hashes=distribution != "humble")
+
+
+def test_what_is_published_is_just_what_is_documented(graph: list[Told]) -> None:
+    published = [one for one in graph if one.kind == "MP"]
+
+    assert {one.name: one.ros_type for one in published} == PUBLISHED
+    for one in published:
+        is_latched = one.name.endswith(LATCHED)
+        assert one.qos == (TRANSIENT_LOCAL_1 if is_latched else RELIABLE_10), one
+
+
+def test_robots_hear_commands_of_both_types(graph: list[Told]) -> None:
+    heard = {(one.name, one.ros_type) for one in graph if one.kind == "MS"}
+
+    kinds = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
+    assert heard == {(f"{robot}/cmd_vel", kind) for robot in ROBOTS for kind in kinds}
+
+
+@pytest.mark.parametrize("topic", [topic for topic in PUBLISHED if topic != SILENT])
+def test_each_topic_keeps_to_the_rules_and_has_the_bytes_that_rosbags_writes(
+    session: zenoh.Session, distribution: str, topic: str
+) -> None:
+    came = captured(session, topic)
+
+    check_topic(publishers_of(session, topic), came, has_hashes=distribution != "humble")
+    for heard in came:
+        check_bytes(PUBLISHED[topic], heard.payload)
+
+
+def test_each_service_answers_what_it_cannot_read_with_a_response(
+    server: Server, graph: list[Told]
+) -> None:
+    served = [one for one in graph if one.kind == "SS"]
+    assert len({one.key for one in served}) == len(served) > 30
+
+    for one in served:
+        (answer,) = replies(server, one.key, HEADER, struct.pack("<qqB", SEQUENCE, 7, 16) + GID)
+        check_response(one, answer)
+
+
+def check_response(told: Told, answer: zenoh.Sample) -> None:
+    assert str(answer.key_expr) == told.key
+    assert answer.attachment is not None
+    sequence, time_ns, length = struct.unpack("<qqB", answer.attachment.to_bytes()[:17])
+    assert (sequence, length, answer.attachment.to_bytes()[17:]) == (SEQUENCE, 16, GID)
+    assert time_ns > 7
+    kind = message_name(f"{told.ros_type}_Response")
+    payload = answer.payload.to_bytes()
+    response: Any = HUMBLE.deserialize_cdr(payload, kind)
+    assert bytes(HUMBLE.serialize_cdr(response, kind)) == payload, told
+    if hasattr(response, "result") and hasattr(response.result, "error_message"):
+        assert response.result.error_message, told
+
+
+def test_other_domains_have_no_token(session: zenoh.Session) -> None:
+    told = tokens(session, "@ros2_lv/**")
+
+    assert {token.split("/")[1] for token in told} == {"0"}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("@ros2_lv/0/", "@ros2_lv//"),
+        ("/%/", "//"),
+        ("/%team%r1%odom", "/team%r1%odom"),
+        ("%odom", "%2odom"),
+        ("%odom", "%%odom"),
+        ("%odom", "%my-odom"),
+        ("dds_::", "::"),
+        ("/RIHS01_3", "/RIHS01_"),
+        (":,10:", ":10:"),
+        ("/::,10", "/:,10"),
+    ],
+)
+def test_grammar_finds_a_broken_token(
+    session: zenoh.Session, distribution: str, old: str, new: str
+) -> None:
+    told = tokens(session, "@ros2_lv/0/*/*/*/*/*/%team%r1/**")
+    old = old.replace("RIHS01_3", HUMBLES) if distribution == "humble" else old
+    assert graph_of(told)
+
+    with pytest.raises(NoToken):
+        graph_of([token.replace(old, new) for token in told])
+
+
+def test_grammar_misses_the_node_of_an_endpoint(session: zenoh.Session) -> None:
+    told = tokens(session, "@ros2_lv/0/*/*/*/*/*/%r2/**")
+
+    with pytest.raises(NoToken, match="nobody is the node"):
+        graph_of([token for token in told if "/NN/" not in token])
