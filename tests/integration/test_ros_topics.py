@@ -13,12 +13,9 @@ from tests.integration.ros_watching import (
     LATCHED,
     ODOMETRY,
     SIGHT_S,
-    TF,
-    TRANSIENT_LOCAL,
     TYPES,
     captured,
     joined_late,
-    place_of,
     publishers_of,
     tokens,
 )
@@ -45,14 +42,6 @@ def session(server: Server) -> Iterator[zenoh.Session]:
         yield found
 
 
-def test_topics_are_listed_with_their_types(ask: Do) -> None:
-    listed = ask("topics")
-
-    assert {topic: listed[topic] for topic in TYPES} == {k: [v] for k, v in TYPES.items()}
-    assert listed["/r2/odom"] == [ODOMETRY]
-    assert listed["/r1/cmd_vel"] == ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"]
-
-
 def test_services_are_listed_with_their_types(ask: Do) -> None:
     listed = ask("services")
 
@@ -68,20 +57,6 @@ def test_each_robot_is_a_node(ask: Do, session: zenoh.Session) -> None:
     assert {"%/zensim", "%r1/agent", "%r2/agent"} <= nodes
 
 
-@pytest.mark.parametrize("topic", ["/r1/odom", "/clock", "/r1/tf", "/r1/joint_states"])
-def test_messages_are_heard(ask: Do, topic: str) -> None:
-    heard = ask("hear", topic=topic, kind=TYPES[topic], count=3, within_s=SIGHT_S, qos="")
-
-    assert len(heard) == 3
-
-
-def test_late_joiner_hears_fixed_transforms_of_all_robots(ask: Do) -> None:
-    heard = ask("hear", topic="/tf_static", kind=TF, count=2, within_s=SIGHT_S, qos=TRANSIENT_LOCAL)
-
-    roots = {message["transforms"][0]["header"]["frame_id"] for message in heard}
-    assert roots == {"r1/base_footprint", "r2/base_footprint"}
-
-
 @pytest.mark.parametrize("topic", LATCHED)
 def test_late_joiner_of_rmws_kind_hears_the_last_value_once(
     session: zenoh.Session, topic: str
@@ -94,21 +69,6 @@ def test_late_joiner_of_rmws_kind_hears_the_last_value_once(
     assert all(
         publisher.is_latched for publisher in check_topic(publishers_of(session, topic), came)
     )
-
-
-@pytest.mark.parametrize("topic", TYPES)
-def test_topic_keeps_to_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
-    came = captured(session, topic)
-
-    publishers = check_topic(publishers_of(session, topic), came)
-
-    assert {(one.name, one.ros_type) for one in publishers} == {(topic, TYPES[topic])}
-
-
-@pytest.mark.parametrize("topic", TYPES)
-def test_bytes_are_those_that_rosbags_writes(session: zenoh.Session, topic: str) -> None:
-    for heard in captured(session, topic):
-        check_bytes(TYPES[topic], heard.payload)
 
 
 @pytest.mark.parametrize(
@@ -155,19 +115,6 @@ def test_rules_find_a_lost_message_and_foreign_bytes(session: zenoh.Session) -> 
         check_topic(told, [came[0], came[2]])
     with pytest.raises(BrokenRule, match="rosbags writes otherwise"):
         check_bytes(ODOMETRY, came[0].payload + b"\0")
-
-
-@pytest.mark.parametrize("kind", ["Twist", "TwistStamped"])
-def test_robot_is_driven(ask: Do, server: Server, kind: str) -> None:
-    before = place_of(server, "r2")
-    twist = {"linear": {"x": 0.5}}
-    fields = {"twist": twist} if kind == "TwistStamped" else twist
-
-    def has_moved() -> bool:
-        ask("tell", topic="/r2/cmd_vel", kind=f"geometry_msgs/msg/{kind}", fields=fields)
-        return abs(place_of(server, "r2") - before) > 0.05
-
-    eventually(has_moved, 20.0, f"driving by {kind}")
 
 
 def test_other_domain_sees_nothing(server: Server) -> None:
