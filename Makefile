@@ -49,17 +49,16 @@ packages: # Debian packages that the tests use
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
 
-# These start real processes and wait for them: side by side they would starve each other.
-SERIAL := tests/integration tests/chaos tests/benchmark tests/deploy tests/spawner/cli
+# Side by side; tests that share a server stay together: tests/conftest.py.
+PYTEST := $(BIN)/python -m pytest -n logical --dist loadgroup
 
 test: setup packages ## all tests
-	$(BIN)/python -m pytest -n auto $(SERIAL:%=--ignore=%)
-	@if [ "$$(id -u)" = 0 ]; then $(BIN)/python -m pytest $(SERIAL); \
+	@if [ "$$(id -u)" = 0 ]; then $(PYTEST); \
 	elif ! command -v sudo >/dev/null; then \
 		echo "tests of network namespaces need root, and there is no sudo; run make test as root" >&2; \
 		exit 1; \
-	else $(BIN)/python -m pytest -m "not root" $(SERIAL) && \
-		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root $(SERIAL); \
+	else $(PYTEST) -m "not root" && \
+		sudo $(BIN)/python -B -m pytest -p no:cacheprovider -m root; \
 	fi
 
 lint: setup ## style of the code

@@ -23,8 +23,10 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure a straight course and a turn on the spot."""
     sim_s = 1.0 if is_short else SIM_S
     with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found:
-        straight = drive_for(found.robots, linear=SPEED, angular=0.0, sim_s=sim_s)
-        turned = drive_for(found.robots, linear=0.0, angular=TURN, sim_s=sim_s)
+        straight = drive_for(
+            found.server.client, found.robots, linear=SPEED, angular=0.0, sim_s=sim_s
+        )
+        turned = drive_for(found.server.client, found.robots, linear=0.0, angular=TURN, sim_s=sim_s)
     way_m, turn_rad = SPEED * sim_s, TURN * sim_s
     yield Figure(
         what=f"{SPEED:g} m/s for {sim_s:g} s: off {way_m:g} m",

@@ -27,6 +27,8 @@ class Asked(msgspec.Struct, frozen=True):
     statistic: Statistic
     relation: Literal["<=", ">="]
     limit: float
+    is_timed: bool = False
+    """Whether other programs on the machine can break it."""
 
     def __str__(self) -> str:
         return f"{self.statistic} {self.relation} {self.limit:g}"
@@ -68,6 +70,12 @@ def missed(figure: Figure) -> str:
     if figure.asked is None:
         raise ValueError(f"nothing was asked of '{figure}'")
     return f"{figure}: asked {figure.asked}, seen {written(figure.value(figure.asked.statistic))}"
+
+
+def missed_among(figures: Iterable[Figure], *, is_short: bool) -> tuple[str, ...]:
+    """Say what was missed; of a short run only what other programs cannot be to blame for."""
+    judged = (one for one in figures if one.asked and not (is_short and one.asked.is_timed))
+    return tuple(missed(one) for one in judged if one.is_missed)
 
 
 def written(number: float) -> str:

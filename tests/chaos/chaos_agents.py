@@ -42,7 +42,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="kill of the agent to wheels at zero",
         unit="s",
         samples=tuple(took),
-        asked=Asked("max", "<=", TIMEOUT_S + MARGIN_S),
+        asked=Asked("max", "<=", TIMEOUT_S + MARGIN_S, is_timed=True),
     )
 
 

@@ -52,7 +52,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         what="second agent gone to first agent driving again",
         unit="s",
         samples=tuple(returned),
-        asked=Asked("max", "<=", 5.0),
+        asked=Asked("max", "<=", 5.0, is_timed=True),
     )
 
 

@@ -76,12 +76,13 @@ def crew(endpoint: str, count: int) -> Iterator[Crew]:
     joined = ("--connect", endpoint)
     names = [f"box_bot{i}" for i in range(count)]
     with ExitStack() as stack:
-        zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *joined)
+        bus = stack.enter_context(open_bus(BusConfig(connect=(endpoint,))))
+        client = SimClient(bus, timeout_s=START_S)
+        client.wait_for_server(START_S)
+        done = zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *joined)
+        assert done.returncode == 0, done.stderr
         for name in names:
             stack.enter_context(running("agent", name, "--quiet", *joined))
-        bus = stack.enter_context(open_bus(BusConfig(connect=(endpoint,))))
-        client = SimClient(bus)
-        client.wait_for_server(START_S)
         clock, told = Clock(), bus.subscribe(keys.clock("default"), 4096)
 
         def read_clock() -> None:

@@ -19,7 +19,7 @@ def kept_in(
     """Run a server on a journal until the block is over."""
     command = ("serve", "--listen", endpoint, "--journal", str(folder), *arguments)
     with running(*command, prefix=prefix) as process, joined(endpoint, process) as bus:
-        client = SimClient(bus)
+        client = SimClient(bus, timeout_s=START_S)
         client.wait_for_server(START_S)
         yield Server(process, endpoint, bus, client)
 

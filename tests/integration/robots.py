@@ -1,14 +1,18 @@
 """Driving robots over the network, and reading where they went."""
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from proto import keys
 from proto.bus import Bus, Publisher, Subscription
 from proto.codec import Format, decode, encode, encoding_of
 from proto.geometry import Twist, Vector3
-from proto.header import ns_from_time
+from proto.header import NANOSECONDS, ns_from_time
+from proto.services import State
 from proto.topics import Odometry
+from spawner.client import SimClient
 from tests.integration.processes import eventually
 
 SEND_EVERY_S = 0.1
@@ -44,6 +48,12 @@ class Robot:
         """Send one velocity command."""
         twist = Twist(Vector3(x=linear), Vector3(z=angular))
         self.cmd_vel.send(encode(twist, Format.CDR))
+
+    def newest(self) -> Odometry:
+        """Take the odometry that has come, and tell the last of it."""
+        self.read()
+        assert self.last is not None, f"no odometry of {self.namespace}"
+        return self.last
 
     def now(self) -> Odometry:
         """Wait for the next odometry."""
@@ -93,26 +103,41 @@ class Course:
     turned_rad: float
 
 
-def drive_for(robots: list[Robot], linear: float, angular: float, sim_s: float) -> list[Course]:
-    """Drive robots all at once for some simulation time, then let them stop."""
-    starts = [found.now() for found in robots]
-    turns = [found.turned_rad for found in robots]
-    # From now: waiting for all of the starts took some time.
-    begin_s = now_s = stamp_s(robots[0].now())
-    sent_s = -math.inf
-    while now_s < begin_s + sim_s + STOP_S:
-        if now_s >= sent_s + SEND_EVERY_S:
-            sent_s = now_s
-            is_over = now_s >= begin_s + sim_s
-            for found in robots:
-                found.command(0.0 if is_over else linear, 0.0 if is_over else angular)
-        for found in robots:
-            found.read()
-        now_s = stamp_s(robots[0].now())
-    return [
-        _course(start, found.now(), found.turned_rad - turn)
-        for start, found, turn in zip(starts, robots, turns, strict=True)
-    ]
+def drive_for(
+    client: SimClient, robots: Sequence[Robot], *, linear: float, angular: float, sim_s: float
+) -> list[Course]:
+    """Drive robots all at once for some simulation time, then let them stop.
+
+    Time goes on between two commands and stands at each, so that a busy machine changes nothing.
+    """
+    with on_demand(client):
+        _go_on(client, SEND_EVERY_S)
+        starts = [found.newest() for found in robots]
+        turns = [found.turned_rad for found in robots]
+        for twist, duration_s in (((linear, angular), sim_s), ((0.0, 0.0), STOP_S)):
+            for _ in range(round(duration_s / SEND_EVERY_S)):
+                for found in robots:
+                    found.command(*twist)
+                _go_on(client, SEND_EVERY_S)
+        return [
+            _course(start, found.newest(), found.turned_rad - turn)
+            for start, found, turn in zip(starts, robots, turns, strict=True)
+        ]
+
+
+@contextmanager
+def on_demand(client: SimClient) -> Iterator[None]:
+    """Let time stand but for what is asked for; afterwards it runs again if it did before."""
+    is_playing = client.simulation_state() == State.PLAYING
+    if is_playing:
+        client.set_simulation_state(State.PAUSED)
+    yield
+    if is_playing:
+        client.set_simulation_state(State.PLAYING)
+
+
+def _go_on(client: SimClient, sim_s: float) -> None:
+    client.run_to(round((client.info().sim_time_s + sim_s) * NANOSECONDS))
 
 
 def _turn(before: float, after: float) -> float:

@@ -1,7 +1,6 @@
 """An agent's life among real processes: what it waits for, what it survives, how it ends."""
 
 import signal
-import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ from proto.codec import decode
 from proto.topics import JointState, Odometry, String, TFMessage
 from spawner.client import SimClient
 from tests.integration.processes import (
+    END_S,
     Server,
     agent_of,
     driven,
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     import msgspec
 
-EXIT_S = 0.5
 MAX_MEMORY_BYTES = 70 * 1024 * 1024
 
 
@@ -47,40 +46,34 @@ def agents_up(bus: Bus) -> list[str]:
     return [keys.agent_of(key) for key in bus.alive(keys.alive_agents("default"))]
 
 
-def seconds_to_end(process: "subprocess.Popen[str]", number: signal.Signals) -> float:
-    began_s = time.monotonic()
+def status_after(process: "subprocess.Popen[str]", number: signal.Signals) -> int:
     process.send_signal(number)
-    process.wait(10.0)
-    return time.monotonic() - began_s
+    return process.wait(END_S)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_agent_ends_well_and_at_once_when_it_is_told_to(
-    server: Server, number: signal.Signals
-) -> None:
+def test_agent_ends_well_when_it_is_told_to(server: Server, number: signal.Signals) -> None:
     with driven(server, "r1") as agents:
         name = agent_of(server, "r1")
 
-        assert seconds_to_end(agents["r1"], number) < EXIT_S
+        assert status_after(agents["r1"], number) == 0
 
-        assert agents["r1"].returncode == 0
         eventually(lambda: name not in agents_up(server.bus), 2.0, "withdrawing the token")
         eventually(lambda: not agent_of(server, "r1"), 2.0, "releasing the entity")
 
 
-def test_agent_ends_at_once_while_it_waits_for_its_entity(server: Server) -> None:
+def test_agent_ends_while_it_waits_for_its_entity(server: Server) -> None:
     with running("agent", "r9", "--name", "patient", "--connect", server.endpoint) as waiting:
         eventually(lambda: "patient" in agents_up(server.bus), 10.0, "joining")
 
-        assert seconds_to_end(waiting, signal.SIGTERM) < EXIT_S
-        assert waiting.returncode == 0
+        assert status_after(waiting, signal.SIGTERM) == 0
 
 
-def test_agent_ends_at_once_while_it_waits_for_a_server() -> None:
+def test_agent_ends_while_it_waits_for_a_server() -> None:
     with running("agent", "r1", "--connect", free_endpoint()) as waiting:
         eventually(lambda: psutil.Process(waiting.pid).num_threads() > 1, 10.0, "joining")
 
-        assert seconds_to_end(waiting, signal.SIGINT) < EXIT_S
+        assert status_after(waiting, signal.SIGINT) == 130
 
 
 def test_agent_names_the_entity_that_never_came(server: Server) -> None:

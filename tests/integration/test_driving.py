@@ -16,7 +16,7 @@ BODY_M = 0.1
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    with serving() as found:
+    with serving("--paused") as found:
         layout = ("--count", "10", "--layout", "grid", "--spacing", "5")
         assert found.zensim("fleet", "box_bot", *layout).returncode == 0
         with driven(found, *TEN):
@@ -28,15 +28,19 @@ def ten(server: Server) -> list[Robot]:
     return [robot(server.bus, name) for name in TEN]
 
 
-def test_ten_robots_go_two_metres_when_driven_at_0_2_for_ten_seconds(ten: list[Robot]) -> None:
-    courses = drive_for(ten, linear=0.2, angular=0.0, sim_s=10.0)
+def test_ten_robots_go_two_metres_when_driven_at_0_2_for_ten_seconds(
+    server: Server, ten: list[Robot]
+) -> None:
+    courses = drive_for(server.client, ten, linear=0.2, angular=0.0, sim_s=10.0)
 
     assert [course.forward_m for course in courses] == pytest.approx([2.0] * 10, rel=0.01)
     assert [course.sideways_m for course in courses] == pytest.approx([0.0] * 10, abs=0.01)
 
 
-def test_ten_robots_turn_ten_radians_when_turned_at_one_for_ten_seconds(ten: list[Robot]) -> None:
-    courses = drive_for(ten, linear=0.0, angular=1.0, sim_s=10.0)
+def test_ten_robots_turn_ten_radians_when_turned_at_one_for_ten_seconds(
+    server: Server, ten: list[Robot]
+) -> None:
+    courses = drive_for(server.client, ten, linear=0.0, angular=1.0, sim_s=10.0)
 
     assert [course.turned_rad for course in courses] == pytest.approx([10.0] * 10, rel=0.02)
 
@@ -46,9 +50,9 @@ def test_robots_stop_each_other_when_driven_head_on(server: Server, ten: list[Ro
     _face(server, "box_bot0", x=100.0, heading=0.0)
     _face(server, "box_bot1", x=101.0, heading=math.pi)
 
-    drive_for([left, right], linear=0.2, angular=0.0, sim_s=5.0)
+    drive_for(server.client, [left, right], linear=0.2, angular=0.0, sim_s=5.0)
 
-    (x_left, _), (x_right, _) = place(left.now()), place(right.now())
+    (x_left, _), (x_right, _) = place(left.newest()), place(right.newest())
     assert BODY_M * 0.95 < x_right - x_left < BODY_M * 1.6
 
 

@@ -8,7 +8,7 @@ import psutil
 import pytest
 
 from sim_server.physics.choosing import MOST
-from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.processes import END_S, Server, driven, eventually, serving
 from tests.integration.robots import robot
 
 FLEET = MOST["pybullet"] + 6
@@ -52,7 +52,7 @@ def test_robots_drive_in_whatever_process_they_are_until_the_server_is_stopped(
 
     (worker,) = workers_of(server)
     server.process.send_signal(signal.SIGINT)
-    assert server.process.wait(10.0) == 0
+    assert server.process.wait(END_S) == 0
     assert not worker.is_running()
 
 

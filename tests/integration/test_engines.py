@@ -37,8 +37,8 @@ def test_robots_drive_on_mujoco_as_they_are_told(server: Server) -> None:
 
     with driven(server, *TWO):
         robots = [robot(server.bus, name) for name in TWO]
-        ahead = drive_for(robots, linear=0.2, angular=0.0, sim_s=5.0)
-        turned = drive_for(robots, linear=0.0, angular=1.0, sim_s=5.0)
+        ahead = drive_for(server.client, robots, linear=0.2, angular=0.0, sim_s=5.0)
+        turned = drive_for(server.client, robots, linear=0.0, angular=1.0, sim_s=5.0)
 
     assert [course.forward_m for course in ahead] == pytest.approx([1.0] * 2, rel=0.01)
     assert [course.sideways_m for course in ahead] == pytest.approx([0.0] * 2, abs=0.01)

@@ -43,7 +43,7 @@ def test_robot_that_goes_bad_is_frozen_and_the_others_drive_on(tmp_path: Path) -
             where = ("-x", "0", "-y", "3", "-z", "1")
             assert server.zensim("spawn", str(file), "--name", "bad", *where).returncode == 0
 
-            (course,) = drive_for([other], linear=0.2, angular=0.0, sim_s=4.0)
+            (course,) = drive_for(server.client, [other], linear=0.2, angular=0.0, sim_s=4.0)
 
             heard = [decode(Event, one.payload, one.encoding) for one in events.take()]
             warned = [event for event in heard if event.kind == "warning"]

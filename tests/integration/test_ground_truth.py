@@ -27,7 +27,7 @@ def test_ground_truth_goes_where_the_robot_goes(tmp_path: Path) -> None:
             truth = server.bus.subscribe("r1/ground_truth/state", 100_000)
             seen = robot(server.bus, "r1")
 
-            drive_for([seen], linear=0.2, angular=0.0, sim_s=3.0)
+            drive_for(server.client, [seen], linear=0.2, angular=0.0, sim_s=3.0)
 
             heard = eventually(truth.take, 20.0, "ground truth")
             first, last = (

@@ -1,6 +1,5 @@
 """Hostile descriptions at a live server: each has its answer, and the world goes on meanwhile."""
 
-import time
 from collections.abc import Iterator
 
 import msgspec
@@ -14,7 +13,6 @@ from tests.hostile.corpus import corpus
 from tests.integration.processes import Server, eventually, serving
 
 EVERY = 6
-LONGEST_ANSWER_S = 10.0
 CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]
 """Lone surrogates cannot be sent at all."""
 GOOD = SpawnEntityOrder("good", entity_resource=Resource(uri="box_bot"))
@@ -58,11 +56,9 @@ def keeps_stepping(server: Server) -> Iterator[None]:
 @pytest.mark.parametrize("case", CASES, ids=lambda case: ascii(case.name))
 def test_server_answers_a_hostile_description_and_steps_on(server: Server, case: Case) -> None:
     order = SpawnEntityOrder("hostile", entity_resource=Resource(resource_string=case.text))
-    started = time.monotonic()
 
     answer = answer_to(server, order)
 
-    assert time.monotonic() - started < LONGEST_ANSWER_S
     slug = (
         "request.size"
         if len(case.text.encode("utf-8", "surrogatepass")) > MAX_REQUEST_BYTES

@@ -6,6 +6,7 @@ import subprocess
 import psutil
 
 from tests.integration.processes import (
+    END_S,
     Server,
     agent_of,
     command_line,
@@ -102,7 +103,7 @@ def test_server_ends_cleanly_when_interrupted() -> None:
         with serving() as server:
             server.process.send_signal(number)
 
-            assert server.process.wait(3.0) == 0
+            assert server.process.wait(END_S) == 0
 
 
 def test_up_brings_ten_robots_and_leaves_nothing_when_interrupted() -> None:
@@ -112,7 +113,7 @@ def test_up_brings_ten_robots_and_leaves_nothing_when_interrupted() -> None:
         family = psutil.Process(up.pid).children(recursive=True)
         up.send_signal(signal.SIGINT)
 
-        assert up.wait(3.0) == 0
+        assert up.wait(END_S) == 0
         assert '"robots":10' in ready
         assert len(family) == 12  # ten agents, the server, and its reader
         assert not [process for process in family if process.is_running()]

@@ -5,6 +5,7 @@ import signal
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from ipaddress import IPv4Address, IPv4Network
 
 import pytest
 
@@ -22,6 +23,8 @@ PERIOD = 3
 """Steps between two drive states, at 240 Hz."""
 SOON_S = 20.0
 BOX_BOT = Resource("box_bot")
+TEST_NETWORK = IPv4Network("198.18.0.0/15")
+"""Kept for measuring network devices, RFC 2544."""
 
 
 def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ()) -> Said:
@@ -45,16 +48,22 @@ def said() -> Said:
 @contextmanager
 def another_host() -> Iterator[tuple[str, tuple[str, ...]]]:
     """Make a host that is joined to this one by a cable: our address, and how to run there."""
-    tag = f"zl{os.getpid()}"
+    tag, (ours, theirs) = f"zl{os.getpid()}", ends_of_a_cable(os.getpid())
     with ExitStack() as stack:
         _ip("netns", "add", tag)
         stack.callback(_ip, "netns", "del", tag)
         _ip("link", "add", tag, "type", "veth", "peer", tag, "netns", tag)
-        _ip("addr", "add", "10.89.0.1/24", "dev", tag)
+        _ip("addr", "add", f"{ours}/30", "dev", tag)
         _ip("link", "set", tag, "up")
-        _ip("-n", tag, "addr", "add", "10.89.0.2/24", "dev", tag)
+        _ip("-n", tag, "addr", "add", f"{theirs}/30", "dev", tag)
         _ip("-n", tag, "link", "set", tag, "up")
-        yield "10.89.0.1", ("ip", "netns", "exec", tag)
+        yield str(ours), ("ip", "netns", "exec", tag)
+
+
+def ends_of_a_cable(number: int) -> tuple[IPv4Address, IPv4Address]:
+    """Find two addresses that other runs on this machine do not use, where no real host is."""
+    first = TEST_NETWORK.network_address + number % (TEST_NETWORK.num_addresses // 4) * 4
+    return first + 1, first + 2
 
 
 def _ip(*arguments: str) -> None:

@@ -6,7 +6,6 @@ import os
 import signal
 import struct
 import termios
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -22,7 +21,6 @@ from spawner.search_paths import SearchPaths
 from tests.hostile.case import BODY, alone, solid
 from tests.integration.processes import Server, eventually, serving
 
-LONGEST_ANSWER_S = 10.0
 STDIN = 0
 EXTRAS = b'{"asset":{"version":"2.0"},"extras":[' + b"[]," * (20 << 20) + b"[]]} "
 """Of a GLB file of 63 MB: a list for every three bytes, where anything may stand."""
@@ -75,14 +73,11 @@ def answer_when(server: Server, name: str, act: Callable[[psutil.Process], None]
     """Spawn with a reader that stands still, act on it once it has the request, and wait."""
     reader = reader_of(server)
     reader.suspend()
-    started = time.monotonic()
     with ThreadPoolExecutor(1) as pool:
         answer = pool.submit(answer_to, server, an_order(name))
         eventually(lambda: unread_bytes(reader.pid) > 0, 5.0, "handing over")
         act(reader)
-        found = answer.result()
-    assert time.monotonic() - started < LONGEST_ANSWER_S
-    return found
+        return answer.result()
 
 
 def unread_bytes(process_id: int) -> int:

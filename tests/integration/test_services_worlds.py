@@ -12,7 +12,7 @@ from proto.result import (
     SetSimulationStateCode,
 )
 from proto.services import State, TagsFilter
-from tests.integration.processes import Server, agent_of, driven, eventually, serving
+from tests.integration.processes import END_S, Server, agent_of, driven, eventually, serving
 from tests.integration.robots import robot
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
@@ -143,7 +143,7 @@ def test_server_quits_after_its_answer() -> None:
 
         server.client.set_simulation_state(State.QUITTING)
 
-        assert server.process.wait(10.0) == 0
+        assert server.process.wait(END_S) == 0
 
 
 def test_loaded_world_comes_back_from_the_journal_and_so_does_none(tmp_path: Path) -> None:
@@ -160,7 +160,7 @@ def test_loaded_world_comes_back_from_the_journal_and_so_does_none(tmp_path: Pat
         assert server.client.simulation_state() == State.STOPPED
         server.client.unload_world()
         server.client.set_simulation_state(State.QUITTING)
-        assert server.process.wait(10.0) == 0
+        assert server.process.wait(END_S) == 0
 
     with serving(*kept) as server:
         assert server.client.simulation_state() == State.NO_WORLD

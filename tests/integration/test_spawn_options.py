@@ -15,6 +15,7 @@ from proto.services import ResetScope, State
 from proto.topics import String
 from spawner.launch import read_cargo
 from tests.integration.processes import (
+    END_S,
     Server,
     command_line,
     eventually,
@@ -169,7 +170,7 @@ def test_description_is_read_from_a_key_that_keeps_it(
     ) as process:
         calls = eventually(lambda: queue.take() or None, 20.0, "asking for the description")
         calls[0].reply(payload, encoding)
-        process.wait(20.0)
+        process.wait(END_S)
     queue.close()
 
     assert mass_of(server, "t1") == pytest.approx(2.0)
@@ -198,7 +199,7 @@ def test_spawn_waits_for_another_entity(server: Server) -> None:
     arguments = ("spawn", "box_bot", "-entity", "r2", "-wait", "r1", "--connect", server.endpoint)
     with running(*arguments) as process:
         spawned(server, "box_bot", "-entity", "r1", "-y", "1")
-        process.wait(20.0)
+        process.wait(END_S)
 
     assert server.client.entities() == ("r1", "r2")
 
@@ -250,7 +251,7 @@ def test_bond_ends_when_the_entity_has_gone(server: Server) -> None:
 
         server.client.delete("b1")
 
-        assert process.wait(10.0) == 0
+        assert process.wait(END_S) == 0
 
 
 def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:

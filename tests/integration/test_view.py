@@ -1,7 +1,6 @@
 """The page in a real browser, fed by a real server; and who may open it."""
 
 import signal
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from proto.codec import Format, encode, encoding_of
 from proto.geometry import Twist, Vector3
 from tests.integration.bare_page import a_camera, bare_page
 from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
-from tests.integration.processes import Server, eventually, running, serving, zensim
+from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
 
 if TYPE_CHECKING:
     import subprocess
@@ -204,7 +203,7 @@ def test_page_recovers_when_the_server_ends_and_another_comes() -> None:
         with viewing(endpoint) as (url, _), opened(url) as tab:
             tab.until("document.body.innerText.includes('playing')")
             first.process.send_signal(signal.SIGTERM)
-            first.process.wait(10.0)
+            first.process.wait(END_S)
             tab.until("document.body.innerText.includes('no server')")
 
             with running("serve", "--listen", endpoint):
@@ -247,17 +246,13 @@ def test_view_fails_in_one_line_when_its_port_is_taken(server: Server) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_view_ends_within_a_second_when_told_to(server: Server, number: signal.Signals) -> None:
+def test_view_that_is_looked_at_ends_when_told_to(server: Server, number: signal.Signals) -> None:
     with viewing(server.endpoint) as (url, process):
         with bare_page(url) as page:
             page.send(a_camera())
             page.recv(timeout=5.0)
-            told_at = time.monotonic()
             process.send_signal(number)
-            process.wait(5.0)
-            took_s = time.monotonic() - told_at
 
-        assert took_s < 1.0
-        assert process.returncode == 0
+            assert process.wait(END_S) == 0
         assert process.stderr is not None
         assert process.stderr.read() == ""
