@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from subprocess import Popen
 
 from proto import keys
 from proto.bus import Bus, BusConfig, open_bus
@@ -40,6 +41,7 @@ class Crew:
 
     bus: Bus
     client: SimClient
+    agents: list[Popen[str]]
     robots: list[Robot]
     clock: Clock
     read_clock: Callable[[], None]
@@ -81,8 +83,7 @@ def crew(endpoint: str, count: int) -> Iterator[Crew]:
         client.wait_for_server(START_S)
         done = zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *joined)
         assert done.returncode == 0, done.stderr
-        for name in names:
-            stack.enter_context(running("agent", name, "--quiet", *joined))
+        agents = [stack.enter_context(running("agent", name, "--quiet", *joined)) for name in names]
         clock, told = Clock(), bus.subscribe(keys.clock("default"), 4096)
 
         def read_clock() -> None:
@@ -90,4 +91,5 @@ def crew(endpoint: str, count: int) -> Iterator[Crew]:
                 message = decode(WorldClock, sample.payload, sample.encoding)
                 clock.note(time.monotonic(), message.epoch, message.step)
 
-        yield Crew(bus, client, [robot(bus, name) for name in names], clock, read_clock)
+        robots = [robot(bus, name) for name in names]
+        yield Crew(bus, client, agents, robots, clock, read_clock)

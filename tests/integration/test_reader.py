@@ -15,6 +15,7 @@ import pytest
 
 from proto.result import ServiceError
 from proto.services import Resource, SpawnEntityOrder
+from sim_server.reading.reader import TOO_LONG
 from spawner.descriptions import from_word
 from spawner.launch import cargo_of, order_for, send_files
 from spawner.search_paths import SearchPaths
@@ -22,6 +23,7 @@ from tests.hostile.case import BODY, alone, solid
 from tests.integration.processes import Server, eventually, serving
 
 STDIN = 0
+SLOW = f"reader.timeout: {TOO_LONG}"
 EXTRAS = b'{"asset":{"version":"2.0"},"extras":[' + b"[]," * (20 << 20) + b"[]]} "
 """Of a GLB file of 63 MB: a list for every three bytes, where anything may stand."""
 
@@ -128,9 +130,11 @@ def test_spawn_is_refused_and_the_next_works_when_a_mesh_takes_too_much_memory(
     file.write_text(alone(BODY + solid('<mesh filename="large.glb"/>')), encoding="utf-8")
     cargo = cargo_of(from_word(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False)
     send_files(server.client, cargo.bundle)
-    reader = reader_of(server)
+    order = order_for(cargo, SpawnEntityOrder("large"), "")
 
-    answer = answer_to(server, order_for(cargo, SpawnEntityOrder("large"), ""))
+    reader, answer = reader_of(server), answer_to(server, order)
+    while answer == SLOW:  # as it says: where others have the cores, try again
+        reader, answer = reader_of(server), answer_to(server, order)
 
     assert answer.startswith("reader.memory: ")
     assert reader_of(server) == reader
