@@ -13,7 +13,7 @@ ALONE = 250
 """Bodies that one cell has before there are several: fewer gain nothing (docs/fleet.md)."""
 ALONE_AT_ONCE = 150
 """The same where cells are stepped at once."""
-MOST: dict[EngineName, int] = {"pybullet": 128, "mujoco": 64}
+MOST: dict[EngineName, int] = {"pybullet": 128, "mujoco": 128}
 """Bodies of a cell: smaller ones of PyBullet cost a robot as much, and 30 MB each."""
 LARGEST: dict[EngineName, int] = {"pybullet": 250, "mujoco": 0}
 """Bodies of a cell of a world of a thousand: they cost a robot 5-10 % more, but half the memory."""

@@ -314,7 +314,9 @@ class MujocoEngine:
         model, data = self._model, self._data
         positions, velocities = data.qpos.copy(), data.qvel.copy()
         mujoco.mj_step2(model, data)
-        if float(np.abs(data.qvel - velocities).max(initial=0.0)) <= WILD:
+        gained = data.qvel - velocities
+        # What all gained together is told faster than what each did.
+        if gained.dot(gained) <= WILD**2 or np.abs(gained).max() <= WILD:
             return
         data.qpos[:], data.qvel[:] = positions, velocities
         solver, iterations = model.opt.solver, model.opt.iterations
@@ -330,7 +332,8 @@ class MujocoEngine:
         """
         data = self._data
         speeds = self._stock.speeds(self._wishes, data.qpos, self._dt_s)
-        data.efc_aref[data.ne : data.ne + data.nf] += speeds / self._dt_s
+        speeds /= self._dt_s
+        data.efc_aref[data.ne : data.ne + data.nf] += speeds
 
     def _pull(self) -> None:
         data, bodies = self._data, self._stock.pulls.bodies

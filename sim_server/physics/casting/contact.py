@@ -119,13 +119,14 @@ def correct(
         dt_s: Length of a step.
         weight: Force [N] on each kg that presses contacts together, about.
     """
-    is_solved = contacts.efc_address >= 0
-    rows = contacts.efc_address[is_solved]
-    if contacts.dist.min() * MENDED < -FASTEST_OUT_MPS * dt_s:
-        pushes = -how[rows, 0] * how[rows, 2] * contacts.dist[is_solved]
+    addresses, depths = contacts.efc_address, contacts.dist
+    if depths.min() * MENDED < -FASTEST_OUT_MPS * dt_s:
+        is_solved = addresses >= 0
+        rows = addresses[is_solved]
+        pushes = -how[rows, 0] * how[rows, 2] * depths[is_solved]
         wanted[rows] -= np.maximum(pushes - FASTEST_OUT_MPS / dt_s, 0.0)
-    grips = contacts.dim[is_solved] == GRIPPING_ROWS
-    sliding(wanted, rows[grips], contacts.friction[is_solved, 0][grips], weight)
+    grips = (contacts.dim == GRIPPING_ROWS) & (addresses >= 0)
+    sliding(wanted, addresses[grips], contacts.friction[:, 0][grips], weight)
 
 
 def sliding(wanted: FloatArray, rows: Ints, friction: FloatArray, weight: float) -> None:
@@ -142,5 +143,9 @@ def sliding(wanted: FloatArray, rows: Ints, friction: FloatArray, weight: float)
         friction: Of each of these contacts.
         weight: See `correct`.
     """
-    slips = np.hypot(wanted[rows + 1], wanted[rows + 2])
-    wanted[rows] -= friction * np.maximum(slips - weight * friction, 0.0)
+    along, across = wanted[rows + 1], wanted[rows + 2]
+    stopped = weight * friction
+    slides = along * along + across * across > stopped * stopped
+    if slides.any():
+        slips = np.hypot(along[slides], across[slides])
+        wanted[rows[slides]] -= friction[slides] * (slips - stopped[slides])

@@ -1,6 +1,6 @@
 """Who makes cells and works them: engines that know nothing of one another, worked together."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, Protocol
 
@@ -56,12 +56,13 @@ class CellsHere:
         """See `Cells.start`: there is nothing to do."""
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
-        """See `Cells.step`; each thread has every n-th cell, and this one is one of them."""
+        """See `Cells.step`; whichever thread is free takes the next cell, this one among them."""
         if self._pool is None:
             return _advance(cells, steps)
-        shares = [cells[i :: self._threads] for i in range(self._threads)]
-        others = [self._pool.submit(_advance, share, steps) for share in shares[1:] if share]
-        is_well = _advance(shares[0], steps)
+        left = iter(cells)  # the interpreter's lock lets each be taken once
+        helpers = min(self._threads, len(cells)) - 1
+        others = [self._pool.submit(_advance, left, steps) for _ in range(helpers)]
+        is_well = _advance(left, steps)
         return all([is_well, *(other.result() for other in others)])
 
     def read(self, asked: Sequence[Asked]) -> list[Reading]:
@@ -79,7 +80,7 @@ class CellsHere:
             self._pool.shutdown()
 
 
-def _advance(cells: Sequence[Engine], steps: int) -> bool:
+def _advance(cells: Iterable[Engine], steps: int) -> bool:
     # One cell several times in a row: its memory is still near.
     is_well = True
     for cell in cells:
