@@ -1,7 +1,6 @@
 """The Engine over MuJoCo. The only file that imports mujoco."""
 
 import math
-from collections import OrderedDict
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -18,16 +17,26 @@ from proto.stl import read_corners
 from sim_server.physics.acceptance import check_meshes
 from sim_server.physics.actuation import actuation_of
 from sim_server.physics.casting.contact import correct, soft
+from sim_server.physics.casting.foundry import Foundry
 from sim_server.physics.casting.gathering import XYZ_XYZW
 from sim_server.physics.casting.hulls import Points, pieces_of
 from sim_server.physics.casting.make import NONE, Make, make_of
-from sim_server.physics.casting.mjcf import mjcf_of
+from sim_server.physics.casting.mjcf import JOINTS, MAX_PARTS, SHAPES, mjcf_of
 from sim_server.physics.casting.plan import Plan, plan_of
 from sim_server.physics.casting.seat import Seat
 from sim_server.physics.casting.selection import Body, Selection, selection_of
 from sim_server.physics.casting.slots import Cast, Slots
 from sim_server.physics.casting.stock import stock_of
-from sim_server.physics.casting.switching import carry, empty, empty_all, fill, man
+from sim_server.physics.casting.switching import (
+    FARTHEST,
+    carry,
+    empty,
+    empty_all,
+    fill,
+    is_bearable,
+    man,
+    still,
+)
 from sim_server.physics.casting.wishes import no_wishes
 from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.loads import loads_of
@@ -36,18 +45,13 @@ from sim_server.physics.planning import Planner
 # They would be said on the terminal, and in a file of the working directory.
 mujoco.set_mju_user_warning(lambda _: None)
 
-MAX_PARTS = 256
 OVERLAP_M = 0.001
 """Bodies that only touch do not overlap."""
-FARTHEST = 1e9
-"""A state with larger numbers is taken for broken: MuJoCo bears 1e10."""
 WILD = 20.0
 """A change of a speed in one step [m/s or rad/s] that is solved again to be sure of it."""
 CONJUGATE = int(mujoco.mjtSolver.mjSOL_CG), 1000
 """Method and most iterations of what is solved again."""
-KEPT_CASTS, KEPT_SELECTIONS = 16, 4096
-JOINTS = ("revolute", "continuous", "prismatic", "fixed")
-SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
+KEPT_SELECTIONS = 4096
 
 
 @dataclass(frozen=True)
@@ -72,33 +76,32 @@ class MujocoEngine:
         )
         self._bodies: dict[int, Body] = {}
         self._broken: set[int] = set()
+        self._concealed: dict[int, FloatArray] = {}
         self._numbers = count(1)
         self._slots = Slots()
         self._is_pushed = False
-        self._use(_casting((), config))
+        self._use(_FOUNDRY.cast((), config))
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`: compiles what is missing, all at once."""
+        """See `Engine.prepare`: what is missing is compiled besides."""
         try:
-            cast = self._slots.with_one_more(self._make(model))
-            if cast == self._slots.cast or (cast, self._config) in _CASTINGS:
-                return True
-            _casting(cast, self._config)
+            return _FOUNDRY.is_ready(self._slots.with_one_more(self._make(model)), self._config)
         except EngineRefused:
             return True
-        return False
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         make = self._make(model)
-        casting = _casting(self._slots.with_one_more(make), self._config, model.name)
+        casting = self._casting_with_one_more(make, model.name)
         number = next(self._numbers)
         slot = self._slots.take(make, number)
         if casting is not self._casting:
             self._recast(casting)
+            _FOUNDRY.make_ahead(casting.plan.cast, make, self._config)
         loads = loads_of(self._planner.blueprint(model), self._config.gravity, self._dt_s)
         seat = casting.plan.seat(make, slot)
         body = self._bodies[number] = Body(model, make, slot, seat, actuation_of(model), loads)
+        self._owners[seat.geometries] = number
         self._fill(body)
         zeros = np.zeros(len(model.joints))
         self.put(number, base, zeros, zeros)
@@ -108,36 +111,48 @@ class MujocoEngine:
         """See `Engine.remove`; its slot is empty then."""
         gone = self._bodies.pop(body)
         self._broken.discard(body)
+        self._concealed.pop(body, None)
         self._empty(gone.seat)
+        self._owners[gone.seat.geometries] = NONE
         self._slots.release(gone.make, gone.slot)
+
+    def conceal(self, body: int) -> None:
+        """See `Concealing.conceal`."""
+        seat = self._bodies[body].seat
+        self._concealed[body] = self._data.qpos[seat.positions]
+        still(self._model, self._data, seat)
+        self._wishes.forget(seat.velocities)
+        self._is_changed = True
+
+    def reveal(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        for number in bodies:
+            body = self._bodies[number]
+            # To the bit: what hangs drifts by what gravity and its compensation are rounded by.
+            self._data.qpos[body.seat.positions] = self._concealed.pop(number)
+            self._data.qvel[body.seat.velocities] = 0.0
+            self._fill(body)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self._slots = Slots()
         for number, body in self._bodies.items():
             body.slot = self._slots.take(body.make, number)
-        self._recast(_casting(self._slots.cast, self._config))
+        self._recast(_FOUNDRY.cast(self._slots.cast, self._config))
 
     def overlapping(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
-        model, data = self._model, self._data
+        model, data, owners = self._model, self._data, self._owners
         mujoco.mj_kinematics(model, data)
-        owners = {
-            geometry: number
-            for number, other in self._bodies.items()
-            if number != body and number not in self._broken
-            for geometry in other.seat.geometries.tolist()
-        }
-        others = np.array(list(owners), np.intp)
         found: set[int] = set()
         for own in self._bodies[body].seat.geometries.tolist():
-            gaps = np.linalg.norm(data.geom_xpos[others] - data.geom_xpos[own], axis=1)
-            reach = model.geom_rbound[others] + model.geom_rbound[own]
-            for other in others[gaps <= reach].tolist():
+            gaps = np.linalg.norm(data.geom_xpos - data.geom_xpos[own], axis=1)
+            is_near = gaps <= model.geom_rbound + model.geom_rbound[own]
+            for other in np.flatnonzero(is_near & (owners != NONE) & (owners != body)).tolist():
                 gap = mujoco.mj_geomDistance(model, data, own, other, 1.0, None)
                 if gap < -OVERLAP_M:
-                    found.add(owners[other])
-        return sorted(found)
+                    found.add(int(owners[other]))
+        return sorted(found - self._broken)
 
     def read(self, bodies: Sequence[int]) -> Reading:
         """See `Engine.read`; what is broken reads as NaN where it is not what broke it."""
@@ -157,7 +172,7 @@ class MujocoEngine:
         if placed.make.is_static:
             self._nail(placed, base)
             return
-        if not _is_bearable(base):
+        if not is_bearable(base):
             self._break(body, base)
             return
         if body in self._broken:
@@ -167,6 +182,8 @@ class MujocoEngine:
         self._data.qpos[first + XYZ_XYZW] = base[:7]
         self._data.qvel[rate : rate + 3] = base[7:10]
         self._data.qvel[rate + 3 : rate + 6] = rotate(conjugate(base[3:7]), base[10:])
+        if body in self._concealed:
+            self.conceal(body)
 
     def put(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
@@ -213,7 +230,7 @@ class MujocoEngine:
             stock.impose(self._wishes, data.qpos, data.qvel)
         mujoco.mj_step1(model, data)
         if len(stock.pulls):
-            self._pull()
+            stock.pulls.act(data, model.body_rootid)
         if len(stock.motors):
             self._drive()
         if data.ncon:
@@ -230,7 +247,19 @@ class MujocoEngine:
     def close(self) -> None:
         """See `Engine.close`."""
         self._bodies.clear()
-        self._use(_casting((), self._config))
+        self._use(_FOUNDRY.cast((), self._config))
+
+    def _casting_with_one_more(self, make: Make, name: str) -> Casting:
+        cast = self._slots.with_one_more(make)
+        if cast == self._slots.cast:
+            return self._casting
+        try:
+            return _FOUNDRY.cast(cast, self._config)
+        except ValueError as error:
+            raise EngineRefused(f"model '{name}' was refused by MuJoCo: {error}") from error
+
+    def _takes_part(self, body: int) -> bool:
+        return body not in self._broken and body not in self._concealed
 
     def _make(self, model: Model) -> Make:
         blueprint = self._planner.blueprint(model)
@@ -245,6 +274,7 @@ class MujocoEngine:
         self._model = copy(casting.model)
         self._data = mujoco.MjData(self._model)
         self._wishes = no_wishes(self._model.nv)
+        self._owners = np.full(len(self._model.geom_contype), NONE, np.intp)
         self._is_changed = True
         self._selections: dict[tuple[int, ...], Selection] = {}
         empty_all(self._model, self._data, casting.plan)
@@ -256,7 +286,8 @@ class MujocoEngine:
         self._use(casting)
         for number, body in self._bodies.items():
             body.seat = plan.seat(body.make, body.slot)
-            if number not in self._broken:
+            self._owners[body.seat.geometries] = number
+            if self._takes_part(number):
                 self._fill(body)
         new = [body.seat for body in self._bodies.values()]
         self._wishes = carry(
@@ -277,7 +308,7 @@ class MujocoEngine:
 
     def _nail(self, body: Body, base: FloatArray) -> None:
         body.stand = np.concatenate([base[:7], np.zeros(6)])
-        if _is_bearable(base):
+        if is_bearable(base):
             root = body.seat.begins.bodies
             self._model.body_pos[root] = base[:3]
             self._model.body_quat[root] = base[[6, 3, 4, 5]]
@@ -300,7 +331,7 @@ class MujocoEngine:
         model = self._model
         self._is_changed = False
         self._stock = stock_of(
-            (body for number, body in self._bodies.items() if number not in self._broken),
+            (body for number, body in self._bodies.items() if self._takes_part(number)),
             self._wishes,
             model.dof_frictionloss,
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
@@ -327,58 +358,21 @@ class MujocoEngine:
     def _drive(self) -> None:
         """Give each motor the speed that it is to reach in this step.
 
-        A motor is a friction about a speed: MuJoCo pushes with up to the effort against a speed of
-        0, which is shifted here, where the rows of constraints are ready and not yet solved.
+        A motor is a friction about a speed, which is shifted here from 0: rows of constraints are
+        ready, and not yet solved.
         """
         data = self._data
         speeds = self._stock.speeds(self._wishes, data.qpos, self._dt_s)
         speeds /= self._dt_s
         data.efc_aref[data.ne : data.ne + data.nf] += speeds
 
-    def _pull(self) -> None:
-        data, bodies = self._data, self._stock.pulls.bodies
-        spins = data.cvel[bodies, :3]
-        # MuJoCo's velocities are about the centre of mass of the whole robot.
-        arms = data.xipos[bodies] - data.subtree_com[self._model.body_rootid[bodies]]
-        linear = data.cvel[bodies, 3:] + np.cross(spins, arms)
-        turns = data.ximat[bodies].reshape(-1, 3, 3)
-        data.xfrc_applied[bodies] += self._stock.pulls.wrenches(turns, linear, spins)
-
     def _selection(self, bodies: Sequence[int]) -> Selection:
         key = tuple(bodies)
-        if (known := self._selections.get(key)) is not None:
-            return known
-        made = selection_of([self._bodies[body] for body in bodies])
-        if len(self._selections) >= KEPT_SELECTIONS:
-            self._selections.clear()
-        self._selections[key] = made
-        return made
-
-
-def _is_bearable(base: FloatArray) -> bool:
-    return bool((np.abs(base) <= FARTHEST).all())
-
-
-_CASTINGS: OrderedDict[tuple[Cast, EngineConfig], Casting] = OrderedDict()
-"""Compiled casts, the last used last: engines of a process that are alike share them."""
-
-
-def _casting(cast: Cast, config: EngineConfig, name: str = "") -> Casting:
-    """Compile a cast, or find it compiled.
-
-    Raises:
-        EngineRefused: MuJoCo cannot; it is for the model of this name that it was tried.
-    """
-    key = cast, config
-    if key not in _CASTINGS:
-        try:
-            _CASTINGS[key] = _compiled(cast, config)
-        except ValueError as error:
-            raise EngineRefused(f"model '{name}' was refused by MuJoCo: {error}") from error
-    _CASTINGS.move_to_end(key)
-    while len(_CASTINGS) > KEPT_CASTS:
-        _CASTINGS.popitem(last=False)
-    return _CASTINGS[key]
+        if (known := self._selections.get(key)) is None:
+            if len(self._selections) >= KEPT_SELECTIONS:
+                self._selections.clear()
+            known = self._selections[key] = selection_of([self._bodies[body] for body in bodies])
+        return known
 
 
 def _compiled(cast: Cast, config: EngineConfig) -> Casting:
@@ -401,3 +395,6 @@ def _compiled(cast: Cast, config: EngineConfig) -> Casting:
 def _pieces(folder: str, shape: Shape, is_static: bool) -> tuple[Points, ...]:  # noqa: FBT001
     corners = read_corners(Path(folder, f"{shape.mesh}.stl").read_bytes()) * np.array(shape.size)
     return tuple(pieces_of(corners, is_static=is_static))
+
+
+_FOUNDRY = Foundry(_compiled)

@@ -17,6 +17,9 @@ LEAST_RANGE = 1e-6
 """Between the limits of a joint that has both in one place [rad or m]."""
 SLOT = "@"
 """Stands for the number of a slot in its text."""
+JOINTS = ("revolute", "continuous", "prismatic", "fixed")
+SHAPES = ("box", "sphere", "cylinder", "capsule", "mesh")
+MAX_PARTS = 256
 CYLINDRICAL = ("cylinder", "capsule")
 
 

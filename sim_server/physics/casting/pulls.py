@@ -2,12 +2,24 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
 from sim_server.physics.casting.wishes import Places
 from sim_server.physics.engine import FloatArray
 from sim_server.physics.loads import Load
+
+
+class Motions(Protocol):
+    """What MuJoCo tells of how its bodies move."""
+
+    cvel: FloatArray
+    xipos: FloatArray
+    ximat: FloatArray
+    subtree_com: FloatArray
+    xfrc_applied: FloatArray
 
 
 @dataclass(frozen=True)
@@ -23,6 +35,16 @@ class Pulls:
     def __len__(self) -> int:
         """How many there are."""
         return len(self.bodies)
+
+    def act(self, data: Motions, roots: npt.NDArray[np.int32]) -> None:
+        """Push what is pulled in the next step; `roots` (bodies,) of each body's robot."""
+        bodies = self.bodies
+        spins = data.cvel[bodies, :3]
+        # MuJoCo's velocities are about the centre of mass of the whole robot.
+        arms = data.xipos[bodies] - data.subtree_com[roots[bodies]]
+        linear = data.cvel[bodies, 3:] + np.cross(spins, arms)
+        turns = data.ximat[bodies].reshape(-1, 3, 3)
+        data.xfrc_applied[bodies] += self.wrenches(turns, linear, spins)
 
     def wrenches(self, turns: FloatArray, linear: FloatArray, angular: FloatArray) -> FloatArray:
         """Find forces and torques (n, 6) at the centres of mass, in the world.

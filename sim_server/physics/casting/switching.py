@@ -16,6 +16,8 @@ from sim_server.physics.engine import FloatArray
 MOST_EFFORT = 1e12
 DEPTH_M = 1e4
 """How far under the world empty slots are."""
+FARTHEST = 1e9
+"""A state with larger numbers is taken for broken: MuJoCo bears 1e10."""
 
 Ints = npt.NDArray[np.int32]
 
@@ -77,16 +79,26 @@ def empty_all(model: Switches, data: State, plan: Plan) -> None:
 
 
 def empty(model: Switches, data: State, seat: Seat) -> None:
-    """Let what is in a slot touch nothing and hang still."""
+    """Let what is in a slot touch nothing and hang still, far below."""
+    still(model, data, seat)
+    data.qpos[seat.positions] = model.qpos0[seat.positions]
+    if seat.is_free:
+        data.qpos[seat.begins.positions + 2] = -DEPTH_M
+
+
+def still(model: Switches, data: State, seat: Seat) -> None:
+    """Let what is in a slot touch nothing and hang still where it is."""
     model.geom_contype[seat.geometries] = model.geom_conaffinity[seat.geometries] = 0
     model.body_contype[seat.bodies] = model.body_conaffinity[seat.bodies] = 0
     model.body_gravcomp[seat.bodies] = 1.0
     model.dof_frictionloss[seat.velocities] = 0.0
     data.eq_active[seat.equalities] = 0
-    data.qpos[seat.positions] = model.qpos0[seat.positions]
     data.qvel[seat.velocities] = 0.0
-    if seat.is_free:
-        data.qpos[seat.begins.positions + 2] = -DEPTH_M
+
+
+def is_bearable(base: FloatArray) -> bool:
+    """Whether a state (13,) is one that MuJoCo can go on with."""
+    return bool((np.abs(base) <= FARTHEST).all())
 
 
 def carry(

@@ -11,6 +11,7 @@ from sim_server.physics.clusters.clusters import Clusters, Settings
 from sim_server.physics.clusters.workers import CellsOfWorkers
 from sim_server.physics.engine import Concealing, Engine, EngineConfig
 from sim_server.physics.making import CellOrders
+from sim_server.physics.mujoco_engine import MujocoEngine
 from sim_server.physics.pybullet_engine import PyBulletEngine
 from sim_server.physics.tiers.tiers import Tiers
 from tests.engines import STEP_NS, advance
@@ -34,6 +35,11 @@ def remote() -> Clusters:
     return Clusters(CONFIG, cells, Settings(alone=1, most=1, period_steps=1))
 
 
+def clustered_mujoco(*, most: int) -> Clusters:
+    settings = Settings(alone=most, most=most, period_steps=1)
+    return Clusters(CONFIG, CellsHere(lambda: MujocoEngine(CONFIG), threads=2), settings)
+
+
 class Hiding(Engine, Concealing, Protocol):
     """An engine that can conceal."""
 
@@ -44,6 +50,8 @@ MAKERS: dict[str, Callable[[], Hiding]] = {
     "one cell": lambda: clustered(most=8),
     "cells": lambda: clustered(most=1),
     "workers": remote,
+    "mujoco": lambda: MujocoEngine(CONFIG),
+    "mujoco, cells": lambda: clustered_mujoco(most=1),
 }
 
 
@@ -103,3 +111,31 @@ def test_concealed_body_can_be_removed(engine: Hiding) -> None:
     advance(engine, 240)
 
     assert engine.read([body]).base[0, 0] > 1.1
+
+
+@pytest.mark.parametrize("how", ["mujoco", "mujoco, cells"])
+def test_revealed_body_is_where_it_was_placed_to_the_bit(how: str) -> None:
+    engine = MAKERS[how]()
+    there, hidden = (engine.add(a_box_bot(), box_bot_at(0.0, y)) for y in (0.0, 3.0))
+    engine.conceal(hidden)
+    engine.place(hidden, box_bot_at(1.0, 2.0))
+    advance(engine, 5)
+    for place in range(3, 20):
+        engine.conceal(engine.add(a_box_bot(), box_bot_at(0.0, float(place))))
+
+    engine.reveal([hidden])
+
+    assert engine.read([hidden]).base[0].tolist() == box_bot_at(1.0, 2.0).tolist()
+    assert engine.read([there]).base[0, 0] == pytest.approx(0.0, abs=1e-3)
+    engine.close()
+
+
+def test_concealed_body_of_mujoco_is_seen_to_overlap() -> None:
+    engine = MujocoEngine(CONFIG)
+    hidden = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+    engine.conceal(hidden)
+
+    other = engine.add(a_box(), a_state((0.05, 0.0, 0.1)))
+
+    assert engine.overlapping(other) == [hidden]
+    engine.close()

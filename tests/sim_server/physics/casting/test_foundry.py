@@ -1,0 +1,83 @@
+"""Casts are made once, by whoever asks first, and the larger ones besides."""
+
+from threading import Event, get_ident
+
+import pytest
+
+from sim_server.physics.casting.foundry import Foundry
+from sim_server.physics.casting.make import Make
+from sim_server.physics.casting.slots import Cast
+from sim_server.physics.engine import EngineConfig
+from tests.engines import STEP_NS
+from tests.integration.processes import eventually
+
+CONFIG = EngineConfig(STEP_NS)
+MAKE = Make((), (), is_static=False)
+WITHIN_S = 10.0
+
+
+class Workshop:
+    """Says which casts were made, and by which threads."""
+
+    def __init__(self) -> None:
+        self.made: list[int] = []
+        self.threads: set[int] = set()
+        self.may_go_on = Event()
+        self.may_go_on.set()
+
+    def make(self, cast: Cast, _: EngineConfig) -> int:
+        self.may_go_on.wait(WITHIN_S)
+        self.threads.add(get_ident())
+        self.made.append(cast[0][1])
+        if cast[0][1] == 13:
+            raise ValueError("unlucky")
+        return cast[0][1]
+
+
+def of(slots: int) -> Cast:
+    return ((MAKE, slots),)
+
+
+def test_cast_is_made_once_by_who_asks() -> None:
+    shop = Workshop()
+    foundry = Foundry(shop.make)
+
+    found = [foundry.cast(of(4), CONFIG) for _ in range(2)]
+
+    assert found == [4, 4]
+    assert shop.made == [4]
+    assert shop.threads == {get_ident()}
+
+
+def test_what_is_not_ready_is_made_besides() -> None:
+    shop = Workshop()
+    foundry = Foundry(shop.make)
+    shop.may_go_on.clear()
+
+    assert not foundry.is_ready(of(8), CONFIG)
+
+    shop.may_go_on.set()
+    eventually(lambda: foundry.is_ready(of(8), CONFIG) or None, WITHIN_S, "a cast")
+    assert foundry.cast(of(8), CONFIG) == 8
+    assert shop.made == [8]
+    assert get_ident() not in shop.threads
+
+
+def test_larger_casts_are_made_ahead_as_far_as_cells_go() -> None:
+    shop = Workshop()
+    foundry = Foundry(shop.make)
+
+    for slots in (8, 32, 128, 256):
+        foundry.make_ahead(of(slots), MAKE, CONFIG)
+
+    assert foundry.cast(of(256), CONFIG) == 256
+    assert shop.made == [64, 128, 256]
+
+
+def test_what_cannot_be_made_is_refused_to_everybody() -> None:
+    foundry = Foundry(Workshop().make)
+
+    for _ in range(2):
+        with pytest.raises(ValueError, match="unlucky"):
+            foundry.cast(of(13), CONFIG)
+    assert foundry.is_ready(of(13), CONFIG)
