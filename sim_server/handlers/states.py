@@ -18,9 +18,17 @@ from sim_server.world.world import World
 
 
 def get_state(desk: Desk, request: entities.GetEntityStateOrder) -> services.GetEntityStateResponse:
-    """Tell where an entity is; accelerations are not measured and told as 0."""
-    row = desk.world.state_of(request.entity)
-    (state,) = _View(desk.world, request.reference_frame).states(row[None])
+    """Tell where an entity is; accelerations are not measured and told as 0.
+
+    In the world's frame it is where agents were told that it is, at their last control step.
+    """
+    world = desk.world
+    if request.reference_frame in WORLD_FRAMES:
+        row, time_ns = world.told_of(request.entity)
+        header = Header(time_from_ns(time_ns), "world")
+        return services.GetEntityStateResponse(state=_state(header, row))
+    row = world.state_of(request.entity)
+    (state,) = _View(world, request.reference_frame).states(row[None])
     return services.GetEntityStateResponse(state=state)
 
 
@@ -50,7 +58,11 @@ class _View:
         """Write state rows (n, 13) of the world down."""
         if self._frame is not None:
             rows = seen_from(self._frame, rows)
-        return [services.EntityState(self._header, pose_of(row), twist_of(row)) for row in rows]
+        return [_state(self._header, row) for row in rows]
+
+
+def _state(header: Header, row: FloatArray) -> services.EntityState:
+    return services.EntityState(header, pose_of(row), twist_of(row))
 
 
 def set_state(

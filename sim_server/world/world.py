@@ -32,6 +32,8 @@ class World(Inhabited):
         self.claims = Claims()
         self.pushes = Pushes()
         self._reading: Reading | None = None
+        self._read_at = 0
+        """The step that the reading is of."""
         self.watch = Watch()
 
     @property
@@ -58,9 +60,24 @@ class World(Inhabited):
     def state_of(self, name: str) -> FloatArray:
         """Read one entity's state row (13,), alone unless all have been read already."""
         body = self.entity(name).body
-        if self._reading is None and is_good(alone := self._engine.read((body,))):
+        if not self._is_read and is_good(alone := self._engine.read((body,))):
             return np.asarray(alone.base[0])
         return np.asarray(self.reading().base[self.roster().row[name]])
+
+    def told_of(self, name: str) -> tuple[FloatArray, int]:
+        """Tell one entity's state row (13,), and the simulation time [ns] that it is of.
+
+        While time runs it is that of the last control step, as agents were told, unless something
+        was placed since; no engine is asked for it.
+
+        Raises:
+            EntityNotFound: There is none of this name.
+        """
+        self.entity(name)
+        is_recent = self.state == State.PLAYING and self.steps - self._read_at < self.control_steps
+        if self._reading is None or not is_recent:
+            return self.state_of(name), self.time_ns
+        return self._reading.base[self.roster().row[name]], self._read_at * self.step_ns
 
     def place(self, name: str, base: FloatArray, positions: FloatArray | None = None) -> None:
         """Put an entity's root link at a state row (13,), and its joints at rest if told where.
@@ -158,7 +175,6 @@ class World(Inhabited):
         self.pushes.apply(self._engine, self._entities, self.time_ns)
         is_well = self._engine.step()
         self.steps += 1
-        self._reading = None
         if not is_well:
             self.reading()
 
@@ -186,13 +202,18 @@ class World(Inhabited):
 
     def reading(self) -> Reading:
         """Read every entity back, once a step at most; those that have gone bad are mended."""
-        if self._reading is None:
+        if self._reading is None or not self._is_read:
             reading = self._engine.read(self.roster().bodies)
             if bad := self.watch.bad(self.roster(), reading):
                 self._mend(bad)
                 reading = self._engine.read(self.roster().bodies)
             self._reading = self.watch.remember(self.roster(), reading)
+            self._read_at = self.steps
         return self._reading
+
+    @property
+    def _is_read(self) -> bool:
+        return self._reading is not None and self._read_at == self.steps
 
     def fleets(self) -> dict[str, Fleet]:
         """What each agent drives."""
