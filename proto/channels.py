@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 import msgspec
 import zenoh
+from zenoh.handlers import RingChannel
 
 from proto import keys
 from proto.codec import decode
@@ -40,12 +41,20 @@ class Publisher:
     def __init__(self, publisher: zenoh.Publisher) -> None:
         self._publisher = publisher
         self._put = publisher.put
+        self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
+        self._was_matched = False
 
     @property
     def is_matched(self) -> bool:
         """Whether anybody listens."""
-        # The stub says bool; it is a MatchingStatus.
-        return bool(self._publisher.matching_status.matching)  # type: ignore[attr-defined]
+        if self._changes is None:
+            # To ask each time costs ten times as much as to be told of changes.
+            self._changes = self._publisher.declare_matching_listener(RingChannel(1))
+            # The stub says bool; it is a MatchingStatus.
+            self._was_matched = self._publisher.matching_status.matching  # type: ignore[attr-defined]
+        while (change := self._changes.try_recv()) is not None:
+            self._was_matched = change.matching
+        return self._was_matched
 
     def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         """Put one message; who hears two of one stamp takes them for one."""
@@ -59,6 +68,8 @@ class Publisher:
 
     def close(self) -> None:
         """Withdraw the publisher."""
+        if self._changes is not None:
+            self._changes.undeclare()
         self._publisher.undeclare()
 
 

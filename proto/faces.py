@@ -193,6 +193,15 @@ class TopicPublisher:
             if face.is_matched:
                 face.send(payload)
 
+    def publish(self, payload: Payload) -> None:
+        """Make the value, if there is one, and put it where somebody listens."""
+        value = None
+        for face in self._faces:
+            if face.is_matched:
+                if value is None and (value := payload()) is None:
+                    return
+                face.send(value)
+
     def greet(self, payload: Payload) -> None:
         """Put the value on faces that somebody has begun to listen to."""
         for face in self._faces:

@@ -88,6 +88,11 @@ class MovingJoint:
         joint = self._joint
         return _stamped(joint.parent, joint.child, self._origin(position), stamp)
 
+    def pose(self, position: float) -> tuple[float, ...]:
+        """Find where the joint has its child: x y z and x y z w, in the parent."""
+        origin = self._origin(position)
+        return (*origin.position, *origin.orientation)
+
     def _origin(self, position: float) -> Origin:
         origin = self._joint.origin
         if self._joint.kind != "prismatic":

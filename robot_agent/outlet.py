@@ -1,6 +1,7 @@
 """One topic of one robot: put when somebody listens, and its last value told to who asks."""
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import msgspec
 
@@ -9,6 +10,8 @@ from proto.faces import Faces
 from proto.ros_graph import Topic
 
 QUERY_DEPTH = 64
+Value: TypeAlias = Callable[[], msgspec.Struct | bytes | None]
+"""Makes the last value, as a message or as its CDR bytes; None while there is none."""
 
 
 class Outlet:
@@ -18,7 +21,7 @@ class Outlet:
         self,
         faces: Faces,
         topic: Topic,
-        value: Callable[[], msgspec.Struct | None],
+        value: Value,
         *,
         is_shared: bool = False,
     ) -> None:
@@ -27,7 +30,7 @@ class Outlet:
         Args:
             faces: Where.
             topic: What to put on, and to be asked for.
-            value: The last value; None while there is none.
+            value: What is told.
             is_shared: Whether others tell this topic too, so that who asks has to ask all.
         """
         self._key = topic.key
@@ -38,8 +41,7 @@ class Outlet:
 
     def publish(self) -> None:
         """Put the value if anybody listens."""
-        if self._publisher.is_matched and (payload := self._payload()) is not None:
-            self._publisher.send(payload)
+        self._publisher.publish(self._payload)
 
     def announce(self) -> None:
         """Put the value now, and later each time that somebody begins to listen."""
@@ -62,4 +64,4 @@ class Outlet:
 
     def _payload(self) -> bytes | None:
         value = self._value()
-        return None if value is None else encode(value, Format.CDR)
+        return encode(value, Format.CDR) if isinstance(value, msgspec.Struct) else value

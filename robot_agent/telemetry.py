@@ -1,23 +1,20 @@
 """What a robot tells: odometry, transforms, joint states, its description."""
 
+from collections.abc import Callable, Sequence
+
 from proto import keys
 from proto.claims import Claim
 from proto.faces import Faces
-from proto.header import Header, Time, time_from_ns
+from proto.header import Time
+from proto.model import Model
 from proto.ros_graph import Topic
 from proto.topics import JointState, Odometry, String, TFMessage
+from robot_agent import templates
 from robot_agent.driven_base import drive_of, gate_of, motion_rates
-from robot_agent.frames import (
-    ALL_JOINTS,
-    base_of,
-    fixed_edges,
-    moving_joints,
-    moving_transforms,
-    odometry_edge,
-    published_joints,
-)
-from robot_agent.odometry import Motion, OdometryFrames, covariance_of
-from robot_agent.outlet import Outlet
+from robot_agent.frames import ALL_JOINTS, base_of, fixed_edges, moving_joints, published_joints
+from robot_agent.image import Image
+from robot_agent.odometry import Motion
+from robot_agent.outlet import Outlet, Value
 from robot_agent.rate_gate import RateGate
 from robot_agent.reading import Reading
 from robot_agent.remapping import odometry_key, topic_key
@@ -33,19 +30,21 @@ class MotionTelemetry:
         self._motion = Motion()
         self._moving = moving_joints(model)
         self._has_odom_tf = drive.publish_odom_tf
-        self._frames = OdometryFrames(
-            drive.odometry_frame, base_of(model).name, covariance_of(drive)
-        )
         self.outlets: list[Outlet] = []
         self._gates: list[RateGate | None] = []
         _, odometry_hz, tf_hz = motion_rates(drive)
         if drive.publish_odom:
             key = odometry_key(claim.namespace, drive)
-            self.outlets.append(Outlet(faces, Topic(key, Odometry), self._odometry))
+            self.outlets.append(Outlet(faces, Topic(key, Odometry), self._odometry_of(model)))
             self._gates.append(gate_of(odometry_hz))
         if self._moving or self._has_odom_tf:
-            key = topic_key(claim.namespace, keys.TF, drive.ros)
-            told = tf_outlets(faces, claim.namespace, key, self._transforms)
+            told = tf_outlets(
+                faces,
+                claim.namespace,
+                topic_key(claim.namespace, keys.TF, drive.ros),
+                template=templates.tf_template(model),
+                value_of=self._transforms_of,
+            )
             self.outlets += told
             self._gates += [gate_of(tf_hz) for _ in told]
 
@@ -63,20 +62,40 @@ class MotionTelemetry:
             if gate is None or gate.elapsed_s(reading.time_ns) is not None:
                 outlet.publish()
 
-    def _odometry(self) -> Odometry | None:
-        if self._reading is None:
-            return None
-        return self._frames.message(self._motion, time_from_ns(self._reading.time_ns))
+    def _odometry_of(self, model: Model) -> Value:
+        template = templates.odometry_template(model)
+        image = Image(template, numbers=templates.ODOMETRY_PATHS, stamps=templates.HEADER_STAMP)
+        return lambda: self._filled(image, self._odometry)
 
-    def _transforms(self) -> TFMessage | None:
-        if self._reading is None:
+    def _transforms_of(self, template: TFMessage) -> Value:
+        count = len(template.transforms)
+        image = Image(
+            template, numbers=templates.tf_paths(count), stamps=templates.tf_stamps(count)
+        )
+        return lambda: self._filled(image, self._transforms)
+
+    def _filled(self, image: Image, numbers: Callable[[Reading], Sequence[float]]) -> bytes | None:
+        if (reading := self._reading) is None:
             return None
-        stamp = time_from_ns(self._reading.time_ns)
-        joints = moving_transforms(self._moving, self._reading.positions, stamp)
-        if not self._has_odom_tf:
-            return TFMessage(joints)
-        edge = odometry_edge(self._frames.frame_id, self._frames.child_frame_id, self._motion)
-        return TFMessage((edge.stamped(stamp), *joints))
+        return image.payload(reading.time_ns, numbers(reading))
+
+    def _odometry(self, _: Reading) -> Sequence[float]:
+        motion = self._motion
+        return (
+            *motion.position,
+            *motion.orientation,
+            motion.linear_x,
+            motion.linear_y,
+            motion.angular_z,
+        )
+
+    def _transforms(self, reading: Reading) -> Sequence[float]:
+        numbers: list[float] = []
+        if self._has_odom_tf:
+            numbers += self._motion.position + self._motion.orientation
+        for joint in self._moving:
+            numbers += joint.pose(reading.positions[joint.index])
+        return numbers
 
 
 class JointTelemetry:
@@ -87,11 +106,11 @@ class JointTelemetry:
         self._reading: Reading | None = None
         self._gate = RateGate(publisher.update_rate_hz)
         self._joints = published_joints(claim.model)
-        self._names = tuple(claim.model.joints[index].name for index in self._joints)
         self.outlets: list[Outlet] = []
         if self._joints:
             key = topic_key(claim.namespace, keys.JOINT_STATES, publisher.ros)
-            self.outlets.append(Outlet(faces, Topic(key, JointState), self._joint_states))
+            topic = Topic(key, JointState)
+            self.outlets.append(Outlet(faces, topic, self._joint_states_of(claim.model)))
 
     def reset(self) -> None:
         """Forget the last reading; time may have gone back."""
@@ -106,15 +125,20 @@ class JointTelemetry:
         for outlet in self.outlets:
             outlet.publish()
 
-    def _joint_states(self) -> JointState | None:
+    def _joint_states_of(self, model: Model) -> Value:
+        image = Image(
+            templates.joint_states_template(model, self._joints),
+            numbers=templates.joint_paths(len(self._joints)),
+            stamps=templates.HEADER_STAMP,
+        )
+        return lambda: self._joint_states(image)
+
+    def _joint_states(self, image: Image) -> bytes | None:
         if (reading := self._reading) is None:
             return None
-        return JointState(
-            Header(time_from_ns(reading.time_ns)),
-            self._names,
-            tuple(reading.positions[index] for index in self._joints),
-            tuple(reading.velocities[index] for index in self._joints),
-        )
+        positions = [reading.positions[index] for index in self._joints]
+        velocities = [reading.velocities[index] for index in self._joints]
+        return image.payload(reading.time_ns, positions + velocities)
 
 
 def constant_outlets(faces: Faces, claim: Claim) -> list[Outlet]:
@@ -124,7 +148,7 @@ def constant_outlets(faces: Faces, claim: Claim) -> list[Outlet]:
     fixed = TFMessage(tuple(edge.stamped(Time()) for edge in edges))
     outlets: list[Outlet] = []
     if fixed.transforms:
-        outlets += tf_static_outlets(faces, claim.namespace, lambda: fixed)
+        outlets += tf_static_outlets(faces, claim.namespace, fixed)
     if claim.robot_description:
         key = keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION)
         topic, description = Topic(key, String, is_latched=True), String(claim.robot_description)

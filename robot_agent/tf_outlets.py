@@ -4,6 +4,7 @@ There frames begin with the robot's namespace, so that robots of one kind don't 
 """
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 import msgspec
 
@@ -12,22 +13,32 @@ from proto.faces import Faces
 from proto.geometry import TransformStamped
 from proto.ros_graph import Topic
 from proto.topics import TFMessage
-from robot_agent.outlet import Outlet
+from robot_agent.outlet import Outlet, Value
+
+ValueOf: TypeAlias = Callable[[TFMessage], Value]
 
 
 def tf_outlets(
-    faces: Faces, namespace: str, own_key: str, value: Callable[[], TFMessage | None]
+    faces: Faces, namespace: str, own_key: str, *, template: TFMessage, value_of: ValueOf
 ) -> list[Outlet]:
-    """Declare a robot's transforms that move."""
-    return _outlets(faces, namespace, Topic(own_key, TFMessage), keys.TF, value)
+    """Declare a robot's transforms that move.
+
+    Args:
+        faces: Where.
+        namespace: Of the robot.
+        own_key: Of its own topic.
+        template: The transforms before they have moved, with frames as described.
+        value_of: Makes what is told of a template: of that one, or with other names of frames.
+    """
+    own = Topic(own_key, TFMessage)
+    return _outlets(faces, own, keys.TF, _both(template, namespace, value_of))
 
 
-def tf_static_outlets(
-    faces: Faces, namespace: str, value: Callable[[], TFMessage | None]
-) -> list[Outlet]:
+def tf_static_outlets(faces: Faces, namespace: str, fixed: TFMessage) -> list[Outlet]:
     """Declare a robot's transforms that never change."""
     own = Topic(keys.robot(namespace, keys.TF_STATIC), TFMessage, is_latched=True)
-    return _outlets(faces, namespace, own, keys.TF_STATIC, value)
+    values = _both(fixed, namespace, lambda message: lambda: message)
+    return _outlets(faces, own, keys.TF_STATIC, values)
 
 
 def with_namespace(message: TFMessage, namespace: str) -> TFMessage:
@@ -35,23 +46,19 @@ def with_namespace(message: TFMessage, namespace: str) -> TFMessage:
     return TFMessage(tuple(_moved(edge, f"{namespace}/") for edge in message.transforms))
 
 
-def _outlets(
-    faces: Faces,
-    namespace: str,
-    own: Topic,
-    shared_key: str,
-    value: Callable[[], TFMessage | None],
-) -> list[Outlet]:
-    def shared_value() -> TFMessage | None:
-        message = value()
-        return None if message is None else with_namespace(message, namespace)
+def _both(message: TFMessage, namespace: str, value_of: ValueOf) -> tuple[Value, Value]:
+    return value_of(message), value_of(with_namespace(message, namespace))
 
+
+def _outlets(
+    faces: Faces, own: Topic, shared_key: str, values: tuple[Value, Value]
+) -> list[Outlet]:
     outlets = []
     if faces.settings.has_own_tf:
-        outlets.append(Outlet(faces, own, value))
+        outlets.append(Outlet(faces, own, values[0]))
     if faces.settings.has_global_tf:
         shared = msgspec.structs.replace(own, key=shared_key)
-        outlets.append(Outlet(faces, shared, shared_value, is_shared=True))
+        outlets.append(Outlet(faces, shared, values[1], is_shared=True))
     return outlets
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from proto.model import Joint, Model
 from proto.topics import JointState, Odometry, TFMessage
+from robot_agent import templates
 from robot_agent.driven_base import motion_rates
-from robot_agent.pool import templates
 from robot_agent.pool.driven import DrivenBases
 from robot_agent.pool.joint_frames import POSE_COLUMNS, JointFrames
 from robot_agent.pool.kinds import Kind, Topics

@@ -94,6 +94,30 @@ def test_newest_sample_is_kept_when_the_subscription_is_latest(router: Bus, clie
     assert latest.newest() is None
 
 
+def test_publisher_knows_whether_anybody_listens_through_changes_and_loss_of_the_router(
+    router: Bus, client: Bus
+) -> None:
+    publisher = client.advertise("r1/odom", "")
+
+    def is_alone() -> bool:
+        return not publisher.is_matched
+
+    assert is_alone()
+    first, second = router.subscribe("r1/*"), router.subscribe("r1/odom")
+    eventually(lambda: publisher.is_matched, 5.0, "matching")
+    first.close()
+    with open_bus(BusConfig(connect=(router.endpoint,))) as other:
+        third = other.subscribe("**")
+        second.close()
+        assert not is_alone()
+        third.close()
+    eventually(is_alone, 5.0, "being alone")
+    fourth = router.subscribe("r1/odom")
+    eventually(lambda: publisher.is_matched, 5.0, "matching again")
+    router.close()
+    eventually(is_alone, 5.0, f"the loss of the router with {fourth}")
+
+
 def test_call_returns_the_typed_response(router: Bus, client: Bus) -> None:
     with answering(router, Info(world="w", steps=7)):
         info = client.call(INFO, InfoRequest(), world="default")

@@ -35,6 +35,16 @@ def test_outlet_puts_its_value_when_somebody_listens() -> None:
     assert decode(String, sample.payload, sample.encoding) == String("hello")
 
 
+def test_outlet_puts_bytes_as_they_are() -> None:
+    bus = MemoryBus()
+    listener = bus.subscribe(KEY)
+
+    Outlet(Faces(bus), Topic(KEY, String), lambda: b"ready").publish()
+
+    (sample,) = listener.take()
+    assert (sample.payload, sample.encoding) == (b"ready", ENCODING)
+
+
 def test_outlet_makes_no_value_when_nobody_listens() -> None:
     value = Value(String("hello"))
 

@@ -22,7 +22,10 @@ def told(scope: TfScope) -> dict[str, list[tuple[str, str]]]:
     bus = MemoryBus()
     heard = bus.subscribe("**", 8)
     faces = Faces(bus, settings=RosSettings(tf=scope))
-    for outlet in tf_outlets(faces, "team/r1", "team/r1/tf", lambda: EDGE):
+    outlets = tf_outlets(
+        faces, "team/r1", "team/r1/tf", template=EDGE, value_of=lambda message: lambda: message
+    )
+    for outlet in outlets:
         outlet.publish()
     return {s.key: frames(decode(TFMessage, s.payload, s.encoding)) for s in heard.take()}
 
@@ -41,7 +44,7 @@ def test_transforms_are_told_where_they_are_wanted(scope: TfScope, key: str) -> 
 
 def test_fixed_transforms_are_for_late_joiners_too() -> None:
     bus = MemoryBus()
-    outlets = tf_static_outlets(Faces(bus, settings=RosSettings()), "r1", lambda: EDGE)
+    outlets = tf_static_outlets(Faces(bus, settings=RosSettings()), "r1", EDGE)
     bus.pumps += [outlet.answer for outlet in outlets]
 
     (own,), (shared,) = bus.get("r1/tf_static"), bus.get("tf_static")
@@ -62,7 +65,9 @@ def test_nothing_is_told_while_there_is_nothing() -> None:
     bus = MemoryBus()
     heard = bus.subscribe("**", 8)
 
-    for outlet in tf_outlets(Faces(bus, settings=RosSettings()), "r1", "r1/tf", lambda: None):
+    faces = Faces(bus, settings=RosSettings())
+    outlets = tf_outlets(faces, "r1", "r1/tf", template=EDGE, value_of=lambda _: lambda: None)
+    for outlet in outlets:
         outlet.publish()
 
     assert heard.take() == []

@@ -9,8 +9,8 @@ from proto import cdr
 from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
 from proto.header import Header, time_from_ns
 from proto.topics import JointState, TFMessage
+from robot_agent import templates
 from robot_agent.odometry import Motion, OdometryFrames, covariance_of
-from robot_agent.pool import templates
 from robot_agent.pool.images import Images
 from tests.robot_agent.models import DRIVE, two_wheeler
 
