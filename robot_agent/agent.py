@@ -18,7 +18,6 @@ from proto.ros_graph import RosGraph
 from robot_agent.claimer import Claimer, Wish
 from robot_agent.fleet import Fleet
 from robot_agent.network import Network
-from robot_agent.pool.fleet import PoolFleet
 from robot_agent.precedence import Precedence, be_nice
 from robot_agent.rates import Rates, with_rates
 from robot_agent.reading import Timeline
@@ -265,6 +264,9 @@ def _fleet_of(network: Network, config: AgentConfig, graph: RosGraph, ears: Netw
     timeout_ns = round(config.cmd_vel_timeout_s * NANOSECONDS)
     if config.pool_limit is None:
         return Fleet(network, timeout_ns, graph)
+    # Numpy and what is made of arrays are half of what an agent has to load, and 10 MB.
+    from robot_agent.pool.fleet import PoolFleet  # noqa: PLC0415
+
     return PoolFleet(network, timeout_ns, graph, ears)
 
 
