@@ -8,6 +8,8 @@ from sim_server.physics.blueprint import Blueprint, Part
 from sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
 from sim_server.physics.touch import Dynamics, touch_of
 
+SOLID_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
+
 
 class Solids(TypedDict):
     """Arguments of createCollisionShapeArray."""

@@ -163,6 +163,20 @@ class Concealing(Protocol):
 
 
 @runtime_checkable
+class Dozing(Protocol):
+    """An engine in which bodies can sleep: they stay where they are, and cost next to nothing."""
+
+    def doze(self, bodies: Sequence[int]) -> None:
+        """Let bodies sleep that hardly move; what awake ones do to them is the caller's care."""
+
+    def rouse(self, bodies: Sequence[int]) -> None:
+        """Wake bodies at rest: they move from the step after the next on."""
+
+    def touching(self, body: int) -> Sequence[int]:
+        """Name the other bodies that a body touched in the last step; the ground is none."""
+
+
+@runtime_checkable
 class Patient(Protocol):
     """An engine that other processes work for, and that need not wait for them."""
 

@@ -14,7 +14,9 @@ import numpy as np
 
 from proto.model import Joint, Link, Model
 from sim_server.physics.actuation import Actuation, actuation_of
+from sim_server.physics.blueprint import Blueprint
 from sim_server.physics.engine import FloatArray
+from sim_server.physics.holding import Holds, holds_of
 from sim_server.physics.loads import Load
 
 PLACES = 64
@@ -34,6 +36,7 @@ class Body:
     Attributes:
         parts: How many Bullet counts besides the root.
         gears: Bullet's numbers of the constraints between its joints.
+        holds: What resists rolling while it stands.
     """
 
     model: Model
@@ -41,11 +44,20 @@ class Body:
     actuation: Actuation
     loads: Sequence[Load]
     gears: Sequence[int]
+    holds: Holds
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
         """Bullet's numbers of its joints, in the order of `Model.joints`."""
         return tuple(range(len(self.model.joints)))
+
+
+def body_of(
+    model: Model, blueprint: Blueprint, loads: Sequence[Load], gears: Sequence[int]
+) -> Body:
+    """Note what a body was made of."""
+    parts, holds = len(blueprint.parts) - 1, holds_of(model, blueprint)
+    return Body(model, parts, actuation_of(model), loads, gears, holds)
 
 
 class Parked(NamedTuple):

@@ -2,26 +2,29 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import product
+from typing import Any
 
 import numpy as np
 
-from proto.model import ZERO, Model, Shape
-from sim_server.physics.acceptance import check_meshes
-from sim_server.physics.actuation import actuation_of, imposed
-from sim_server.physics.blueprint import Blueprint, Part
-from sim_server.physics.creation import creation_of, dynamics_of, solids_of
+from proto.model import ZERO, Model
+from sim_server.physics.actuation import imposed
+from sim_server.physics.blueprint import Blueprint
+from sim_server.physics.creation import SOLID_KINDS, creation_of, dynamics_of
 from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
+from sim_server.physics.holding import holds_of
 from sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
 from sim_server.physics.loads import Load, loads_of
 from sim_server.physics.orders import Orders
-from sim_server.physics.parking import Body, Parking
+from sim_server.physics.parking import Body, Parking, body_of
 from sim_server.physics.planning import Planner
 from sim_server.physics.readback import base_states, joint_states
 from sim_server.physics.roots import Roots
+from sim_server.physics.shapes import Shapes
 from sim_server.physics.silence import silenced
 from sim_server.physics.solving import SOLVING
-from sim_server.physics.spreading import ShapeKey, key_of
 from sim_server.physics.touch import self_touching, standing_friction, touches_itself
 
 with silenced():
@@ -39,12 +42,11 @@ AT_ORIGIN: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 OVERLAP_M = 0.001
 """Bodies that only touch do not overlap."""
 
+BY_SPEED = (pybullet.VELOCITY_CONTROL, "targetVelocities")
+BY_ANGLE = (pybullet.POSITION_CONTROL, "targetPositions")
 KINDS = {kind: getattr(pybullet, f"JOINT_{kind.upper()}") for kind in ("prismatic", "fixed")}
 KINDS["revolute"] = KINDS["continuous"] = pybullet.JOINT_REVOLUTE
-GEOMETRIES = {
-    kind: getattr(pybullet, f"GEOM_{kind.upper()}")
-    for kind in ("box", "sphere", "cylinder", "capsule", "mesh")
-}
+GEOMETRIES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in SOLID_KINDS}
 
 
 class PyBulletEngine:
@@ -55,15 +57,19 @@ class PyBulletEngine:
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
         """Connect; so many parked bodies stay awake, for those who move bodies in and out."""
         self._client = client = pybullet.connect(pybullet.DIRECT)
-        # Kept for good: Bullet never frees a shape that a body has used, but bodies can share it.
-        self._shapes: dict[ShapeKey, int] = {(): -1}
-        self._mesh_folder = config.mesh_folder
+        self._shapes = Shapes(
+            partial(pybullet.createCollisionShapeArray, physicsClientId=client),
+            folder=config.mesh_folder,
+            kinds=GEOMETRIES,
+            dented=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        )
         self._bodies: dict[int, Body] = {}
         self._parking = Parking(awake)
         self._planner = Planner(
             self.name, max_parts=MAX_PARTS, joint_kinds=KINDS, shape_kinds=GEOMETRIES
         )
         self._twists: dict[int, list[float]] = {}
+        self._held: set[int] = set()
         self._loads: dict[int, Sequence[Load]] = {}
         self._brought_back: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._gravity = config.gravity
@@ -80,9 +86,9 @@ class PyBulletEngine:
         """See `Engine.prepare`: makes the collision shape of one part."""
         try:
             plan = self._planner.blueprint(model)
-            for part in self._unmade(plan)[:1]:
-                check_meshes(plan.name, [part], self._mesh_folder)
-                self._collision(plan, part.shapes)
+            for part in self._shapes.unmade(plan)[:1]:
+                self._shapes.check(plan, [part])
+                self._shapes.of(plan, part.shapes)
                 return False
         except (EngineRefused, pybullet.error):
             return True
@@ -91,9 +97,10 @@ class PyBulletEngine:
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; one that slept would lose its velocity in the first step."""
         blueprint = self._planner.blueprint(model)
-        check_meshes(blueprint.name, self._unmade(blueprint), self._mesh_folder)
+        self._shapes.check(blueprint, self._shapes.unmade(blueprint))
         if (parked := self._parking.take(model, awake=bool(base[7:].any()))) is not None:
-            return self._bring_back(base, parked.number, parked.body, awake=parked.was_awake)
+            known = replace(parked.body, holds=holds_of(model, blueprint))
+            return self._bring_back(base, parked.number, known, awake=parked.was_awake)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
@@ -103,7 +110,7 @@ class PyBulletEngine:
         self._set_dampings(body, blueprint)
         loads = loads_of(blueprint, self._gravity, self._dt_s)
         gears = [self._make_gear(body, gear) for gear in gears_of(model)]
-        self._admit(body, Body(model, len(blueprint.parts) - 1, actuation_of(model), loads, gears))
+        self._admit(body, body_of(model, blueprint, loads, gears))
         # Made at its place, with joints at zero: placing it again would cost as much as making it.
         self._set_velocity(body, self._roots.com_state(body, base)[7:])
         self._let_go(body)
@@ -111,10 +118,10 @@ class PyBulletEngine:
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`; a body is parked where there is a place for it."""
+        self._hold(body, is_held=False)
         known = self._bodies.pop(body)
-        self._twists.pop(body, None)
-        self._loads.pop(body, None)
-        self._brought_back.pop(body, None)
+        for kept in (self._twists, self._loads, self._brought_back):
+            kept.pop(body, None)
         if self._parking.has_place_for(known) and self._is_good(body):
             self._park(body, known)
             return
@@ -135,6 +142,21 @@ class PyBulletEngine:
         for body in bodies:
             self._let_touch(body, known := self._bodies[body], *ALL)
             self._admit(body, known)
+
+    def doze(self, bodies: Sequence[int]) -> None:
+        """See `Dozing.doze`."""
+        self._set_state(bodies, ASLEEP)
+
+    def rouse(self, bodies: Sequence[int]) -> None:
+        """See `Dozing.rouse`."""
+        self._set_state(bodies, AWAKE)
+        for body in bodies:
+            self._brought_back[body] = np.zeros(6), np.zeros(len(self._bodies[body].joints))
+
+    def touching(self, body: int) -> Sequence[int]:
+        """See `Dozing.touching`."""
+        points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
+        return sorted({point[2] for point in points} & self._bodies.keys() - {body})
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -202,12 +224,10 @@ class PyBulletEngine:
         """See `Engine.step`; a body gone bad that touches the ground takes the ground with it."""
         if self._twists:
             self._impose_twists()
-        if self._loads:
-            self._apply_loads()
+        self._apply_loads()
         pybullet.stepSimulation(physicsClientId=self._client)
         self._set_state(self._parking.after_step(), ASLEEP)
-        if self._brought_back:
-            self._set_off()
+        self._set_off()
         if self._ground is None or self._is_good(self._ground):
             return True
         self.place(self._ground, AT_ORIGIN)
@@ -276,26 +296,24 @@ class PyBulletEngine:
 
     def _actuate(self, body: int, numbers: list[float]) -> None:
         plan = self._bodies[body].actuation
-        if plan.speeds.joints:
-            pybullet.setJointMotorControlArray(
-                body,
-                plan.speeds.joints,
-                pybullet.VELOCITY_CONTROL,
-                targetVelocities=plan.speeds.of(numbers),
-                forces=plan.speeds.efforts,
-                physicsClientId=self._client,
-            )
-        if plan.angles.joints:
-            pybullet.setJointMotorControlArray(
-                body,
-                plan.angles.joints,
-                pybullet.POSITION_CONTROL,
-                targetPositions=plan.angles.of(numbers),
-                forces=plan.angles.efforts,
-                physicsClientId=self._client,
-            )
+        for motors, (mode, targets) in ((plan.speeds, BY_SPEED), (plan.angles, BY_ANGLE)):
+            if motors.joints:
+                how: dict[str, Any] = {targets: motors.of(numbers), "forces": motors.efforts}
+                pybullet.setJointMotorControlArray(
+                    body, motors.joints, mode, **how, physicsClientId=self._client
+                )
+        self._hold(body, is_held=not any(plan.speeds.of(numbers)))
         if plan.twist is not None:
             self._twists[body] = numbers[plan.twist : plan.twist + 3]
+
+    def _hold(self, body: int, *, is_held: bool) -> None:
+        """Let the wheels of a body that stands resist rolling, and those of one that goes not."""
+        if is_held == (body in self._held):
+            return
+        (self._held.add if is_held else self._held.remove)(body)
+        for part, friction in self._bodies[body].holds:
+            found = friction if is_held else 0.0
+            pybullet.changeDynamics(body, part, rollingFriction=found, physicsClientId=self._client)
 
     def _impose_twists(self) -> None:
         bodies = list(self._twists)
@@ -323,9 +341,8 @@ class PyBulletEngine:
         if part < 0:
             row = self._com_states([body])[0]
             return row[:3].tolist(), row[3:7], row[7:]
-        state = pybullet.getLinkState(
-            body, part, computeLinkVelocity=1, physicsClientId=self._client
-        )
+        how = {"computeLinkVelocity": 1, "physicsClientId": self._client}
+        state = pybullet.getLinkState(body, part, **how)
         return list(state[0]), np.array(state[1]), np.array([*state[6], *state[7]])
 
     def _com_states(self, bodies: Sequence[int]) -> FloatArray:
@@ -344,25 +361,8 @@ class PyBulletEngine:
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
         return ground
 
-    def _collision(self, plan: Blueprint, shapes: tuple[Shape, ...]) -> int:
-        key = key_of(shapes, is_static=plan.is_static)
-        if (known := self._shapes.get(key)) is not None:
-            return known
-        # Only what never moves may have dents.
-        dented = pybullet.GEOM_FORCE_CONCAVE_TRIMESH if plan.is_static else 0
-        self._shapes[key] = pybullet.createCollisionShapeArray(
-            **solids_of(shapes, folder=self._mesh_folder, kinds=GEOMETRIES, mesh_flag=dented),
-            physicsClientId=self._client,
-        )
-        return self._shapes[key]
-
-    def _unmade(self, plan: Blueprint) -> list[Part]:
-        """List the parts whose shapes Bullet has not yet."""
-        keys = {key_of(part.shapes, is_static=plan.is_static): part for part in plan.parts}
-        return [part for key, part in keys.items() if key not in self._shapes]
-
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
-        shapes = [self._collision(blueprint, part.shapes) for part in blueprint.parts]
+        shapes = [self._shapes.of(blueprint, part.shapes) for part in blueprint.parts]
         creation = creation_of(blueprint, base, shapes=shapes, visual=self._visual, kinds=KINDS)
         flags = pybullet.URDF_USE_SELF_COLLISION if touches_itself(blueprint.links) else 0
         body = pybullet.createMultiBody(**creation, flags=flags, physicsClientId=self._client)

@@ -7,6 +7,7 @@ own reading of the same URDF keeps them apart, and steps 1.4 times as long.
 import time
 from dataclasses import dataclass
 
+import numpy as np
 import pybullet
 
 from sim_server.description.library import model_text
@@ -48,6 +49,8 @@ class PlainLoop:
             base = standing_at(place.x)
             base[1] = place.y
             self._bodies.append(self._engine.add(model, base))
+        # Told by the engine, so that they roll as freely as the server's: those that stand do not.
+        self._engine.command(self._bodies, np.tile(WHEEL_SPEEDS, count))
         self._wheels = [self._moving(body) for body in self._bodies]
 
     def turn(self, least_s: float, iterations: int = FEW_ITERATIONS) -> Turn:
