@@ -114,34 +114,6 @@ def test_body_that_is_driven_neither_bounces_nor_brakes_by_rolling(engine: PyBul
         assert (part.restitution, part.rolling_friction, part.spinning_friction) == (0, 0, 0)
 
 
-def test_wheels_resist_rolling_while_they_are_told_to_stand(engine: PyBulletEngine) -> None:
-    body = engine.add(a_box_bot(), box_bot_at())
-    born = [part.rolling_friction for part in dynamics_of(engine, body)]
-
-    engine.command([body], np.array([5.0, 5.0]))
-    driven = [part.rolling_friction for part in dynamics_of(engine, body)]
-    engine.command([body], np.zeros(2))
-    stopped = [part.rolling_friction for part in dynamics_of(engine, body)]
-
-    assert born == stopped == [0.0, *[pytest.approx(3.5e-4)] * 2, 0.0]
-    assert driven == [0.0] * 4
-
-
-def test_box_bot_that_has_stopped_does_not_rock(engine: PyBulletEngine) -> None:
-    body = engine.add(a_box_bot(), box_bot_at())
-    engine.command([body], np.array([10.0, 10.0]))
-    advance(engine, 240)
-
-    engine.command([body], np.zeros(2))
-    advance(engine, 240)
-    turns = []
-    for _ in range(120):
-        engine.step()
-        turns.append(np.abs(engine.read([body]).base[0, 10:13]).max())
-
-    assert max(turns) < 2e-3
-
-
 def test_body_falls_as_gravity_says_when_its_mass_is_off_centre(engine: PyBulletEngine) -> None:
     start = a_state((1.0, 2.0, 100.0), turn=(0.3, -0.2, 1.0))
     body = engine.add(a_lopsided_box(), start)
