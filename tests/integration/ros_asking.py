@@ -5,19 +5,27 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import zenoh
 
-from tests.integration.processes import Server, end
+from tests.integration.processes import end
 
 ANSWER_S = 10.0
 Ask = Callable[..., dict[str, object] | None]
 Do = Callable[..., Any]
 
 
+class Router(Protocol):
+    """What the network of a test is joined at."""
+
+    @property
+    def endpoint(self) -> str:
+        """Where it listens."""
+
+
 @contextmanager
-def observing(server: Server, domain: int, type_hash: str = "") -> Iterator[Do]:
+def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
     """Run the independent client, and tell it what to do.
 
     Args:
@@ -50,7 +58,7 @@ def observing(server: Server, domain: int, type_hash: str = "") -> Iterator[Do]:
 
 
 @contextmanager
-def ros_client(server: Server, domain: int = 0) -> Iterator[Ask]:
+def ros_client(server: Router, domain: int = 0) -> Iterator[Ask]:
     """Run the independent client, and ask it to call."""
     with observing(server, domain) as do:
         yield asking(do)
@@ -69,7 +77,7 @@ def asking(do: Do) -> Ask:
 
 
 @contextmanager
-def session_of(server: Server) -> Iterator[zenoh.Session]:
+def session_of(server: Router) -> Iterator[zenoh.Session]:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
@@ -79,7 +87,7 @@ def session_of(server: Server) -> Iterator[zenoh.Session]:
 
 
 def replies(
-    server: Server, key: str, payload: bytes, attachment: bytes | None
+    server: Router, key: str, payload: bytes, attachment: bytes | None
 ) -> list[zenoh.Sample]:
     """Ask as rmw_zenoh does: every queryable that is complete, and no answer is merged."""
     with session_of(server) as session:

@@ -24,7 +24,14 @@ class Client:
         known = {name: found for name, found in HUMBLE.fielddefs.items() if "/msg/" in name}
         self._session.store.register(known)
 
-    def call(self, name: str, kind: str, type_hash: str, fields: dict[str, OfRos]) -> object:
+    def call(
+        self,
+        name: str,
+        kind: str,
+        type_hash: str,
+        fields: dict[str, OfRos],
+        within_s: float = 10.0,
+    ) -> object:
         """Call a service; None when nobody answered in time."""
         request, response = INTERFACES[kind].replace(";", "\n").split("---")
         client = ROS2ServiceClient(
@@ -36,7 +43,7 @@ class Client:
             router_ip=HOST,
             router_port=self._port,
             type_hash=type_hash,
-            timeout=10.0,
+            timeout=within_s,
         )
         made = {
             field: self._value(description, fields.get(field))

@@ -1,0 +1,225 @@
+"""Negative controls: one thing broken on the way out, and who looks from outside finds just that.
+
+What runs is the code that users run, on a network that breaks one thing; who judges is an
+independent client, or the rules of rmw_zenoh by that client's readers where it is lenient itself.
+"""
+
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import pytest
+import zenoh
+
+from proto.bus import Bus, BusConfig, Publisher, open_bus
+from proto.codec import Format, encode
+from proto.example import example_of
+from proto.ros2.settings import RosSettings
+from proto.ros_graph import Topic
+from proto.services import DeleteEntityResponse
+from proto.topics import Odometry
+from sim_server.traffic.ros_side import ros_side
+from tests.integration import ros_interfaces as ros
+from tests.integration.processes import free_endpoint
+from tests.integration.ros_asking import observing, replies, session_of
+from tests.integration.ros_grammar import NoToken, check_hash, graph_of
+from tests.integration.ros_rules import BrokenRule, Heard, check_topic, heard_of
+from tests.integration.ros_watching import tokens
+from tests.proto.ros_hashes import hash_of_message
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+ODOM_KEY = f"0/r1/odom/nav_msgs::msg::dds_::Odometry_/{hash_of_message(ODOMETRY)}"
+DELETE = "simulation_interfaces/srv/DeleteEntity"
+DELETE_KEY = f"0/delete_entity/simulation_interfaces::srv::dds_::DeleteEntity_/{ros.DELETE_HASH}"
+ASKED = struct.pack("<qqB", 41, 7, 16) + bytes(range(16))
+EMPTY = b"\x00\x01\x00\x00\x01\x00\x00\x00\x00"
+WAIT_S = 3.0
+EVERY_S = 0.02
+
+
+@dataclass(frozen=True)
+class Ways:
+    """How what is on the network differs from what was meant."""
+
+    attachment: Callable[[bytes], bytes] = bytes
+    token: Callable[[str], str] = str
+    key: Callable[[str], str] = str
+    is_complete: bool = True
+
+
+def other_hash(key: str) -> str:
+    before, _, last = key.rpartition("/RIHS01_")
+    return f"{before}/RIHS01_0{last[1:]}" if before else key
+
+
+def no_pattern(key: str) -> str:
+    return f"{key[:-1]}RIHS01_0" if key.endswith("::$*/*") else other_hash(key)
+
+
+def token_of_other_hash(token: str) -> str:
+    before, separator, rest = token.partition("/RIHS01_")
+    return f"{before}{separator}0{rest[1:]}" if separator else token
+
+
+def without_endpoints(token: str) -> str:
+    return token if "/NN/" in token else f"nothing/{abs(hash(token))}"
+
+
+FINE = Ways()
+BROKEN = {
+    "attachment": replace(FINE, attachment=lambda _: b""),
+    "attachment that is short": replace(FINE, attachment=lambda attached: attached[:-1]),
+    "tokens": replace(FINE, token=without_endpoints),
+    "complete flag": replace(FINE, is_complete=False),
+    "hash": replace(FINE, key=no_pattern),
+    "hash in tokens": replace(FINE, token=token_of_other_hash),
+    "qos string": replace(FINE, token=lambda token: token.removesuffix(":,:,:,,")),
+}
+FOUND = {
+    "attachment": {"by the rules", "signed"},
+    "attachment that is short": {"by the rules", "signed"},
+    "tokens": {"listed", "by the rules"},
+    "complete flag": {"answered", "signed"},
+    "hash": {"heard", "answered", "signed", "by the rules"},
+    "hash in tokens": {"by the rules"},
+    "qos string": {"by the rules"},
+}
+"""What of `complaints` is not fine then."""
+
+
+class BrokenPublisher:
+    """Puts what it is given, but for the attachment."""
+
+    def __init__(self, publisher: Publisher, ways: Ways) -> None:
+        self._publisher, self._ways = publisher, ways
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._publisher, name)
+
+    def send(self, payload: bytes, attachment: bytes = b"", *stamp: Any) -> None:  # noqa: ANN401
+        self._publisher.send(payload, self._ways.attachment(attachment), *stamp)
+
+
+class BrokenCall:
+    """A request whose answer has another attachment."""
+
+    def __init__(self, call: Any, ways: Ways) -> None:  # noqa: ANN401
+        self._call, self._ways = call, ways
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._call, name)
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        self._call.reply(payload, encoding, key, attachment=self._ways.attachment(attachment))
+
+
+class BrokenQueue:
+    """Requests that are answered wrongly."""
+
+    def __init__(self, queue: Any, ways: Ways) -> None:  # noqa: ANN401
+        self._queue, self._ways = queue, ways
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._queue, name)
+
+    def take(self) -> list[BrokenCall]:
+        return [BrokenCall(call, self._ways) for call in self._queue.take()]
+
+
+class BrokenBus:
+    """A bus on which something goes wrong."""
+
+    def __init__(self, bus: Bus, ways: Ways) -> None:
+        self._bus, self._ways = bus, ways
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+        return getattr(self._bus, name)
+
+    def advertise(self, key: str, encoding: str) -> BrokenPublisher:
+        return BrokenPublisher(self._bus.advertise(self._ways.key(key), encoding), self._ways)
+
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BrokenQueue:
+        is_complete = is_complete and self._ways.is_complete
+        queue = self._bus.serve(self._ways.key(key), depth, is_complete=is_complete)
+        return BrokenQueue(queue, self._ways)
+
+    def token(self, key: str) -> Any:  # noqa: ANN401
+        return self._bus.token(self._ways.token(key))
+
+
+@contextmanager
+def telling(ways: Ways) -> Iterator[Bus]:
+    """Tell odometry and answer services, on a network with its ways."""
+    with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
+        bus = cast("Bus", BrokenBus(router, ways))
+        side, is_over = ros_side(bus, RosSettings()), threading.Event()
+        odom = side.faces.publisher(Topic("r1/odom", Odometry))
+        response, message = encode(DeleteEntityResponse(), Format.CDR), example_of(Odometry)
+
+        def go_on() -> None:
+            while not is_over.wait(EVERY_S):
+                odom.send(encode(message, Format.CDR))
+                for call in (call for source in side.sources for call in source.take()):
+                    call.reply(response, "application/cdr")
+
+        thread = threading.Thread(target=go_on)
+        thread.start()
+        try:
+            yield router
+        finally:
+            is_over.set()
+            thread.join()
+            side.close()
+
+
+def complaints(router: Bus) -> set[str]:
+    """Look from outside at the odometry of a robot and at a service."""
+    with observing(router, 0) as do, session_of(router) as session:
+        told = tokens(session, "@ros2_lv/**")
+        asked = {"name": "/delete_entity", "kind": DELETE, "type_hash": ros.DELETE_HASH}
+        heard = {"topic": "/r1/odom", "kind": ODOMETRY, "count": 1, "within_s": WAIT_S, "qos": ""}
+        found = {
+            "listed": "/r1/odom" in do("topics") and "/delete_entity" in do("services"),
+            "heard": bool(do("hear", **heard)),
+            "answered": do("call", fields={"entity": "x"}, within_s=WAIT_S, **asked) is not None,
+            "by the rules": are_kept(told, samples_of(session)),
+            "signed": is_signed(replies(router, DELETE_KEY, EMPTY, ASKED)),
+        }
+    return {name for name, is_fine in found.items() if not is_fine}
+
+
+def samples_of(session: zenoh.Session) -> list[Heard]:
+    channel = session.declare_subscriber("0/r1/odom/*/*", zenoh.handlers.FifoChannel(64))
+    came = [heard_of(channel.recv()) for _ in range(3)]
+    channel.undeclare()
+    return came
+
+
+def are_kept(told: list[str], came: list[Heard]) -> bool:
+    try:
+        for one in graph_of(told):
+            check_hash(one, has_hashes=True)
+        check_topic([one for one in told if "/MP/" in one and "%odom" in one], came)
+    except (BrokenRule, NoToken):
+        return False
+    return True
+
+
+def is_signed(answers: list[zenoh.Sample]) -> bool:
+    """Check that the reply has the number and the gid of who asked."""
+    attached = [one.attachment.to_bytes() if one.attachment else b"" for one in answers]
+    return [(one[:8], one[16:]) for one in attached] == [(ASKED[:8], ASKED[16:])]
+
+
+def test_nobody_complains_of_what_is_not_broken() -> None:
+    with telling(FINE) as router:
+        assert complaints(router) == set()
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_what_is_broken_is_found_from_outside(what: str) -> None:
+    with telling(BROKEN[what]) as router:
+        assert complaints(router) == FOUND[what]
