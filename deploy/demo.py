@@ -12,7 +12,7 @@ from proto import keys
 from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from proto.model import Dynamics
 from proto.result import ResultCode
-from proto.ros2.settings import RosSettings, arguments_of
+from proto.ros2.settings import RosSettings, arguments_of, arguments_of_agent
 from proto.telemetry import Info
 from spawner.client import SimClient
 from spawner.launch import spawn_fleet
@@ -131,7 +131,7 @@ def agent_arguments(config: DemoConfig) -> dict[str, tuple[str, ...]]:
         *("--quiet", "--wait", str(START_TIMEOUT_S)),
         *(("--odom-hz", str(config.agents.odom_hz)) if config.agents.odom_hz is not None else ()),
         *(("--tf-hz", str(config.agents.tf_hz)) if config.agents.tf_hz is not None else ()),
-        *(*arguments_of(config.ros), "--tf", config.ros.tf),
+        *arguments_of_agent(config.ros),
     )
     if config.agents.pools is None:
         return {f"agent of {one.name}": ("agent", one.name, *options) for one in config.places}

@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 import uuid
+from dataclasses import dataclass
 from types import FrameType
 from typing import Annotated, NoReturn, get_args
 
@@ -13,11 +14,12 @@ import typer
 
 from proto.bus import BusConfig
 from proto.claims import OnRelease
+from proto.cli import RosTfOptions
 from proto.endpoint import DEFAULT_ENDPOINT
 from proto.exits import one_line_failures
 from proto.joining import join
 from proto.names import check_name
-from proto.ros2.settings import ros_settings
+from proto.option_fields import takes
 from robot_agent.agent import AgentConfig, run_agent
 from robot_agent.rates import Rates
 
@@ -70,65 +72,54 @@ TfHz = Annotated[
         show_default="as described, or with odometry",
     ),
 ]
-RosDomain = Annotated[
-    str,
-    typer.Option(
-        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
-        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
-    ),
-]
-RosDistro = Annotated[
-    str, typer.Option(help="ROS 2 distribution to talk to; only humble is unlike the others.")
-]
-TfScope = Annotated[
-    str, typer.Option("--tf", help="Transforms on /tf (global), on /NS/tf (namespaced), or both.")
-]
-RosBridge = Annotated[
-    bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
-]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AgentOptions(RosTfOptions):
+    """What is driven, and how."""
+
+    entities: Annotated[
+        list[str] | None, typer.Argument(help="Entities to drive; none with --pool.")
+    ] = None
+    pool: Pool = None
+    connect: Connect = ""
+    world_name: WorldName = "default"
+    name: Annotated[str, typer.Option(help="Of this agent; made up unless given.")] = ""
+    wait: Wait = 30.0
+    cmd_vel_timeout: CmdVelTimeout = 0.5
+    odom_hz: OdomHz = None
+    tf_hz: TfHz = None
+    on_release: OnReleaseWord = "stop"
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False
 
 
 @app.command()
-def agent(
-    entities: Annotated[
-        list[str] | None, typer.Argument(help="Entities to drive; none with --pool.")
-    ] = None,
-    *,
-    pool: Pool = None,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-    name: Annotated[str, typer.Option(help="Of this agent; made up unless given.")] = "",
-    wait: Wait = 30.0,
-    cmd_vel_timeout: CmdVelTimeout = 0.5,
-    odom_hz: OdomHz = None,
-    tf_hz: TfHz = None,
-    on_release: OnReleaseWord = "stop",
-    ros_domain: RosDomain = "0",
-    ros_distro: RosDistro = "jazzy",
-    tf: TfScope = "both",
-    ros_bridge: RosBridge = False,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False,
-) -> None:
+@takes(AgentOptions)
+def agent(given: AgentOptions) -> None:
     """Drive robots: cmd_vel in, odom and tf out."""
     logging.basicConfig(
-        level=logging.WARNING if quiet else logging.INFO,
+        level=logging.WARNING if given.quiet else logging.INFO,
         format="%(levelname)s %(name)s %(message)s",
         stream=sys.stderr,
     )
     with one_line_failures("agent"):
-        names = _checked_names(entities or [], pool)
-        config = AgentConfig(
-            world=check_name(world_name, "world"),
-            agent=check_name(name or _made_up_name(names[0] if names else "pool"), "agent"),
-            entities=names,
-            pool_limit=pool,
-            rates=Rates(odom_hz, tf_hz),
-            wait_s=wait,
-            cmd_vel_timeout_s=cmd_vel_timeout,
-            on_release=_checked(on_release),
-            ros=ros_settings(ros_domain, ros_distro, tf, is_bridged=ros_bridge),
-        )
-        _run(connect or DEFAULT_ENDPOINT, config)
+        _run(given.connect or DEFAULT_ENDPOINT, _config(given))
+
+
+def _config(given: AgentOptions) -> AgentConfig:
+    names = _checked_names(given.entities or [], given.pool)
+    made_up = _made_up_name(names[0] if names else "pool")
+    return AgentConfig(
+        world=check_name(given.world_name, "world"),
+        agent=check_name(given.name or made_up, "agent"),
+        entities=names,
+        pool_limit=given.pool,
+        rates=Rates(given.odom_hz, given.tf_hz),
+        wait_s=given.wait,
+        cmd_vel_timeout_s=given.cmd_vel_timeout,
+        on_release=_checked(given.on_release),
+        ros=given.ros,
+    )
 
 
 def _checked_names(entities: list[str], pool: int | None) -> tuple[str, ...]:

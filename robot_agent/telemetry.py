@@ -18,7 +18,8 @@ from robot_agent.outlet import Outlet, Value
 from robot_agent.rate_gate import RateGate
 from robot_agent.reading import Reading
 from robot_agent.remapping import odometry_key, topic_key
-from robot_agent.tf_outlets import tf_outlets, tf_static_outlets
+from robot_agent.tf_outlets import tf_outlets
+from robot_agent.tf_static import tf_static_outlets
 
 
 class MotionTelemetry:
@@ -146,9 +147,7 @@ def constant_outlets(faces: Faces, claim: Claim) -> list[Outlet]:
     # Stamped 0: it holds from the beginning of time.
     edges = fixed_edges(claim.model, base_of(claim.model))
     fixed = TFMessage(tuple(edge.stamped(Time()) for edge in edges))
-    outlets: list[Outlet] = []
-    if fixed.transforms:
-        outlets += tf_static_outlets(faces, claim.namespace, fixed)
+    outlets = tf_static_outlets(faces, claim, fixed)
     if claim.robot_description:
         key = keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION)
         topic, description = Topic(key, String, is_latched=True), String(claim.robot_description)

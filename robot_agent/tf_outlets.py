@@ -30,36 +30,18 @@ def tf_outlets(
         template: The transforms before they have moved, with frames as described.
         value_of: Makes what is told of a template: of that one, or with other names of frames.
     """
-    own = Topic(own_key, TFMessage)
-    return _outlets(faces, own, keys.TF, _both(template, namespace, value_of))
-
-
-def tf_static_outlets(faces: Faces, namespace: str, fixed: TFMessage) -> list[Outlet]:
-    """Declare a robot's transforms that never change."""
-    own = Topic(keys.robot(namespace, keys.TF_STATIC), TFMessage, is_latched=True)
-    values = _both(fixed, namespace, lambda message: lambda: message)
-    return _outlets(faces, own, keys.TF_STATIC, values)
+    outlets = []
+    if faces.settings.has_own_tf:
+        outlets.append(Outlet(faces, Topic(own_key, TFMessage), value_of(template)))
+    if faces.settings.has_global_tf:
+        shared = value_of(with_namespace(template, namespace))
+        outlets.append(Outlet(faces, Topic(keys.TF, TFMessage), shared, is_shared=True))
+    return outlets
 
 
 def with_namespace(message: TFMessage, namespace: str) -> TFMessage:
     """Let frames begin with the namespace, but for those that do already."""
     return TFMessage(tuple(_moved(edge, f"{namespace}/") for edge in message.transforms))
-
-
-def _both(message: TFMessage, namespace: str, value_of: ValueOf) -> tuple[Value, Value]:
-    return value_of(message), value_of(with_namespace(message, namespace))
-
-
-def _outlets(
-    faces: Faces, own: Topic, shared_key: str, values: tuple[Value, Value]
-) -> list[Outlet]:
-    outlets = []
-    if faces.settings.has_own_tf:
-        outlets.append(Outlet(faces, own, values[0]))
-    if faces.settings.has_global_tf:
-        shared = msgspec.structs.replace(own, key=shared_key)
-        outlets.append(Outlet(faces, shared, values[1], is_shared=True))
-    return outlets
 
 
 def _moved(edge: TransformStamped, prefix: str) -> TransformStamped:

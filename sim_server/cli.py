@@ -11,10 +11,10 @@ from typing import Annotated, get_args
 import typer
 
 from proto.bus import Bus
+from proto.cli import RosOptions
 from proto.exits import one_line_failures
 from proto.model import Dynamics
 from proto.option_fields import takes
-from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
 from sim_server.config import CONTROL_HZ, AlreadyServed, ConfigError, ServerConfig, server_bus
 from sim_server.journal.ledger import JournalError
@@ -97,19 +97,6 @@ OnMissWord = Annotated[
     str,
     typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
 ]
-RosDomain = Annotated[
-    str,
-    typer.Option(
-        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
-        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
-    ),
-]
-RosDistro = Annotated[
-    str, typer.Option(help="ROS 2 distribution to talk to; only humble is unlike the others.")
-]
-RosBridge = Annotated[
-    bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
-]
 Clusters = Annotated[
     str,
     typer.Option(
@@ -178,7 +165,7 @@ def engine_asked_for(word: str) -> EngineName | None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServeOptions:
+class ServeOptions(RosOptions):
     """What a server is told."""
 
     listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = ""
@@ -199,9 +186,6 @@ class ServeOptions:
     lockstep: Locked = False
     lockstep_timeout: LockstepTimeout = TIMEOUT_S
     on_miss: OnMissWord = "hold"
-    ros_domain: RosDomain = "0"
-    ros_distro: RosDistro = "jazzy"
-    ros_bridge: RosBridge = False
     clusters: Clusters = "auto"
     engine_workers: EngineWorkers = None
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
@@ -234,7 +218,7 @@ def _config(given: ServeOptions) -> ServerConfig:
         wait_s=given.wait,
         journal=str(given.journal or ""),
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
-        ros=ros_settings(given.ros_domain, given.ros_distro, is_bridged=given.ros_bridge),
+        ros=given.ros,
         physics=EngineChoice(
             engine=engine_asked_for(given.engine),
             clusters=clustering_of(given.clusters),

@@ -28,11 +28,11 @@ from deploy.demo import (
     summary,
 )
 from deploy.local import Program, ProgramDied, Supervisor
+from proto.cli import RosTfOptions
 from proto.endpoint import DEFAULT_ENDPOINT, with_free_port
 from proto.exits import one_line_failures
 from proto.names import check_name
 from proto.option_fields import takes
-from proto.ros2.settings import ros_settings
 from proto.stop import StopFlag
 from spawner.cli.wishes import dynamics_of
 from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
@@ -115,26 +115,6 @@ TfHz = Annotated[
 DynamicsWord = Annotated[
     str, typer.Option("--dynamics", help="How robots move: full, kinematic, or auto.")
 ]
-RosDomain = Annotated[
-    str,
-    typer.Option(
-        "--ros-domain",
-        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
-        envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
-    ),
-]
-RosDistro = Annotated[
-    str,
-    typer.Option(
-        "--ros-distro", help="ROS 2 distribution to talk to; only humble is unlike others."
-    ),
-]
-TfScope = Annotated[
-    str, typer.Option("--tf", help="Transforms on /tf (global), on /NS/tf (namespaced), or both.")
-]
-RosBridge = Annotated[
-    bool, typer.Option("--ros-bridge", help="Announce topics to zenoh-bridge-ros2dds too.")
-]
 ClustersWord = Annotated[
     str, typer.Option("--clusters", help="Step robots that cannot touch apart: auto, on or off.")
 ]
@@ -150,7 +130,7 @@ EngineWorkers = Annotated[
 
 
 @dataclass(frozen=True, kw_only=True)
-class UpOptions:
+class UpOptions(RosTfOptions):
     """What is run."""
 
     robots: Robots = 10
@@ -171,10 +151,6 @@ class UpOptions:
     odom_hz: OdomHz = None
     tf_hz: TfHz = None
     dynamics: DynamicsWord = "full"
-    ros_domain: RosDomain = "0"
-    ros_distro: RosDistro = "jazzy"
-    tf: TfScope = "both"
-    ros_bridge: RosBridge = False
     viewer: HasViewer = True
     viewer_port: ViewerPort = 8080
     open_page: OpenPage = None
@@ -206,7 +182,7 @@ def _config(given: UpOptions) -> DemoConfig:
         engine=given.engine,
         clusters=given.clusters,
         engine_workers=given.engine_workers,
-        ros=ros_settings(given.ros_domain, given.ros_distro, given.tf, is_bridged=given.ros_bridge),
+        ros=given.ros,
         agents=_agents(given.agents, given.robots, given.odom_hz, given.tf_hz),
         has_viewer=given.viewer,
         viewer_port=given.viewer_port,

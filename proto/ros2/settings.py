@@ -4,6 +4,7 @@ from typing import Final, Literal, get_args
 
 import msgspec
 
+from proto.names import check_frame
 from proto.ros2.keys import OFF, read_domain
 
 TfScope = Literal["global", "namespaced", "both"]
@@ -20,6 +21,8 @@ class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
     has_hashes: bool = True
     """Whether types have hashes, which humble's have not."""
     tf: TfScope = "both"
+    tf_root: str = "world"
+    """Frame on `/tf_static` that the robots' odometry frames hang from; empty for none."""
     is_bridged: bool = False
     """Whether zenoh-bridge-ros2dds is told too."""
 
@@ -38,12 +41,12 @@ NO_ROS: Final = RosSettings(domain=None, tf="namespaced")
 
 
 def ros_settings(
-    domain: str, distribution: str, tf: str = "both", *, is_bridged: bool
+    domain: str, distribution: str, tf: str = "both", tf_root: str = "world", *, is_bridged: bool
 ) -> RosSettings:
     """Read what a command line says.
 
     Raises:
-        ValueError: A word is not known, or the domain is none.
+        ValueError: A word is not known, or the domain or the root frame is none.
     """
     if distribution not in DISTRIBUTIONS:
         raise ValueError(
@@ -53,12 +56,18 @@ def ros_settings(
         domain=read_domain(domain),
         has_hashes=distribution != UNHASHED,
         tf=_scope(tf),
+        tf_root="" if tf_root == OFF else check_frame(tf_root),
         is_bridged=is_bridged,
     )
 
 
+def arguments_of_agent(settings: RosSettings) -> tuple[str, ...]:
+    """Write the settings of an agent as words of a command line."""
+    return (*arguments_of(settings), "--tf", settings.tf, "--tf-root", settings.tf_root or OFF)
+
+
 def arguments_of(settings: RosSettings) -> tuple[str, ...]:
-    """Write the settings of a server as words of a command line; those of `--tf` are left out."""
+    """Write the settings of a server as words of a command line: it tells no transforms."""
     domain = OFF if settings.domain is None else str(settings.domain)
     return (
         *("--ros-domain", domain),

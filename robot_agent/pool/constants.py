@@ -14,7 +14,7 @@ from proto.topics import String, TFMessage
 from robot_agent.frames import base_of, fixed_edges
 from robot_agent.pool.outlet import FleetOutlet, Line
 from robot_agent.pool.telling import OutletOf
-from robot_agent.tf_outlets import with_namespace
+from robot_agent.tf_static import tf_static_of
 
 
 class Constant:
@@ -56,10 +56,9 @@ class Constants:
 
     def _values(self, claim: Claim) -> Iterator[tuple[str, Constant]]:
         fixed = self._fixed_of(claim.model)
-        if fixed.message.transforms and self._ros.has_own_tf:
-            yield keys.robot(claim.namespace, keys.TF_STATIC), fixed.constant
-        if fixed.message.transforms and self._ros.has_global_tf:
-            yield keys.TF_STATIC, Constant(with_namespace(fixed.message, claim.namespace))
+        for key, message in tf_static_of(claim, fixed.message, self._ros):
+            is_own = message is fixed.message
+            yield key, fixed.constant if is_own else Constant(message)
         if text := claim.robot_description:
             if text not in self._texts:
                 self._texts[text] = Constant(String(text))

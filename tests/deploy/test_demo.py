@@ -67,8 +67,8 @@ def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
         ("agent", "--pool", "0"),
     ]
     for line in agent_arguments(pooled).values():
-        assert line[-8:-4] == ("--odom-hz", "50.0", "--tf-hz", "10.0")
-        assert line[-4:] == (*ROS, "--tf", "both")
+        assert line[-10:-6] == ("--odom-hz", "50.0", "--tf-hz", "10.0")
+        assert line[-6:] == (*ROS, "--tf", "both", "--tf-root", "world")
 
 
 @pytest.mark.parametrize(

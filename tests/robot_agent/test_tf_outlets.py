@@ -8,7 +8,7 @@ from proto.geometry import TransformStamped
 from proto.header import Header
 from proto.ros2.settings import RosSettings, TfScope
 from proto.topics import TFMessage
-from robot_agent.tf_outlets import tf_outlets, tf_static_outlets, with_namespace
+from robot_agent.tf_outlets import tf_outlets, with_namespace
 from tests.fakes import MemoryBus
 
 EDGE = TFMessage((TransformStamped(Header(frame_id="odom"), "base_link"),))
@@ -40,19 +40,6 @@ def test_own_frames_are_as_described_and_shared_ones_begin_with_the_namespace() 
 @pytest.mark.parametrize(("scope", "key"), [("global", "tf"), ("namespaced", "team/r1/tf")])
 def test_transforms_are_told_where_they_are_wanted(scope: TfScope, key: str) -> None:
     assert list(told(scope)) == [key]
-
-
-def test_fixed_transforms_are_for_late_joiners_too() -> None:
-    bus = MemoryBus()
-    outlets = tf_static_outlets(Faces(bus, settings=RosSettings()), "r1", EDGE)
-    bus.pumps += [outlet.answer for outlet in outlets]
-
-    (own,), (shared,) = bus.get("r1/tf_static"), bus.get("tf_static")
-
-    assert frames(decode(TFMessage, own.payload, own.encoding)) == [("odom", "base_link")]
-    assert frames(decode(TFMessage, shared.payload, shared.encoding)) == [
-        ("r1/odom", "r1/base_link")
-    ]
 
 
 def test_frame_that_begins_with_the_namespace_already_is_left() -> None:

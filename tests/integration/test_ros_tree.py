@@ -1,0 +1,114 @@
+"""Transforms as RViz takes them: from the frame `world` all robots are one tree, each in place.
+
+The listener is written here, from what tf2 does: parents by child, poses multiplied on the way up.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+import zenoh
+
+from sim_server.description.library import model_text
+from tests.integration.processes import (
+    Server,
+    driven,
+    eventually,
+    running,
+    serving,
+    wait_for_agents,
+)
+from tests.integration.robots import drive_for, robot
+from tests.integration.ros_asking import session_of
+from tests.integration.ros_watching import SIGHT_S, TF, key_of, publishers_of, subscribed
+from tests.proto.ros_oracle import HUMBLE
+
+ROBOTS = ("r1", "r2", "r3")
+"""r3 counts its wheels' turns; it begins turned by a right angle."""
+Flat = tuple[float, float, float]
+"""x, y [m] and yaw [rad] in the parent."""
+
+
+@pytest.fixture(scope="module", params=["each", "pool"])
+def server(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Server]:
+    file = tmp_path_factory.mktemp("robot") / "counting.urdf"
+    text = model_text("box_bot")
+    file.write_text(text.replace("<odometry_source>1", "<odometry_source>0"), encoding="utf-8")
+    with serving("--ros-domain", "0") as found, ExitStack() as stack:
+        for place, name in enumerate(ROBOTS[:2]):
+            found.zensim("spawn", "box_bot", "-n", name, "-x", "1", "-y", str(place))
+        found.zensim("spawn", str(file), "-n", "r3", "-x", "2", "-y", "5", "-Y", "1.5707963")
+        if request.param == "pool":
+            stack.enter_context(running("agent", "--pool", "0", "--connect", found.endpoint))
+            wait_for_agents(found, ROBOTS)
+        else:
+            stack.enter_context(driven(found, *ROBOTS))
+        drive_for([robot(found.bus, name) for name in ROBOTS], 0.2, 0.3, 2.0)
+        yield found
+
+
+class Listener:
+    """Keeps the newest transform to each child, and who its parents were."""
+
+    def __init__(self) -> None:
+        self.parents: dict[str, set[str]] = {}
+        self.newest: dict[str, Flat] = {}
+
+    def hear(self, sample: zenoh.Sample) -> None:
+        message: Any = HUMBLE.deserialize_cdr(sample.payload.to_bytes(), TF)
+        for edge in message.transforms:
+            moved, turned = edge.transform.translation, edge.transform.rotation
+            yaw = 2.0 * math.atan2(turned.z, turned.w)
+            self.parents.setdefault(edge.child_frame_id, set()).add(edge.header.frame_id)
+            self.newest[edge.child_frame_id] = (moved.x, moved.y, yaw)
+
+    def pose_in_root(self, frame: str) -> tuple[str, Flat]:
+        """Go up to the root, and find the pose there."""
+        x, y, yaw = 0.0, 0.0, 0.0
+        while frame in self.newest:
+            at_x, at_y, turned = self.newest[frame]
+            cos, sin = math.cos(turned), math.sin(turned)
+            x, y, yaw = at_x + cos * x - sin * y, at_y + sin * x + cos * y, yaw + turned
+            (frame,) = self.parents[frame]
+        return frame, (x, y, yaw)
+
+
+@pytest.fixture(scope="module")
+def listener(server: Server) -> Iterator[Listener]:
+    found = Listener()
+    with session_of(server) as session:
+        keys = [key_of(publishers_of(session, topic)[0]) for topic in ("/tf", "/tf_static")]
+        subscriptions = [subscribed(session, key, found.hear) for key in keys]
+        bases = [f"{name}/{frame}" for name in ROBOTS for frame in ("base_footprint", "base_link")]
+        eventually(lambda: set(bases) <= set(found.newest), SIGHT_S, "transforms")
+        eventually(lambda: roots_of(found) == {"world"}, SIGHT_S, "one root")
+        yield found
+        for one in subscriptions:
+            one.undeclare()
+
+
+def roots_of(listener: Listener) -> set[str]:
+    return {listener.pose_in_root(frame)[0] for frame in tuple(listener.newest)}
+
+
+def test_each_frame_has_one_parent_and_all_are_in_one_tree(listener: Listener) -> None:
+    assert all(len(parents) == 1 for parents in listener.parents.values())
+    assert roots_of(listener) == {"world"}
+    assert {name.partition("/")[0] for name in listener.newest} == set(ROBOTS)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_robot_is_where_the_simulation_has_it(
+    server: Server, listener: Listener, name: str
+) -> None:
+    truth = server.client.entity_state(name).pose.position
+
+    _, (x, y, _) = listener.pose_in_root(f"{name}/base_link")
+
+    # Encoders drift, a little: wheels slip at the start and in turns.
+    assert (x, y) == pytest.approx((truth.x, truth.y), abs=0.05)
+    assert math.hypot(x - 1.0, y - ROBOTS.index(name)) > 0.2
