@@ -1,0 +1,173 @@
+"""Programs written for Gazebo Classic, call for call: the tutorial's script, and spawn_entity.py.
+
+Each call has the fields that those programs fill in, by an independent client and on the bare keys
+of a bridge; types without hashes are humble's, which has gazebo_msgs.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from sim_server.description.library import model_text
+from tests.integration import ros_interfaces as ros
+from tests.integration.processes import Server, driven, eventually, serving
+from tests.integration.ros_asking import Ask, Do, asking, observing, replies
+from tests.integration.ros_watching import SIGHT_S
+from tests.proto.ros_hashes import hash_of_service
+from tests.proto.ros_oracle import HUMBLE
+
+SPAWN, DELETE = "gazebo_msgs/srv/SpawnEntity", "gazebo_msgs/srv/DeleteEntity"
+EMPTY = "std_srvs/srv/Empty"
+HUMBLES = ("--ros-distro", "humble")
+FORWARD = {"orientation": {"w": 1.0}}
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[Server]:
+    with serving("--ros-domain", "0", "--ros-bridge", *HUMBLES) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def do(server: Server) -> Iterator[Do]:
+    with observing(server, 0, ros.OF_HUMBLE) as found:
+        yield found
+
+
+def description_by_the_script(namespace: str) -> str:
+    """Change the robot as the tutorial's script does: a namespace, and tf within it."""
+    root = ET.fromstring(model_text("box_bot_legacy"))
+    plugins = {plugin.get("name"): plugin for plugin in root.iter("plugin")}
+    block = plugins["differential_drive_controller"].find("ros")
+    assert block is not None
+    ET.SubElement(block, "namespace").text = f"/{namespace}"
+    ET.SubElement(block, "remapping").text = f"/tf:=/{namespace}/tf"
+    return ET.tostring(root, encoding="unicode")
+
+
+def spawned(ask: Ask, name: str, type_hash: str = ros.OF_HUMBLE, **fields: object) -> Any:  # noqa: ANN401
+    return ask("/spawn_entity", SPAWN, type_hash, name=name, **fields)
+
+
+def test_service_is_there_for_a_script_that_waits_for_it(do: Do) -> None:
+    listed = do("services")
+
+    assert {SPAWN, DELETE} <= {*listed["/spawn_entity"], *listed["/delete_entity"]}
+    assert listed["/unpause_physics"] == [EMPTY]
+
+
+@pytest.mark.parametrize("orientation", [{}, {"w": 1.0}], ids=["all zero", "by default"])
+def test_script_of_the_tutorial_spawns_robots_in_a_row(
+    server: Server, do: Do, orientation: dict[str, float]
+) -> None:
+    names = [f"box_bot{number}" for number in range(3)]
+    told = [
+        spawned(
+            asking(do),
+            name,
+            xml=description_by_the_script(name),
+            robot_namespace=name,
+            initial_pose={"position": {"x": x, "z": 0.01}, "orientation": orientation},
+        )
+        for x, name in enumerate(names)
+    ]
+    places = [server.client.entity_state(name).pose.position.x for name in names]
+    gone = [asking(do)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name) for name in names]
+
+    assert [one["success"] for one in told] == [True] * 3, told
+    assert places == pytest.approx([0.0, 1.0, 2.0], abs=0.05)
+    assert [one and one["success"] for one in gone] == [True] * 3
+
+
+def test_robot_of_the_script_tells_tf_and_odometry_in_its_namespace(server: Server, do: Do) -> None:
+    name = "box_bot7"
+    xml = description_by_the_script(name)
+    pose = {"position": {"y": 4.0, "z": 0.01}, "orientation": {"w": 1.0}}
+    spawned(asking(do), name, xml=xml, robot_namespace=name, initial_pose=pose)
+    given = {"count": 1, "within_s": SIGHT_S, "qos": ""}
+
+    with driven(server, name, options=HUMBLES):
+        (odom,) = do("hear", topic=f"/{name}/odom", kind="nav_msgs/msg/Odometry", **given)
+        (tf,) = do("hear", topic=f"/{name}/tf", kind="tf2_msgs/msg/TFMessage", **given)
+    asking(do)("/delete_entity", DELETE, ros.OF_HUMBLE, name=name)
+
+    assert odom["header"]["frame_id"] == "odom"
+    assert odom["pose"]["pose"]["position"]["y"] == pytest.approx(4.0, abs=0.05)
+    assert tf["transforms"][0]["header"]["frame_id"] == "odom"
+
+
+def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(server: Server, do: Do) -> None:
+    ask = asking(do)
+    ask("/pause_physics", EMPTY, ros.OF_HUMBLE)
+    pose = {"position": {"x": -3.0, "z": 0.06}, "orientation": {"z": 1.0, "w": 0.0}}
+
+    told = spawned(ask, "e1", xml=model_text("box_bot"), initial_pose=pose, reference_frame="world")
+    ask("/unpause_physics", EMPTY, ros.OF_HUMBLE)
+    states = {"topic": "/model_states", "kind": "gazebo_msgs/msg/ModelStates", "qos": ""}
+    (seen,) = do("hear", count=1, within_s=SIGHT_S, **states)
+    before = server.steps()
+    eventually(lambda: server.steps() > before, SIGHT_S, "time going on")
+    gone = ask("/delete_entity", DELETE, ros.OF_HUMBLE, name="e1")
+
+    assert told["success"], told
+    assert "e1" in seen["name"]
+    assert seen["pose"][seen["name"].index("e1")]["position"]["x"] == pytest.approx(-3.0, abs=0.01)
+    assert gone is not None
+    assert gone["success"]
+
+
+def test_second_of_a_name_is_refused_in_words(do: Do) -> None:
+    ask = asking(do)
+    spawned(ask, "twin", xml=model_text("box_bot"), initial_pose=FORWARD)
+
+    again = spawned(ask, "twin", xml=model_text("box_bot"), initial_pose=FORWARD)
+    ask("/delete_entity", DELETE, ros.OF_HUMBLE, name="twin")
+
+    assert not again["success"]
+    assert "twin" in again["status_message"]
+
+
+def test_distribution_with_hashes_asks_by_the_hash(do: Do) -> None:
+    told = spawned(
+        asking(do),
+        "hashed",
+        hash_of_service(SPAWN),
+        xml=model_text("box_bot"),
+        **{"initial_pose": FORWARD},
+    )
+    gone = asking(do)("/delete_entity", DELETE, hash_of_service(DELETE), name="hashed")
+
+    assert told["success"]
+    assert gone is not None
+    assert gone["success"]
+
+
+def test_bridge_spawns_and_deletes_on_bare_keys(server: Server) -> None:
+    types = HUMBLE.types
+    pose = types["geometry_msgs/msg/Pose"](
+        types["geometry_msgs/msg/Point"](8.0, 0.0, 0.06),
+        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+    )
+    request = types["gazebo_msgs/msg/SpawnEntity_Request"](
+        "bridged", model_text("box_bot"), "bridged", pose, ""
+    )
+
+    told = [
+        answer_to(server, "gazebo/spawn_entity", request, "SpawnEntity"),
+        answer_to(
+            server,
+            "gazebo/delete_entity",
+            types["gazebo_msgs/msg/DeleteEntity_Request"]("bridged"),
+            "DeleteEntity",
+        ),
+    ]
+
+    assert [one.success for one in told] == [True, True], told
+
+
+def answer_to(server: Server, key: str, request: object, kind: str) -> Any:  # noqa: ANN401
+    payload = bytes(HUMBLE.serialize_cdr(request, f"gazebo_msgs/msg/{kind}_Request"))
+    (answer,) = replies(server, key, payload, None)
+    return HUMBLE.deserialize_cdr(answer.payload.to_bytes(), f"gazebo_msgs/msg/{kind}_Response")
