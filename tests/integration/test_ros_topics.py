@@ -6,8 +6,10 @@ from dataclasses import replace
 import pytest
 import zenoh
 
+from proto.result import SpawnCode
 from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.ros_asking import Do, observing, session_of
+from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
+from tests.integration.ros_interfaces import SPAWN_V2_HASH
 from tests.integration.ros_rules import BrokenRule, Heard, check_bytes, check_topic
 from tests.integration.ros_watching import (
     LATCHED,
@@ -148,9 +150,39 @@ def test_bridge_is_told_of_routes(server: Server) -> None:
     assert "SS/gazebo§spawn_entity/gazebo_msgs§srv§SpawnEntity" in told
 
 
-@pytest.mark.parametrize("name", ["1robot", "my-robot", "r1 ", "_r1", "r" * 65])
+@pytest.mark.parametrize("name", ["1robot", "my-robot", "r1 ", "_r1", "r" * 65, "a/b", "a//b", "é"])
 def test_name_that_ros_refuses_is_refused_at_the_spawn(server: Server, name: str) -> None:
     answer = server.zensim("spawn", "box_bot", "-n", name)
 
     assert answer.returncode != 0
     assert "is not valid" in answer.stderr
+
+
+@pytest.mark.parametrize("namespace", ["a//b", "a/1b", "a-b/c", "//a", "a/", "~a", "a b", "a/*"])
+def test_namespace_that_ros_refuses_is_refused_at_the_spawn(server: Server, namespace: str) -> None:
+    answer = server.zensim("spawn", "box_bot", "-n", "fine", "--namespace", namespace)
+
+    assert answer.returncode != 0
+    assert "is not valid" in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("fields", "code", "slug"),
+    [
+        ({"name": "my-robot"}, SpawnCode.NAME_INVALID, "name.invalid"),
+        ({"name": "2nd"}, SpawnCode.NAME_INVALID, "name.invalid"),
+        ({"name": "ok", "entity_namespace": "a//b"}, SpawnCode.NAMESPACE_INVALID, "name.namespace"),
+        ({"name": "ok", "entity_namespace": "a-b"}, SpawnCode.NAMESPACE_INVALID, "name.namespace"),
+    ],
+)
+def test_client_of_ros_is_told_by_code_and_slug_which_names_are_refused(
+    ask: Do, fields: dict[str, str], code: SpawnCode, slug: str
+) -> None:
+    resource = {"entity_resource": {"uri": "box_bot"}}
+    kind = "simulation_interfaces/srv/SpawnEntity"
+
+    answer = asking(ask)("/spawn_entity", kind, SPAWN_V2_HASH, **fields, **resource)
+
+    assert result_of(answer) == code
+    assert answer is not None
+    assert slug in str(answer["result"])

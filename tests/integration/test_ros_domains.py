@@ -1,0 +1,116 @@
+"""Two domains on one network: neither lists, hears, asks or drives what is in the other."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+import pytest
+
+from proto.result import ResultCode
+from spawner.client import SimClient
+from tests.integration import ros_interfaces as ros
+from tests.integration.processes import START_S, Server, eventually, running, serving
+from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
+from tests.integration.ros_grammar import graph_of
+from tests.integration.ros_watching import SIGHT_S, tokens
+
+GET_ENTITIES = "simulation_interfaces/srv/GetEntities"
+SPAWN = "simulation_interfaces/srv/SpawnEntity"
+AT_ORIGIN = {"pose": {"position": {"z": 0.06}, "orientation": {"w": 1.0}}}
+DOMAINS = {0: "a1", 7: "b1"}
+"""And the robot in each."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A server in domain 0 that is the router, and another world in domain 7 that has joined it."""
+
+    server: Server
+    other: SimClient
+
+
+@pytest.fixture(scope="module")
+def network() -> Iterator[Network]:
+    with ExitStack() as stack:
+        server = stack.enter_context(serving("--ros-domain", "0"))
+        joining = ("--connect", server.endpoint, "--world-name", "other", "--ros-domain", "7")
+        stack.enter_context(running("serve", *joining))
+        other = SimClient(server.bus, "other")
+        other.wait_for_server(START_S)
+        server.zensim("spawn", "box_bot", "-n", "a1")
+        stack.enter_context(running("agent", "a1", "--connect", server.endpoint))
+        with observing(server, 7) as do:
+            spawn(do, "b1")
+        stack.enter_context(running("agent", "b1", *joining))
+        eventually(lambda: bool(other.entity_model("b1").agent), START_S, "claiming")
+        eventually(lambda: bool(server.client.entity_model("a1").agent), START_S, "claiming")
+        yield Network(server, other)
+
+
+def spawn(do: Do, name: str) -> None:
+    resource = {"uri": "box_bot"}
+    given = {"name": name, "entity_resource": resource, "initial_pose": AT_ORIGIN}
+    answer = asking(do)("/spawn_entity", SPAWN, ros.SPAWN_V2_HASH, **given)
+    assert result_of(answer) == ResultCode.OK
+
+
+@pytest.fixture(params=DOMAINS)
+def domain(request: pytest.FixtureRequest) -> int:
+    return int(request.param)
+
+
+@pytest.fixture
+def do(network: Network, domain: int) -> Iterator[Do]:
+    with observing(network.server, domain) as found:
+        yield found
+
+
+def test_domain_lists_its_own_robot_only(do: Do, domain: int) -> None:
+    (stranger,) = {*DOMAINS.values()} - {DOMAINS[domain]}
+    eventually(lambda: f"/{DOMAINS[domain]}/odom" in do("topics"), SIGHT_S, "topics")
+
+    topics = do("topics")
+
+    assert [topic for topic in topics if topic.startswith(f"/{stranger}/")] == []
+    assert len(do("publishers", topic="/clock")) == 1
+
+
+def test_services_are_those_of_the_domain(do: Do, domain: int) -> None:
+    answer = asking(do)("/get_entities", GET_ENTITIES, ros.GET_ENTITIES_HASH)
+
+    assert answer is not None
+    assert answer["entities"] == [DOMAINS[domain]]
+
+
+def test_frames_are_those_of_the_domain(do: Do, domain: int) -> None:
+    qos = ":1:,1:,:,:,,"
+    given = {"kind": "tf2_msgs/msg/TFMessage", "count": 2, "within_s": 2.0, "qos": qos}
+
+    heard = do("hear", topic="/tf_static", **given)
+
+    children = {edge["child_frame_id"] for message in heard for edge in message["transforms"]}
+    assert {child.partition("/")[0] for child in children} == {DOMAINS[domain]}
+
+
+def test_tokens_are_of_one_domain_each(network: Network) -> None:
+    with session_of(network.server) as session:
+        graph = graph_of(tokens(session, "@ros2_lv/**"))
+
+    agents = {(one.owner.domain, one.owner.name) for one in graph}
+    assert agents == {(0, "/zensim"), (0, "/a1/agent"), (7, "/zensim"), (7, "/b1/agent")}
+
+
+def test_command_of_another_domain_moves_nobody(network: Network) -> None:
+    before = network.other.entity_state("b1").pose.position.x
+
+    def has_moved() -> bool:
+        with_twist = {"kind": "geometry_msgs/msg/Twist", "fields": {"linear": {"x": 0.5}}}
+        stranger("tell", topic="/b1/cmd_vel", **with_twist)
+        stranger("tell", topic="/a1/cmd_vel", **with_twist)
+        return network.server.client.entity_state("a1").pose.position.x > 0.2
+
+    with observing(network.server, 0) as stranger:
+        eventually(has_moved, 20.0, "driving")
+
+    after = network.other.entity_state("b1").pose.position.x
+    assert after == pytest.approx(before, abs=0.01)
