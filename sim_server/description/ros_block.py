@@ -28,10 +28,8 @@ def read_ros_block(ros: Element, *, subject: str, report: Report) -> RosBlock:
         text = (child.text or "").strip()
         if child.tag == "namespace":
             namespaces.append(text)
-        elif child.tag == "remapping" and _is_remapping(text):
-            remappings.append(text)
         elif child.tag == "remapping":
-            report.suspicious(f"{subject}: <remapping>", f"{text[:80]!r} is not 'from:=to'")
+            remappings += _remapping(text, subject=subject, report=report)
         elif child.tag in UNUSED:
             report.ignored(f"{subject}: <{child.tag}>", UNUSED[child.tag])
         else:
@@ -40,9 +38,22 @@ def read_ros_block(ros: Element, *, subject: str, report: Report) -> RosBlock:
     return RosBlock(namespace=namespace, remappings=tuple(remappings))
 
 
-def _is_remapping(text: str) -> bool:
-    old, separator, new = text.partition(":=")
-    return bool(old.strip() and separator and new.strip())
+def _remapping(text: str, *, subject: str, report: Report) -> list[str]:
+    """Take a rule if it leads to a name that ROS has."""
+    old, separator, new = (part.strip() for part in text.partition(":="))
+    if not (old and separator and new):
+        report.suspicious(f"{subject}: <remapping>", f"{text[:80]!r} is not 'from:=to'")
+        return []
+    try:
+        # Relative names are within some namespace.
+        check_namespace(new if new.startswith("/") else f"robot/{new}")
+    except InvalidName:
+        report.suspicious(
+            f"{subject}: <remapping>",
+            f"{new[:80]!r} is no topic of ROS; use names joined by '/', as 'team/odom'; not used",
+        )
+        return []
+    return [text]
 
 
 def _namespace(written: list[str], *, subject: str, report: Report) -> str:

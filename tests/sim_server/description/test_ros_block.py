@@ -1,5 +1,6 @@
 """The <ros> block gives a namespace and remappings; the rest is noted."""
 
+import pytest
 from lxml import etree
 
 from proto.model import ReportEntry, RosBlock
@@ -48,6 +49,21 @@ def test_namespace_is_left_out_and_noted_when_it_is_none() -> None:
 
     assert block.namespace == ""
     assert len(reasons(entries, "suspicious")) == 1
+
+
+@pytest.mark.parametrize("topic", ["my-odom", "a//odom", "/2nd/odom", "~/odom", "/sim/x", "odom/*"])
+def test_remapping_to_what_ros_refuses_is_left_out_and_noted(topic: str) -> None:
+    block, entries = read(f"<remapping>odom:={topic}</remapping>")
+
+    assert block.remappings == ()
+    assert reasons(entries, "suspicious") == [
+        f"plugin 'p': <remapping>: {topic!r} is no topic of ROS; "
+        "use names joined by '/', as 'team/odom'; not used"
+    ]
+
+
+def test_remapping_to_a_name_within_the_namespace_may_begin_with_any_word() -> None:
+    assert read("<remapping>odom:=sim/x</remapping>")[0].remappings == ("odom:=sim/x",)
 
 
 def test_ros_block_notes_what_it_cannot_use() -> None:
