@@ -47,7 +47,13 @@ def server(
             wait_for_agents(found, ROBOTS)
         else:
             stack.enter_context(driven(found, *ROBOTS))
-        drive_for([robot(found.bus, name) for name in ROBOTS], 0.2, 0.3, 2.0)
+        drive_for(
+            found.client,
+            [robot(found.bus, name) for name in ROBOTS],
+            linear=0.2,
+            angular=0.3,
+            sim_s=2.0,
+        )
         yield found
 
 
