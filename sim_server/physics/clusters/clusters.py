@@ -83,8 +83,9 @@ class Clusters:
         return self._homes.engines[0].name
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`: a part for one of the cells."""
-        return all(engine.prepare(model) for engine in self._homes.engines.values())
+        """See `Engine.prepare`: a part for one of the cells, or a mesh is measured."""
+        is_made = all(engine.prepare(model) for engine in self._homes.engines.values())
+        return is_made and self._measure.prepare(model)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""

@@ -1,6 +1,8 @@
 """How far a model reaches from its root, whatever its joints do; how fast its motors move it."""
 
 import math
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +18,8 @@ BEYOND = 1e-3
 
 KNOWN = 256
 """Models that are remembered."""
+Farthest = Callable[[Shape], float]
+"""How far a mesh reaches from its own frame [m]; raises OSError when it is not there."""
 FARTHEST_M = 1e6
 """What has no end reaches over all of the world."""
 
@@ -37,9 +41,9 @@ class Reach:
     levers: FloatArray
 
 
-def reach_of(model: Model, mesh_folder: str) -> Reach:
-    """Measure a model; raises OSError when a mesh is not in the folder."""
-    own = [_extent(link, mesh_folder) for link in model.links]
+def reach_of(model: Model, farthest: Farthest) -> Reach:
+    """Measure a model; raises as `farthest` does."""
+    own = [_extent(link, farthest) for link in model.links]
     index = {link.name: i for i, link in enumerate(model.links)}
     away = [0.0] * len(model.links)
     for child, joint in enumerate(model.joints, start=1):
@@ -67,16 +71,15 @@ def _levers(model: Model, own: list[float]) -> FloatArray:
     return levers
 
 
-def _extent(link: Link, mesh_folder: str) -> float:
-    return max((_radius(shape, mesh_folder) for shape in link.collisions), default=0.0)
+def _extent(link: Link, farthest: Farthest) -> float:
+    return max((_radius(shape, farthest) for shape in link.collisions), default=0.0)
 
 
-def _radius(shape: Shape, mesh_folder: str) -> float:
+def _radius(shape: Shape, farthest: Farthest) -> float:
     """Find how far a shape reaches from the frame of its link."""
     length, width, height = shape.size
     if shape.kind == "mesh":
-        corners = read_corners(Path(mesh_folder, f"{shape.mesh}.stl").read_bytes())
-        size = float(np.linalg.norm(corners * np.array(shape.size), axis=1).max(initial=0.0))
+        size = farthest(shape)
     else:
         size = {
             "box": math.hypot(length, width, height) / 2.0,
@@ -98,6 +101,26 @@ class Measure:
     def __init__(self, mesh_folder: str) -> None:
         self._mesh_folder = mesh_folder
         self._known: dict[int, tuple[Model, Reach]] = {}
+        self._farthest: dict[tuple[str, Vec3], float] = {}
+
+    def prepare(self, model: Model) -> bool:
+        """Measure one mesh of a model; say whether none is left, or one is not there."""
+        meshes = (shape for link in model.links for shape in link.collisions if shape.mesh)
+        for shape in meshes:
+            if (shape.mesh, shape.size) not in self._farthest:
+                with suppress(OSError):
+                    self.farthest(shape)
+                    return False
+        return True
+
+    def farthest(self, shape: Shape) -> float:
+        """Measure a mesh; raises OSError when it is not in the folder."""
+        key = (shape.mesh, shape.size)
+        if key not in self._farthest:
+            corners = read_corners(Path(self._mesh_folder, f"{shape.mesh}.stl").read_bytes())
+            arms = np.linalg.norm(corners * np.array(shape.size), axis=1)
+            self._farthest[key] = float(arms.max(initial=0.0))
+        return self._farthest[key]
 
     def reach(self, model: Model) -> Reach:
         """Measure a model."""
@@ -106,6 +129,7 @@ class Measure:
             return known[1]
         if len(self._known) >= KNOWN:
             self._known.clear()
-        found = reach_of(model, self._mesh_folder)
+            self._farthest.clear()
+        found = reach_of(model, self.farthest)
         self._known[id(model)] = model, found
         return found

@@ -9,12 +9,12 @@ import pytest
 
 from proto.model import Link, Model, Origin, Shape
 from proto.stl import write_corners
-from sim_server.physics.clusters.reach import BEYOND, FARTHEST_M, moves, reach_of
+from sim_server.physics.clusters.reach import BEYOND, FARTHEST_M, Measure, moves
 from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
 
 
 def radius(model: Model, folder: str = "") -> float:
-    return reach_of(model, folder).radius_m - BEYOND
+    return Measure(folder).reach(model).radius_m - BEYOND
 
 
 @pytest.mark.parametrize(
@@ -46,18 +46,18 @@ def test_reach_holds_wheels_and_casters() -> None:
 
 
 def test_reach_names_what_slides() -> None:
-    assert reach_of(an_arm("prismatic"), "").slides == (0,)
-    assert reach_of(an_arm("revolute"), "").slides == ()
+    assert Measure("").reach(an_arm("prismatic")).slides == (0,)
+    assert Measure("").reach(an_arm("revolute")).slides == ()
 
 
 def test_reach_knows_how_fast_wheels_roll() -> None:
-    levers = reach_of(a_cart(), "").levers
+    levers = Measure("").reach(a_cart()).levers
 
     assert levers == pytest.approx([0.05, 0.05])
 
 
 def test_reach_knows_that_a_twist_is_a_speed() -> None:
-    ahead, left, _ = reach_of(a_puck(), "").levers
+    ahead, left, _ = Measure("").reach(a_puck()).levers
 
     assert (ahead, left) == (1.0, 1.0)
 
@@ -67,3 +67,24 @@ def test_what_has_no_joint_that_moves_and_is_static_never_moves() -> None:
     assert not moves(msgspec.structs.replace(an_arm("fixed"), is_static=True))
     assert moves(a_box())
     assert moves(a_fork())
+
+
+def test_meshes_are_measured_one_at_a_time_before_they_are_needed(tmp_path: Path) -> None:
+    corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
+    for name in ("a", "b"):
+        Path(tmp_path, f"{name}.stl").write_bytes(write_corners(corners))
+    shapes = tuple(Shape("mesh", (1.0, 1.0, 1.0), mesh=name) for name in "aba")
+    model, measure = Model("m", (Link("base", collisions=shapes),)), Measure(str(tmp_path))
+
+    answers = [measure.prepare(model) for _ in range(3)]
+    for file in tmp_path.iterdir():
+        file.unlink()
+
+    assert answers == [False, False, True]
+    assert measure.reach(model).radius_m == pytest.approx(2.0 + BEYOND)
+
+
+def test_mesh_that_is_not_there_is_prepared_by_nobody(tmp_path: Path) -> None:
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="gone")
+
+    assert Measure(str(tmp_path)).prepare(Model("m", (Link("base", collisions=(shape,)),)))
