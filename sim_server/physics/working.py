@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from proto.model import Model
+from sim_server.physics.blank_pages import give_back_blank_pages, map_large_blocks
 from sim_server.physics.clusters.sharing import Board
 from sim_server.physics.clusters.worker import Answer, CellTold
 from sim_server.physics.engine import Engine, EngineRefused, FloatArray, concealing
@@ -76,6 +77,7 @@ class Working:
             self._line.send(answer)
 
     def _begin(self, orders: CellOrders) -> None:
+        map_large_blocks()
         self._orders = orders
 
     def _model_is(self, model: Model) -> None:
@@ -84,6 +86,7 @@ class Working:
     def _make(self, cell: int) -> None:
         assert self._orders is not None
         self._cells[cell] = Cell(self._orders.make())
+        give_back_blank_pages()
 
     def _conceal(self, cell: int, body: int) -> None:
         known = self._cells[cell]
