@@ -1,6 +1,6 @@
 """What handlers work on: the world, and what the server keeps beside it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from proto.result import ResultCode
@@ -26,11 +26,14 @@ class Founded:
     real_time_factor: float
 
 
-Founding = Callable[[WorldModel], Founded]
-"""Makes an engine and puts a world's models into it; raises SimError."""
+Founding = Callable[[WorldModel], Iterator[Founded | None]]
+"""Makes an engine and puts a world's models into it, a part at a time; the world comes last.
+
+Raises SimError. Who does not go on to the end closes it.
+"""
 
 
-def no_founding(model: WorldModel) -> Founded:
+def no_founding(model: WorldModel) -> Iterator[Founded | None]:
     """Refuse: this desk has one world only."""
     raise Refused(
         ResultCode.FEATURE_UNSUPPORTED, f"world {model.name[:80]!r} cannot be made here; start anew"
@@ -83,7 +86,7 @@ class Desk:
     def _pin_meshes(self, model: WorldModel) -> None:
         """Keep the meshes of a world for as long as one of its models may be made anew."""
         for name in {mesh for placed in model.models for mesh in meshes_of(placed.model)}:
-            self.store.pin(name, self.store.piece(name, 0, self.store.size(name)))
+            self.store.pin_kept(name)
 
     def end_bond(self, bond: str) -> None:
         """Take out what hangs on a bond that is gone."""

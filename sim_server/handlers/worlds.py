@@ -1,6 +1,9 @@
 """Worlds: putting another in the place of this one, taking it away, and telling which there are."""
 
+from collections.abc import Callable, Iterator
+
 from proto import services, worlds
+from proto.header import NANOSECONDS
 from proto.model import ReportEntry
 from proto.result import (
     GetAvailableWorldsCode,
@@ -13,7 +16,7 @@ from proto.result import (
 )
 from proto.services import State
 from sim_server.description.sdf import WorldModel
-from sim_server.desk import Desk
+from sim_server.desk import Desk, Founded
 from sim_server.errors import IncorrectState, ModelError, Refused, SimError
 from sim_server.later import Later
 from sim_server.reading.messages import TextRead
@@ -22,6 +25,8 @@ from sim_server.worlds.world_reading import WorldReading
 
 NOTHING = WorldModel("", gravity=(0.0, 0.0, 0.0))
 SHOWN = 3
+SLICE_NS = 5 * NANOSECONDS // 1000
+"""What making a world takes of each turn of the loop; the part last begun is finished."""
 MAX_SOURCES = 64
 MISSING = "is not on the server"
 
@@ -38,11 +43,11 @@ def load_world(desk: Desk, request: worlds.LoadWorldRequest) -> Later:
     )
     desk.stepping.abort("another world is being loaded")
     desk.world.enter(State.LOADING_WORLD)
+    building = _Building(desk, lambda answer: _checked(answer, request))
 
     def put() -> worlds.LoadWorldReport:
         try:
-            model = _checked(reading.answer or TextRead(0), request)
-            founded = desk.founding(model)
+            model, founded = building.outcome()
         except SimError:
             if desk.world.state == State.LOADING_WORLD:
                 desk.world.enter(former)
@@ -50,7 +55,42 @@ def load_world(desk: Desk, request: worlds.LoadWorldRequest) -> Later:
         desk.replace_world(founded, model, found.resource)
         return worlds.LoadWorldReport(Result(), desk.resource, model.report)
 
-    return Later(lambda: reading.answer is not None, put)
+    return Later(lambda: building.go_on(reading.answer), put)
+
+
+class _Building:
+    """A world that is made while requests are answered."""
+
+    def __init__(self, desk: Desk, checked: Callable[[TextRead], WorldModel]) -> None:
+        self._desk = desk
+        self._checked = checked
+        self._model = NOTHING
+        self._parts: Iterator[Founded | None] | None = None
+        self._outcome: Founded | SimError | None = None
+
+    def go_on(self, answer: TextRead | None) -> bool:
+        """Make some parts once the world is read; say whether that was the last."""
+        if answer is None:
+            return False
+        end_ns = self._desk.now_ns() + SLICE_NS
+        try:
+            if self._parts is None:
+                self._model = self._checked(answer)
+                self._parts = self._desk.founding(self._model)
+            while self._outcome is None:
+                self._outcome = next(self._parts)
+                if self._desk.now_ns() >= end_ns:
+                    break
+        except SimError as error:
+            self._outcome = error
+        return self._outcome is not None
+
+    def outcome(self) -> tuple[WorldModel, Founded]:
+        """Give the world; raises SimError where it could not be made."""
+        assert self._outcome is not None
+        if isinstance(self._outcome, SimError):
+            raise self._outcome
+        return self._model, self._outcome
 
 
 def unload_world(desk: Desk, _: worlds.UnloadWorldRequest) -> worlds.UnloadWorldResponse:
@@ -60,7 +100,9 @@ def unload_world(desk: Desk, _: worlds.UnloadWorldRequest) -> worlds.UnloadWorld
     if desk.world.state in (State.LOADING_WORLD, State.QUITTING):
         raise IncorrectState(f"the simulation is {desk.world.state_name}; try again later")
     desk.stepping.abort("the world was unloaded")
-    desk.replace_world(desk.founding(NOTHING), NOTHING, worlds.WorldResource())
+    nothing = list(desk.founding(NOTHING))[-1]
+    assert nothing is not None
+    desk.replace_world(nothing, NOTHING, worlds.WorldResource())
     return worlds.UnloadWorldResponse()
 
 

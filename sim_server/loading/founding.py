@@ -8,11 +8,11 @@ from proto.result import ResultCode
 from sim_server.config import ConfigError, paced
 from sim_server.desk import Founded
 from sim_server.errors import Refused
-from sim_server.loading.world_files import furnish
+from sim_server.loading.world_files import furnishing
 from sim_server.world.world import World
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from sim_server.config import ServerConfig
     from sim_server.description.sdf import WorldModel
@@ -26,7 +26,7 @@ def founding(
     """Make worlds as this server makes them: what its start did not fix, each world chooses."""
     asked = config.asked or config
 
-    def found(model: WorldModel) -> Founded:
+    def found(model: WorldModel) -> Iterator[Founded | None]:
         pace = model.pace
         chosen = paced(asked, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
         world = World(
@@ -35,11 +35,15 @@ def founding(
             step_ns=chosen.step_ns,
             control_steps=chosen.control_steps,
         )
+        is_whole = False
         try:
-            furnish(world, model)
+            yield from furnishing(world, model)
+            is_whole = True
         except ConfigError as error:
-            world.close()
             raise Refused(ResultCode.OPERATION_FAILED, str(error)) from error
-        return Founded(world, chosen.real_time_factor or 0.0)
+        finally:
+            if not is_whole:
+                world.close()
+        yield Founded(world, chosen.real_time_factor or 0.0)
 
     return found

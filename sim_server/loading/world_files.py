@@ -16,7 +16,7 @@ from sim_server.errors import SimError
 from sim_server.world.birth import Birth
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     from proto.model import ReportEntry
     from sim_server.world.world import World
@@ -73,15 +73,24 @@ def doubts(report: Iterable[ReportEntry]) -> list[str]:
 
 
 def furnish(world: World, model: WorldModel) -> None:
-    """Put the models of a world file where they stand.
+    """Put the models of a world file where they stand; raises as `furnishing` does."""
+    for _ in furnishing(world, model):
+        pass
+
+
+def furnishing(world: World, model: WorldModel) -> Iterator[None]:
+    """Put the models of a world file where they stand, a part of one at a time.
 
     Raises:
         ConfigError: The engine cannot simulate one.
     """
     for placed in model.models:
+        while not world.prepare(placed.model):
+            yield
         base = np.zeros(13)
         base[:3], base[3:7] = placed.origin.position, placed.origin.orientation
         try:
             world.spawn(Birth(placed.name, "", placed.model, base, belongs_to_world=True))
         except SimError as error:
             raise ConfigError(f"model '{placed.name}' of the world: {error}") from error
+        yield

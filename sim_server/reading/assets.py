@@ -105,6 +105,17 @@ class AssetStore:
         self._path(sha256).write_bytes(data)
         self._pinned[sha256] = len(data)
 
+    def pin_kept(self, sha256: str) -> None:
+        """Keep a file that is here for as long as the server runs.
+
+        Raises:
+            AssetRefused: It is not here.
+        """
+        size = self.size(sha256)
+        if self._sizes.pop(sha256, None) is not None:
+            self._loose_bytes -= size
+            self._pinned[sha256] = size
+
     def size(self, sha256: str) -> int:
         """Length of a file.
 

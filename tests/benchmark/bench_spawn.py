@@ -1,8 +1,9 @@
 """Spawning while others drive
 
 A box_bot is spawned far away and deleted again, at random moments, while ten robots drive
-circles. The server says each second how late its latest step began and how long its longest
-engine step took: once for a time without spawns, then with them. Floor: the same description read
+circles. The server says each second how late its latest step began, how long its longest engine
+step took, and for how long the loop's own work held a step up (CPU time: the rest is what other
+programs took): once for a time without spawns, then with them. Floor: the same description read
 and put into PyBullet in this process, among as many bodies.
 """
 
@@ -26,6 +27,7 @@ from tests.benchmark.fleet import (
     ROBOTS_WHEN_SHORT,
     fleet,
     latest_steps,
+    longest_work,
     milliseconds,
     observed,
     stats_of,
@@ -98,6 +100,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _steps(when: str, seen: list[Stats], asked: Asked | None) -> Iterator[Figure]:
+    yield longest_work(when, seen, asked)
     yield latest_steps(when, seen, asked)
     yield Figure(
         what=f"longest step of each second, {when}",

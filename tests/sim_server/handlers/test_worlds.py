@@ -1,5 +1,6 @@
 """Loading, unloading and listing of worlds, with every refusal that there is."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,12 +14,14 @@ from proto.result import (
     UnloadWorldCode,
 )
 from proto.services import Resource, State, TagsFilter
-from sim_server.desk import Desk
+from sim_server.description.sdf import WorldModel
+from sim_server.desk import Desk, Founded
 from sim_server.errors import SimError
 from sim_server.handlers.table import handle
+from sim_server.handlers.worlds import SLICE_NS
 from sim_server.later import Later
 from sim_server.worlds.atlas import FILES_A_TURN, Atlas, described
-from tests.sim_server.fakes import a_desk, a_world, kinds_of_events, names_in
+from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events, names_in
 from tests.sim_server.orders import an_order
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
@@ -102,6 +105,30 @@ def test_world_stands_while_another_is_read(desk: Desk) -> None:
         with pytest.raises(SimError) as refused:
             handle(desk, request)
         assert refused.value.code == ResultCode.INCORRECT_STATE
+
+
+def test_world_is_made_over_some_turns_and_is_there_at_once() -> None:
+    wall = WallTime()
+    desk = a_desk(a_world("r0"), wall)
+    made = desk.founding
+
+    def slowly(model: WorldModel) -> Iterator[Founded | None]:
+        for part in made(model):
+            wall.ns += SLICE_NS
+            yield part
+
+    desk.founding = slowly
+    later = handle(desk, loading("walls"))
+    assert isinstance(later, Later)
+    seen = []
+    while not later.is_ready():
+        desk.descriptions.poll()
+        seen.append(names_in(desk.world))
+    later.outcome()
+
+    assert len(seen) > 1
+    assert all(names == ["r0"] for names in seen)
+    assert names_in(desk.world) == ["outer_walls", "inner_walls"]
 
 
 def test_world_keeps_its_own_pace() -> None:

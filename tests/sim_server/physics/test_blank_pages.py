@@ -5,11 +5,7 @@ import subprocess
 import sys
 import threading
 
-import pytest
-
 from sim_server.physics.blank_pages import give_back_blank_pages
-
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="asks Linux and glibc")
 
 PROGRAM = """
 import numpy as np, psutil
