@@ -4,22 +4,12 @@ A sequence number (int64), the source's time (int64), the length 16, and the sen
 """
 
 import struct
-from collections.abc import Sequence
 from typing import Final
 
 import msgspec
-import numpy as np
 
 GID_BYTES: Final = 16
 FORM: Final = struct.Struct(f"<qqB{GID_BYTES}s")
-COLUMNS: Final = np.dtype(
-    [
-        ("sequence_number", "<i8"),
-        ("source_time_ns", "<i8"),
-        ("length", "u1"),
-        ("gid", "u1", GID_BYTES),
-    ]
-)
 
 
 class Attachment(msgspec.Struct, frozen=True):
@@ -48,33 +38,3 @@ def read_attachment(raw: bytes) -> Attachment | None:
     if length != GID_BYTES:
         return None
     return Attachment(sequence_number, source_time_ns, gid)
-
-
-class Attachments:
-    """Those of many publishers, a row each, written for many at once."""
-
-    def __init__(self) -> None:
-        self._rows = np.zeros(0, dtype=COLUMNS)
-        self._free: list[int] = []
-
-    def add(self, gid: bytes) -> int:
-        """Take a publisher in that has sent nothing; return its row."""
-        if not self._free:
-            count = len(self._rows)
-            self._rows = np.concatenate([self._rows, np.zeros(count + 1, dtype=COLUMNS)])
-            self._free = list(range(len(self._rows) - 1, count - 1, -1))
-        row = self._free.pop()
-        self._rows[row] = (0, 0, GID_BYTES, np.frombuffer(gid, dtype=np.uint8))
-        return row
-
-    def remove(self, row: int) -> None:
-        """Let a publisher go."""
-        self._free.append(row)
-
-    def following(self, rows: Sequence[int], time_ns: int) -> list[bytes]:
-        """Write what goes with the next message of each of some rows, none of them twice."""
-        at = np.array(rows, dtype=np.intp)
-        self._rows["sequence_number"][at] += 1
-        self._rows["source_time_ns"][at] = time_ns
-        raw = self._rows[at].tobytes()
-        return [raw[start : start + FORM.size] for start in range(0, len(raw), FORM.size)]

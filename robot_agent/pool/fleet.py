@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import msgspec
 import numpy as np
@@ -26,6 +27,7 @@ from robot_agent.reading import Reading
 from robot_agent.robot import NODE, Robot
 
 LOG = logging.getLogger("zensim.agent")
+NODE_OF_SQUAD = "zensim_pool"
 CONSTANT = frozenset({keys.TF_STATIC, keys.ROBOT_DESCRIPTION})
 
 
@@ -62,6 +64,7 @@ class PoolFleet:
         self._network = network
         self._graph = graph
         self._ros = graph.settings if graph else NO_ROS
+        self._numbers = count(1)
         self._timeout_ns = timeout_ns
         self._members: dict[int, Member] = {}
         self._robots: dict[int, Robot] = {}
@@ -201,6 +204,8 @@ class PoolFleet:
             if member is not None:
                 member.place = place
                 squads.setdefault(member.kind, []).append(member)
+        for kind in [kind for kind in self._squads if kind not in squads]:
+            self._squads.pop(kind).close()
         self._squads = {kind: self._squad(kind, cast) for kind, cast in squads.items()}
         self._loners = tuple(
             _Loner(self._robots[one], place, *self._seating.of_one(place))
@@ -211,7 +216,7 @@ class PoolFleet:
             self._outlets.pop(key).close()
 
     def _squad(self, kind: Kind, members: Sequence[Member]) -> Squad:
-        squad = self._squads.get(kind) or Squad(kind, self._outlet)
+        squad = self._squads.get(kind) or Squad(kind, self._outlet, self._squads_node())
         squad.recut(members, self._seating.of_squad([member.place for member in members]))
         return squad
 
@@ -237,6 +242,13 @@ class PoolFleet:
         if self._graph is None or self._graph.domain is None:
             return None
         return RosFace(self._network, self._graph, topic)
+
+    def _squads_node(self) -> RosNode | None:
+        """Add to ROS 2's graph who tells what a squad's robots share."""
+        if self._graph is None:
+            return None
+        number = next(self._numbers)
+        return self._graph.node("", f"{NODE_OF_SQUAD}_{self._graph.zid[:8]}_{number}")
 
     def _greeted(self, namespace: str, cmd_vel: str) -> RosNode | None:
         """Let a robot into ROS 2's graph: as a node that hears commands."""

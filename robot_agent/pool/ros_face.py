@@ -12,10 +12,10 @@ import msgspec
 
 from proto.codec import Format, encoding_of
 from proto.faces import CACHE, Face
-from proto.ros2.attachment import Attachments
 from proto.ros2.tokens import Endpoint
 from proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
 from robot_agent.network import Call, Network
+from robot_agent.pool.attachments import Attachments
 from robot_agent.pool.audience import Audience
 
 QUERY_DEPTH = 256

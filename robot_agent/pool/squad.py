@@ -8,6 +8,7 @@ import numpy as np
 
 from proto.claims import Claim
 from proto.ros_graph import RosNode
+from proto.topics import TFMessage
 from robot_agent.pool.driven import DrivenBases
 from robot_agent.pool.kinds import Kind, Topics
 from robot_agent.pool.outlet import Line
@@ -30,6 +31,8 @@ class Member:
     constants: tuple[Line, ...] = ()
     templates: Sequence[msgspec.Struct] = ()
     """A message a line."""
+    shared_tf: TFMessage | None = None
+    """What it has on the topic that all share."""
     node: RosNode | None = None
     """In ROS 2's graph."""
 
@@ -72,10 +75,10 @@ class _Due:
 class Squad:
     """Turns states into targets, then into telemetry."""
 
-    def __init__(self, kind: Kind, outlet_of: OutletOf) -> None:
+    def __init__(self, kind: Kind, outlet_of: OutletOf, node: RosNode | None = None) -> None:
         self._kind = kind
         self._bases = DrivenBases(kind)
-        self._telling = Telling(kind, self._bases, outlet_of)
+        self._telling = Telling(kind, self._bases, outlet_of, node)
         self._seats: Seats | None = None
         self._due: _Due | None = None
 
@@ -125,6 +128,10 @@ class Squad:
             topic.outlet.remove(line)
         member.lines = ()
 
+    def close(self) -> None:
+        """Withdraw what its robots share; they have been dismissed, or are in other squads."""
+        self._telling.close()
+
     def _lines(self, member: Member) -> tuple[Line, ...]:
         named = self._telling.keys_of(member.topics)
         lines = []
@@ -138,10 +145,13 @@ class Squad:
         models = {id(one.claim.model): one.claim.model for one in new}
         written = {key: self._telling.templates_of(model) for key, model in models.items()}
         for one in new:
-            one.templates = self._telling.named(written[id(one.claim.model)], one.claim.namespace)
+            one.templates = written[id(one.claim.model)]
+            one.shared_tf = self._telling.shared_template(one.claim.model, one.claim.namespace)
         for number, topic in enumerate(self._telling.topics):
             topic.recut(
                 [member.lines[number] for member in members],
                 [member.templates[number] for member in members],
                 before,
             )
+        shared = [one.shared_tf for one in members if one.shared_tf is not None]
+        self._telling.recut_shared(shared, before)

@@ -5,16 +5,18 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from proto.model import Joint, Model
+from proto.model import Model
+from proto.ros_graph import RosNode
 from proto.topics import JointState, Odometry, TFMessage
 from robot_agent import templates
 from robot_agent.driven_base import motion_rates
 from robot_agent.pool.driven import DrivenBases
-from robot_agent.pool.joint_frames import POSE_COLUMNS, JointFrames
+from robot_agent.pool.frame_poses import FramePoses
 from robot_agent.pool.kinds import Kind, Topics
 from robot_agent.pool.outlet import FleetOutlet
 from robot_agent.pool.rate_gates import RateGates
 from robot_agent.pool.rows import FloatArray, IntArray, carried
+from robot_agent.pool.tf_topics import SharedTransforms, TransformTopic
 from robot_agent.pool.topic import SquadTopic
 from robot_agent.tf_outlets import with_namespace
 
@@ -33,42 +35,6 @@ class OdometryTopic(SquadTopic):
             stamps=templates.HEADER_STAMP,
             rate_hz=motion_rates(kind.drive)[1],
         )
-
-
-class TransformTopic(SquadTopic):
-    """The odometry frame, and the frames of moving joints."""
-
-    def __init__(self, kind: Kind, pattern: str, bases: DrivenBases, outlet_of: OutletOf) -> None:
-        count = templates.tf_count(kind.drive, kind.moving)
-        super().__init__(
-            outlet_of(pattern, TFMessage),
-            numbers=self._poses,
-            paths=templates.tf_paths(count),
-            stamps=templates.tf_stamps(count),
-            rate_hz=motion_rates(kind.drive)[2],
-        )
-        self._bases = bases
-        self._has_odometry = kind.drive.publish_odom_tf
-        self._frames = JointFrames(msgspec.msgpack.decode(kind.geometry, type=tuple[Joint, ...]))
-        self._moving = list(kind.moving)
-        self._positions = np.zeros((0, len(kind.moving)))
-
-    def carry(self, before: IntArray) -> None:
-        """See `SquadTopic`."""
-        super().carry(before)
-        self._positions = carried(self._positions, before)
-
-    def tell_poses(self, rows: IntArray, positions: FloatArray, time_ns: int) -> None:
-        """Tell the frames of some rows; positions are of all joints of all rows."""
-        rows = self.due(rows, time_ns)
-        self._positions[rows] = positions[rows][:, self._moving]
-        self.tell(rows, time_ns)
-
-    def _poses(self, rows: IntArray) -> FloatArray:
-        joints = self._frames.poses(self._positions[rows]).reshape(len(rows), -1)
-        if not self._has_odometry:
-            return joints
-        return np.concatenate([self._bases.motions[rows, :POSE_COLUMNS], joints], axis=1)
 
 
 class JointTopic(SquadTopic):
@@ -109,52 +75,70 @@ class JointTopic(SquadTopic):
 class Telling:
     """The topics of one kind."""
 
-    def __init__(self, kind: Kind, bases: DrivenBases, outlet_of: OutletOf) -> None:
+    def __init__(
+        self, kind: Kind, bases: DrivenBases, outlet_of: OutletOf, node: RosNode | None
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            kind: Of the robots.
+            bases: Their motions.
+            outlet_of: See there.
+            node: Who tells in ROS 2 what all robots share a topic for.
+        """
         wanted = kind.patterns
         self._published = kind.published
         self.odometry = OdometryTopic(kind, bases, outlet_of) if wanted.odom else None
-        self.transforms = tuple(
-            TransformTopic(kind, pattern, bases, outlet_of)
-            for pattern in (wanted.tf, wanted.shared_tf)
-            if pattern
-        )
-        self._shared = self.transforms[-1] if wanted.shared_tf else None
+        self._poses = poses = FramePoses(kind, bases)
+        self.transforms: TransformTopic | None = None
+        self.shared: SharedTransforms | None = None
+        if wanted.tf:
+            count = templates.tf_count(kind.drive, kind.moving)
+            self.transforms = TransformTopic(poses, outlet_of(wanted.tf, TFMessage), count)
+        if wanted.shared_tf:
+            self.shared = SharedTransforms(poses, outlet_of(wanted.shared_tf, TFMessage), node)
         self.joints = JointTopic(kind, outlet_of) if wanted.joint_states else None
 
     @property
     def topics(self) -> tuple[SquadTopic, ...]:
-        """Those that there are, in the order of `keys_of` and of `templates_of`."""
-        found = (self.odometry, *self.transforms, self.joints)
+        """Those that each robot has, in the order of `keys_of` and of `templates_of`."""
+        found = (self.odometry, self.transforms, self.joints)
         return tuple(topic for topic in found if topic is not None)
 
     def keys_of(self, topics: Topics) -> tuple[str, ...]:
         """List where a robot tells each of them."""
-        told = (topics.odom, topics.tf, topics.shared_tf, topics.joint_states)
-        return tuple(key for key in told if key)
+        return tuple(key for key in (topics.odom, topics.tf, topics.joint_states) if key)
 
     def templates_of(self, model: Model) -> Sequence[msgspec.Struct]:
         """Write the messages of a robot without a name, one a topic."""
         made: list[msgspec.Struct] = []
         if self.odometry is not None:
             made.append(templates.odometry_template(model))
-        made += [templates.tf_template(model)] * len(self.transforms)
+        if self.transforms is not None:
+            made.append(templates.tf_template(model))
         if self.joints is not None:
             made.append(templates.joint_states_template(model, self._published))
         return made
 
-    def named(self, written: Sequence[msgspec.Struct], namespace: str) -> Sequence[msgspec.Struct]:
-        """Write a robot's name into those messages that all robots share a topic for."""
-        return [
-            with_namespace(message, namespace)
-            if topic is self._shared and isinstance(message, TFMessage)
-            else message
-            for topic, message in zip(self.topics, written, strict=True)
-        ]
+    def shared_template(self, model: Model, namespace: str) -> TFMessage | None:
+        """Write what a robot has on the topic that all share."""
+        if self.shared is None:
+            return None
+        return with_namespace(templates.tf_template(model), namespace)
+
+    def recut_shared(self, written: Sequence[TFMessage], before: IntArray) -> None:
+        """Take the robots as they are now: what each has on the topic that all share."""
+        self._poses.carry(before)
+        if self.shared is not None:
+            self.shared.recut(written, before)
 
     def reset(self) -> None:
         """Start again: time may have gone back."""
+        self._poses.reset()
         for topic in self.topics:
             topic.reset()
+        if self.shared is not None:
+            self.shared.reset()
 
     def tell(
         self, rows: IntArray, *, positions: FloatArray, velocities: FloatArray, time_ns: int
@@ -169,7 +153,15 @@ class Telling:
         """
         if self.odometry is not None:
             self.odometry.tell(self.odometry.due(rows, time_ns), time_ns)
-        for transforms in self.transforms:
-            transforms.tell_poses(rows, positions, time_ns)
+        rows = self._poses.take(rows, positions, time_ns)
+        if self.transforms is not None:
+            self.transforms.tell(rows, time_ns)
+        if self.shared is not None:
+            self.shared.tell(rows, time_ns)
         if self.joints is not None:
             self.joints.tell_joints(positions, velocities, time_ns)
+
+    def close(self) -> None:
+        """Withdraw what all robots share a topic for; the rest goes with them."""
+        if self.shared is not None:
+            self.shared.close()

@@ -26,6 +26,7 @@ NAMES = (
     "fleet_physics",
     "pools",
     "ros2",
+    "ros2_fleet",
     "clusters",
     "codec",
 )

@@ -1,0 +1,163 @@
+"""The topic on which a pool tells the transforms of all its robots."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from proto.claims import STATE_COLUMNS, Claim, DriveState
+from proto.codec import decode
+from proto.geometry import TransformStamped
+from proto.model import Model
+from proto.ros2.attachment import read_attachment
+from proto.ros2.settings import RosSettings
+from proto.ros_graph import RosGraph
+from proto.topics import TFMessage
+from robot_agent.fleet import Fleet
+from robot_agent.pool import tf_topics
+from robot_agent.pool.fleet import PoolFleet
+from tests.fakes import MemoryBus, MemorySubscription
+from tests.robot_agent.pool.kinds import DRIVES, robot_of
+
+PERIOD_NS = 12_500_000
+FACE = "0/tf/tf2_msgs::msg::dds_::TFMessage_/*"
+ON_TF = "@ros2_lv/0/*/*/*/MP/%/%/*/%tf/**"
+
+
+def claims_of(models: Sequence[Model]) -> list[Claim]:
+    return [
+        Claim(number, f"r{number}", f"r{number}", model, "<robot/>")
+        for number, model in enumerate(models, 1)
+    ]
+
+
+def a_state(claims: Sequence[Claim], step: int) -> DriveState:
+    rng, joints = np.random.default_rng(step), sum(len(one.model.joints) for one in claims)
+    base = rng.uniform(-2.0, 2.0, (len(claims), STATE_COLUMNS))
+    base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)
+    numbers = np.array([claim.claim for claim in claims], dtype="<u4").tobytes()
+    positions = rng.uniform(-3.0, 3.0, joints).tobytes()
+    time_ns = step * PERIOD_NS
+    return DriveState(0, time_ns, time_ns, numbers, base.tobytes(), positions, positions)
+
+
+class Told:
+    """A pool with a face for ROS 2, and who listens to its transforms."""
+
+    def __init__(self, *models: Model) -> None:
+        self.bus = MemoryBus()
+        self.pool = PoolFleet(self.bus, 0, RosGraph(self.bus, RosSettings()))
+        self.claims = claims_of(models)
+        self.pool.take(self.claims)
+        self.plain = self.bus.subscribe("tf", 64)
+        self.face = self.bus.subscribe(FACE, 64)
+        self.step = 0
+
+    def tell(self, claims: Sequence[Claim] = ()) -> None:
+        """Go on by a state of some robots, all unless said."""
+        self.step += 1
+        state = a_state(claims or self.claims, self.step)
+        self.pool.lose_all_but(state.claims)
+        self.pool.advance(state)
+        for _ in range(3):
+            self.pool.answer()
+        self.pool.tell()
+
+
+def messages(heard: MemorySubscription) -> list[TFMessage]:
+    return [decode(TFMessage, sample.payload, sample.encoding) for sample in heard.take()]
+
+
+def by_frame(told: Sequence[TFMessage]) -> dict[str, TransformStamped]:
+    return {edge.child_frame_id: edge for one in told for edge in one.transforms}
+
+
+def roots(message: TFMessage) -> set[str]:
+    return {edge.header.frame_id.split("/")[0] for edge in message.transforms}
+
+
+def test_robots_of_a_kind_are_told_of_in_one_message_on_each_face() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 3)
+
+    told.tell()
+
+    (plain,), (face,) = messages(told.plain), messages(told.face)
+    assert roots(plain) == {"r1", "r2", "r3"}
+    assert face == plain
+
+
+@pytest.mark.parametrize("kinds", [("diff", "diff"), ("diff", "planar"), ("planar", "planar")])
+def test_transforms_are_those_of_robots_that_are_driven_one_by_one(kinds: Sequence[str]) -> None:
+    told = Told(*[robot_of(DRIVES[kind]) for kind in kinds])
+    bus = MemoryBus()
+    fleet = Fleet(bus, 0, RosGraph(bus, RosSettings()))
+    fleet.take(told.claims)
+    heard = bus.subscribe("tf", 64)
+
+    for step in range(1, 20):
+        told.tell()
+        fleet.advance(a_state(told.claims, step))
+        fleet.tell()
+        found, expected = (by_frame(messages(one)) for one in (told.plain, heard))
+        assert list(found) == list(expected)
+        for child, edge in expected.items():
+            assert found[child].header == edge.header
+            assert found[child].transform.translation.x == pytest.approx(
+                edge.transform.translation.x, abs=1e-12
+            )
+            assert found[child].transform.rotation.w == pytest.approx(
+                edge.transform.rotation.w, abs=1e-12
+            )
+
+
+def test_large_fleets_are_told_of_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tf_topics, "MESSAGE_BYTES", 1)
+    told = Told(*[robot_of(DRIVES["diff"])] * 3)
+
+    told.tell()
+
+    samples = told.face.take()
+    read = [read_attachment(sample.attachment) for sample in samples]
+    assert [one.sequence_number for one in read if one] == [1, 2, 3]
+    assert len({one.gid for one in read if one}) == 1
+
+
+def test_pool_is_the_publisher_in_ros() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 2)
+    told.tell()
+
+    (token,) = told.bus.alive(ON_TF)
+
+    assert "/zensim_pool_ab12_1/" in token
+
+
+def test_who_asks_is_told_of_all_robots() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 2)
+    told.bus.pumps.append(told.pool.answer)
+    assert told.bus.get("tf") == []
+
+    told.tell()
+
+    (answer,) = told.bus.get("tf")
+    assert roots(decode(TFMessage, answer.payload, answer.encoding)) == {"r1", "r2"}
+
+
+def test_robot_that_has_gone_is_told_of_no_more() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 2)
+    told.tell()
+    told.plain.take()
+
+    told.tell(told.claims[1:])
+
+    assert [roots(one) for one in messages(told.plain)] == [{"r2"}]
+
+
+def test_kind_that_has_gone_has_no_topic() -> None:
+    told = Told(robot_of(DRIVES["diff"]), robot_of(DRIVES["planar"]))
+    told.tell()
+    assert len(told.bus.alive(ON_TF)) == 2
+
+    told.pool.lose_all_but(b"")
+
+    assert told.bus.alive(ON_TF) == []
+    assert not told.bus.is_served("tf")
