@@ -4,8 +4,10 @@ import math
 
 from proto.claims import DriveState
 
-LATEST_S = 0.05
-"""So long after a state a new command is heeded; when no other came for so long, time stands."""
+BEATS = 2.0
+"""So long after a state a new command is heeded, in times between two; later, time stands."""
+LEAST_S, MOST_S = 0.05, 1.0
+"""The same in seconds."""
 
 
 class Revising:
@@ -17,7 +19,7 @@ class Revising:
 
     def __init__(self) -> None:
         self._state: DriveState | None = None
-        self._until_s = -math.inf
+        self._came_s = self._until_s = -math.inf
 
     def note_state(self, state: DriveState, now_s: float) -> None:
         """Take note of a state that was answered."""
@@ -27,7 +29,9 @@ class Revising:
             and (before.epoch, before.claims) == (state.epoch, state.claims)
             and before.step < state.step
         )
-        self._until_s = now_s + LATEST_S if has_run and not state.is_awaited else -math.inf
+        gap_s, self._came_s = now_s - self._came_s, now_s
+        lasts_s = min(max(LEAST_S, BEATS * gap_s), MOST_S)
+        self._until_s = now_s + lasts_s if has_run and not state.is_awaited else -math.inf
 
     def is_open(self, now_s: float) -> bool:
         """Whether a command that comes now may change the answer."""

@@ -18,6 +18,9 @@ from sim_server.world.inhabited import Inhabited
 from sim_server.world.naming import Names
 from sim_server.world.pushes import Pushes
 
+RECENT_NS = 25_000_000
+"""Simulation time for which what agents were told will do for an answer."""
+
 
 class World(Inhabited):
     """One engine, one time, its entities, and who drives them."""
@@ -68,14 +71,15 @@ class World(Inhabited):
         """Tell one entity's state row (13,), and the simulation time [ns] that it is of.
 
         While time runs it is that of the last control step, as agents were told, unless something
-        was placed since; no engine is asked for it.
+        was placed since or `RECENT_NS` have passed; no engine is asked for it.
 
         Raises:
             EntityNotFound: There is none of this name.
         """
         self.entity(name)
-        is_recent = self.state == State.PLAYING and self.steps - self._read_at < self.control_steps
-        if self._reading is None or not is_recent:
+        age = self.steps - self._read_at
+        is_recent = age < self.control_steps and age * self.step_ns < RECENT_NS
+        if self._reading is None or not (is_recent and self.state == State.PLAYING):
             return self.state_of(name), self.time_ns
         return self._reading.base[self.roster().row[name]], self._read_at * self.step_ns
 

@@ -2,7 +2,7 @@
 
 from msgspec.structs import replace
 
-from robot_agent.revising import LATEST_S, Revising
+from robot_agent.revising import LEAST_S, MOST_S, Revising
 from tests.robot_agent.models import a_state
 
 NOW_S = 5.0
@@ -37,7 +37,17 @@ def test_answer_is_not_revised_when_a_state_tells_of_other_claims_or_another_epo
 
 
 def test_answer_is_not_revised_when_no_state_has_come_for_long() -> None:
-    assert not after((3, (1,), 0, False), (6, (1,), 0, False)).is_open(NOW_S + LATEST_S)
+    assert not after((3, (1,), 0, False), (6, (1,), 0, False)).is_open(NOW_S + LEAST_S)
+
+
+def test_answer_may_be_revised_for_longer_where_states_come_seldom() -> None:
+    revising = Revising()
+    for beat in (1, 2):
+        revising.note_state(a_state(beat, (1,)), NOW_S + 0.4 * beat)
+    assert revising.is_open(NOW_S + 0.8 + 0.7)
+
+    revising.note_state(a_state(3, (1,)), NOW_S + 100.0)
+    assert not revising.is_open(NOW_S + 100.0 + MOST_S)
 
 
 def test_answer_is_revised_once() -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from sim_server.errors import EntityNotFound
-from sim_server.world.world import World
+from sim_server.world.world import RECENT_NS, World
 from tests.engines import STEP_NS
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_command, a_world
@@ -42,6 +42,16 @@ def test_entity_is_read_anew_when_nobody_was_told_of_a_control_step() -> None:
 
     assert row.tolist() == world.state_of("r0").tolist()
     assert time_ns == 2 * CONTROL_STEPS * STEP_NS
+
+
+def test_entity_is_read_anew_when_agents_are_seldom_told() -> None:
+    world = moving()
+    world.control_steps = 240
+    steps = RECENT_NS // STEP_NS + 1
+    for _ in range(steps):
+        world.step()
+
+    assert world.told_of("r0")[1] == (CONTROL_STEPS + steps) * STEP_NS
 
 
 def test_entity_is_where_it_was_put_as_soon_as_it_was_put_there() -> None:
