@@ -77,6 +77,11 @@ class _Fleet:
                 self._read[number] = error
         return number in self._read
 
+    def _is_prepared(self, order: SpawnEntityOrder) -> bool:
+        """Whether the engine would not hold steps up to add what was read; else it gets ready."""
+        read = self._read[id(order.entity_resource)]
+        return isinstance(read, SimError) or self._desk.world.prepare(read[0])
+
     def _model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
         read = self._read[id(order.entity_resource)]
         if isinstance(read, SimError):
@@ -111,7 +116,7 @@ class _OneByOne(_Fleet):
 
     def _spawned(self) -> Iterator[bool]:
         for order in self._orders:
-            while not self._is_read(order):
+            while not (self._is_read(order) and self._is_prepared(order)):
                 yield False
             try:
                 report = spawn_model(self._desk, order, *self._model(order))
@@ -163,6 +168,8 @@ class _Together(_Fleet):
         """Make entities while there is time; say whether none is left to be made."""
         end_ns = _end_of_slice(self._desk)
         for order in self._orders[len(self._expected) :]:
+            if not self._is_prepared(order):
+                break
             made = expect_model(self._desk, order, *self._model(order))
             self._expected.append(made)
             self._results.append(SpawnResult(Result(), made.entity.name))

@@ -4,24 +4,23 @@ import math
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import count
-from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from proto.model import Model, Shape
+from proto.model import Model
 from proto.rotation import conjugate, rotate
-from proto.stl import read_corners
 from sim_server.physics.acceptance import check_meshes
 from sim_server.physics.actuation import actuation_of
 from sim_server.physics.casting.contact import correct, soft
 from sim_server.physics.casting.foundry import Foundry
 from sim_server.physics.casting.gathering import XYZ_XYZW
-from sim_server.physics.casting.hulls import Points, pieces_of
-from sim_server.physics.casting.make import NONE, Make, make_of
+from sim_server.physics.casting.make import NONE, Make, Makes
+from sim_server.physics.casting.meshes import pieces
 from sim_server.physics.casting.mjcf import JOINTS, MAX_PARTS, SHAPES, mjcf_of
+from sim_server.physics.casting.nearness import nearby
 from sim_server.physics.casting.plan import Plan, plan_of
 from sim_server.physics.casting.seat import Seat
 from sim_server.physics.casting.selection import Body, Selection, selection_of
@@ -78,16 +77,17 @@ class MujocoEngine:
         self._broken: set[int] = set()
         self._concealed: dict[int, FloatArray] = {}
         self._numbers = count(1)
-        self._slots = Slots()
+        self._makes, self._slots = Makes(), Slots()
         self._is_pushed = False
         self._use(_FOUNDRY.cast((), config))
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`: what is missing is compiled besides."""
         try:
-            return _FOUNDRY.is_ready(self._slots.with_one_more(self._make(model)), self._config)
+            cast = self._slots.with_one_more(self._make(model))
         except EngineRefused:
             return True
+        return cast == self._slots.cast or _FOUNDRY.is_ready(cast, self._config)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
@@ -144,13 +144,12 @@ class MujocoEngine:
         """See `Engine.overlapping`."""
         model, data, owners = self._model, self._data, self._owners
         mujoco.mj_kinematics(model, data)
+        own = self._bodies[body].seat.geometries
+        near = nearby(data.geom_xpos, model.geom_rbound, own)
         found: set[int] = set()
-        for own in self._bodies[body].seat.geometries.tolist():
-            gaps = np.linalg.norm(data.geom_xpos - data.geom_xpos[own], axis=1)
-            is_near = gaps <= model.geom_rbound + model.geom_rbound[own]
-            for other in np.flatnonzero(is_near & (owners != NONE) & (owners != body)).tolist():
-                gap = mujoco.mj_geomDistance(model, data, own, other, 1.0, None)
-                if gap < -OVERLAP_M:
+        for other in near[(owners[near] != NONE) & (owners[near] != body)].tolist():
+            for mine in own.tolist():
+                if mujoco.mj_geomDistance(model, data, mine, other, 1.0, None) < -OVERLAP_M:
                     found.add(int(owners[other]))
         return sorted(found - self._broken)
 
@@ -263,7 +262,7 @@ class MujocoEngine:
 
     def _make(self, model: Model) -> Make:
         blueprint = self._planner.blueprint(model)
-        make = make_of(blueprint)
+        make = self._makes.of(blueprint)
         if make not in self._casting.plan.begins:
             check_meshes(blueprint.name, blueprint.parts, self._config.mesh_folder)
         return make
@@ -376,9 +375,9 @@ class MujocoEngine:
 
 
 def _compiled(cast: Cast, config: EngineConfig) -> Casting:
-    pieces = partial(_pieces, config.mesh_folder)
-    plan = plan_of(cast, config, pieces)
-    model = mujoco.MjModel.from_xml_string(mjcf_of(cast, config, pieces))
+    cut = partial(pieces, config.mesh_folder)
+    plan = plan_of(cast, config, cut)
+    model = mujoco.MjModel.from_xml_string(mjcf_of(cast, config, cut))
     if lopsided := list(plan.lopsided()):
         for body, moments in lopsided:
             model.body_inertia[body] = moments
@@ -389,12 +388,6 @@ def _compiled(cast: Cast, config: EngineConfig) -> Casting:
         model.geom_solref[geometry] = how.stiffness, how.damping
         model.geom_solimp[geometry, :2] = how.impedance
     return Casting(model, plan)
-
-
-@cache
-def _pieces(folder: str, shape: Shape, is_static: bool) -> tuple[Points, ...]:  # noqa: FBT001
-    corners = read_corners(Path(folder, f"{shape.mesh}.stl").read_bytes()) * np.array(shape.size)
-    return tuple(pieces_of(corners, is_static=is_static))
 
 
 _FOUNDRY = Foundry(_compiled)

@@ -56,6 +56,19 @@ def make_of(blueprint: Blueprint) -> Make:
     return Make(blueprint.parts, self_collides, blueprint.is_static)
 
 
+class Makes:
+    """Finds makes; the last one is kept, as it is compared by all that it has."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Blueprint, Make] | None = None
+
+    def of(self, blueprint: Blueprint) -> Make:
+        """Find the make of a blueprint, or find it again when it is the same object."""
+        if self._last is None or self._last[0] is not blueprint:
+            self._last = (blueprint, make_of(blueprint))
+        return self._last[1]
+
+
 @dataclass(frozen=True)
 class Layout:
     """Where MuJoCo puts what a slot has, counted from the slot's first; links go depth first.

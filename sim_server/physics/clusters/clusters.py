@@ -84,8 +84,7 @@ class Clusters:
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`: a part for one of the cells, or a mesh is measured."""
-        is_made = all(engine.prepare(model) for engine in self._homes.engines.values())
-        return is_made and self._measure.prepare(model)
+        return self._homes.prepare(model) and self._measure.prepare(model)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""

@@ -38,6 +38,14 @@ class Homes:
         """Whether there is no need for a second cell."""
         return len(self.engines) == 1 and self.members.moving_count <= self._alone
 
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`; who trusts others that took the model is not waited for."""
+        is_taken = model is self._taken
+        return all(
+            (is_taken and patient(engine) is not None) or engine.prepare(model)
+            for engine in self.engines.values()
+        )
+
     def add(self, model: Model, reach: Reach, base: FloatArray) -> int:
         """Make a body where it may live; raises EngineRefused."""
         if not moves(model):
