@@ -1,13 +1,13 @@
 """Fleets: spawning
 
 Box_bots are spawned by one request, all between two steps or none, while a robot far away drives at
-real-time factor 1: with `--dynamics auto` at 100 Hz, which two cores can pace, and with full
-dynamics at 240 Hz, which they cannot. `longest wait` is how much later than due the robot's next
-state came at worst, in an equal time before the request (quiet) and from the request to its answer.
-Memory is what the server and the processes that step its cells hold alone (USS), before and after.
-Floor: the same bodies put into PyBullet. Last: two pools are up and users command every robot at
-2 Hz before it is there; from the start of `zensim fleet` until each robot's own odometry has shown
-that it moves.
+real-time factor 1: with `--dynamics auto` at 100 Hz and with MuJoCo at 100 Hz, which two cores can
+pace, and with full dynamics of PyBullet at 240 Hz, which they cannot. `longest wait` is how much
+later than due the robot's next state came at worst, in an equal time before the request (quiet) and
+from the request to its answer. Memory is what the server and the processes that step its cells hold
+alone (USS), before and after. Floor: the same bodies put into PyBullet. Last: two pools are up and
+users command every robot at 2 Hz before it is there; from the start of `zensim fleet` until each
+robot's own odometry has shown that it moves.
 """
 
 import time
@@ -33,8 +33,9 @@ from tests.integration.processes import zensim
 __all__ = ["rows", "table"]
 
 RUNS = 2
-FULL, AUTO = "full, 240 Hz", "dynamics auto, 100 Hz"
+FULL, AUTO, MUJOCO = "full, 240 Hz", "dynamics auto, 100 Hz", "MuJoCo, full, 100 Hz"
 AUTO_WISH = ("--dynamics", "auto", "--step-hz", "100")
+MUJOCO_WISH = ("--engine", "mujoco", "--step-hz", "100")
 COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
 KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
 GOAL = 1000
@@ -66,6 +67,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         yield from _moved(2, pools=1, runs=1)
     else:
         yield from _spawned(AUTO, AUTO_WISH, COUNTS, runs=RUNS)
+        yield from _spawned(MUJOCO, MUJOCO_WISH, COUNTS, runs=RUNS)
         yield from _spawned(FULL, (), COUNTS, runs=1)
         yield from _moved(GOAL, pools=POOLS, runs=RUNS)
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnEntity
 from proto.geometry import Point, Pose, PoseStamped
 from proto.info import EntityInfo
+from proto.model import Model
 from proto.result import ResultCode, SpawnCode, SpawnEntitiesCode
 from proto.services import ResetScope, Resource, SpawnEntityOrder
 from sim_server.desk import Desk
@@ -15,6 +16,8 @@ from sim_server.errors import SimError
 from sim_server.handlers import fleets
 from sim_server.handlers.table import handle
 from sim_server.later import Later
+from sim_server.physics.engine import EngineConfig
+from tests.engines import STEP_NS, ObedientEngine
 from tests.sim_server.fakes import ReadHere, WallTime, a_desk, a_world, kinds_of_events, names_in
 from tests.sim_server.orders import BOX_BOT
 
@@ -179,6 +182,28 @@ def test_orders_wait_until_descriptions_are_read(*, atomic: bool) -> None:
     assert names_in(desk.world) == []
     reader.is_slow, desk.has_read = False, True
     assert response.is_ready()
+    assert names_in(desk.world) == ["a", "b"]
+
+
+class Unready(ObedientEngine):
+    """Has to get ready for every second body."""
+
+    asked = 0
+
+    def prepare(self, model: Model) -> bool:  # noqa: ARG002
+        self.asked += 1
+        return self.asked % 2 == 0
+
+
+@pytest.mark.parametrize("atomic", [False, True])
+def test_an_engine_that_gets_ready_holds_no_turn_up(*, atomic: bool) -> None:
+    desk = a_desk(a_world(engine=Unready(EngineConfig(STEP_NS))))
+
+    response = handle(desk, an_order("a", "b", atomic=atomic))
+
+    assert isinstance(response, Later)
+    turns = [response.is_ready() for _ in range(2)]
+    assert turns == [False, True]
     assert names_in(desk.world) == ["a", "b"]
 
 
