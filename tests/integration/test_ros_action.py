@@ -14,7 +14,8 @@ import zenoh
 from proto.services import State
 from tests.integration.processes import Server, eventually, serving
 from tests.integration.ros_asking import Ask, Do, asking, observing, replies, session_of
-from tests.integration.ros_watching import SIGHT_S, TRANSIENT_LOCAL, subscribed
+from tests.integration.ros_rules import check_bytes, check_topic, heard_of
+from tests.integration.ros_watching import SIGHT_S, TRANSIENT_LOCAL, publishers_of, subscribed
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import HUMBLE
 
@@ -97,6 +98,21 @@ def test_goal_is_accepted_tells_of_its_progress_and_ends(server: Server, do: Do)
     last = do("heard", topic=FEEDBACK)[-1]
     assert last["goal_id"] == goal_of(1)
     assert (last["completed_steps"], last["remaining_steps"]) == (30, 0)
+
+
+def test_feedback_keeps_to_the_rules_and_has_the_bytes_that_rosbags_writes(
+    server: Server, do: Do
+) -> None:
+    with session_of(server) as session:
+        channel = session.declare_subscriber(f"0{FEEDBACK}/*/*", zenoh.handlers.FifoChannel(64))
+        send(asking(do), 5, 20)
+        came = [heard_of(channel.recv())]
+        channel.undeclare()
+        told = publishers_of(session, FEEDBACK)
+
+    (publisher,) = check_topic(told, came)
+    assert (publisher.name, publisher.ros_type) == (FEEDBACK, f"{STEPS}_FeedbackMessage")
+    check_bytes(publisher.ros_type, came[0].payload)
 
 
 def test_canceled_goal_is_named_and_ends_so(do: Do) -> None:

@@ -1,5 +1,6 @@
 """Robots as ROS 2 sees, hears and drives them: an independent client, and rmw_zenoh's rules."""
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
@@ -22,13 +23,21 @@ from tests.integration.ros_watching import (
     tokens,
 )
 
+NAME = "[A-Za-z_][A-Za-z0-9_]*(?:§[A-Za-z_][A-Za-z0-9_]*)*"
+TYPE = "[a-z0-9_]+§(?:msg|srv|action)§[A-Z][A-Za-z0-9]*"
+QOS = "K?:[01]:[01]:[01],[0-9]+(?::typehash=RIHS01_[0-9a-f]{64};)?"
+ROUTE = re.compile(
+    f"@/[0-9a-f]+/@ros2_lv(?:/(?:M[PS]/{NAME}/{TYPE}/{QOS}|[SA][SC]/{NAME}/{TYPE}))?"
+)
+"""Tokens of zenoh-bridge-ros2dds, from its sources: § for slashes, qualities in DDS's numbers."""
+
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
     with serving("--ros-domain", "0", "--ros-bridge") as found:
         for name in ("r1", "r2"):
             found.zensim("spawn", "box_bot", "-n", name, "-y", name[1:])
-        with driven(found, "r1", "r2"):
+        with driven(found, "r1", "r2", options=("--ros-bridge",)):
             yield found
 
 
@@ -146,8 +155,11 @@ def test_bridge_is_told_of_routes(server: Server) -> None:
 
     told = {"/".join(route.split("/")[3:6]) for route in routes}
     assert "MP/clock/rosgraph_msgs§msg§Clock" in told
+    assert "MP/r1§tf_static/tf2_msgs§msg§TFMessage" in told
+    assert "MS/r2§cmd_vel/geometry_msgs§msg§Twist" in told
     assert "SS/spawn_entity/simulation_interfaces§srv§SpawnEntity" in told
     assert "SS/gazebo§spawn_entity/gazebo_msgs§srv§SpawnEntity" in told
+    assert [route for route in routes if not ROUTE.fullmatch(route)] == []
 
 
 @pytest.mark.parametrize("name", ["1robot", "my-robot", "r1 ", "_r1", "r" * 65, "a/b", "a//b", "é"])
