@@ -4,8 +4,10 @@ A sample whose attachment is wrong is dropped by it; a token that does not parse
 data come on the key that the endpoint's name, type and hash make.
 """
 
+import struct
 from dataclasses import dataclass
 
+import xxhash
 import zenoh
 from zenoh_ros2_sdk.attachment import Attachment
 from zenoh_ros2_sdk.keyexpr import ADMIN_SPACE, topic_keyexpr
@@ -80,6 +82,7 @@ def check_topic(
     """
     publishers = [announced(token, has_hashes=has_hashes) for token in tokens]
     keys = {publisher.key for publisher in publishers}
+    gids = {gid_of(token) for token in tokens}
     numbers: dict[bytes, int] = {}
     if not samples:
         raise BrokenRule("nothing came")
@@ -89,11 +92,19 @@ def check_topic(
         if len(sample.attachment) != ATTACHMENT_BYTES:
             raise BrokenRule(f"{len(sample.attachment)} bytes are attached")
         read = Attachment.from_bytes(sample.attachment)
+        if read.gid not in gids:
+            raise BrokenRule(f"no publisher has the gid {read.gid.hex()}")
         before = numbers.get(read.gid)
         if before is not None and read.sequence_id != before + 1:
             raise BrokenRule(f"message {read.sequence_id} came after {before}")
         numbers[read.gid] = read.sequence_id
     return publishers
+
+
+def gid_of(token: str) -> bytes:
+    """Find what `ros2 topic info -v` shows: XXH3 of the token, its low half first."""
+    number = xxhash.xxh3_128_intdigest(token.encode())
+    return struct.pack("<QQ", number & (1 << 64) - 1, number >> 64)
 
 
 def check_bytes(ros_type: str, payload: bytes) -> None:

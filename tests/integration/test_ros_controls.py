@@ -72,6 +72,7 @@ FINE = Ways()
 BROKEN = {
     "attachment": replace(FINE, attachment=lambda _: b""),
     "attachment that is short": replace(FINE, attachment=lambda attached: attached[:-1]),
+    "gid": replace(FINE, attachment=lambda attached: attached[:17] + bytes(len(attached[17:]))),
     "tokens": replace(FINE, token=without_endpoints),
     "complete flag": replace(FINE, is_complete=False),
     "hash": replace(FINE, key=no_pattern),
@@ -81,6 +82,7 @@ BROKEN = {
 FOUND = {
     "attachment": {"by the rules", "signed"},
     "attachment that is short": {"by the rules", "signed"},
+    "gid": {"by the rules", "signed"},
     "tokens": {"listed", "by the rules"},
     "complete flag": {"answered", "signed"},
     "hash": {"heard", "answered", "signed", "by the rules"},
