@@ -31,6 +31,9 @@ class Cells(Protocol):
     def make(self) -> Engine:
         """Make an engine for a new cell."""
 
+    def end(self, cell: Engine) -> None:
+        """Close the engine of a cell that nobody is in any more."""
+
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """Advance cells by some steps each; say whether all is well in all of them."""
 
@@ -54,6 +57,10 @@ class CellsHere:
 
     def start(self) -> None:
         """See `Cells.start`: there is nothing to do."""
+
+    def end(self, cell: Engine) -> None:
+        """See `Cells.end`."""
+        cell.close()
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """See `Cells.step`; whichever thread is free takes the next cell, this one among them."""

@@ -169,7 +169,7 @@ class Homes:
         members = self.members
         lived_in = set(members.cell[members.moving].tolist())
         for cell in [cell for cell in self.engines if cell and cell not in lived_in]:
-            self.engines.pop(cell).close()
+            self._cells.end(self.engines.pop(cell))
             for member in members.by_number.values():
                 member.copies.pop(cell, None)
         for engine in self.engines.values():

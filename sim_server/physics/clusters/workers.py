@@ -64,6 +64,11 @@ class CellsOfWorkers:
         least.cells += 1
         return RemoteCell(least, next(self._numbers), self._own[0].name)
 
+    def end(self, cell: Engine) -> None:
+        """See `Cells.end`: whoever had it has one less."""
+        self._own = [one for one in self._own if one is not cell]
+        cell.close()
+
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """See `Cells.step`."""
         own, shares = self._shared(cells)

@@ -12,7 +12,7 @@ import pytest
 
 from sim_server.physics.clusters.cells import CellsHere
 from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.clusters.worker import WorkerEnded
+from sim_server.physics.clusters.worker import RemoteCell, WorkerEnded
 from sim_server.physics.clusters.workers import CellsOfWorkers
 from sim_server.physics.engine import Engine, EngineConfig, EngineRefused
 from sim_server.physics.making import CellOrders
@@ -170,3 +170,19 @@ def test_workers_start_before_the_second_cell_is_needed() -> None:
         assert len(cells.process_ids) == 1
     finally:
         engine.close()
+
+
+def test_cells_are_shared_out_as_before_once_others_have_ended() -> None:
+    cells = CellsOfWorkers(ORDERS.make, ORDERS, workers=1)
+    try:
+        first = [cells.make() for _ in range(4)]
+        for cell in first[1:]:
+            cells.end(cell)
+        again = [first[0], *(cells.make() for _ in range(3))]
+
+        assert [isinstance(cell, RemoteCell) for cell in first] == [False, True, True, False]
+        assert [isinstance(cell, RemoteCell) for cell in again] == [False, True, True, False]
+        for cell in again:
+            cells.end(cell)
+    finally:
+        cells.close()
