@@ -17,6 +17,7 @@ from sim_server.physics.clusters.clusters import Clusters, Settings
 from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
 from sim_server.physics.mujoco_engine import MujocoEngine
 from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.sleeping import Sleeping
 from sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 4_166_667
@@ -200,11 +201,19 @@ class TiersOfAuto(Tiers):
         super().__init__(PyBulletEngine(config), config, "auto")
 
 
-PHYSICAL: tuple[MakeEngine, ...] = (PyBulletEngine, MujocoEngine)
+class SleepingBullet(Sleeping):
+    """PyBullet, in which bodies sleep."""
+
+    def __init__(self, config: EngineConfig) -> None:
+        super().__init__(PyBulletEngine(config), config)
+
+
+PHYSICAL: tuple[MakeEngine, ...] = (PyBulletEngine, SleepingBullet, MujocoEngine)
 """Those with forces, masses and friction."""
 
 ENGINES: tuple[MakeEngine, ...] = (
     PyBulletEngine,
+    SleepingBullet,
     MujocoEngine,
     ObedientEngine,
     Clustered(partial(PyBulletEngine, awake=2), "pybullet"),

@@ -6,6 +6,7 @@ import msgspec
 
 from sim_server.physics.choice import EngineName
 from sim_server.physics.engine import Engine, EngineConfig
+from sim_server.physics.sleeping import with_sleep
 
 ENGINES: dict[EngineName, tuple[str, str]] = {
     "pybullet": ("sim_server.physics.pybullet_engine", "PyBulletEngine"),
@@ -32,4 +33,4 @@ def made(name: EngineName, config: EngineConfig, **how: int) -> Engine:
     """Make an engine by its name."""
     module, maker = ENGINES[name]
     engine: Engine = getattr(import_module(module), maker)(config, **how)
-    return engine
+    return with_sleep(engine, config)

@@ -39,8 +39,7 @@ AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SL
 NOTHING, ALL = (0, 0), (1, -1)  # group and mask of what is touched
 AT_ORIGIN: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
-OVERLAP_M = 0.001
-"""Bodies that only touch do not overlap."""
+OVERLAP_M = 0.001  # bodies that only touch do not overlap
 
 BY_SPEED = (pybullet.VELOCITY_CONTROL, "targetVelocities")
 BY_ANGLE = (pybullet.POSITION_CONTROL, "targetPositions")
@@ -350,8 +349,7 @@ class PyBulletEngine:
         return base_states(bodies, self._client, place_of, velocity_of)
 
     def _is_good(self, body: int) -> bool:
-        linear, _ = pybullet.getBaseVelocity(body, physicsClientId=self._client)
-        return math.isfinite(linear[0])
+        return math.isfinite(pybullet.getBaseVelocity(body, physicsClientId=self._client)[0][0])
 
     def _add_ground(self, friction: float) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
@@ -359,6 +357,9 @@ class PyBulletEngine:
         ground = pybullet.createMultiBody(0.0, plane, self._visual, physicsClientId=self._client)
         friction = standing_friction(friction)
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
+        self._set_state([ground], ASLEEP)  # so that nobody looks for contacts of sleepers
+        for _ in range(2):  # until it sleeps
+            pybullet.stepSimulation(physicsClientId=self._client)
         return ground
 
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
@@ -373,11 +374,10 @@ class PyBulletEngine:
         return body
 
     def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
-        client = self._client
         for link, found in dynamics_of(blueprint, self._dt_s):
-            pybullet.changeDynamics(body, link, **found, physicsClientId=client)
+            pybullet.changeDynamics(body, link, **found, physicsClientId=self._client)
         # Every joint is born with a motor that brakes it: leave it only the joint's own friction.
-        how = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": client}
+        how = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": self._client}
         for link, joint in moving_joints(blueprint):
             pybullet.setJointMotorControl2(body, link, force=joint.friction, **how)
 

@@ -28,6 +28,7 @@ NAMES = (
     "ros2",
     "ros2_fleet",
     "clusters",
+    "sleeping",
     "codec",
 )
 HEAD = """# Benchmarks

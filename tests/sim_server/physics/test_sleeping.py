@@ -1,0 +1,285 @@
+"""Bodies that hardly move sleep: they cost nothing, and wake when something is about to happen."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import pybullet
+import pytest
+
+from sim_server.physics.engine import EngineConfig, FloatArray, Reading
+from sim_server.physics.pybullet_engine import PyBulletEngine
+from sim_server.physics.sleeping import Sleeping
+from tests.engines import STEP_NS, advance
+from tests.models import a_box, a_box_bot, a_state, box_bot_at
+from tests.sim_server.physics.bullet import client_of
+
+CONFIG = EngineConfig(STEP_NS)
+SECONDS = 240
+STANDING = 2 * SECONDS
+"""Steps after which what stands sleeps."""
+SIZE_M = 0.2
+
+
+class Counting(PyBulletEngine):
+    """Counts the bodies that it reads."""
+
+    def __init__(self, config: EngineConfig = CONFIG) -> None:
+        super().__init__(config)
+        self.readings = 0
+
+    def read(self, bodies: Sequence[int]) -> Reading:
+        self.readings += len(bodies)
+        return super().read(bodies)
+
+
+@pytest.fixture
+def inner() -> Counting:
+    return Counting()
+
+
+@pytest.fixture
+def engine(inner: Counting) -> Iterator[Sleeping]:
+    found = Sleeping(inner, CONFIG)
+    yield found
+    found.close()
+
+
+def box_at(x: float = 0.0, z: float = SIZE_M / 2.0) -> FloatArray:
+    return a_state((x, 0.0, z))
+
+
+def base_of(engine: Sleeping, body: int) -> FloatArray:
+    return np.asarray(engine.read((body,)).base[0])
+
+
+def stopped_box_bot(engine: Sleeping) -> int:
+    """Drive a robot, and stop it."""
+    body = engine.add(a_box_bot(), box_bot_at())
+    engine.command((body,), np.array([10.0, 10.0]))
+    advance(engine, SECONDS)
+    engine.command((body,), np.zeros(2))
+    return body
+
+
+def test_robot_that_stands_sleeps_where_it_is(engine: Sleeping) -> None:
+    body = stopped_box_bot(engine)
+    advance(engine, SECONDS // 2)
+    stopped = base_of(engine, body)
+
+    advance(engine, STANDING)
+    asleep = base_of(engine, body)
+    advance(engine, STANDING)
+
+    assert engine.asleep == (body,)
+    assert asleep[:3] == pytest.approx(stopped[:3], abs=2e-3)
+    assert base_of(engine, body).tolist() == asleep.tolist()
+    assert not asleep[7:].any()
+
+
+def test_sleepers_are_not_read(engine: Sleeping, inner: Counting) -> None:
+    bodies = tuple(engine.add(a_box_bot(), box_bot_at(float(i))) for i in range(5))
+    advance(engine, STANDING)
+    inner.readings = 0
+
+    for _ in range(SECONDS):
+        engine.step()
+        engine.read(bodies)
+
+    assert engine.asleep == bodies
+    assert inner.readings == 0
+
+
+def test_reading_has_sleepers_and_others_in_the_order_asked_for(engine: Sleeping) -> None:
+    robot, box = engine.add(a_box_bot(), box_bot_at(-3.0)), engine.add(a_box(), box_at(5.0))
+    other = engine.add(a_box_bot(), box_bot_at(3.0))
+    advance(engine, STANDING)
+    engine.command((other,), np.array([5.0, 5.0]))
+    advance(engine, SECONDS)
+
+    reading = engine.read((other, box, robot))
+
+    assert engine.asleep == (robot, box)
+    assert reading.base[:, 0] == pytest.approx([3.0, 5.0, -3.0], abs=0.3)
+    assert reading.joint_velocities == pytest.approx([5.0, 5.0, 0.0, 0.0], abs=0.05)
+    assert reading.joint_positions[:2] == pytest.approx([5.0, 5.0], abs=0.2)
+
+
+def test_sleeper_wakes_on_a_command_and_drives_as_one_that_was_awake(engine: Sleeping) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.command((body,), np.array([10.0, 10.0]))
+    advance(engine, SECONDS)
+
+    assert slept == (body,)
+    assert engine.asleep == ()
+    assert base_of(engine, body)[0] == pytest.approx(0.35, abs=0.03)
+
+
+def test_same_command_again_wakes_nobody(engine: Sleeping) -> None:
+    body = stopped_box_bot(engine)
+
+    for _ in range(STANDING * 2):
+        engine.command((body,), np.zeros(2))
+        engine.step()
+
+    assert engine.asleep == (body,)
+
+
+def test_robot_that_drives_never_sleeps(engine: Sleeping) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    engine.command((body,), np.array([0.02, 0.02]))
+    start = base_of(engine, body)[0]
+
+    advance(engine, 4 * SECONDS)
+
+    assert engine.asleep == ()
+    assert base_of(engine, body)[0] - start == pytest.approx(4 * 0.02 * 0.035, abs=2e-3)
+
+
+def test_sleeper_is_pushed_as_hard_as_one_that_is_awake(engine: Sleeping) -> None:
+    body = engine.add(a_box(), box_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+    wrench = np.array([0.0, 0.0, 200.0, 0.0, 0.0, 0.0])
+
+    for _ in range(24):
+        engine.push_link(body, 0, wrench)
+        engine.step()
+    engine.step()
+    pushed = base_of(engine, body)[9]
+
+    awake = PyBulletEngine(CONFIG)
+    twin = awake.add(a_box(), box_at())
+    advance(awake, STANDING)
+    for _ in range(24):
+        awake.push_link(twin, 0, wrench)
+        awake.step()
+    expected = awake.read([twin]).base[0, 9]
+    awake.close()
+    assert slept == (body,)
+    assert pushed == pytest.approx(expected, abs=0.06)
+
+
+def test_sleeper_wakes_before_somebody_drives_into_it(engine: Sleeping) -> None:
+    sleeper = engine.add(a_box(friction=0.2), box_at(1.0))
+    robot = engine.add(a_box_bot(), box_bot_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.command((robot,), np.array([15.0, 15.0]))
+    advance(engine, 4 * SECONDS)
+
+    assert sleeper in slept
+    assert base_of(engine, sleeper)[0] > 1.05
+    assert base_of(engine, robot)[0] < base_of(engine, sleeper)[0]
+
+
+def test_sleeper_far_from_a_driver_sleeps_on(engine: Sleeping) -> None:
+    far, robot = engine.add(a_box(), box_at(20.0)), engine.add(a_box_bot(), box_bot_at())
+    advance(engine, STANDING)
+
+    engine.command((robot,), np.array([5.0, 5.0]))
+    advance(engine, SECONDS)
+
+    assert engine.asleep == (far,)
+
+
+def test_what_stood_on_something_falls_when_it_is_gone(engine: Sleeping) -> None:
+    below, above = engine.add(a_box(), box_at()), engine.add(a_box(), box_at(z=0.3))
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.remove(below)
+    advance(engine, SECONDS)
+
+    assert slept == (below, above)
+    assert base_of(engine, above)[2] == pytest.approx(0.1, abs=0.01)
+
+
+def test_what_stood_on_something_falls_when_it_is_moved_away(engine: Sleeping) -> None:
+    below, above = engine.add(a_box(), box_at()), engine.add(a_box(), box_at(z=0.3))
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.place(below, box_at(3.0))
+    advance(engine, SECONDS)
+
+    assert slept == (below, above)
+    assert base_of(engine, above)[2] == pytest.approx(0.1, abs=0.01)
+
+
+def test_tower_sleeps_as_a_whole_and_wakes_as_a_whole(engine: Sleeping) -> None:
+    tower = tuple(engine.add(a_box(), box_at(z=0.1 + 0.2 * i)) for i in range(5))
+    advance(engine, 2 * STANDING)
+    slept = engine.asleep
+
+    engine.push_link(tower[2], 0, np.zeros(6))
+
+    assert slept == tower
+    assert engine.asleep == ()
+    advance(engine, STANDING)
+    heights = engine.read(tower).base[:, 2]
+    assert heights == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9], abs=0.01)
+
+
+def test_box_dropped_on_a_sleeper_lands_on_it(engine: Sleeping) -> None:
+    below = engine.add(a_box(), box_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    above = engine.add(a_box(), box_at(z=1.5))
+    advance(engine, 3 * SECONDS)
+
+    assert slept == (below,)
+    assert base_of(engine, above)[2] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("speed_mps", [0.001, 0.002, 0.01])
+def test_slow_slide_is_never_frozen(speed_mps: float) -> None:
+    floating = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
+    engine = Sleeping(PyBulletEngine(floating), floating)
+    state = a_state((0.0, 0.0, 0.0), linear=(speed_mps, 0.0, 0.0))
+    body = engine.add(a_box(), state)
+
+    advance(engine, 5 * SECONDS)
+
+    assert engine.asleep == ()
+    assert base_of(engine, body)[0] == pytest.approx(5 * speed_mps, rel=0.01)
+    engine.close()
+
+
+def test_sleeper_that_is_put_somewhere_moving_goes_on_moving(engine: Sleeping) -> None:
+    body = engine.add(a_box(), box_at())
+    advance(engine, STANDING)
+
+    engine.place(body, a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0)))
+    advance(engine, SECONDS // 2)
+
+    assert base_of(engine, body)[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_sleeper_stands_still_in_bullet_too(engine: Sleeping, inner: Counting) -> None:
+    body = stopped_box_bot(engine)
+    advance(engine, STANDING)
+    before = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
+    advance(engine, SECONDS)
+    after = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
+
+    assert before == after
+
+
+def test_runs_with_sleepers_repeat_bit_for_bit() -> None:
+    def run() -> list[list[float]]:
+        engine = Sleeping(PyBulletEngine(CONFIG), CONFIG)
+        bodies = tuple(engine.add(a_box_bot(), box_bot_at(0.3 * i)) for i in range(4))
+        engine.command(bodies[:1], np.array([8.0, 8.0]))
+        found = []
+        for _ in range(40):
+            advance(engine, 24)
+            found.append(engine.read(bodies).base.ravel().tolist())
+        engine.close()
+        return found
+
+    assert run() == run()
