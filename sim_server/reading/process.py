@@ -8,14 +8,30 @@ import ctypes
 import os
 import resource
 import signal
+import sys
 from pathlib import Path
 
 import msgspec
 
 from proto.result import SpawnCode
-from sim_server.description.describing import describe, describe_world, warm_up
-from sim_server.errors import ModelError
-from sim_server.reading.messages import LENGTH, MeshMade, ReaderReady, ReadRequest, TextRead, framed
+
+UNNEEDED = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "shapely")
+"""What trimesh imports where it is there, and uses for nothing that is read here."""
+
+# Half as much again is imported otherwise, before the first robot can come.
+if __name__ == "__main__":
+    sys.modules.update(dict.fromkeys(UNNEEDED))  # type: ignore[arg-type]
+
+from sim_server.description.describing import describe, describe_world, warm_up  # noqa: E402
+from sim_server.errors import ModelError  # noqa: E402
+from sim_server.reading.messages import (  # noqa: E402
+    LENGTH,
+    MeshMade,
+    ReaderReady,
+    ReadRequest,
+    TextRead,
+    framed,
+)
 
 PR_SET_PDEATHSIG = 1
 MEMORY_BYTES = 1 << 30

@@ -11,8 +11,10 @@ import pytest
 
 from proto import keys
 from proto.codec import Format, encode, encoding_of
+from proto.exits import Exit
 from proto.services import ResetScope, State
 from proto.topics import String
+from spawner.cli.spawn import app
 from spawner.launch import read_cargo
 from tests.integration.processes import (
     END_S,
@@ -25,6 +27,7 @@ from tests.integration.processes import (
     without,
     zensim,
 )
+from tests.spawner.cli.commands import run_at
 from tests.spawner.packages import a_package, robot_of
 
 BOX = (
@@ -71,17 +74,17 @@ def box(tmp_path: Path) -> Path:
 
 
 def spawned(server: Server, *arguments: str) -> str:
-    done = server.zensim("spawn", *arguments)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    done = run_at(server, app, "spawn", *arguments)
+    assert done.status == Exit.OK, done.err
+    return done.out
 
 
 def refused(server: Server, *arguments: str) -> str:
-    done = server.zensim("spawn", *arguments)
-    assert done.returncode != 0, done.stdout
-    assert done.stdout == ""
-    assert done.stderr.count("\n") == 1
-    return done.stderr
+    done = run_at(server, app, "spawn", *arguments)
+    assert done.status != Exit.OK, done.out
+    assert done.out == ""
+    assert done.err.count("\n") == 1
+    return done.err
 
 
 def mass_of(server: Server, name: str) -> float:
@@ -260,9 +263,9 @@ def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
 
     spawned(server, str(file), "--name", "m1")
     file.write_text(robot_of(BASE, DRAWN, name="second"))
-    done = server.zensim("fleet", str(file), "-c", "2", "--prefix", "m2", "--json")
+    done = run_at(server, app, "fleet", str(file), "-c", "2", "--prefix", "m2", "--json")
 
-    assert done.returncode == 0, done.stdout
+    assert done.status == Exit.OK, done.out
     shapes = server.client.models(("m1",)).models[0].links[0].collisions
     assert [shape.kind for shape in shapes] == ["mesh"]
 

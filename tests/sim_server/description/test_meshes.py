@@ -31,7 +31,7 @@ endsolid t
 """
 
 
-def exported(mesh: trimesh.Trimesh, ending: str) -> bytes:
+def exported(mesh: trimesh.Trimesh | trimesh.Scene, ending: str) -> bytes:
     data = mesh.export(file_type=ending)
     if isinstance(data, str):
         return data.encode()

@@ -7,10 +7,13 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import psutil
 import pytest
+import trimesh
 
 from proto.assets import AssetRef
+from sim_server.reading import process
 from sim_server.reading.assets import AssetStore
 from sim_server.reading.messages import MeshMade, ReadRequest, TextRead
 from sim_server.reading.reader import DEADLINE_S, NICENESS, Reader
@@ -97,6 +100,25 @@ def test_reader_sends_meshes_before_the_model_that_names_them(
     assert isinstance(answer, TextRead)
     assert answer.model is not None
     assert answer.model.links[0].collisions[0].mesh == mesh.sha256
+
+
+def test_reader_makes_the_meshes_that_a_process_with_every_library_makes(
+    reader: Reader, store: AssetStore
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    two = trimesh.Scene([BOX, ball.apply_translation((3.0, 0.0, 0.0))])
+    for number, ending in enumerate(("stl", "obj", "dae", "glb")):
+        data = exported(two if ending == "glb" else ball, ending)
+        name = put(store, data)
+        text = MESH_ROBOT.replace("a.stl", f"a.{ending}")
+        refs = (AssetRef(f"a.{ending}", name),)
+        request = ReadRequest(number, text, assets=refs, files=(name,))
+
+        *meshes, answer = read(reader, request)
+
+        expected, made = process.read(request, {name: data})
+        assert msgspec.structs.replace(expected, wanted=()) == answer
+        assert {mesh.sha256: mesh.data for mesh in meshes if isinstance(mesh, MeshMade)} == made
 
 
 def test_reader_is_replaced_when_it_dies_and_reads_on(reader: Reader) -> None:
