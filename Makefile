@@ -49,8 +49,8 @@ packages: # Debian packages that the tests use
 	@sh .ci/need iproute2 ip
 	@sh .ci/need strace strace
 
-# Side by side; tests that share a server stay together: tests/conftest.py.
-PYTEST := $(BIN)/python -m pytest -n logical --dist loadgroup
+# Side by side, but those of a file one after another: they share a server.
+PYTEST := $(BIN)/python -m pytest -n logical --dist loadfile
 
 test: setup packages ## all tests
 	@if [ "$$(id -u)" = 0 ]; then $(PYTEST); \

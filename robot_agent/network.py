@@ -3,38 +3,19 @@
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from proto.bus import Sample, Stamp
+from proto import faces
+from proto.bus import Sample
 from proto.catalog import Request, Response, Service
 
 
-class Publisher(Protocol):
-    """One key to put on."""
-
-    @property
-    def is_matched(self) -> bool:
-        """Whether anybody listens."""
-
-    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
-        """Put one message."""
-
-    def close(self) -> None:
-        """Withdraw the publisher."""
-
-
-class Subscription(Protocol):
+class Subscription(faces.Subscription, Protocol):
     """Messages on a key expression."""
-
-    def take(self) -> list[Sample]:
-        """Take all that have come, oldest first."""
 
     def newest(self) -> Sample | None:
         """Take all and keep the last."""
 
-    def close(self) -> None:
-        """Stop listening."""
 
-
-class Call(Protocol):
+class Call(faces.Call, Protocol):
     """A request that waits for its answer."""
 
     @property
@@ -47,26 +28,12 @@ class Call(Protocol):
     def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
         """Answer with many values, each on a key of its own."""
 
-    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """Answer."""
 
-    def add_reply(
-        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
-    ) -> None:
-        """Answer with one sample of several."""
-
-    def drop(self) -> None:
-        """Let the caller go without an answer."""
-
-
-class CallQueue(Protocol):
+class CallQueue(faces.CallQueue, Protocol):
     """Requests on a key expression."""
 
     def take(self) -> Sequence[Call]:
         """Take all that have come, oldest first."""
-
-    def close(self) -> None:
-        """Stop serving."""
 
 
 class Token(Protocol):
@@ -86,24 +53,18 @@ class TokenWatch(Protocol):
         """Stop watching."""
 
 
-class Network(Protocol):
+class Network(faces.Network, Protocol):
     """One session."""
 
     @property
     def zid(self) -> str:
         """The session's id."""
 
-    def stamp(self) -> Stamp:
-        """Make a stamp of now."""
-
     def beside(self) -> "Network":
         """Open another session."""
 
     def close(self) -> None:
         """End the session."""
-
-    def advertise(self, key: str, encoding: str) -> Publisher:
-        """Declare a publisher whose payloads have this encoding."""
 
     def subscribe(self, key: str, depth: int = 1) -> Subscription:
         """Listen to a key expression, keeping the newest `depth` messages."""

@@ -159,14 +159,18 @@ def _stepped(instructed: FloatArray, desired: FloatArray, step: FloatArray) -> F
     return np.where(step >= 0.0, np.minimum(moved, highest), np.maximum(moved, lowest))
 
 
-class PlanarMotions:
-    """See `drives.planar_move.PlanarMotion`."""
+class Forgetful:
+    """Controllers that remember nothing of the twists before."""
 
     def recut(self, before: IntArray) -> None:
         """Do nothing: it remembers nothing."""
 
     def reset(self) -> None:
         """Do nothing: it remembers nothing."""
+
+
+class PlanarMotions(Forgetful):
+    """See `drives.planar_move.PlanarMotion`."""
 
     def update(
         self,
@@ -181,19 +185,13 @@ class PlanarMotions:
         return _clamped(twists[:, (VX, VY, WZ)], MAX_SPEED)
 
 
-class AckermannSteerings:
+class AckermannSteerings(Forgetful):
     """See `drives.ackermann.AckermannSteering`."""
 
     def __init__(self, parameters: AckermannDrive) -> None:
         self._parameters = parameters
         self._half_track = parameters.track_m / 2.0
         self._ratio = parameters.max_steering_angle / max(parameters.max_steer, 1e-9)
-
-    def recut(self, before: IntArray) -> None:
-        """Do nothing: it remembers nothing."""
-
-    def reset(self) -> None:
-        """Do nothing: it remembers nothing."""
 
     def update(
         self,
@@ -223,18 +221,12 @@ class AckermannSteerings:
         return np.stack(columns, axis=1)
 
 
-class TricycleSteerings:
+class TricycleSteerings(Forgetful):
     """See `drives.tricycle.TricycleSteering`."""
 
     def __init__(self, parameters: TricycleDrive) -> None:
         self._parameters = parameters
         self._radius = parameters.actuated_wheel_diameter_m / 2.0
-
-    def recut(self, before: IntArray) -> None:
-        """Do nothing: it remembers nothing."""
-
-    def reset(self) -> None:
-        """Do nothing: it remembers nothing."""
 
     def update(
         self,

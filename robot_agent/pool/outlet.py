@@ -12,8 +12,9 @@ from typing import Protocol
 import msgspec
 
 from proto.codec import Format, encoding_of
+from proto.faces import Publisher
 from proto.ros_graph import RosNode
-from robot_agent.network import Call, Network, Publisher
+from robot_agent.network import Call, Network
 from robot_agent.pool.audience import Audience
 from robot_agent.pool.ros_face import RosFace
 
