@@ -197,7 +197,9 @@ def serve(given: ServeOptions) -> None:
     """Run a world and serve it on the network."""
     _log(is_verbose=given.verbose)
     stop = StopFlag()
-    _serve(_config(given), stop)
+    with one_line_failures("serve"):
+        config = _config(given)
+    _serve(config, stop)
 
 
 def _config(given: ServeOptions) -> ServerConfig:
