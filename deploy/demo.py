@@ -7,18 +7,22 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from deploy.local import Program, Supervisor
+from deploy.local import READY, Program, Supervisor
 from proto import keys
 from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from proto.model import Dynamics
 from proto.result import ResultCode
-from proto.ros2.settings import RosSettings, arguments_of, arguments_of_agent
+from proto.ros2.settings import RosSettings, arguments_of
 from proto.telemetry import Info
+from robot_agent.config import AgentConfig, AgentStart
+from robot_agent.rates import Rates
 from spawner.client import SimClient
 from spawner.launch import spawn_fleet
 from spawner.placement import Place
 
 START_TIMEOUT_S = 30.0
+AGENT_WAIT_S = 3.0 * START_TIMEOUT_S
+"""Longer than any wait here, so that it is told here what did not come up."""
 ODOM_DEPTH = 65536
 POLL_S = 0.01
 
@@ -124,20 +128,24 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
     )
 
 
-def agent_arguments(config: DemoConfig) -> dict[str, tuple[str, ...]]:
-    """Write the command lines of the agents, by what they are called here."""
-    options = (
-        *("--connect", config.endpoint, "--world-name", config.world_name),
-        *("--quiet", "--wait", str(START_TIMEOUT_S)),
-        *(("--odom-hz", str(config.agents.odom_hz)) if config.agents.odom_hz is not None else ()),
-        *(("--tf-hz", str(config.agents.tf_hz)) if config.agents.tf_hz is not None else ()),
-        *arguments_of_agent(config.ros),
+def agent_starts(config: DemoConfig) -> dict[str, AgentStart]:
+    """Write what the agents are told, by what they are called here."""
+    common = AgentConfig(
+        world=config.world_name,
+        rates=Rates(config.agents.odom_hz, config.agents.tf_hz),
+        wait_s=AGENT_WAIT_S,
+        ros=config.ros,
     )
-    if config.agents.pools is None:
-        return {f"agent of {one.name}": ("agent", one.name, *options) for one in config.places}
+    told = {
+        f"agent of {one.name}": msgspec.structs.replace(common, entities=(one.name,))
+        for one in config.places
+    }
+    if config.agents.pools is not None:
+        pool = msgspec.structs.replace(common, pool_limit=0)
+        told = {f"pool {number}": pool for number in range(config.agents.pools)}
     return {
-        f"pool {number}": ("agent", "--pool", "0", *options)
-        for number in range(config.agents.pools)
+        name: AgentStart(endpoint=config.endpoint, config=one, is_quiet=True)
+        for name, one in told.items()
     }
 
 
@@ -152,8 +160,9 @@ def _workers(count: int | None) -> tuple[str, ...]:
 
 def _start_programs(config: DemoConfig, supervisor: Supervisor) -> None:
     supervisor.start("server", serve_arguments(config))
-    for name, arguments in agent_arguments(config).items():
-        supervisor.start(name, arguments, is_restarted=True)
+    for name, told in agent_starts(config).items():
+        words = ("agent", msgspec.json.encode(told).decode())
+        supervisor.start(name, words, is_restarted=True, module=READY)
 
 
 def _join(config: DemoConfig, supervisor: Supervisor) -> Bus:

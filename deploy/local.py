@@ -15,6 +15,8 @@ GRACE_S = 1.2
 POLL_S = 0.01
 RESTART_PAUSE_S = 0.5
 MAX_RESTARTS = 20
+COMMAND_LINE, READY = "deploy", "deploy.ready"
+"""What is run: with words as a user types them, or with settings that are ready made."""
 
 
 class ProgramDied(Exception):
@@ -28,6 +30,7 @@ class Program:
     name: str
     arguments: tuple[str, ...]
     is_restarted: bool = False
+    module: str = COMMAND_LINE
     process: "subprocess.Popen[str] | None" = None
     restarts: int = 0
     restart_at_s: float = 0.0
@@ -40,10 +43,17 @@ class Supervisor:
     on_restart: Callable[[Program, int], None]
     programs: list[Program] = field(default_factory=list)
 
-    def start(self, name: str, arguments: Sequence[str], *, is_restarted: bool = False) -> Program:
-        """Start `zensim ARGUMENTS` as a process of its own session."""
-        program = Program(name, tuple(arguments), is_restarted)
-        program.process = _spawn(program.arguments)
+    def start(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        *,
+        is_restarted: bool = False,
+        module: str = COMMAND_LINE,
+    ) -> Program:
+        """Start `zensim ARGUMENTS`, or another module, as a process of its own session."""
+        program = Program(name, tuple(arguments), is_restarted, module)
+        program.process = _spawn(program)
         self.programs.append(program)
         return program
 
@@ -56,7 +66,7 @@ class Supervisor:
         for program in self.programs:
             if program.process is None:
                 if time.monotonic() >= program.restart_at_s:
-                    program.process = _spawn(program.arguments)
+                    program.process = _spawn(program)
                 continue
             if (status := program.process.poll()) is None:
                 continue
@@ -85,10 +95,10 @@ class Supervisor:
         self.programs.clear()
 
 
-def _spawn(arguments: tuple[str, ...]) -> "subprocess.Popen[str]":
+def _spawn(program: Program) -> "subprocess.Popen[str]":
     environment = {**os.environ, PARENT: str(os.getpid())}
     return subprocess.Popen(
-        [sys.executable, "-m", "deploy", *arguments],
+        [sys.executable, "-m", program.module, *program.arguments],
         env=environment,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,

@@ -7,19 +7,17 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import NoReturn, Protocol
 
-import msgspec
-
 from proto import keys
-from proto.claims import Claim, DriveCommand, DriveState, OnRelease
+from proto.claims import Claim, DriveCommand, DriveState
 from proto.codec import Format, MalformedPayload, decode, encode, encoding_of
 from proto.header import NANOSECONDS
-from proto.ros2.settings import NO_ROS, RosSettings
 from proto.ros_graph import RosGraph
 from robot_agent.claimer import Claimer, Wish
+from robot_agent.config import AgentConfig
 from robot_agent.fleet import Fleet
 from robot_agent.network import Network
 from robot_agent.precedence import Precedence, be_nice
-from robot_agent.rates import Rates, with_rates
+from robot_agent.rates import with_rates
 from robot_agent.reading import Timeline
 from robot_agent.revising import Revising
 from robot_agent.rhythm import COMMANDS_S, LONGEST_S, Rhythm
@@ -73,25 +71,6 @@ class Held(Kept, Protocol):
 
     def tell(self) -> None:
         """Publish what the last state made due."""
-
-
-class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What to drive, and how."""
-
-    world: str = "default"
-    agent: str
-    """Unique in the world."""
-    entities: tuple[str, ...] = ()
-    pool_limit: int | None = None
-    """As a pool: most robots that it drives, 0 = any number; None = it drives its entities."""
-    rates: Rates = Rates()
-    wait_s: float = 30.0
-    """How long to wait for the entities at the start; once it had them, it waits for ever."""
-    cmd_vel_timeout_s: float = 0.5
-    """Simulation time after which a robot that hears nothing stands still; 0 = never."""
-    on_release: OnRelease = "stop"
-    """What becomes of an entity when the agent is gone."""
-    ros: RosSettings = NO_ROS
 
 
 class Agent:

@@ -7,7 +7,6 @@ import importlib
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version as installed_version
 from typing import Annotated
 
 import typer
@@ -88,6 +87,9 @@ def _options(
     *, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
 ) -> None:
     if version:
+        # Slow to load, and no other command needs it.
+        from importlib.metadata import version as installed_version
+
         typer.echo(f"zensim {installed_version('zensim')}")
         raise typer.Exit
 

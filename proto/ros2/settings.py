@@ -61,11 +61,6 @@ def ros_settings(
     )
 
 
-def arguments_of_agent(settings: RosSettings) -> tuple[str, ...]:
-    """Write the settings of an agent as words of a command line."""
-    return (*arguments_of(settings), "--tf", settings.tf, "--tf-root", settings.tf_root or OFF)
-
-
 def arguments_of(settings: RosSettings) -> tuple[str, ...]:
     """Write the settings of a server as words of a command line: it tells no transforms."""
     domain = OFF if settings.domain is None else str(settings.domain)

@@ -3,8 +3,10 @@
 import msgspec
 import pytest
 
-from deploy.demo import AgentsConfig, DemoConfig, agent_arguments, pools_for, serve_arguments
+from deploy.demo import AgentsConfig, DemoConfig, agent_starts, pools_for, serve_arguments
 from proto.ros2.settings import RosSettings
+from robot_agent.config import AgentStart
+from robot_agent.rates import Rates
 from spawner.placement import Place
 
 PLAIN = DemoConfig(
@@ -58,17 +60,24 @@ def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
     alone = msgspec.structs.replace(PLAIN, places=places)
     pooled = msgspec.structs.replace(alone, agents=AgentsConfig(2, 50.0, 10.0))
 
-    assert [line[:2] for line in agent_arguments(alone).values()] == [
-        ("agent", "r1"),
-        ("agent", "r2"),
-    ]
-    assert [line[:3] for line in agent_arguments(pooled).values()] == [
-        ("agent", "--pool", "0"),
-        ("agent", "--pool", "0"),
-    ]
-    for line in agent_arguments(pooled).values():
-        assert line[-10:-6] == ("--odom-hz", "50.0", "--tf-hz", "10.0")
-        assert line[-6:] == (*ROS, "--tf", "both", "--tf-root", "world")
+    one, other = agent_starts(alone).values()
+    assert (one.config.entities, other.config.entities) == (("r1",), ("r2",))
+    assert one.config.pool_limit is None
+    pools = agent_starts(pooled).values()
+    assert [pool.config.pool_limit for pool in pools] == [0, 0]
+    assert {pool.config.entities for pool in pools} == {()}
+    assert {pool.config.rates for pool in pools} == {Rates(50.0, 10.0)}
+
+
+def test_agents_are_told_where_to_go_and_who_sees_them() -> None:
+    ros = RosSettings(domain=7, tf="global")
+    asked = msgspec.structs.replace(PLAIN, places=(Place("r1", 0.0, 0.0),), world_name="w", ros=ros)
+
+    (start,) = agent_starts(asked).values()
+
+    assert start.endpoint == PLAIN.endpoint
+    assert (start.config.world, start.config.ros) == ("w", ros)
+    assert msgspec.json.decode(msgspec.json.encode(start), type=AgentStart) == start
 
 
 @pytest.mark.parametrize(

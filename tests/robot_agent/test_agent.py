@@ -11,7 +11,8 @@ from proto.geometry import Twist, Vector3
 from proto.model import DiffDrive
 from proto.result import ServiceError
 from proto.topics import Odometry
-from robot_agent.agent import Agent, AgentConfig, run_agent
+from robot_agent.agent import Agent, run_agent
+from robot_agent.config import AgentConfig
 from tests.fakes import ManualClock, MemoryBus
 from tests.robot_agent.models import DRIVE, a_state, two_wheeler
 from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer

@@ -1,6 +1,6 @@
 import pytest
 
-from proto.ros2.settings import RosSettings, arguments_of, arguments_of_agent, ros_settings
+from proto.ros2.settings import RosSettings, arguments_of, ros_settings
 
 
 def test_settings_are_read_from_words() -> None:
@@ -36,14 +36,10 @@ def test_settings_refuse_what_is_unknown(
         ros_settings(domain, distribution, tf, is_bridged=False)
 
 
-def test_root_frame_is_read_and_written() -> None:
+def test_root_frame_is_read() -> None:
     read = [ros_settings("0", "jazzy", "both", root, is_bridged=False) for root in ("map", "off")]
 
     assert [one.tf_root for one in read] == ["map", ""]
-    assert [arguments_of_agent(one)[-2:] for one in read] == [
-        ("--tf-root", "map"),
-        ("--tf-root", "off"),
-    ]
 
 
 def test_root_frame_that_tf_refuses_is_refused() -> None:
