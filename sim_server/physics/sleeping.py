@@ -99,7 +99,8 @@ class Sleeping:
     def remove(self, body: int) -> None:
         """See `Engine.remove`; who may have stood on it wakes."""
         self._wake([body])
-        self._wake_near(body, self._engine.read([body]).base[0])
+        if self._touched:
+            self._wake_near(body, self._engine.read([body]).base[0])
         self._engine.remove(body)
         self._calm.drop(body)
         self._concealed.pop(body, None)
@@ -119,8 +120,9 @@ class Sleeping:
         for body in bodies:
             self._calm.state[body] = self._concealed.pop(body)
             self._calm.stir(body, self._steps)
-        for body, base in zip(bodies, self._engine.read(bodies).base, strict=True):
-            self._wake_near(body, base)
+        if self._touched:
+            for body, base in zip(bodies, self._engine.read(bodies).base, strict=True):
+                self._wake_near(body, base)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -271,13 +273,12 @@ class Sleeping:
             self._rows = None
 
     def _wake_near(self, body: int, base: FloatArray) -> None:
-        asleep = self._numbers(State.ASLEEP)
-        if len(asleep):
-            calm = self._calm
-            radius = calm.radius[[body]]
-            spots, radii = calm.base[asleep, :3], calm.radius[asleep]
-            near = reached(base[None], radius, spots, radii, self._ahead_s)
-            self._wake(asleep[near].tolist())
+        if not self._touched:
+            return
+        asleep, calm = self._numbers(State.ASLEEP), self._calm
+        spots, radii = calm.base[asleep, :3], calm.radius[asleep]
+        near = reached(base[None], calm.radius[[body]], spots, radii, self._ahead_s)
+        self._wake(asleep[near].tolist())
 
     def _move(self, body: int, base: FloatArray) -> None:
         """Note that a body is taken from where it is, and put somewhere."""
