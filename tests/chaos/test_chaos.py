@@ -5,7 +5,6 @@ import pytest
 from tests.chaos.__main__ import NAMES, suffer
 
 
-@pytest.mark.timeout(180)
 @pytest.mark.parametrize("name", NAMES)
 def test_limits_hold_under_faults(name: str) -> None:
     section = suffer(name, is_short=True)

@@ -70,12 +70,10 @@ def _ip(*arguments: str) -> None:
     subprocess.run(["ip", *arguments], check=True, capture_output=True)
 
 
-@pytest.mark.timeout(180)
 def test_same_requests_give_the_same_bytes_when_one_agent_drives_all(said: Said) -> None:
     assert run(processes=1) == said
 
 
-@pytest.mark.timeout(180)
 def test_same_requests_give_the_same_bytes_when_a_pool_drives_all(said: Said) -> None:
     one, other = run_pooled(), run_pooled()
 
@@ -84,7 +82,6 @@ def test_same_requests_give_the_same_bytes_when_a_pool_drives_all(said: Said) ->
 
 
 @pytest.mark.root
-@pytest.mark.timeout(180)
 def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host(said: Said) -> None:
     with another_host() as (address, prefix):
         endpoint = with_free_port(f"tcp/{address}:0")

@@ -110,7 +110,6 @@ def test_light_of_a_world_is_told_with_its_models(server: Server) -> None:
 
 
 @pytest.mark.browser
-@pytest.mark.timeout(180)
 def test_page_draws_the_meshes_and_the_sky_of_a_world(server: Server) -> None:
     with viewing(server.endpoint) as (url, _), opened(url) as tab:
         tab.until(f"{BATCHES}.length > 0", PATIENCE_S)

@@ -195,7 +195,6 @@ def test_buttons_pause_step_reset_and_play(shown: Shown) -> None:
 
 
 @pytest.mark.browser
-@pytest.mark.timeout(180)
 def test_page_recovers_when_the_server_ends_and_another_comes() -> None:
     with serving() as first:
         endpoint = first.endpoint
