@@ -3,8 +3,9 @@
 From the exec of `zensim up --json` to its line that says that every robot has published odometry,
 and with the page also that it is served; then from Ctrl-C until no process is left. `ready_s` is
 what the line itself says: without the start of the interpreter, and without the page. One run
-before is not counted, so that the disk is warm. Floor: as many interpreters at once that import
-the outside libraries of agents and server and do nothing else.
+before is not counted, so that the disk is warm. `CPU until ready` is what all processes have worked
+by then, which other programs hardly change. Floor: as many interpreters at once that import the
+outside libraries of agents and server and do nothing else.
 """
 
 import signal
@@ -16,7 +17,8 @@ from dataclasses import dataclass
 
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import ROBOTS, ROBOTS_WHEN_SHORT
-from tests.integration.processes import read_json_line, running
+from tests.benchmark.machine import used_s
+from tests.integration.processes import children, read_json_line, running
 
 __all__ = ["rows", "table"]
 
@@ -24,16 +26,17 @@ RUNS = 5
 START = Asked("max", "<=", 6.0)
 END = Asked("max", "<=", 2.0)
 PAGES = {"without page": ("--no-viewer",), "with page": ("--viewer-port", "0", "--no-open")}
-AGENT = "import zenoh, msgspec, rich, typer"
+AGENT = "import zenoh, msgspec, xxhash"
 SERVER = "import zenoh, msgspec, rich, typer, numpy, pybullet, yourdfpy, lxml.etree"
 
 
 @dataclass(frozen=True)
 class Run:
-    """How long one `zensim up` took, from its exec and by itself, and to end."""
+    """How long one `zensim up` took, from its exec and by itself, and to end; and its CPU time."""
 
     wall_s: float
     ready_s: float
+    used_s: float
     end_s: float
 
 
@@ -57,6 +60,9 @@ def _figures(what: str, runs: list[Run]) -> Iterator[Figure]:
     )
     yield Figure(what=f"{what}: ready_s", unit="s", samples=tuple(run.ready_s for run in runs))
     yield Figure(
+        what=f"{what}: CPU until ready", unit="s", samples=tuple(run.used_s for run in runs)
+    )
+    yield Figure(
         what=f"{what}: Ctrl-C to gone", unit="s", samples=tuple(r.end_s for r in runs), asked=END
     )
 
@@ -67,10 +73,11 @@ def _run(robots: int, options: tuple[str, ...]) -> Run:
     with running(*wish, *options) as up:
         line = read_json_line(up)
         ready_s = time.perf_counter()
+        worked_s = sum(used_s(pid) for pid in (up.pid, *children(up.pid)))
         up.send_signal(signal.SIGINT)
         up.wait(10.0)
         end_s = time.perf_counter()
-    return Run(ready_s - start_s, float(str(line["ready_s"])), end_s - ready_s)
+    return Run(ready_s - start_s, float(str(line["ready_s"])), worked_s, end_s - ready_s)
 
 
 def _import_all(robots: int) -> float:
