@@ -16,6 +16,8 @@ from sim_server.traffic.outlets import Outlet
 
 APART_NS = 2_000_000
 """Wall time between two states that nobody waits for: an agent answers no more often."""
+PATIENCE_NS = 20_000_000
+"""Wall time after which an agent that has not answered is told anew: something may be lost."""
 LOG = logging.getLogger(__name__)
 
 
@@ -31,7 +33,9 @@ class Driving:
         self._told_of = self._seen
         self._told_ns = -APART_NS
         self._is_behind = False
-        """Whether a control step has passed that nobody was told of."""
+        """Whether a control step has passed that somebody was not told of."""
+        self._asked_ns: dict[str, int] = {}
+        """Wall time when agents were told whose answer is still to come."""
 
     def serve(self) -> None:
         """Take in who came and went, and what was commanded."""
@@ -48,11 +52,14 @@ class Driving:
         When time runs faster than the wall clock they are told no more often than they answer.
         """
         now_ns = self._desk.now_ns()
-        self._is_behind = self._runs_fast and now_ns - self._told_ns < APART_NS
-        if self._is_behind:
+        runs_fast = self._runs_fast
+        if runs_fast and now_ns - self._told_ns < APART_NS:
+            self._is_behind = True
             return
         self._told_ns = now_ns
-        for agent, state in self._world.drive_states():
+        busy = self._busy(now_ns) if runs_fast else frozenset()
+        self._is_behind = bool(busy)
+        for agent, state in self._world.drive_states(busy):
             self._tell(agent, state)
         self._told_of = self._seen
 
@@ -94,6 +101,11 @@ class Driving:
     def _seen(self) -> tuple[int, int]:
         return self._world.epoch, self._world.claims.changes
 
+    def _busy(self, now_ns: int) -> frozenset[str]:
+        """Find who has a state to answer yet: another would only take its place."""
+        asked = self._asked_ns.items()
+        return frozenset(agent for agent, told_ns in asked if now_ns - told_ns < PATIENCE_NS)
+
     def _tell(self, agent: str, state: DriveState) -> None:
         told = msgspec.structs.replace(
             state,
@@ -101,6 +113,7 @@ class Driving:
             is_awaited=self._is_awaited,
         )
         self._outlet.tell_agent(agent, told)
+        self._asked_ns[agent] = self._desk.now_ns()
         if not told.claims:
             self._lockstep.forget(agent)
         elif not self._lockstep.tell(agent, told, self._desk.now_ns()):
@@ -137,6 +150,7 @@ class Driving:
         self._desk.pools.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
+        self._asked_ns.pop(agent, None)
         self._outlet.forget_agent(agent)
 
     def _note_bond(self, bond: str, *, is_alive: bool) -> None:
@@ -147,6 +161,7 @@ class Driving:
 
     def _command(self, sample: Sample) -> None:
         agent = agent_of(sample.key)
+        self._asked_ns.pop(agent, None)
         try:
             command = decode(DriveCommand, sample.payload, sample.encoding)
         except MalformedPayload as error:

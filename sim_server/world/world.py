@@ -1,6 +1,7 @@
 """The World: entities and simulation time, over an engine. No network, no clock, no files."""
 
 from collections.abc import Iterator, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 import numpy as np
@@ -223,11 +224,13 @@ class World(Inhabited):
         """What each agent drives."""
         return self.claims.fleets(self.roster(), self._entities)
 
-    def drive_states(self) -> Iterator[tuple[str, DriveState]]:
-        """Tell each agent where its entities are; an agent that lost its last is told once."""
-        reading = self.reading()
-        for agent, fleet in self.fleets().items():
-            yield agent, fleet.told(self.epoch, self.steps, self.time_ns, reading)
+    def drive_states(self, but: AbstractSet[str] = frozenset()) -> Iterator[tuple[str, DriveState]]:
+        """Tell each agent but some where its entities are; who lost the last one is told once."""
+        if self.fleets().keys() - but:
+            reading = self.reading()
+            for agent, fleet in self.fleets().items():
+                if agent not in but:
+                    yield agent, fleet.told(self.epoch, self.steps, self.time_ns, reading)
         for agent in self.claims.take_emptied():
             yield agent, DriveState(self.epoch, self.steps, self.time_ns, b"", b"", b"", b"")
 

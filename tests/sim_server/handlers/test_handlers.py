@@ -258,7 +258,8 @@ def test_service_answers_any_request_or_refuses_it(
     try:
         response = handle(desk, request)
         if isinstance(response, Later):
-            desk.descriptions.poll()
+            while not response.is_ready():
+                desk.descriptions.poll()
             response = response.outcome()
     except SimError as error:
         response = refusal(service.name, error.code, str(error))

@@ -137,6 +137,7 @@ def test_loop_tells_agents_of_every_control_step() -> None:
 
     for _ in range(9):
         stage.wall.sleep(0.001)
+        stage.drive("a", 3.0, 3.0)
         stage.loop.turn()
 
     assert steps_told(stage) == [3, 6, 9]
@@ -148,9 +149,28 @@ def test_loop_tells_no_more_often_than_agents_answer_when_time_runs_fast() -> No
 
     for _ in range(60):
         stage.wall.sleep(0.0001)
+        stage.drive("a", 3.0, 3.0)
         stage.loop.turn()
 
     assert steps_told(stage) == [3, 24, 45]
+
+
+def test_loop_waits_for_an_answer_before_it_tells_more_when_time_runs_fast_but_not_long() -> None:
+    stage = a_stage("r0", "r1", factor=0.0)
+    for agent, name in (("prompt", "r0"), ("silent", "r1")):
+        stage.inbox.agents.append((agent, True))
+        stage.ask("claim_entity", ClaimEntityRequest(agent, (name,), "stop"))
+    stage.loop.turn()
+    stage.outlet.drive_states.clear()
+
+    for _ in range(12):
+        stage.wall.sleep(0.003)
+        stage.drive("prompt", 3.0, 3.0)
+        stage.loop.turn()
+
+    told = [(agent, state.step) for agent, state in stage.outlet.drive_states]
+    assert [step for agent, step in told if agent == "prompt"] == [3, 6, 9, 12]
+    assert [step for agent, step in told if agent == "silent"] == [9]
 
 
 def test_loop_tells_where_robots_came_to_when_time_stands_again() -> None:
