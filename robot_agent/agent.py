@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from typing import NoReturn, Protocol
+from typing import Protocol
 
 from proto import keys
 from proto.claims import Claim, DriveCommand, DriveState
@@ -221,11 +221,12 @@ class Agent:
 def run_agent(
     network: Network,
     config: AgentConfig,
+    should_stop: Callable[[], bool],
     *,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
-) -> NoReturn:
-    """Hold and drive entities until something raises: an interrupt, or that they cannot be had.
+) -> None:
+    """Hold and drive entities until told to stop, or until they cannot be had.
 
     Raises:
         ServiceError: See `Claimer.poll`, as for the others.
@@ -234,7 +235,7 @@ def run_agent(
         MalformedPayload: See there.
     """
     with closing(Agent(network, config)) as agent:
-        while True:
+        while not should_stop():
             agent.poll(clock())
             sleep(agent.pause_s(clock()))
 

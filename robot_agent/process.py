@@ -5,17 +5,16 @@ import signal
 import sys
 import time
 import uuid
-from types import FrameType
-from typing import NoReturn
+from contextlib import suppress
 
 import msgspec
 
 from proto.bus import BusConfig
 from proto.joining import join
+from proto.stop import STOP_SIGNALS, StopFlag
 from robot_agent.agent import run_agent
 from robot_agent.config import AgentConfig, AgentStart
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 CHARACTERS_OF_ENTITY = 48
 """Of its name, in a made-up name of an agent."""
 
@@ -34,25 +33,16 @@ def run(start: AgentStart) -> None:
     )
     config = start.config
     # Opening does not return to Python; until there is a token to withdraw, a signal just ends it.
-    _on_stop(signal.SIG_DFL)
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
     deadline_s = time.monotonic() + config.wait_s
     with join(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
         left_s = max(0.0, deadline_s - time.monotonic())
         name = config.agent or _made_up_name(config)
-        try:
-            _on_stop(_interrupt)
-            run_agent(bus, msgspec.structs.replace(config, agent=name, wait_s=left_s))
-        except KeyboardInterrupt:
-            _on_stop(signal.SIG_IGN)
-
-
-def _interrupt(_number: int, _frame: FrameType | None) -> NoReturn:
-    raise KeyboardInterrupt
-
-
-def _on_stop(handler: "signal._HANDLER") -> None:
-    for number in STOP_SIGNALS:
-        signal.signal(number, handler)
+        # An interrupt in what Python calls by itself is lost: the flag is looked at, too.
+        with suppress(KeyboardInterrupt):
+            stop = StopFlag(is_armed=False)
+            run_agent(bus, msgspec.structs.replace(config, agent=name, wait_s=left_s), stop)
 
 
 def _made_up_name(config: AgentConfig) -> str:

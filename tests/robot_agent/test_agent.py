@@ -1,6 +1,9 @@
 """An agent among a server and users, all in memory."""
 
+import signal
 import struct
+from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 from msgspec.structs import replace
@@ -10,6 +13,7 @@ from proto.codec import Format, decode
 from proto.geometry import Twist, Vector3
 from proto.model import DiffDrive
 from proto.result import ServiceError
+from proto.stop import STOP_SIGNALS, StopFlag
 from proto.topics import Odometry
 from robot_agent.agent import Agent, run_agent
 from robot_agent.config import AgentConfig
@@ -271,9 +275,33 @@ def test_agent_that_runs_drives_until_something_raises() -> None:
     config = AgentConfig(agent=AGENT, entities=("r1",), wait_s=2.0)
 
     with pytest.raises(ServiceError, match="NOT_FOUND"):
-        run_agent(bus, config, clock=clock, sleep=clock.sleep)
+        run_agent(bus, config, lambda: False, clock=clock, sleep=clock.sleep)
 
     assert clock.now_s == pytest.approx(2.5, abs=1.0)
+
+
+@pytest.fixture
+def _handlers() -> Iterator[None]:
+    kept = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("_handlers")
+def test_agent_that_runs_ends_when_told_to_though_the_interrupt_itself_was_lost() -> None:
+    bus, clock = MemoryBus(), ManualClock()
+    StandInServer(bus, "r1")
+    stop = StopFlag(is_armed=False)
+
+    def sleep(seconds: float) -> None:
+        clock.sleep(seconds)
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+    run_agent(bus, AgentConfig(agent=AGENT, entities=("r1",)), stop, clock=clock, sleep=sleep)
+
+    assert stop()
 
 
 def revised(scene: Scene) -> list[tuple[float, ...]]:
