@@ -1,11 +1,11 @@
 """ROS 2's face
 
-A server and a pool that drives 100 robots, with odometry and tf at every state, without ROS 2 (the
-floor, `--ros-domain off`) and with its face, taken in turns: while nobody looks, while one looks at
-everything on the face, and while one also looks at everything on the plain keys of the floor. What
-is asked is asked of the server's tick: CPU time of the loop's thread a step. Below it stands what
-the look makes the server's other threads pass on and the pool tell, beyond what they do when nobody
-looks; there the floor is what the same messages cost on plain keys.
+A server and a pool that drives 100 robots in circles, with odometry and tf at every state, without
+ROS 2 (the floor, `--ros-domain off`) and with its face, taken in turns: while nobody looks, while
+one looks at everything on the face, and while one also looks at everything on the plain keys of the
+floor. What is asked is asked of the server's tick: CPU time of the loop's thread a step. Below it
+stands what the look makes the server's other threads pass on and the pool tell, beyond what they do
+when nobody looks; there the floor is what the same messages cost on plain keys.
 """
 
 import json
@@ -15,19 +15,28 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
+import numpy as np
 import zenoh
 
+from proto import keys
+from proto.bus import Bus, Sample
+from proto.claims import STATE_COLUMNS
+from proto.codec import Format, decode, encode, encoding_of
+from proto.geometry import Twist, Vector3
+from proto.telemetry import Snapshot
 from spawner.launch import spawn_fleet
 from spawner.placement import fleet_places
 from tests.benchmark.figures import Asked, Figure, table
-from tests.benchmark.fleet import MILLISECONDS
+from tests.benchmark.fleet import CIRCLE, MILLISECONDS, SPACING_M
 from tests.benchmark.machine import thread_used_s, used_s
-from tests.integration.processes import Server, running, serving, wait_for_agents
+from tests.benchmark.motion import MOVES
+from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
 
 __all__ = ["rows", "table"]
 
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 3
 WINDOWS, WINDOW_S = 8, 2.0
+MOVED_S = 60.0
 UNSEEN = Asked("median", "<=", 1.03)
 SEEN = Asked("median", "<=", 1.15)
 FACE = ("0/**",)
@@ -102,23 +111,50 @@ def _passing_on(
 @contextmanager
 def _driven(robots: int, domain: str) -> Iterator[Driven]:
     with serving("--ros-domain", domain) as server:
-        places = fleet_places("box_bot", robots, "grid", 1.0)
+        places = fleet_places("box_bot", robots, "grid", SPACING_M)
         spawn_fleet(server.client, "box_bot", places, lambda _: None)
         arguments = ("agent", "--pool", "0", "--connect", server.endpoint, "--quiet")
-        with running(*arguments, "--ros-domain", domain) as pool:
-            wait_for_agents(server, [place.name for place in places])
+        for_ever = ("--cmd-vel-timeout", "0")
+        with running(*arguments, *for_ever, "--ros-domain", domain) as pool:
+            names = [place.name for place in places]
+            wait_for_agents(server, names)
+            _circle(server.bus, names)
             yield Driven(server, pool.pid)
 
 
+def _circle(bus: Bus, names: Sequence[str]) -> None:
+    """Let all drive circles until told otherwise: robots that stand sleep, and cost nothing."""
+    encoding = encoding_of(Twist, Format.CDR)
+    outlets = [bus.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names]
+    snapshots = bus.subscribe(keys.snapshot("default"))
+    linear, angular = CIRCLE
+    payload = encode(Twist(Vector3(x=linear), Vector3(z=angular)), Format.CDR)
+
+    def move() -> bool:
+        for outlet in outlets:
+            outlet.send(payload)
+        return (sample := snapshots.newest()) is not None and _all_move(sample)
+
+    eventually(move, MOVED_S, "driving circles")
+    for one in (*outlets, snapshots):
+        one.close()
+
+
+def _all_move(sample: Sample) -> bool:
+    found = decode(Snapshot, sample.payload, sample.encoding)
+    base = np.frombuffer(found.base, "<f8").reshape(-1, STATE_COLUMNS)
+    return bool((np.hypot(base[:, 7], base[:, 8]) > MOVES).all())
+
+
 @contextmanager
-def _looking(server: Server, keys: Sequence[str]) -> Iterator[None]:
+def _looking(server: Server, patterns: Sequence[str]) -> Iterator[None]:
     """Listen, and throw all away."""
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
     with zenoh.open(config) as session:
         channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
-        subscribers = [session.declare_subscriber(key, channel) for key in keys]
+        subscribers = [session.declare_subscriber(one, channel) for one in patterns]
         # Publishers are declared when somebody listens.
         time.sleep(WINDOW_S)
         yield
