@@ -136,8 +136,9 @@ def _circle(bus: Bus, names: Sequence[str]) -> None:
         return (sample := snapshots.newest()) is not None and _all_move(sample)
 
     eventually(move, MOVED_S, "driving circles")
-    for one in (*outlets, snapshots):
-        one.close()
+    snapshots.close()
+    for outlet in outlets:
+        outlet.close()
 
 
 def _all_move(sample: Sample) -> bool:
