@@ -76,7 +76,7 @@ imports: setup ## which module may import which
 	$(BIN)/lint-imports
 
 schemas: setup ## committed schemas against the messages
-	$(BIN)/python -m proto.schema --check
+	$(BIN)/python -m zensim.proto.schema --check
 
 docs: setup ## links, commands and change log of the documents
 	$(BIN)/python -m pytest -q tests/contract/test_docs.py

@@ -7,18 +7,18 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from deploy.local import READY, Program, Supervisor
-from proto import keys
-from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
-from proto.model import Dynamics
-from proto.result import ResultCode
-from proto.ros2.settings import RosSettings, arguments_of
-from proto.telemetry import Info
-from robot_agent.config import AgentConfig, AgentStart
-from robot_agent.rates import Rates
-from spawner.client import SimClient
-from spawner.launch import spawn_fleet
-from spawner.placement import Place
+from zensim.deploy.local import READY, Program, Supervisor
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.model import Dynamics
+from zensim.proto.result import ResultCode
+from zensim.proto.ros2.settings import RosSettings, arguments_of
+from zensim.proto.telemetry import Info
+from zensim.robot_agent.config import AgentConfig, AgentStart
+from zensim.robot_agent.rates import Rates
+from zensim.spawner.client import SimClient
+from zensim.spawner.launch import spawn_fleet
+from zensim.spawner.placement import Place
 
 START_TIMEOUT_S = 30.0
 AGENT_WAIT_S = 3.0 * START_TIMEOUT_S

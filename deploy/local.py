@@ -8,14 +8,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from deploy.parent import PARENT
+from zensim.deploy.parent import PARENT
 
 GRACE_S = 1.2
 """What a process gets to end by itself; all together they must be gone within 2 s."""
 POLL_S = 0.01
 RESTART_PAUSE_S = 0.5
 MAX_RESTARTS = 20
-COMMAND_LINE, READY = "deploy", "deploy.ready"
+COMMAND_LINE, READY = "zensim", "zensim.deploy.ready"
 """What is run: with words as a user types them, or with settings that are ready made."""
 
 

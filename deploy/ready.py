@@ -8,10 +8,10 @@ import sys
 
 import msgspec
 
-from deploy.parent import die_with_parent
-from proto.exits import one_line_failures
-from robot_agent.config import AgentStart
-from robot_agent.process import run
+from zensim.deploy.parent import die_with_parent
+from zensim.proto.exits import one_line_failures
+from zensim.robot_agent.config import AgentStart
+from zensim.robot_agent.process import run
 
 AGENT = "agent"
 

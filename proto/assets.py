@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.result import Result
-from proto.widths import UInt64
+from zensim.proto.result import Result
+from zensim.proto.widths import UInt64
 
 MAX_CHUNK_BYTES = 1 << 20
 """Of a file: hashing and keeping a longer one would make physics late."""

@@ -13,9 +13,9 @@ import msgspec
 import zenoh
 from zenoh.handlers import FifoChannel, RingChannel
 
-from proto import keys
-from proto.catalog import Request, Response, Service
-from proto.channels import (
+from zensim.proto import keys
+from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.channels import (
     Call,
     CallQueue,
     Publisher,
@@ -26,9 +26,9 @@ from proto.channels import (
     TokenWatch,
     sample_of,
 )
-from proto.codec import Format, decode, encode, encoding_of
-from proto.endpoint import DEFAULT_ENDPOINT, check_endpoint, with_free_port
-from proto.result import Result, ResultCode, ServiceError
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.endpoint import DEFAULT_ENDPOINT, check_endpoint, with_free_port
+from zensim.proto.result import Result, ResultCode, ServiceError
 
 __all__ = [
     "LATEST",

@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import msgspec
 
-from proto import (
+from zensim.proto import (
     assets,
     claims,
     entities,
@@ -17,7 +17,7 @@ from proto import (
     telemetry,
     worlds,
 )
-from proto.result import (
+from zensim.proto.result import (
     ClaimCode,
     GetAvailableWorldsCode,
     GetCurrentWorldCode,

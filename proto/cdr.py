@@ -9,8 +9,8 @@ from typing import TypeVar, cast
 
 import msgspec
 
-from proto.cdr_read import MalformedPayload, reader
-from proto.cdr_write import writer
+from zensim.proto.cdr_read import MalformedPayload, reader
+from zensim.proto.cdr_write import writer
 
 HEADER = b"\x00\x01\x00\x00"
 MAX_PADDING = 3

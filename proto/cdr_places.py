@@ -6,7 +6,7 @@ from operator import attrgetter
 
 import msgspec
 
-from proto.cdr_layout import (
+from zensim.proto.cdr_layout import (
     BYTES_OF_CODE,
     LENGTH_BYTES,
     Fixed,

@@ -8,7 +8,7 @@ from typing import TypeAlias, TypeVar, cast
 import msgspec
 from msgspec.structs import replace
 
-from proto.cdr_layout import (
+from zensim.proto.cdr_layout import (
     BYTES_OF_CODE,
     LENGTH_BYTES,
     Fixed,

@@ -9,7 +9,7 @@ from typing import TypeAlias, TypeVar
 
 import msgspec
 
-from proto.cdr_layout import (
+from zensim.proto.cdr_layout import (
     BYTES_OF_CODE,
     Fixed,
     Layout,

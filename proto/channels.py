@@ -8,9 +8,9 @@ import msgspec
 import zenoh
 from zenoh.handlers import RingChannel
 
-from proto import keys
-from proto.codec import decode
-from proto.services import MAX_REQUEST_BYTES
+from zensim.proto import keys
+from zensim.proto.codec import decode
+from zensim.proto.services import MAX_REQUEST_BYTES
 
 if TYPE_CHECKING:
     from zenoh.handlers import Handler

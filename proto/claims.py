@@ -8,10 +8,10 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from proto.cdr_read import MalformedPayload
-from proto.model import Model
-from proto.result import Result
-from proto.widths import UInt32, UInt64
+from zensim.proto.cdr_read import MalformedPayload
+from zensim.proto.model import Model
+from zensim.proto.result import Result
+from zensim.proto.widths import UInt32, UInt64
 
 STATE_COLUMNS = 13
 """Position x y z, quaternion x y z w, linear x y z, angular x y z: all in the world frame."""

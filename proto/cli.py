@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from proto.ros2.settings import RosSettings, ros_settings
+from zensim.proto.ros2.settings import RosSettings, ros_settings
 
 RosDomain = Annotated[
     str,

@@ -6,8 +6,8 @@ from typing import TypeVar, cast
 
 import msgspec
 
-from proto import cdr
-from proto.cdr_read import MalformedPayload
+from zensim.proto import cdr
+from zensim.proto.cdr_read import MalformedPayload
 
 __all__ = [
     "Format",

@@ -4,9 +4,9 @@ from math import isfinite
 
 from msgspec import UNSET, UnsetType
 
-from proto.codec import Format, MalformedPayload, decode, format_of, schema_of
-from proto.geometry import Twist, TwistStamped
-from proto.header import Header
+from zensim.proto.codec import Format, MalformedPayload, decode, format_of, schema_of
+from zensim.proto.geometry import Twist, TwistStamped
+from zensim.proto.header import Header
 
 LEAST_STAMPED_BYTES = 68
 """CDR of a TwistStamped without frame_id; that of a Twist is 52."""

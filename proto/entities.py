@@ -7,11 +7,11 @@ from typing import ClassVar, Final
 
 import msgspec
 
-from proto.info import EntityInfo
-from proto.model import TierName
-from proto.result import Result
-from proto.services import Bounds, EntityFilters, EntityState, GetEntityStateRequest
-from proto.widths import UInt8
+from zensim.proto.info import EntityInfo
+from zensim.proto.model import TierName
+from zensim.proto.result import Result
+from zensim.proto.services import Bounds, EntityFilters, EntityState, GetEntityStateRequest
+from zensim.proto.widths import UInt8
 
 ANY_BOUNDS: Final = 255
 """As the type of bounds that are asked for: the server chooses."""

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import IntEnum
 
-from proto.bus import BusError, NoServer, Unreachable
-from proto.codec import MalformedPayload
-from proto.result import ResultCode, ServiceError
+from zensim.proto.bus import BusError, NoServer, Unreachable
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.result import ResultCode, ServiceError
 
 
 class Exit(IntEnum):

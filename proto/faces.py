@@ -9,13 +9,13 @@ from typing import Final, Protocol, TypeAlias
 
 import msgspec
 
-from proto.channels import Sample, Stamp
-from proto.codec import Format, encoding_of
-from proto.ros2.attachment import Attachment, write_attachment
-from proto.ros2.keys import ANY_HASH, data_key, parse_data_key
-from proto.ros2.settings import NO_ROS, RosSettings
-from proto.ros2.tokens import Endpoint
-from proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
+from zensim.proto.channels import Sample, Stamp
+from zensim.proto.codec import Format, encoding_of
+from zensim.proto.ros2.attachment import Attachment, write_attachment
+from zensim.proto.ros2.keys import ANY_HASH, data_key, parse_data_key
+from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.proto.ros2.tokens import Endpoint
+from zensim.proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
 
 CACHE_DEPTH: Final = 64
 CACHE: Final = "@adv/pub"

@@ -7,9 +7,9 @@ from typing import ClassVar, Final
 
 import msgspec
 
-from proto.geometry import PoseStamped
-from proto.result import Result
-from proto.services import Resource, SpawnEntityOrder
+from zensim.proto.geometry import PoseStamped
+from zensim.proto.result import Result
+from zensim.proto.services import Resource, SpawnEntityOrder
 
 MAX_SPAWNS: Final = 10_000
 """In one request."""

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.geometry import Point, Pose, Twist, Wrench
-from proto.header import Duration, Header, Time
-from proto.result import Result
-from proto.widths import UInt8
+from zensim.proto.geometry import Point, Pose, Twist, Wrench
+from zensim.proto.header import Duration, Header, Time
+from zensim.proto.result import Result
+from zensim.proto.widths import UInt8
 
 
 class EmptyRequest(msgspec.Struct, frozen=True):

@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.header import Header
-from proto.widths import ZERO_MATRIX6, Matrix6
+from zensim.proto.header import Header
+from zensim.proto.widths import ZERO_MATRIX6, Matrix6
 
 
 class Vector3(msgspec.Struct, frozen=True):

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.widths import Int32, UInt32
+from zensim.proto.widths import Int32, UInt32
 
 NANOSECONDS = 1_000_000_000
 

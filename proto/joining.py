@@ -5,7 +5,7 @@ from itertools import cycle
 
 import msgspec
 
-from proto.bus import Bus, BusConfig, Unreachable, open_bus
+from zensim.proto.bus import Bus, BusConfig, Unreachable, open_bus
 
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
 """Short, so that a router is found as soon as it is up; now and then long, for a far one."""

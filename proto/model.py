@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from proto.drives import Actuator, Compat, DiffDrive, Drive, RosBlock, WheelPair
+from zensim.proto.drives import Actuator, Compat, DiffDrive, Drive, RosBlock, WheelPair
 
 __all__ = [
     "IDENTITY",

@@ -4,9 +4,9 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.geometry import Pose
-from proto.result import Result
-from proto.services import Bounds, Resource, TagsFilter
+from zensim.proto.geometry import Pose
+from zensim.proto.result import Result
+from zensim.proto.services import Bounds, Resource, TagsFilter
 
 
 class Spawnable(msgspec.Struct, frozen=True):

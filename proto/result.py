@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.widths import UInt8
+from zensim.proto.widths import UInt8
 
 
 class ResultCode(IntEnum):

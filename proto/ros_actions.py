@@ -10,9 +10,9 @@ from typing import Annotated, ClassVar, Final
 import msgspec
 from msgspec import Meta
 
-from proto.header import Time
-from proto.result import Result
-from proto.widths import Int8, UInt8, UInt64
+from zensim.proto.header import Time
+from zensim.proto.result import Result
+from zensim.proto.widths import Int8, UInt8, UInt64
 
 NAME: Final = "simulate_steps"
 TYPE: Final = "simulation_interfaces/action/SimulateSteps"

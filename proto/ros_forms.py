@@ -9,11 +9,11 @@ from typing import Any, ClassVar
 
 import msgspec
 
-from proto.geometry import Pose, PoseStamped
-from proto.header import Header
-from proto.places import GetSpawnablesResponse, Spawnable
-from proto.result import Result, ResultCode
-from proto.services import (
+from zensim.proto.geometry import Pose, PoseStamped
+from zensim.proto.header import Header
+from zensim.proto.places import GetSpawnablesResponse, Spawnable
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.services import (
     Bounds,
     DeleteEntityRequest,
     DeleteEntityResponse,
@@ -23,7 +23,7 @@ from proto.services import (
     SpawnEntityRequest,
     SpawnEntityResponse,
 )
-from proto.worlds import LoadWorldRequest
+from zensim.proto.worlds import LoadWorldRequest
 
 
 class SpawnEntityRequestV1(msgspec.Struct, frozen=True):

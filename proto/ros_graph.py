@@ -5,11 +5,18 @@ from typing import Final, Protocol
 
 import msgspec
 
-from proto.ros2 import bridge, keys, names
-from proto.ros2.qos import LATCHED, RELIABLE_10, Qos
-from proto.ros2.settings import RosSettings
-from proto.ros2.tokens import Endpoint, EndpointKind, Node, endpoint_token, gid_of, node_token
-from proto.ros2.type_hash import type_hash
+from zensim.proto.ros2 import bridge, keys, names
+from zensim.proto.ros2.qos import LATCHED, RELIABLE_10, Qos
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros2.tokens import (
+    Endpoint,
+    EndpointKind,
+    Node,
+    endpoint_token,
+    gid_of,
+    node_token,
+)
+from zensim.proto.ros2.type_hash import type_hash
 
 NODES_OF_SESSION: Final = 100
 """Declaring tokens takes time by the square of how many a session has."""

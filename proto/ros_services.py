@@ -9,10 +9,10 @@ from typing import Final
 
 import msgspec
 
-from proto import catalog, ros_forms
-from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, offers
-from proto.ros2.keys import ANY_HASH, NO_HASH, data_key
-from proto.ros2.type_hash import service_hash, service_type
+from zensim.proto import catalog, ros_forms
+from zensim.proto.codec import Format, MalformedPayload, decode, encode, encoding_of, offers
+from zensim.proto.ros2.keys import ANY_HASH, NO_HASH, data_key
+from zensim.proto.ros2.type_hash import service_hash, service_type
 
 GAZEBO: Final = "gazebo_"
 """Begins names of ours whose own the standard has taken."""

@@ -4,7 +4,7 @@ from typing import Literal
 
 import msgspec
 
-from proto.model import Origin, Quat, Vec3
+from zensim.proto.model import Origin, Quat, Vec3
 
 LightKind = Literal["point", "spot", "directional"]
 DOWN: Vec3 = (0.0, 0.0, -1.0)

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import msgspec
 
-from proto import (
+from zensim.proto import (
     assets,
     claims,
     drives,
@@ -34,9 +34,9 @@ from proto import (
     topics,
     worlds,
 )
-from proto.catalog import SERVICES
-from proto.codec import Format, encode, encoding_of, offers
-from proto.example import example_of
+from zensim.proto.catalog import SERVICES
+from zensim.proto.codec import Format, encode, encoding_of, offers
+from zensim.proto.example import example_of
 
 Kind = TypeVar("Kind")
 

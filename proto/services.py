@@ -9,14 +9,14 @@ from typing import ClassVar
 
 import msgspec
 
-from proto import drives
-from proto.assets import AssetRef
-from proto.geometry import Accel, Pose, PoseStamped, Twist, Vector3
-from proto.header import Header
-from proto.info import EntityCategory, EntityInfo
-from proto.model import Dynamics, ReportEntry
-from proto.result import Result
-from proto.widths import UInt8, UInt16, UInt64
+from zensim.proto import drives
+from zensim.proto.assets import AssetRef
+from zensim.proto.geometry import Accel, Pose, PoseStamped, Twist, Vector3
+from zensim.proto.header import Header
+from zensim.proto.info import EntityCategory, EntityInfo
+from zensim.proto.model import Dynamics, ReportEntry
+from zensim.proto.result import Result
+from zensim.proto.widths import UInt8, UInt16, UInt64
 
 Compat = drives.Compat
 

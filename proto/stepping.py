@@ -8,9 +8,9 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from proto.header import Time
-from proto.result import Result
-from proto.widths import UInt64
+from zensim.proto.header import Time
+from zensim.proto.result import Result
+from zensim.proto.widths import UInt64
 
 MAX_GOAL_ID = 64
 """Characters of a goal's id."""

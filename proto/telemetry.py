@@ -4,12 +4,12 @@ from typing import ClassVar, Literal
 
 import msgspec
 
-from proto.geometry import Pose
-from proto.model import Model
-from proto.result import Result
-from proto.scene import Scene
-from proto.topics import Clock
-from proto.widths import UInt32, UInt64
+from zensim.proto.geometry import Pose
+from zensim.proto.model import Model
+from zensim.proto.result import Result
+from zensim.proto.scene import Scene
+from zensim.proto.topics import Clock
+from zensim.proto.widths import UInt32, UInt64
 
 StateName = Literal["stopped", "playing", "paused", "quitting", "no_world", "loading_world"]
 

@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.geometry import PoseWithCovariance, TransformStamped, TwistWithCovariance
-from proto.header import Header, Time
+from zensim.proto.geometry import PoseWithCovariance, TransformStamped, TwistWithCovariance
+from zensim.proto.header import Header, Time
 
 
 class Odometry(msgspec.Struct, frozen=True):

@@ -4,9 +4,9 @@ from typing import ClassVar
 
 import msgspec
 
-from proto.model import ReportEntry
-from proto.result import Result
-from proto.services import Resource, TagsFilter
+from zensim.proto.model import ReportEntry
+from zensim.proto.result import Result
+from zensim.proto.services import Resource, TagsFilter
 
 
 class WorldResource(msgspec.Struct, frozen=True):

@@ -7,22 +7,22 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from typing import Protocol
 
-from proto import keys
-from proto.claims import Claim, DriveCommand, DriveState
-from proto.codec import Format, MalformedPayload, decode, encode, encoding_of
-from proto.header import NANOSECONDS
-from proto.ros_graph import RosGraph
-from robot_agent.claimer import Claimer, Wish
-from robot_agent.config import AgentConfig
-from robot_agent.fleet import Fleet
-from robot_agent.network import Network
-from robot_agent.precedence import Precedence, be_nice
-from robot_agent.rates import with_rates
-from robot_agent.reading import Timeline
-from robot_agent.revising import Revising
-from robot_agent.rhythm import COMMANDS_S, LONGEST_S, Rhythm
-from robot_agent.share_claimer import ShareClaimer, ShareWish
-from robot_agent.upkeep import Kept, Upkeep
+from zensim.proto import keys
+from zensim.proto.claims import Claim, DriveCommand, DriveState
+from zensim.proto.codec import Format, MalformedPayload, decode, encode, encoding_of
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.ros_graph import RosGraph
+from zensim.robot_agent.claimer import Claimer, Wish
+from zensim.robot_agent.config import AgentConfig
+from zensim.robot_agent.fleet import Fleet
+from zensim.robot_agent.network import Network
+from zensim.robot_agent.precedence import Precedence, be_nice
+from zensim.robot_agent.rates import with_rates
+from zensim.robot_agent.reading import Timeline
+from zensim.robot_agent.revising import Revising
+from zensim.robot_agent.rhythm import COMMANDS_S, LONGEST_S, Rhythm
+from zensim.robot_agent.share_claimer import ShareClaimer, ShareWish
+from zensim.robot_agent.upkeep import Kept, Upkeep
 
 LOG = logging.getLogger("zensim.agent")
 LOOK_S = 0.02
@@ -245,7 +245,7 @@ def _fleet_of(network: Network, config: AgentConfig, graph: RosGraph, ears: Netw
     if config.pool_limit is None:
         return Fleet(network, timeout_ns, graph)
     # Numpy and what is made of arrays are half of what an agent has to load, and 10 MB.
-    from robot_agent.pool.fleet import PoolFleet  # noqa: PLC0415
+    from zensim.robot_agent.pool.fleet import PoolFleet  # noqa: PLC0415
 
     return PoolFleet(network, timeout_ns, graph, ears)
 

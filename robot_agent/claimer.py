@@ -5,15 +5,15 @@ import math
 
 import msgspec
 
-from proto import keys
-from proto.bus import NoServer
-from proto.catalog import CLAIM_ENTITY
-from proto.claims import Claim, ClaimEntityRequest, OnRelease, claims_of
-from proto.codec import MalformedPayload, decode
-from proto.result import ClaimCode, ResultCode, ServiceError
-from proto.telemetry import Event
-from robot_agent.giving_up import give_up
-from robot_agent.network import Network, Subscription
+from zensim.proto import keys
+from zensim.proto.bus import NoServer
+from zensim.proto.catalog import CLAIM_ENTITY
+from zensim.proto.claims import Claim, ClaimEntityRequest, OnRelease, claims_of
+from zensim.proto.codec import MalformedPayload, decode
+from zensim.proto.result import ClaimCode, ResultCode, ServiceError
+from zensim.proto.telemetry import Event
+from zensim.robot_agent.giving_up import give_up
+from zensim.robot_agent.network import Network, Subscription
 
 LOG = logging.getLogger("zensim.agent")
 CALL_TIMEOUT_S = 5.0

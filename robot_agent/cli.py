@@ -5,15 +5,15 @@ from typing import Annotated, get_args
 
 import typer
 
-from proto.claims import OnRelease
-from proto.cli import RosTfOptions
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.exits import one_line_failures
-from proto.names import check_name
-from proto.option_fields import takes
-from robot_agent.config import AgentConfig, AgentStart
-from robot_agent.process import run
-from robot_agent.rates import Rates
+from zensim.proto.claims import OnRelease
+from zensim.proto.cli import RosTfOptions
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.exits import one_line_failures
+from zensim.proto.names import check_name
+from zensim.proto.option_fields import takes
+from zensim.robot_agent.config import AgentConfig, AgentStart
+from zensim.robot_agent.process import run
+from zensim.robot_agent.rates import Rates
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -1,10 +1,10 @@
 """What a robot is told to do: the newest cmd_vel, until it is too old."""
 
-from proto.bus import Sample
-from proto.codec import MalformedPayload
-from proto.commands import decode_twist
-from proto.geometry import Twist
-from robot_agent.network import Subscription
+from zensim.proto.bus import Sample
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.commands import decode_twist
+from zensim.proto.geometry import Twist
+from zensim.robot_agent.network import Subscription
 
 DEPTH = 8
 """A bad message does not hide the good one before it."""

@@ -2,9 +2,9 @@
 
 import msgspec
 
-from proto.claims import OnRelease
-from proto.ros2.settings import NO_ROS, RosSettings
-from robot_agent.rates import Rates
+from zensim.proto.claims import OnRelease
+from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.robot_agent.rates import Rates
 
 
 class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -27,7 +27,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AgentStart(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a process needs to be an agent; as JSON it is handed to `deploy.ready`."""
+    """All that a process needs to be an agent; as JSON it is handed to `zensim.deploy.ready`."""
 
     endpoint: str
     """Router or server to join."""

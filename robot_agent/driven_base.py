@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 
-from proto.drives import DiffDrive, Drive
-from proto.geometry import Twist
-from proto.model import Model
-from robot_agent.drives.choice import controller_of
-from robot_agent.drives.controller import Measured
-from robot_agent.frames import base_of
-from robot_agent.odometry import EncoderOdometry, Motion, world_motion
-from robot_agent.rate_gate import RateGate
-from robot_agent.reading import Reading
+from zensim.proto.drives import DiffDrive, Drive
+from zensim.proto.geometry import Twist
+from zensim.proto.model import Model
+from zensim.robot_agent.drives.choice import controller_of
+from zensim.robot_agent.drives.controller import Measured
+from zensim.robot_agent.frames import base_of
+from zensim.robot_agent.odometry import EncoderOdometry, Motion, world_motion
+from zensim.robot_agent.rate_gate import RateGate
+from zensim.robot_agent.reading import Reading
 
 NO_DRIVE = DiffDrive(update_rate_hz=30.0)
 """Has no wheels and publishes nothing: stands in where a description has no drive."""

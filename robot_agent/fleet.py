@@ -4,13 +4,13 @@ import logging
 import struct
 from collections.abc import Sequence
 
-from proto.claims import Claim, DriveCommand, DriveState
-from proto.codec import MalformedPayload
-from proto.faces import faces_of
-from proto.ros_graph import RosGraph
-from robot_agent.network import Network
-from robot_agent.reading import Layout
-from robot_agent.robot import NODE, Robot
+from zensim.proto.claims import Claim, DriveCommand, DriveState
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.faces import faces_of
+from zensim.proto.ros_graph import RosGraph
+from zensim.robot_agent.network import Network
+from zensim.robot_agent.reading import Layout
+from zensim.robot_agent.robot import NODE, Robot
 
 LOG = logging.getLogger("zensim.agent")
 

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 import msgspec
 
-from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from proto.header import Header, Time
-from proto.model import Joint, JointStatePublisher, Model, Origin
-from robot_agent.odometry import Motion
-from robot_agent.transforms import add, compose, inverse, multiply, rotate, turn, unit
+from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
+from zensim.proto.header import Header, Time
+from zensim.proto.model import Joint, JointStatePublisher, Model, Origin
+from zensim.robot_agent.odometry import Motion
+from zensim.robot_agent.transforms import add, compose, inverse, multiply, rotate, turn, unit
 
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 """Kinds of joints with one position; the others stand as if fixed."""

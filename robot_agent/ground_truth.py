@@ -2,9 +2,9 @@
 
 from random import Random
 
-from proto.claims import Claim
-from proto.faces import Faces
-from proto.geometry import (
+from zensim.proto.claims import Claim
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -13,16 +13,16 @@ from proto.geometry import (
     TwistWithCovariance,
     Vector3,
 )
-from proto.header import Header, time_from_ns
-from proto.model import ZERO, GroundTruth, Model, Quat, Vec3
-from proto.ros_graph import Topic
-from proto.topics import Odometry
-from robot_agent.kinematics import Chain, LinkMotion, scaled
-from robot_agent.outlet import Outlet
-from robot_agent.rate_gate import RateGate
-from robot_agent.reading import Reading
-from robot_agent.remapping import topic_key
-from robot_agent.transforms import add, multiply, rotate
+from zensim.proto.header import Header, time_from_ns
+from zensim.proto.model import ZERO, GroundTruth, Model, Quat, Vec3
+from zensim.proto.ros_graph import Topic
+from zensim.proto.topics import Odometry
+from zensim.robot_agent.kinematics import Chain, LinkMotion, scaled
+from zensim.robot_agent.outlet import Outlet
+from zensim.robot_agent.rate_gate import RateGate
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.remapping import topic_key
+from zensim.robot_agent.transforms import add, multiply, rotate
 
 QUIET = (ZERO, ZERO)
 

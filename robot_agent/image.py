@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import msgspec
 
-from proto import cdr
-from proto.cdr_places import places_of
-from proto.header import NANOSECONDS
+from zensim.proto import cdr
+from zensim.proto.cdr_places import places_of
+from zensim.proto.header import NANOSECONDS
 
 FLOAT_BYTES = 8
 STAMP = struct.Struct("<iI")
@@ -24,7 +24,7 @@ class Image:
 
         Args:
             template: As it is but for what changes.
-            numbers: Paths of its float64 numbers that change; see `proto.cdr_places`.
+            numbers: Paths of its float64 numbers that change; see `zensim.proto.cdr_places`.
             stamps: Paths of its `Time`s.
         """
         self._buffer = bytearray(cdr.encode(template))

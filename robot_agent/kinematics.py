@@ -2,9 +2,9 @@
 
 import msgspec
 
-from proto.model import IDENTITY, ZERO, Joint, Model, Origin, Quat, Vec3
-from robot_agent.reading import Reading
-from robot_agent.transforms import add, compose, cross, multiply, rotate, turn, unit
+from zensim.proto.model import IDENTITY, ZERO, Joint, Model, Origin, Quat, Vec3
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.transforms import add, compose, cross, multiply, rotate, turn, unit
 
 
 class LinkMotion(msgspec.Struct, frozen=True, gc=False):

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from proto import faces
-from proto.bus import Sample
-from proto.catalog import Request, Response, Service
+from zensim.proto import faces
+from zensim.proto.bus import Sample
+from zensim.proto.catalog import Request, Response, Service
 
 
 class Subscription(faces.Subscription, Protocol):

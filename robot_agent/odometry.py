@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import msgspec
 
-from proto.drives import DriveSettings, WheelPair
-from proto.geometry import (
+from zensim.proto.drives import DriveSettings, WheelPair
+from zensim.proto.geometry import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -15,10 +15,10 @@ from proto.geometry import (
     TwistWithCovariance,
     Vector3,
 )
-from proto.header import Header, Time
-from proto.model import IDENTITY, ZERO, Origin, Quat, Vec3
-from proto.topics import Odometry
-from robot_agent.transforms import add, cross, multiply, rotate, turn, yaw_of
+from zensim.proto.header import Header, Time
+from zensim.proto.model import IDENTITY, ZERO, Origin, Quat, Vec3
+from zensim.proto.topics import Odometry
+from zensim.robot_agent.transforms import add, cross, multiply, rotate, turn, yaw_of
 
 UNKNOWN = 1e12
 """Variance of what a planar robot does not measure: z, roll, pitch."""
@@ -38,7 +38,7 @@ def world_motion(state: Sequence[float], base_in_root: Origin) -> Motion:
     """Read the true motion: the pose is in the world, the velocity turned by its yaw.
 
     Args:
-        state: Of the root link, in the order of `proto.claims.STATE_COLUMNS`.
+        state: Of the root link, in the order of `zensim.proto.claims.STATE_COLUMNS`.
         base_in_root: Where the robot's base is fixed on its root link.
     """
     px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = state

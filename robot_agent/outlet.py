@@ -5,9 +5,9 @@ from typing import TypeAlias
 
 import msgspec
 
-from proto.codec import Format, encode, encoding_of
-from proto.faces import Faces
-from proto.ros_graph import Topic
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.faces import Faces
+from zensim.proto.ros_graph import Topic
 
 QUERY_DEPTH = 64
 Value: TypeAlias = Callable[[], msgspec.Struct | bytes | None]

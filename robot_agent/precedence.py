@@ -8,8 +8,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from proto.claims import DriveState
-from proto.header import NANOSECONDS
+from zensim.proto.claims import DriveState
+from zensim.proto.header import NANOSECONDS
 
 NICENESS = 19
 """Weighs a seventieth of what is ordinary: with a tenth, agents that wake up push physics aside."""

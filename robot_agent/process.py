@@ -9,11 +9,11 @@ from contextlib import suppress
 
 import msgspec
 
-from proto.bus import BusConfig
-from proto.joining import join
-from proto.stop import STOP_SIGNALS, StopFlag
-from robot_agent.agent import run_agent
-from robot_agent.config import AgentConfig, AgentStart
+from zensim.proto.bus import BusConfig
+from zensim.proto.joining import join
+from zensim.proto.stop import STOP_SIGNALS, StopFlag
+from zensim.robot_agent.agent import run_agent
+from zensim.robot_agent.config import AgentConfig, AgentStart
 
 CHARACTERS_OF_ENTITY = 48
 """Of its name, in a made-up name of an agent."""

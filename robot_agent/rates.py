@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import msgspec
 
-from proto.claims import Claim
-from proto.model import Model
+from zensim.proto.claims import Claim
+from zensim.proto.model import Model
 
 
 class Rates(msgspec.Struct, frozen=True):

@@ -7,8 +7,8 @@ from typing import Literal
 
 import msgspec
 
-from proto.claims import STATE_COLUMNS, DriveState
-from proto.codec import MalformedPayload
+from zensim.proto.claims import STATE_COLUMNS, DriveState
+from zensim.proto.codec import MalformedPayload
 
 
 class Reading(msgspec.Struct, frozen=True, gc=False):

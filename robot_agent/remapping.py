@@ -1,8 +1,8 @@
 """Where a topic is, once the description's remappings have had their say."""
 
-from proto import keys
-from proto.drives import DriveSettings, RosBlock
-from proto.names import InvalidName, check_namespace
+from zensim.proto import keys
+from zensim.proto.drives import DriveSettings, RosBlock
+from zensim.proto.names import InvalidName, check_namespace
 
 ABSOLUTE = frozenset({keys.TF})
 """Gazebo's plug-ins put these outside any namespace, so that rules name them with a slash."""

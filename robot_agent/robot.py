@@ -1,15 +1,15 @@
 """One claimed robot: what it hears, how it is driven, what it tells."""
 
-from proto.claims import Claim
-from proto.faces import Faces
-from proto.geometry import Twist, TwistStamped
-from robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
-from robot_agent.driven_base import DrivenBase, drive_of
-from robot_agent.ground_truth import TruthTelemetry
-from robot_agent.outlet import Outlet
-from robot_agent.reading import Reading
-from robot_agent.remapping import command_key
-from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
+from zensim.proto.claims import Claim
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import Twist, TwistStamped
+from zensim.robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
+from zensim.robot_agent.driven_base import DrivenBase, drive_of
+from zensim.robot_agent.ground_truth import TruthTelemetry
+from zensim.robot_agent.outlet import Outlet
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.remapping import command_key
+from zensim.robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
 
 NODE = "agent"
 """What a robot's node is called in ROS 2, within the robot's namespace."""

@@ -2,24 +2,30 @@
 
 from collections.abc import Callable, Sequence
 
-from proto import keys
-from proto.claims import Claim
-from proto.faces import Faces
-from proto.header import Time
-from proto.model import Model
-from proto.ros_graph import Topic
-from proto.topics import JointState, Odometry, String, TFMessage
-from robot_agent import templates
-from robot_agent.driven_base import drive_of, gate_of, motion_rates
-from robot_agent.frames import ALL_JOINTS, base_of, fixed_edges, moving_joints, published_joints
-from robot_agent.image import Image
-from robot_agent.odometry import Motion
-from robot_agent.outlet import Outlet, Value
-from robot_agent.rate_gate import RateGate
-from robot_agent.reading import Reading
-from robot_agent.remapping import odometry_key, topic_key
-from robot_agent.tf_outlets import tf_outlets
-from robot_agent.tf_static import tf_static_outlets
+from zensim.proto import keys
+from zensim.proto.claims import Claim
+from zensim.proto.faces import Faces
+from zensim.proto.header import Time
+from zensim.proto.model import Model
+from zensim.proto.ros_graph import Topic
+from zensim.proto.topics import JointState, Odometry, String, TFMessage
+from zensim.robot_agent import templates
+from zensim.robot_agent.driven_base import drive_of, gate_of, motion_rates
+from zensim.robot_agent.frames import (
+    ALL_JOINTS,
+    base_of,
+    fixed_edges,
+    moving_joints,
+    published_joints,
+)
+from zensim.robot_agent.image import Image
+from zensim.robot_agent.odometry import Motion
+from zensim.robot_agent.outlet import Outlet, Value
+from zensim.robot_agent.rate_gate import RateGate
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.remapping import odometry_key, topic_key
+from zensim.robot_agent.tf_outlets import tf_outlets
+from zensim.robot_agent.tf_static import tf_static_outlets
 
 
 class MotionTelemetry:

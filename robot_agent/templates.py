@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 
-from proto.drives import Drive
-from proto.header import Header, Time
-from proto.model import Model
-from proto.topics import JointState, Odometry, TFMessage
-from robot_agent.driven_base import drive_of
-from robot_agent.frames import base_of, moving_joints, moving_transforms, odometry_edge
-from robot_agent.odometry import Motion, OdometryFrames, covariance_of
+from zensim.proto.drives import Drive
+from zensim.proto.header import Header, Time
+from zensim.proto.model import Model
+from zensim.proto.topics import JointState, Odometry, TFMessage
+from zensim.robot_agent.driven_base import drive_of
+from zensim.robot_agent.frames import base_of, moving_joints, moving_transforms, odometry_edge
+from zensim.robot_agent.odometry import Motion, OdometryFrames, covariance_of
 
 POSE = ("x", "y", "z")
 TURN = ("x", "y", "z", "w")

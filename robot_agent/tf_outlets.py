@@ -8,12 +8,12 @@ from typing import TypeAlias
 
 import msgspec
 
-from proto import keys
-from proto.faces import Faces
-from proto.geometry import TransformStamped
-from proto.ros_graph import Topic
-from proto.topics import TFMessage
-from robot_agent.outlet import Outlet, Value
+from zensim.proto import keys
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.ros_graph import Topic
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.outlet import Outlet, Value
 
 ValueOf: TypeAlias = Callable[[TFMessage], Value]
 

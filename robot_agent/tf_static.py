@@ -7,21 +7,21 @@ one frame above them all, that their odometry frames hang from.
 from collections.abc import Iterator
 from functools import partial
 
-from proto import keys
-from proto.claims import Claim
-from proto.faces import Faces
-from proto.geometry import TransformStamped
-from proto.header import Time
-from proto.model import Origin
-from proto.ros2.settings import RosSettings
-from proto.ros_graph import Topic
-from proto.topics import TFMessage
-from robot_agent.driven_base import drive_of
-from robot_agent.frames import Edge, base_of
-from robot_agent.odometry import world_motion
-from robot_agent.outlet import Outlet
-from robot_agent.tf_outlets import with_namespace
-from robot_agent.transforms import turn, yaw_of
+from zensim.proto import keys
+from zensim.proto.claims import Claim
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.header import Time
+from zensim.proto.model import Origin
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros_graph import Topic
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.driven_base import drive_of
+from zensim.robot_agent.frames import Edge, base_of
+from zensim.robot_agent.odometry import world_motion
+from zensim.robot_agent.outlet import Outlet
+from zensim.robot_agent.tf_outlets import with_namespace
+from zensim.robot_agent.transforms import turn, yaw_of
 
 
 def tf_static_outlets(faces: Faces, claim: Claim, fixed: TFMessage) -> list[Outlet]:

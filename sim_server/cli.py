@@ -10,16 +10,22 @@ from typing import Annotated, get_args
 
 import typer
 
-from proto.bus import Bus
-from proto.cli import RosOptions
-from proto.exits import one_line_failures
-from proto.model import Dynamics
-from proto.option_fields import takes
-from proto.stop import StopFlag
-from sim_server.config import CONTROL_HZ, AlreadyServed, ConfigError, ServerConfig, server_bus
-from sim_server.journal.ledger import JournalError
-from sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
-from sim_server.physics.choice import (
+from zensim.proto.bus import Bus
+from zensim.proto.cli import RosOptions
+from zensim.proto.exits import one_line_failures
+from zensim.proto.model import Dynamics
+from zensim.proto.option_fields import takes
+from zensim.proto.stop import StopFlag
+from zensim.sim_server.config import (
+    CONTROL_HZ,
+    AlreadyServed,
+    ConfigError,
+    ServerConfig,
+    server_bus,
+)
+from zensim.sim_server.journal.ledger import JournalError
+from zensim.sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
+from zensim.sim_server.physics.choice import (
     Clustering,
     EngineChoice,
     EngineName,
@@ -253,7 +259,7 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
 
 def _import_server() -> Callable[..., None]:
     with server_extra():
-        from sim_server.server import serve as run_server
+        from zensim.sim_server.server import serve as run_server
     return run_server
 
 

@@ -2,13 +2,13 @@
 
 import msgspec
 
-from proto.bus import BusConfig
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.header import NANOSECONDS
-from proto.names import check_name
-from proto.ros2.settings import NO_ROS, RosSettings
-from sim_server.pacing.lockstep import LockstepSettings
-from sim_server.physics.choice import EngineChoice, EngineMissing, engine_of, engines_here
+from zensim.proto.bus import BusConfig
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.names import check_name
+from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.sim_server.pacing.lockstep import LockstepSettings
+from zensim.sim_server.physics.choice import EngineChoice, EngineMissing, engine_of, engines_here
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most unless asked for, as a Gazebo drive updates by default."""

@@ -3,19 +3,19 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from proto.result import ResultCode
-from proto.services import State
-from proto.worlds import WorldResource
-from sim_server.description.sdf import WorldModel
-from sim_server.durable import Durable, Told
-from sim_server.errors import Refused
-from sim_server.pacing.lockstep import Lockstep
-from sim_server.pacing.meter import Meter
-from sim_server.pacing.stepping import Stepping
-from sim_server.reading.assets import AssetStore
-from sim_server.reading.descriptions import Descriptions, meshes_of
-from sim_server.world.world import World
-from sim_server.worlds.atlas import Atlas
+from zensim.proto.result import ResultCode
+from zensim.proto.services import State
+from zensim.proto.worlds import WorldResource
+from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.durable import Durable, Told
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.pacing.lockstep import Lockstep
+from zensim.sim_server.pacing.meter import Meter
+from zensim.sim_server.pacing.stepping import Stepping
+from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.reading.descriptions import Descriptions, meshes_of
+from zensim.sim_server.world.world import World
+from zensim.sim_server.worlds.atlas import Atlas
 
 
 @dataclass(frozen=True)

@@ -11,34 +11,34 @@ from pathlib import Path
 import msgspec
 import numpy.ma  # noqa: F401  # numpy would look for it in the loop, in the first np.unique: 60 ms
 
-from proto import keys
-from proto.bus import Bus, NoServer
-from proto.catalog import INFO
-from proto.header import NANOSECONDS
-from proto.joining import join
-from proto.telemetry import InfoRequest
-from sim_server.config import AlreadyServed, ServerConfig, checked
-from sim_server.description.sdf import WorldModel
-from sim_server.desk import Desk
-from sim_server.journal.opening import Journal, open_journal
-from sim_server.loading.beginning import begin
-from sim_server.loading.founding import founding
-from sim_server.loading.world_files import LoadedWorld, furnish
-from sim_server.pacing.lockstep import Lockstep
-from sim_server.pacing.meter import Meter
-from sim_server.pacing.short_turns import ask_for_short_turns
-from sim_server.physics.choosing import chosen_engine
-from sim_server.physics.engine import Engine, EngineConfig
-from sim_server.physics.tiers.tiers import Tiers
-from sim_server.reading.assets import AssetStore
-from sim_server.reading.descriptions import ReadElsewhere
-from sim_server.reading.reader import Reader
-from sim_server.traffic.inbox import BusInbox
-from sim_server.traffic.loop import Loop
-from sim_server.traffic.outlets import BusOutlet
-from sim_server.traffic.ros_side import ros_side
-from sim_server.world.world import World
-from sim_server.worlds.atlas import Atlas, start_file
+from zensim.proto import keys
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.catalog import INFO
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.joining import join
+from zensim.proto.telemetry import InfoRequest
+from zensim.sim_server.config import AlreadyServed, ServerConfig, checked
+from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.journal.opening import Journal, open_journal
+from zensim.sim_server.loading.beginning import begin
+from zensim.sim_server.loading.founding import founding
+from zensim.sim_server.loading.world_files import LoadedWorld, furnish
+from zensim.sim_server.pacing.lockstep import Lockstep
+from zensim.sim_server.pacing.meter import Meter
+from zensim.sim_server.pacing.short_turns import ask_for_short_turns
+from zensim.sim_server.physics.choosing import chosen_engine
+from zensim.sim_server.physics.engine import Engine, EngineConfig
+from zensim.sim_server.physics.tiers.tiers import Tiers
+from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.reading.descriptions import ReadElsewhere
+from zensim.sim_server.reading.reader import Reader
+from zensim.sim_server.traffic.inbox import BusInbox
+from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.traffic.outlets import BusOutlet
+from zensim.sim_server.traffic.ros_side import ros_side
+from zensim.sim_server.world.world import World
+from zensim.sim_server.worlds.atlas import Atlas, start_file
 
 ASK_TIMEOUT_S = 2.0
 READER_START_S, READER_POLL_S = 30.0, 0.005

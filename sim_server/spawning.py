@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.model import Model, ReportEntry
-from proto.result import Result, SpawnCode
-from proto.services import SpawnEntityOrder, SpawnEntityReport
-from sim_server.description.clearance import ground_clearance
-from sim_server.desk import Desk
-from sim_server.errors import IncorrectState, ModelError
-from sim_server.later import Later
-from sim_server.lookup.frames import in_world
-from sim_server.physics.engine import FloatArray
-from sim_server.world.birth import Birth
-from sim_server.world.entity import Entity
-from sim_server.world.infos import checked
-from sim_server.world.poses import is_zero, pose_row
+from zensim.proto.model import Model, ReportEntry
+from zensim.proto.result import Result, SpawnCode
+from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport
+from zensim.sim_server.description.clearance import ground_clearance
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import IncorrectState, ModelError
+from zensim.sim_server.later import Later
+from zensim.sim_server.lookup.frames import in_world
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.world.birth import Birth
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.infos import checked
+from zensim.sim_server.world.poses import is_zero, pose_row
 
 UNDERGROUND_M = 0.001
 MAX_NAMED = 3

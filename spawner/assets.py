@@ -8,11 +8,11 @@ from pathlib import Path
 
 import msgspec
 
-from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef, joined
-from proto.model import ReportEntry
-from proto.result import SpawnCode
-from spawner.markup import MAX_TEXT_BYTES, DescriptionError, parsed, refused
-from spawner.search_paths import Place, SearchPaths
+from zensim.proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef, joined
+from zensim.proto.model import ReportEntry
+from zensim.proto.result import SpawnCode
+from zensim.spawner.markup import MAX_TEXT_BYTES, DescriptionError, parsed, refused
+from zensim.spawner.search_paths import Place, SearchPaths
 
 MESH_ENDINGS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
 """Nothing else is sent, so that a stranger's description cannot ask for what is no mesh."""

@@ -4,10 +4,10 @@ import time
 import uuid
 from collections.abc import Callable
 
-from proto.bus import NoServer
-from proto.result import ResultCode, ServiceError
-from proto.services import SpawnEntityOrder, SpawnEntityReport
-from spawner.client import SimClient
+from zensim.proto.bus import NoServer
+from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport
+from zensim.spawner.client import SimClient
 
 SEEN_WITHIN_S = 2.0
 """How long a server may take to see the token of a bond."""

@@ -4,11 +4,11 @@ import time
 import uuid
 from collections.abc import Callable
 
-from proto import catalog
-from proto.assets import MissingAssetsRequest, MissingAssetsResponse, PutAssetRequest
-from proto.bus import Bus, NoServer
-from proto.catalog import Request, Response, Service
-from proto.entities import (
+from zensim.proto import catalog
+from zensim.proto.assets import MissingAssetsRequest, MissingAssetsResponse, PutAssetRequest
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.entities import (
     ANY_BOUNDS,
     GetEntitiesStatesOrder,
     GetEntityBoundsOrder,
@@ -16,18 +16,18 @@ from proto.entities import (
     GetEntityStateOrder,
     SetEntityInfoRequest,
 )
-from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse
-from proto.header import NANOSECONDS, time_from_ns
-from proto.info import EntityInfo
-from proto.places import (
+from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse
+from zensim.proto.header import NANOSECONDS, time_from_ns
+from zensim.proto.info import EntityInfo
+from zensim.proto.places import (
     GetNamedPoseBoundsRequest,
     GetNamedPosesRequest,
     GetSpawnablesRequest,
     NamedPose,
     Spawnable,
 )
-from proto.result import ServiceError
-from proto.services import (
+from zensim.proto.result import ServiceError
+from zensim.proto.services import (
     Bounds,
     DeleteEntityRequest,
     EntityFilters,
@@ -48,7 +48,7 @@ from proto.services import (
     StepSimulationRequest,
     TagsFilter,
 )
-from proto.stepping import (
+from zensim.proto.stepping import (
     CancelStepsRequest,
     RunToRequest,
     RunToResponse,
@@ -56,8 +56,14 @@ from proto.stepping import (
     SimulateStepsRequest,
     SimulateStepsResponse,
 )
-from proto.telemetry import EntityModel, GetModelsRequest, GetModelsResponse, Info, InfoRequest
-from proto.worlds import (
+from zensim.proto.telemetry import (
+    EntityModel,
+    GetModelsRequest,
+    GetModelsResponse,
+    Info,
+    InfoRequest,
+)
+from zensim.proto.worlds import (
     GetAvailableWorldsRequest,
     GetCurrentWorldRequest,
     LoadWorldReport,
@@ -65,7 +71,7 @@ from proto.worlds import (
     UnloadWorldRequest,
     WorldResource,
 )
-from spawner.goals import OnProgress, reach_goal
+from zensim.spawner.goals import OnProgress, reach_goal
 
 CALL_TIMEOUT_S = 10.0
 LOAD_TIMEOUT_S = 60.0

@@ -9,14 +9,14 @@ from typing import BinaryIO
 
 import msgspec
 
-from proto.bus import Bus, Sample
-from proto.codec import MalformedPayload, decode
-from proto.names import NAME
-from proto.result import ServiceError, SpawnCode
-from proto.topics import String
-from spawner.expansion import expanded, needs_expansion
-from spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused, without_comments
-from spawner.search_paths import SearchPaths, model_file
+from zensim.proto.bus import Bus, Sample
+from zensim.proto.codec import MalformedPayload, decode
+from zensim.proto.names import NAME
+from zensim.proto.result import ServiceError, SpawnCode
+from zensim.proto.topics import String
+from zensim.spawner.expansion import expanded, needs_expansion
+from zensim.spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused, without_comments
+from zensim.spawner.search_paths import SearchPaths, model_file
 
 KEY = re.compile(r"[^/?#*$\s]+(?:/[^/?#*$\s]+)*")
 PACKAGE_URI = re.compile(r"(<mesh\b[^>]*?\bfilename\s*=\s*[\"']\s*)package://")
@@ -132,7 +132,7 @@ def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -
 
 
 def _shipped(name: str) -> Description | None:
-    shipped = resources.files("sim_server") / "models" / f"{name}.urdf"
+    shipped = resources.files("zensim.sim_server") / "models" / f"{name}.urdf"
     return Description(shipped.read_text(encoding="utf-8"), name) if shipped.is_file() else None
 
 

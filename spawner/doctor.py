@@ -7,11 +7,11 @@ from typing import Literal
 
 import msgspec
 
-from proto import catalog, keys
-from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
-from proto.endpoint import ENDPOINT, check_endpoint
-from proto.exits import Exit
-from proto.telemetry import EntityModel, GetModelsRequest, Info, InfoRequest
+from zensim.proto import catalog, keys
+from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.endpoint import ENDPOINT, check_endpoint
+from zensim.proto.exits import Exit
+from zensim.proto.telemetry import EntityModel, GetModelsRequest, Info, InfoRequest
 
 Mark = Literal["ok", "note", "wrong"]
 REACH_S = 2.0

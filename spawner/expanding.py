@@ -14,8 +14,8 @@ from xml.parsers.expat import ExpatError
 
 import msgspec
 
-from spawner.markup import MAX_TEXT_BYTES
-from spawner.search_paths import SearchPaths, is_package, package_name
+from zensim.spawner.markup import MAX_TEXT_BYTES
+from zensim.spawner.search_paths import SearchPaths, is_package, package_name
 
 XACRO_PACKAGES = ("xacrodoc", "xacro", "rospkg")
 CPU_S = 6

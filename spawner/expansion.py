@@ -8,13 +8,13 @@ from pathlib import Path
 
 import msgspec
 
-from spawner.expanding import CPU_S, Expanded, Wish, write_wish
-from spawner.markup import DescriptionError, without_comments
-from spawner.search_paths import SearchPaths
+from zensim.spawner.expanding import CPU_S, Expanded, Wish, write_wish
+from zensim.spawner.markup import DescriptionError, without_comments
+from zensim.spawner.search_paths import SearchPaths
 
 ENDING = ".xacro"
 MARK = "<xacro:"
-COMMAND = (sys.executable, "-m", "spawner.expanding")
+COMMAND = (sys.executable, "-m", "zensim.spawner.expanding")
 WAIT_S = 60.0
 """Of wall time: only one that sleeps takes as long."""
 TOO_LONG = f"it takes more than {CPU_S} s"

@@ -1,11 +1,11 @@
 """GazeboClient: a typed method for each service that has Gazebo's own name."""
 
-from proto import catalog, gazebo
-from proto.bus import Bus
-from proto.catalog import Request, Response, Service
-from proto.gazebo import GazeboEntityState, ODEJointProperties
-from proto.geometry import Point, Wrench
-from proto.header import NANOSECONDS, Duration, Time
+from zensim.proto import catalog, gazebo
+from zensim.proto.bus import Bus
+from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.gazebo import GazeboEntityState, ODEJointProperties
+from zensim.proto.geometry import Point, Wrench
+from zensim.proto.header import NANOSECONDS, Duration, Time
 
 CALL_TIMEOUT_S = 10.0
 FOR_EVER_S = -1.0

@@ -5,12 +5,12 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 
-from proto import keys
-from proto.bus import Bus, NoServer, Subscription
-from proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
-from proto.codec import MalformedPayload, decode
-from proto.result import ServiceError
-from proto.stepping import (
+from zensim.proto import keys
+from zensim.proto.bus import Bus, NoServer, Subscription
+from zensim.proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
+from zensim.proto.codec import MalformedPayload, decode
+from zensim.proto.result import ServiceError
+from zensim.proto.stepping import (
     CancelStepsRequest,
     SimulateStepsRequest,
     SimulateStepsResponse,

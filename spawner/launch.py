@@ -6,19 +6,19 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from proto import catalog
-from proto.fleets import SpawnEntitiesOrder, SpawnEntity, SpawnResult
-from proto.geometry import Point, Pose, PoseStamped, Quaternion
-from proto.result import ResultCode
-from proto.services import Resource, SpawnEntityOrder
-from spawner.assets import Bundle, bundle_of, check_collisions
-from spawner.client import SimClient
-from spawner.descriptions import Description, from_word
-from spawner.markup import DescriptionError
-from spawner.namespacing import namespaced, without_namespace
-from spawner.placement import Place
-from spawner.search_paths import SearchPaths, search_paths
-from spawner.upload import outstanding, send
+from zensim.proto import catalog
+from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntity, SpawnResult
+from zensim.proto.geometry import Point, Pose, PoseStamped, Quaternion
+from zensim.proto.result import ResultCode
+from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.spawner.assets import Bundle, bundle_of, check_collisions
+from zensim.spawner.client import SimClient
+from zensim.spawner.descriptions import Description, from_word
+from zensim.spawner.markup import DescriptionError
+from zensim.spawner.namespacing import namespaced, without_namespace
+from zensim.spawner.placement import Place
+from zensim.spawner.search_paths import SearchPaths, search_paths
+from zensim.spawner.upload import outstanding, send
 
 OnBytes = Callable[[int, int], None]
 

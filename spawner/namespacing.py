@@ -3,8 +3,8 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 
-from proto.names import check_namespace
-from spawner.markup import DescriptionError, parsed
+from zensim.proto.names import check_namespace
+from zensim.spawner.markup import DescriptionError, parsed
 
 __all__ = ["DescriptionError", "namespaced", "without_namespace"]
 

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 
-from proto import claims, geometry, telemetry, topics
-from proto.bus import Sample
-from proto.codec import Format, MalformedPayload, decode, format_of, schema_of
-from proto.keys import last_chunk
+from zensim.proto import claims, geometry, telemetry, topics
+from zensim.proto.bus import Sample
+from zensim.proto.codec import Format, MalformedPayload, decode, format_of, schema_of
+from zensim.proto.keys import last_chunk
 
 TOPIC_TYPES: dict[str, type[msgspec.Struct]] = {
     kind.ros_type: kind

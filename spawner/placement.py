@@ -6,7 +6,7 @@ from typing import Literal
 
 import msgspec
 
-from proto.names import check_name
+from zensim.proto.names import check_name
 
 Layout = Literal["row", "grid", "circle"]
 LAYOUTS: tuple[Layout, ...] = ("row", "grid", "circle")

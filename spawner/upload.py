@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from proto.assets import MAX_CHUNK_BYTES
-from spawner.assets import AssetFile
-from spawner.client import SimClient
+from zensim.proto.assets import MAX_CHUNK_BYTES
+from zensim.spawner.assets import AssetFile
+from zensim.spawner.client import SimClient
 
 MAX_ATTEMPTS = 3
 """At one place in a file, before silence counts."""

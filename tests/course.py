@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.geometry import Twist, Vector3
-from proto.model import Model
-from proto.rotation import yaw_of
-from robot_agent.driven_base import DrivenBase
-from robot_agent.odometry import Motion
-from robot_agent.reading import Reading
-from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.engines import STEP_NS
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.model import Model
+from zensim.proto.rotation import yaw_of
+from zensim.robot_agent.driven_base import DrivenBase
+from zensim.robot_agent.odometry import Motion
+from zensim.robot_agent.reading import Reading
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 CONTROL_STEPS = 3
 

@@ -8,17 +8,23 @@ from functools import partial
 
 import numpy as np
 
-from proto.drives import DiffDrive
-from proto.model import Model
-from proto.rotation import multiply, yaw_of
-from sim_server.physics.actuation import actuation_of, imposed
-from sim_server.physics.clusters.cells import CellsHere
-from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray, Reading
-from sim_server.physics.mujoco_engine import MujocoEngine
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.physics.sleeping import Sleeping
-from sim_server.physics.tiers.tiers import Tiers
+from zensim.proto.drives import DiffDrive
+from zensim.proto.model import Model
+from zensim.proto.rotation import multiply, yaw_of
+from zensim.sim_server.physics.actuation import actuation_of, imposed
+from zensim.sim_server.physics.clusters.cells import CellsHere
+from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.engine import (
+    Engine,
+    EngineConfig,
+    EngineRefused,
+    FloatArray,
+    Reading,
+)
+from zensim.sim_server.physics.mujoco_engine import MujocoEngine
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.sleeping import Sleeping
+from zensim.sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 4_166_667
 TOUCHING_M = 0.1

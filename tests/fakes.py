@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, TypeVar, cast
 
 import msgspec
 
-from proto import keys
-from proto.bus import LATEST, NoServer, Sample, Stamp
-from proto.catalog import Request, Response, Service
-from proto.codec import Format, decode, encode, encoding_of
-from proto.result import Result, ResultCode, ServiceError
+from zensim.proto import keys
+from zensim.proto.bus import LATEST, NoServer, Sample, Stamp
+from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.result import Result, ResultCode, ServiceError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,7 +33,7 @@ class ManualClock:
 
 
 class MemoryBus:
-    """All sessions of one network in one: has the methods of `proto.bus.Bus`.
+    """All sessions of one network in one: has the methods of `zensim.proto.bus.Bus`.
 
     Nobody runs by himself: while a caller waits for an answer, the functions in `pumps` are run.
     """

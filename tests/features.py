@@ -5,11 +5,11 @@ from collections.abc import Callable
 
 import pytest
 
-from proto.fleets import SpawnEntitiesOrder, SpawnEntity
-from proto.geometry import Point, Pose, Vector3
-from proto.info import Category, EntityCategory, EntityInfo
-from proto.result import ServiceError
-from proto.services import (
+from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntity
+from zensim.proto.geometry import Point, Pose, Vector3
+from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.proto.result import ServiceError
+from zensim.proto.services import (
     BoundsType,
     EntityFilters,
     EntityState,
@@ -20,7 +20,7 @@ from proto.services import (
     State,
     TagsFilter,
 )
-from spawner.client import SimClient
+from zensim.spawner.client import SimClient
 
 PROBE = "probe"
 BOX = (

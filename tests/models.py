@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from proto.drives import DiffDrive, PlanarMove, TricycleDrive, WheelPair
-from proto.model import Inertial, Joint, JointKind, Link, Model, Origin, Shape
-from proto.rotation import from_rpy
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import FloatArray
+from zensim.proto.drives import DiffDrive, PlanarMove, TricycleDrive, WheelPair
+from zensim.proto.model import Inertial, Joint, JointKind, Link, Model, Origin, Shape
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import FloatArray
 
 WHEEL_RADIUS_M = 0.05
 TRACK_M = 0.3

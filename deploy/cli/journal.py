@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from proto.exits import one_line_failures
-from sim_server.cli import MissingExtra, server_extra
-from sim_server.journal.ledger import JournalError, reading_ledger
-from spawner.cli.session import AsJson
+from zensim.proto.exits import one_line_failures
+from zensim.sim_server.cli import MissingExtra, server_extra
+from zensim.sim_server.journal.ledger import JournalError, reading_ledger
+from zensim.spawner.cli.session import AsJson
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -36,8 +36,8 @@ def journal(
     """Show, verify or export what a server keeps."""
     with one_line_failures("journal", JournalError, MissingExtra):
         with server_extra():
-            from sim_server.journal.restoring import contents_of
-            from sim_server.journal.showing import exported, page, summary
+            from zensim.sim_server.journal.restoring import contents_of
+            from zensim.sim_server.journal.showing import exported, page, summary
         with reading_ledger(folder) as ledger:
             contents = contents_of(ledger)
             found = summary(ledger, contents)

@@ -6,16 +6,16 @@ from typing import Annotated
 
 import typer
 
-from proto.exits import one_line_failures
-from proto.model import Model
-from proto.option_fields import takes
-from sim_server.cli import MissingExtra, server_extra
-from sim_server.errors import ModelError, SimError
-from spawner.cli.options import Reading
-from spawner.cli.session import AsJson
-from spawner.cli.wishes import Source, compat_of, description_here, paths_of
-from spawner.launch import Cargo, cargo_of
-from spawner.markup import counted, parsed
+from zensim.proto.exits import one_line_failures
+from zensim.proto.model import Model
+from zensim.proto.option_fields import takes
+from zensim.sim_server.cli import MissingExtra, server_extra
+from zensim.sim_server.errors import ModelError, SimError
+from zensim.spawner.cli.options import Reading
+from zensim.spawner.cli.session import AsJson
+from zensim.spawner.cli.wishes import Source, compat_of, description_here, paths_of
+from zensim.spawner.launch import Cargo, cargo_of
+from zensim.spawner.markup import counted, parsed
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -38,7 +38,7 @@ def model(given: ModelOptions) -> None:
         text, found = _read(given)
         if given.strict:
             _refuse_suspicious(found)
-        from sim_server.description.show import model_json, model_tree
+        from zensim.sim_server.description.show import model_json, model_tree
 
         written = counted(parsed(text))
         if given.as_json:
@@ -54,8 +54,8 @@ def _read(given: ModelOptions) -> tuple[str, Model]:
     # What lacks a mesh is refused by the reader, in the words of the server.
     cargo = cargo_of(description, paths, allow_missing=True)
     with server_extra():
-        from sim_server.description.describing import describe
-        from sim_server.description.library import model_text
+        from zensim.sim_server.description.describing import describe
+        from zensim.sim_server.description.library import model_text
     text = cargo.text or model_text(given.file)
     described = describe(
         text, assets=_files(cargo), allow_missing=given.allow_missing, compat=compat

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import typer
 
-from proto.bus import BusConfig, open_bus, settings_of
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.exits import one_line_failures
-from proto.stop import StopFlag
+from zensim.proto.bus import BusConfig, open_bus, settings_of
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.exits import one_line_failures
+from zensim.proto.stop import StopFlag
 
 POLL_S = 0.05
 

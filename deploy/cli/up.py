@@ -16,7 +16,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from deploy.demo import (
+from zensim.deploy.demo import (
     AgentsConfig,
     Demo,
     DemoConfig,
@@ -27,15 +27,15 @@ from deploy.demo import (
     start,
     summary,
 )
-from deploy.local import Program, ProgramDied, Supervisor
-from proto.cli import RosTfOptions
-from proto.endpoint import DEFAULT_ENDPOINT, with_free_port
-from proto.exits import one_line_failures
-from proto.names import check_name
-from proto.option_fields import takes
-from proto.stop import StopFlag
-from spawner.cli.wishes import dynamics_of
-from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
+from zensim.deploy.local import Program, ProgramDied, Supervisor
+from zensim.proto.cli import RosTfOptions
+from zensim.proto.endpoint import DEFAULT_ENDPOINT, with_free_port
+from zensim.proto.exits import one_line_failures
+from zensim.proto.names import check_name
+from zensim.proto.option_fields import takes
+from zensim.proto.stop import StopFlag
+from zensim.spawner.cli.wishes import dynamics_of
+from zensim.spawner.placement import LAYOUTS, Place, fleet_places, name_stem
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

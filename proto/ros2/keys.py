@@ -5,7 +5,7 @@ from typing import Final
 
 import msgspec
 
-from proto.ros2 import names
+from zensim.proto.ros2 import names
 
 MAX_DOMAIN: Final = 232
 """ROS 2's own limit: beyond it DDS has no ports."""
@@ -34,7 +34,7 @@ def data_key(domain: int, name: str, ros_type: str, type_hash: str) -> str:
         domain: See `check_domain`.
         name: With its namespace; its slashes stay, but for the first.
         ros_type: `pkg/msg/Name`; of a service `pkg/srv/Name`, without Request or Response.
-        type_hash: See `proto.ros2.type_hash`; `NO_HASH` for humble.
+        type_hash: See `zensim.proto.ros2.type_hash`; `NO_HASH` for humble.
     """
     return f"{domain}/{name.strip('/')}/{names.dds_type(ros_type)}/{type_hash}"
 

@@ -8,7 +8,7 @@ from typing import Final, Literal, TypeVar
 
 import msgspec
 
-from proto.header import NANOSECONDS
+from zensim.proto.header import NANOSECONDS
 
 Reliability = Literal["reliable", "best_effort"]
 Durability = Literal["transient_local", "volatile"]

@@ -4,8 +4,8 @@ from typing import Final, Literal, get_args
 
 import msgspec
 
-from proto.names import check_frame
-from proto.ros2.keys import OFF, read_domain
+from zensim.proto.names import check_frame
+from zensim.proto.ros2.keys import OFF, read_domain
 
 TfScope = Literal["global", "namespaced", "both"]
 """Where transforms are told: on `/tf` with frames that begin with the namespace, on `/ns/tf`."""

@@ -10,9 +10,9 @@ from typing import Final, Literal, get_args
 import msgspec
 import xxhash
 
-from proto.ros2 import names
-from proto.ros2.attachment import GID_BYTES
-from proto.ros2.qos import Qos, read_qos, write_qos
+from zensim.proto.ros2 import names
+from zensim.proto.ros2.attachment import GID_BYTES
+from zensim.proto.ros2.qos import Qos, read_qos, write_qos
 
 SPACE: Final = "@ros2_lv"
 NODE_KIND: Final = "NN"

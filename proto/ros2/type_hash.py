@@ -11,8 +11,8 @@ from typing import Final, TypedDict, cast
 import msgspec
 from msgspec import inspect
 
-from proto.cdr_layout import ros_class
-from proto.header import Time
+from zensim.proto.cdr_layout import ros_class
+from zensim.proto.header import Time
 
 PREFIX: Final = "RIHS01_"
 NESTED: Final = 1

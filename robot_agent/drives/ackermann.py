@@ -7,9 +7,9 @@ circle.
 
 import math
 
-from proto.drives import AckermannDrive
-from proto.geometry import Twist
-from robot_agent.drives.controller import Measured, clamped
+from zensim.proto.drives import AckermannDrive
+from zensim.proto.geometry import Twist
+from zensim.robot_agent.drives.controller import Measured, clamped
 
 LARGEST_STEER_RAD = 1.5
 """Short of a right angle, where a car has no turning circle."""

@@ -1,11 +1,11 @@
 """Which controller a drive has."""
 
-from proto.drives import AckermannDrive, DiffDrive, Drive, PlanarMove, TricycleDrive
-from robot_agent.drives.ackermann import AckermannSteering
-from robot_agent.drives.controller import Controller
-from robot_agent.drives.diff_drive import DifferentialDrive
-from robot_agent.drives.planar_move import PlanarMotion
-from robot_agent.drives.tricycle import TricycleSteering
+from zensim.proto.drives import AckermannDrive, DiffDrive, Drive, PlanarMove, TricycleDrive
+from zensim.robot_agent.drives.ackermann import AckermannSteering
+from zensim.robot_agent.drives.controller import Controller
+from zensim.robot_agent.drives.diff_drive import DifferentialDrive
+from zensim.robot_agent.drives.planar_move import PlanarMotion
+from zensim.robot_agent.drives.tricycle import TricycleSteering
 
 
 def controller_of(drive: Drive) -> Controller:

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import msgspec
 
-from proto.geometry import Twist
+from zensim.proto.geometry import Twist
 
 
 class Measured(msgspec.Struct, frozen=True, gc=False):

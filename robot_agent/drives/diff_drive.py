@@ -5,10 +5,10 @@ Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch.
 
 from collections.abc import Sequence
 
-from proto.drives import DiffDrive
-from proto.geometry import Twist
-from robot_agent.drives.controller import Measured, clamped
-from robot_agent.drives.twist_limits import LimitedVelocity
+from zensim.proto.drives import DiffDrive
+from zensim.proto.geometry import Twist
+from zensim.robot_agent.drives.controller import Measured, clamped
+from zensim.robot_agent.drives.twist_limits import LimitedVelocity
 
 REACHED_M_S = 0.01
 """A wheel whose rim is this close to its speed has reached it."""

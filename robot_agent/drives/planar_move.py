@@ -3,8 +3,8 @@
 Source: gazebo_ros_planar_move of gazebo_ros_pkgs, ROS 2 branch.
 """
 
-from proto.geometry import Twist
-from robot_agent.drives.controller import Measured, clamped
+from zensim.proto.geometry import Twist
+from zensim.robot_agent.drives.controller import Measured, clamped
 
 MAX_SPEED = 1e6
 """Far beyond any robot; keeps the body finite, whatever twist comes."""

@@ -7,9 +7,9 @@ nearly reached its speed never gets there.
 
 import math
 
-from proto.drives import TricycleDrive
-from proto.geometry import Twist
-from robot_agent.drives.controller import Measured, clamped
+from zensim.proto.drives import TricycleDrive
+from zensim.proto.geometry import Twist
+from zensim.robot_agent.drives.controller import Measured, clamped
 
 MAX_WHEEL_SPEED = 1e6
 """Far beyond any wheel [rad/s]; keeps every target finite, whatever twist comes."""

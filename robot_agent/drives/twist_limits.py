@@ -3,7 +3,7 @@
 Source: the DiffDrive system of gz-sim, jerk aside.
 """
 
-from proto.drives import Limits
+from zensim.proto.drives import Limits
 
 UNLIMITED = Limits()
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from proto.ros2.attachment import FORM, GID_BYTES
+from zensim.proto.ros2.attachment import FORM, GID_BYTES
 
 COLUMNS: Final = np.dtype(
     [
@@ -15,7 +15,7 @@ COLUMNS: Final = np.dtype(
         ("gid", "u1", GID_BYTES),
     ]
 )
-"""See `proto.ros2.attachment`."""
+"""See `zensim.proto.ros2.attachment`."""
 
 
 class Attachments:

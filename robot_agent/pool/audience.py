@@ -5,7 +5,7 @@ To ask takes longer than to put what nobody hears: who is new counts as heard un
 
 from typing import Generic, TypeVar
 
-from proto.faces import Publisher
+from zensim.proto.faces import Publisher
 
 AT_ONCE = 32
 """Publishers that are asked about in one go: a tenth of a millisecond."""

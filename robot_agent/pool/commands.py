@@ -7,15 +7,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from proto import keys
-from proto.bus import Sample
-from proto.codec import Format, MalformedPayload, encoding_of
-from proto.commands import decode_twist
-from proto.faces import TopicSubscription
-from proto.geometry import Twist, TwistStamped
-from proto.ros2.keys import ANY_HASH, data_key
-from robot_agent.network import Network
-from robot_agent.pool.rows import FloatArray, IntArray, carried, carried_ints
+from zensim.proto import keys
+from zensim.proto.bus import Sample
+from zensim.proto.codec import Format, MalformedPayload, encoding_of
+from zensim.proto.commands import decode_twist
+from zensim.proto.faces import TopicSubscription
+from zensim.proto.geometry import Twist, TwistStamped
+from zensim.proto.ros2.keys import ANY_HASH, data_key
+from zensim.robot_agent.network import Network
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried, carried_ints
 
 DEPTH = 8192
 TWIST_COLUMNS = 6

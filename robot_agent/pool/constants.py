@@ -4,17 +4,17 @@ from collections.abc import Iterator
 
 import msgspec
 
-from proto import cdr, keys
-from proto.claims import Claim
-from proto.header import Time
-from proto.model import Model
-from proto.ros2.settings import NO_ROS, RosSettings
-from proto.ros_graph import RosNode
-from proto.topics import String, TFMessage
-from robot_agent.frames import base_of, fixed_edges
-from robot_agent.pool.outlet import FleetOutlet, Line
-from robot_agent.pool.telling import OutletOf
-from robot_agent.tf_static import tf_static_of
+from zensim.proto import cdr, keys
+from zensim.proto.claims import Claim
+from zensim.proto.header import Time
+from zensim.proto.model import Model
+from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.proto.ros_graph import RosNode
+from zensim.proto.topics import String, TFMessage
+from zensim.robot_agent.frames import base_of, fixed_edges
+from zensim.robot_agent.pool.outlet import FleetOutlet, Line
+from zensim.robot_agent.pool.telling import OutletOf
+from zensim.robot_agent.tf_static import tf_static_of
 
 
 class Constant:

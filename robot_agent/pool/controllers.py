@@ -5,13 +5,13 @@ from typing import Protocol
 
 import numpy as np
 
-from proto.drives import AckermannDrive, DiffDrive, Drive, Limits, PlanarMove, TricycleDrive
-from robot_agent.drives.ackermann import LARGEST_STEER_RAD
-from robot_agent.drives.diff_drive import MAX_LEAD_M_S, MAX_RIM_SPEED_M_S, REACHED_M_S
-from robot_agent.drives.planar_move import MAX_SPEED
-from robot_agent.drives.tricycle import MAX_WHEEL_SPEED
-from robot_agent.drives.twist_limits import UNLIMITED
-from robot_agent.pool.rows import FloatArray, IntArray, carried
+from zensim.proto.drives import AckermannDrive, DiffDrive, Drive, Limits, PlanarMove, TricycleDrive
+from zensim.robot_agent.drives.ackermann import LARGEST_STEER_RAD
+from zensim.robot_agent.drives.diff_drive import MAX_LEAD_M_S, MAX_RIM_SPEED_M_S, REACHED_M_S
+from zensim.robot_agent.drives.planar_move import MAX_SPEED
+from zensim.robot_agent.drives.tricycle import MAX_WHEEL_SPEED
+from zensim.robot_agent.drives.twist_limits import UNLIMITED
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried
 
 VX, VY, WZ = 0, 1, 5
 """Columns of a twist (n, 6)."""

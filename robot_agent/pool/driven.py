@@ -5,12 +5,17 @@ Each row is what `robot_agent.driven_base.DrivenBase` finds; no network.
 
 import numpy as np
 
-from robot_agent.driven_base import motion_rates
-from robot_agent.pool.controllers import controllers_of
-from robot_agent.pool.kinds import Kind
-from robot_agent.pool.motions import AT_REST, MOTION_COLUMNS, EncoderOdometries, world_motions
-from robot_agent.pool.rate_gates import RateGates
-from robot_agent.pool.rows import FloatArray, IntArray, carried
+from zensim.robot_agent.driven_base import motion_rates
+from zensim.robot_agent.pool.controllers import controllers_of
+from zensim.robot_agent.pool.kinds import Kind
+from zensim.robot_agent.pool.motions import (
+    AT_REST,
+    MOTION_COLUMNS,
+    EncoderOdometries,
+    world_motions,
+)
+from zensim.robot_agent.pool.rate_gates import RateGates
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried
 
 
 class DrivenBases:

@@ -8,23 +8,23 @@ from itertools import count
 import msgspec
 import numpy as np
 
-from proto import keys
-from proto.claims import Claim, DriveCommand, DriveState
-from proto.faces import faces_of
-from proto.geometry import Twist, TwistStamped
-from proto.ros2.settings import NO_ROS
-from proto.ros_graph import RosGraph, RosNode, Topic
-from robot_agent.network import Network
-from robot_agent.pool.commands import FleetCommands
-from robot_agent.pool.constants import Constants
-from robot_agent.pool.kinds import Kind, is_common, kind_of, topics_of
-from robot_agent.pool.outlet import FleetOutlet
-from robot_agent.pool.ros_face import RosFace
-from robot_agent.pool.rows import NEW, FloatArray
-from robot_agent.pool.seating import Seating, claims_in
-from robot_agent.pool.squad import Member, PoolState, Squad
-from robot_agent.reading import Reading
-from robot_agent.robot import NODE, Robot
+from zensim.proto import keys
+from zensim.proto.claims import Claim, DriveCommand, DriveState
+from zensim.proto.faces import faces_of
+from zensim.proto.geometry import Twist, TwistStamped
+from zensim.proto.ros2.settings import NO_ROS
+from zensim.proto.ros_graph import RosGraph, RosNode, Topic
+from zensim.robot_agent.network import Network
+from zensim.robot_agent.pool.commands import FleetCommands
+from zensim.robot_agent.pool.constants import Constants
+from zensim.robot_agent.pool.kinds import Kind, is_common, kind_of, topics_of
+from zensim.robot_agent.pool.outlet import FleetOutlet
+from zensim.robot_agent.pool.ros_face import RosFace
+from zensim.robot_agent.pool.rows import NEW, FloatArray
+from zensim.robot_agent.pool.seating import Seating, claims_in
+from zensim.robot_agent.pool.squad import Member, PoolState, Squad
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.robot import NODE, Robot
 
 LOG = logging.getLogger("zensim.agent")
 NODE_OF_SQUAD = "zensim_pool"

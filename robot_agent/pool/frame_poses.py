@@ -3,13 +3,13 @@
 import msgspec
 import numpy as np
 
-from proto.model import Joint
-from robot_agent.driven_base import motion_rates
-from robot_agent.pool.driven import DrivenBases
-from robot_agent.pool.joint_frames import POSE_COLUMNS, JointFrames
-from robot_agent.pool.kinds import Kind
-from robot_agent.pool.rate_gates import RateGates
-from robot_agent.pool.rows import FloatArray, IntArray, carried
+from zensim.proto.model import Joint
+from zensim.robot_agent.driven_base import motion_rates
+from zensim.robot_agent.pool.driven import DrivenBases
+from zensim.robot_agent.pool.joint_frames import POSE_COLUMNS, JointFrames
+from zensim.robot_agent.pool.kinds import Kind
+from zensim.robot_agent.pool.rate_gates import RateGates
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried
 
 
 class FramePoses:

@@ -6,10 +6,10 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from proto import cdr
-from proto.cdr_places import HEADER_BYTES, places_of
-from proto.header import NANOSECONDS
-from robot_agent.pool.rows import FloatArray, IntArray
+from zensim.proto import cdr
+from zensim.proto.cdr_places import HEADER_BYTES, places_of
+from zensim.proto.header import NANOSECONDS
+from zensim.robot_agent.pool.rows import FloatArray, IntArray
 
 WORD = 8
 KEPT_IMAGES = 8192
@@ -17,7 +17,7 @@ KEPT_IMAGES = 8192
 
 
 class Images:
-    """A message a row, each byte as `proto.cdr.encode` writes it."""
+    """A message a row, each byte as `zensim.proto.cdr.encode` writes it."""
 
     def __init__(
         self, templates: Sequence[msgspec.Struct], numbers: Sequence[str], stamps: Sequence[str]
@@ -26,7 +26,7 @@ class Images:
 
         Args:
             templates: One a row, of one type, with sequences of the same lengths.
-            numbers: Paths of their float64 numbers that change; see `proto.cdr_places`.
+            numbers: Paths of their float64 numbers that change; see `zensim.proto.cdr_places`.
             stamps: Paths of their `Time`s.
         """
         paths = tuple(numbers), tuple(stamps)

@@ -7,13 +7,13 @@ message does not. So each robot has an image for either place, and a message is 
 import struct
 from collections.abc import Sequence
 
-from proto.cdr import encode
-from proto.cdr_places import HEADER_BYTES
-from proto.geometry import TransformStamped
-from proto.topics import TFMessage
-from robot_agent.pool.images import Images
-from robot_agent.pool.rows import FloatArray, IntArray
-from robot_agent.templates import tf_paths, tf_stamps
+from zensim.proto.cdr import encode
+from zensim.proto.cdr_places import HEADER_BYTES
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.pool.images import Images
+from zensim.robot_agent.pool.rows import FloatArray, IntArray
+from zensim.robot_agent.templates import tf_paths, tf_stamps
 
 BLANK = TransformStamped()
 """Stands for the transforms of others."""

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from proto.model import Joint
-from proto.rotation import multiply, rotate
-from robot_agent.pool.rows import FloatArray
-from robot_agent.transforms import unit
+from zensim.proto.model import Joint
+from zensim.proto.rotation import multiply, rotate
+from zensim.robot_agent.pool.rows import FloatArray
+from zensim.robot_agent.transforms import unit
 
 POSE_COLUMNS = 7
 
 
 class JointFrames:
-    """Transforms of some joints at any positions, as `robot_agent.frames.MovingJoint` has them."""
+    """Transforms of some joints at any positions, as `frames.MovingJoint` has them."""
 
     def __init__(self, joints: Sequence[Joint]) -> None:
         """Take the joints.

@@ -2,14 +2,14 @@
 
 import msgspec
 
-from proto import keys
-from proto.claims import Claim
-from proto.drives import Drive, RosBlock
-from proto.model import Model, Origin
-from proto.ros2.settings import NO_ROS, RosSettings
-from robot_agent.driven_base import drive_of
-from robot_agent.frames import ALL_JOINTS, base_of, moving_joints, published_joints
-from robot_agent.remapping import command_key, odometry_key, topic_key
+from zensim.proto import keys
+from zensim.proto.claims import Claim
+from zensim.proto.drives import Drive, RosBlock
+from zensim.proto.model import Model, Origin
+from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.robot_agent.driven_base import drive_of
+from zensim.robot_agent.frames import ALL_JOINTS, base_of, moving_joints, published_joints
+from zensim.robot_agent.remapping import command_key, odometry_key, topic_key
 
 
 class Topics(msgspec.Struct, frozen=True):

@@ -6,10 +6,10 @@ base, linear x and y [m/s] and angular z [rad/s].
 
 import numpy as np
 
-from proto.drives import WheelPair
-from proto.model import IDENTITY, Origin
-from proto.rotation import multiply, rotate, yaw_of
-from robot_agent.pool.rows import BoolArray, FloatArray, IntArray, carried, carried_flags
+from zensim.proto.drives import WheelPair
+from zensim.proto.model import IDENTITY, Origin
+from zensim.proto.rotation import multiply, rotate, yaw_of
+from zensim.robot_agent.pool.rows import BoolArray, FloatArray, IntArray, carried, carried_flags
 
 MOTION_COLUMNS = 10
 AT_REST = np.array([0.0, 0.0, 0.0, *IDENTITY, 0.0, 0.0, 0.0])
@@ -40,7 +40,7 @@ def world_motions(base: FloatArray, base_in_root: Origin) -> FloatArray:
 
 
 class EncoderOdometries:
-    """See `robot_agent.odometry.EncoderOdometry`; a row a robot."""
+    """See `zensim.robot_agent.odometry.EncoderOdometry`; a row a robot."""
 
     def __init__(self, pair: WheelPair, *, is_speed_unsigned: bool) -> None:
         self._pair = pair

@@ -11,12 +11,12 @@ from typing import Protocol
 
 import msgspec
 
-from proto.codec import Format, encoding_of
-from proto.faces import Publisher
-from proto.ros_graph import RosNode
-from robot_agent.network import Call, Network
-from robot_agent.pool.audience import Audience
-from robot_agent.pool.ros_face import RosFace
+from zensim.proto.codec import Format, encoding_of
+from zensim.proto.faces import Publisher
+from zensim.proto.ros_graph import RosNode
+from zensim.robot_agent.network import Call, Network
+from zensim.robot_agent.pool.audience import Audience
+from zensim.robot_agent.pool.ros_face import RosFace
 
 QUERY_DEPTH = 256
 AT_ONCE = 32
@@ -56,7 +56,7 @@ class FleetOutlet:
 
         Args:
             network: Where.
-            pattern: Of the keys that lines have; see `proto.keys.pattern_of`.
+            pattern: Of the keys that lines have; see `zensim.proto.keys.pattern_of`.
             message_type: What payloads are; they travel as CDR.
             ros: The same on ROS 2's keys.
         """

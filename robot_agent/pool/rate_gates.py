@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from proto.header import NANOSECONDS
-from robot_agent.pool.rows import FloatArray, IntArray, carried_flags, carried_ints
-from robot_agent.rate_gate import SLACK_NS
+from zensim.proto.header import NANOSECONDS
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried_flags, carried_ints
+from zensim.robot_agent.rate_gate import SLACK_NS
 
 
 class RateGates:

@@ -10,13 +10,13 @@ from typing import Protocol
 
 import msgspec
 
-from proto.codec import Format, encoding_of
-from proto.faces import CACHE, Face
-from proto.ros2.tokens import Endpoint
-from proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
-from robot_agent.network import Call, Network
-from robot_agent.pool.attachments import Attachments
-from robot_agent.pool.audience import Audience
+from zensim.proto.codec import Format, encoding_of
+from zensim.proto.faces import CACHE, Face
+from zensim.proto.ros2.tokens import Endpoint
+from zensim.proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
+from zensim.robot_agent.network import Call, Network
+from zensim.robot_agent.pool.attachments import Attachments
+from zensim.robot_agent.pool.audience import Audience
 
 QUERY_DEPTH = 256
 AT_ONCE = 16

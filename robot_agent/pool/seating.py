@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from proto.claims import STATE_COLUMNS, DriveState
-from proto.codec import MalformedPayload
-from robot_agent.pool.rows import FloatArray
-from robot_agent.pool.squad import PoolState, Seats
+from zensim.proto.claims import STATE_COLUMNS, DriveState
+from zensim.proto.codec import MalformedPayload
+from zensim.robot_agent.pool.rows import FloatArray
+from zensim.robot_agent.pool.squad import PoolState, Seats
 
 FLOAT_BYTES = 8
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from proto.claims import Claim
-from proto.ros_graph import RosNode
-from proto.topics import TFMessage
-from robot_agent.pool.driven import DrivenBases
-from robot_agent.pool.kinds import Kind, Topics
-from robot_agent.pool.outlet import Line
-from robot_agent.pool.rows import NEW, FloatArray, IntArray
-from robot_agent.pool.telling import OutletOf, Telling
+from zensim.proto.claims import Claim
+from zensim.proto.ros_graph import RosNode
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.pool.driven import DrivenBases
+from zensim.robot_agent.pool.kinds import Kind, Topics
+from zensim.robot_agent.pool.outlet import Line
+from zensim.robot_agent.pool.rows import NEW, FloatArray, IntArray
+from zensim.robot_agent.pool.telling import OutletOf, Telling
 
 
 @dataclass(eq=False)

@@ -5,20 +5,20 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from proto.model import Model
-from proto.ros_graph import RosNode
-from proto.topics import JointState, Odometry, TFMessage
-from robot_agent import templates
-from robot_agent.driven_base import motion_rates
-from robot_agent.pool.driven import DrivenBases
-from robot_agent.pool.frame_poses import FramePoses
-from robot_agent.pool.kinds import Kind, Topics
-from robot_agent.pool.outlet import FleetOutlet
-from robot_agent.pool.rate_gates import RateGates
-from robot_agent.pool.rows import FloatArray, IntArray, carried
-from robot_agent.pool.tf_topics import SharedTransforms, TransformTopic
-from robot_agent.pool.topic import SquadTopic
-from robot_agent.tf_outlets import with_namespace
+from zensim.proto.model import Model
+from zensim.proto.ros_graph import RosNode
+from zensim.proto.topics import JointState, Odometry, TFMessage
+from zensim.robot_agent import templates
+from zensim.robot_agent.driven_base import motion_rates
+from zensim.robot_agent.pool.driven import DrivenBases
+from zensim.robot_agent.pool.frame_poses import FramePoses
+from zensim.robot_agent.pool.kinds import Kind, Topics
+from zensim.robot_agent.pool.outlet import FleetOutlet
+from zensim.robot_agent.pool.rate_gates import RateGates
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried
+from zensim.robot_agent.pool.tf_topics import SharedTransforms, TransformTopic
+from zensim.robot_agent.pool.topic import SquadTopic
+from zensim.robot_agent.tf_outlets import with_namespace
 
 OutletOf = Callable[[str, type[msgspec.Struct]], FleetOutlet]
 """Finds the outlet of a pattern."""

@@ -4,15 +4,15 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from proto import keys
-from proto.ros_graph import RosNode
-from proto.topics import TFMessage
-from robot_agent import templates
-from robot_agent.pool.frame_poses import FramePoses
-from robot_agent.pool.joined_images import JoinedImages
-from robot_agent.pool.outlet import FleetOutlet, Line
-from robot_agent.pool.rows import IntArray, carried_flags, carried_ints
-from robot_agent.pool.topic import SquadTopic
+from zensim.proto import keys
+from zensim.proto.ros_graph import RosNode
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent import templates
+from zensim.robot_agent.pool.frame_poses import FramePoses
+from zensim.robot_agent.pool.joined_images import JoinedImages
+from zensim.robot_agent.pool.outlet import FleetOutlet, Line
+from zensim.robot_agent.pool.rows import IntArray, carried_flags, carried_ints
+from zensim.robot_agent.pool.topic import SquadTopic
 
 MESSAGE_BYTES = 32768
 """About as much as a message has at most: one that is cut in pieces is lost with any of them."""

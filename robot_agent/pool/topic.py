@@ -5,10 +5,10 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from robot_agent.pool.images import Images
-from robot_agent.pool.outlet import FleetOutlet, Line
-from robot_agent.pool.rate_gates import RateGates
-from robot_agent.pool.rows import FloatArray, IntArray, carried_flags, carried_ints
+from zensim.robot_agent.pool.images import Images
+from zensim.robot_agent.pool.outlet import FleetOutlet, Line
+from zensim.robot_agent.pool.rate_gates import RateGates
+from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried_flags, carried_ints
 
 Numbers = Callable[[IntArray], FloatArray]
 """Finds the numbers of some rows' last messages, in the order of the paths; (m, numbers)."""

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.drives import AckermannDrive
-from sim_server.description import drive_tags
-from sim_server.description.drive_geometry import wheels_of
-from sim_server.description.drive_tags import grip_nm, joint_fault, with_settings
+from zensim.proto.drives import AckermannDrive
+from zensim.sim_server.description import drive_tags
+from zensim.sim_server.description.drive_geometry import wheels_of
+from zensim.sim_server.description.drive_tags import grip_nm, joint_fault, with_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from proto.model import Vec3
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.proto.model import Vec3
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("gazebo_ros_ackermann_drive",)
 ALIASES = drive_tags.ALIASES

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.drives import DiffDrive, WheelPair
-from sim_server.description.drive_geometry import apart_m, wheels_of
-from sim_server.description.drive_tags import base_of, joint_fault
+from zensim.proto.drives import DiffDrive, WheelPair
+from zensim.sim_server.description.drive_geometry import apart_m, wheels_of
+from zensim.sim_server.description.drive_tags import base_of, joint_fault
 
 if TYPE_CHECKING:
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("DiffDrivePlugin", "SkidSteerDrivePlugin")
 ALIASES: dict[str, str] = {}

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import IDENTITY, Model, Origin, Quat, Shape, Vec3
-from sim_server.description.transforms import link_poses
+from zensim.proto.model import IDENTITY, Model, Origin, Quat, Shape, Vec3
+from zensim.sim_server.description.transforms import link_poses
 
 Corners = Callable[[str], npt.NDArray[np.floating]]
 """Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""

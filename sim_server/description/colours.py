@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.decimals import read_numbers
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from proto.model import Quat
-    from sim_server.description.report import Report
+    from zensim.proto.model import Quat
+    from zensim.sim_server.description.report import Report
 
 GAZEBO_COLOURS: dict[str, Quat] = {
     "Black": (0.0, 0.0, 0.0, 1.0),

@@ -3,8 +3,8 @@
 import math
 import re
 
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 LONGEST = 400

@@ -10,20 +10,20 @@ import msgspec
 import numpy as np
 import trimesh
 
-from proto.model import ReportEntry
-from sim_server.description.formats import read_robot
-from sim_server.description.library import model_text, world_text
-from sim_server.description.meshes import Conversions, Files, mesh_uris, with_meshes
-from sim_server.description.sdf import WorldModel, read_world
-from sim_server.description.sdf_includes import no_includes
-from sim_server.errors import ModelError
+from zensim.proto.model import ReportEntry
+from zensim.sim_server.description.formats import read_robot
+from zensim.sim_server.description.library import model_text, world_text
+from zensim.sim_server.description.meshes import Conversions, Files, mesh_uris, with_meshes
+from zensim.sim_server.description.sdf import WorldModel, read_world
+from zensim.sim_server.description.sdf_includes import no_includes
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from proto.model import Model
-    from proto.services import Compat
-    from sim_server.description.sdf_includes import Resolve
+    from zensim.proto.model import Model
+    from zensim.proto.services import Compat
+    from zensim.sim_server.description.sdf_includes import Resolve
 
     FindMesh = Callable[[str], tuple[str, bytes] | None]
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.drives import DiffDrive, WheelPair
-from sim_server.description import drive_tags
-from sim_server.description.drive_tags import check_lengths, joint_fault, with_settings
+from zensim.proto.drives import DiffDrive, WheelPair
+from zensim.sim_server.description import drive_tags
+from zensim.sim_server.description.drive_tags import check_lengths, joint_fault, with_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from proto.model import Joint
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.proto.model import Joint
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = (
     "gazebo_ros_diff_drive",

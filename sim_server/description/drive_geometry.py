@@ -4,11 +4,11 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from proto.drives import DiffDrive, Drive, WheelPair
-from proto.model import Joint, Link, Origin, Shape, Vec3
-from sim_server.description.lumping import Lumped
-from sim_server.description.report import Report
-from sim_server.description.transforms import link_poses, placed, turned
+from zensim.proto.drives import DiffDrive, Drive, WheelPair
+from zensim.proto.model import Joint, Link, Origin, Shape, Vec3
+from zensim.sim_server.description.lumping import Lumped
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.transforms import link_poses, placed, turned
 
 TOLERANCE = 0.05
 """Share by which a written length may differ from the measured one."""

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from proto.drives import DriveSettings, OdometrySource
-from proto.names import InvalidName, check_frame, check_namespace
-from sim_server.errors import ModelError
+from zensim.proto.drives import DriveSettings, OdometrySource
+from zensim.proto.names import InvalidName, check_frame, check_namespace
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from proto.model import Joint
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.proto.model import Joint
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 DriveKind = TypeVar("DriveKind", bound=DriveSettings)
 

@@ -1,6 +1,6 @@
 """What a drive comes to, in a line."""
 
-from proto.drives import AckermannDrive, DiffDrive, Drive, TricycleDrive
+from zensim.proto.drives import AckermannDrive, DiffDrive, Drive, TricycleDrive
 
 
 def in_words(drive: Drive) -> str:

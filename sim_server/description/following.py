@@ -4,9 +4,9 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from proto.model import Joint
-from sim_server.description.report import Report
-from sim_server.description.wording import shown
+from zensim.proto.model import Joint
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.wording import shown
 
 FOLLOWING = ("revolute", "continuous", "prismatic")
 

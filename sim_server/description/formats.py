@@ -2,11 +2,11 @@
 
 import re
 
-from proto.model import Model
-from sim_server.description.assets import HasMesh, no_meshes
-from sim_server.description.sdf_includes import Resolve, no_includes
-from sim_server.description.sdf_model import read_sdf_model
-from sim_server.description.urdf import read_urdf
+from zensim.proto.model import Model
+from zensim.sim_server.description.assets import HasMesh, no_meshes
+from zensim.sim_server.description.sdf_includes import Resolve, no_includes
+from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.description.urdf import read_urdf
 
 _BEFORE_ROOT = re.compile(r"(?:[\ufeff\s]+|<!--.*?-->|<\?.*?\?>)*", re.DOTALL)
 _SDF_ROOT = re.compile(r"<sdf[\s/>]")

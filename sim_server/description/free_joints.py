@@ -10,10 +10,10 @@ from math import copysign
 
 import msgspec
 
-from proto.model import Joint, JointKind, Link, Origin, Vec3
-from sim_server.description.lumping import Lumped
-from sim_server.description.report import Report
-from sim_server.description.wording import shown
+from zensim.proto.model import Joint, JointKind, Link, Origin, Vec3
+from zensim.sim_server.description.lumping import Lumped
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.wording import shown
 
 REACH_M = 1e5
 """How far a sliding part of a chain goes: the size of the world."""

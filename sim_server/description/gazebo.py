@@ -7,19 +7,19 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from sim_server.description.colours import gazebo_colour
-from sim_server.description.sensors import SensorTag
-from sim_server.description.surface import TAGS as SURFACE_TAGS
-from sim_server.description.surface import Surface, SurfaceTags
+from zensim.sim_server.description.colours import gazebo_colour
+from zensim.sim_server.description.sensors import SensorTag
+from zensim.sim_server.description.surface import TAGS as SURFACE_TAGS
+from zensim.sim_server.description.surface import Surface, SurfaceTags
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from lxml.etree import _Element as Element
 
-    from proto.model import Link, Quat
-    from sim_server.description.part_list import Parts
-    from sim_server.description.report import Report
+    from zensim.proto.model import Link, Quat
+    from zensim.sim_server.description.part_list import Parts
+    from zensim.sim_server.description.report import Report
 
 _NO_EFFECT = "known to Gazebo; no effect here"
 KEEP = ("preserveFixedJoint", "disableFixedJointLumping")

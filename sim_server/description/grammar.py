@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from sim_server.description.decimals import read_numbers
-from sim_server.errors import ModelError
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 Counts = tuple[int, ...]
 TEXT: Counts = ()

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.model import GroundTruth, Origin
-from proto.rotation import from_rpy
-from sim_server.description.drive_tags import read_frame, read_topic
+from zensim.proto.model import GroundTruth, Origin
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.drive_tags import read_frame, read_topic
 
 if TYPE_CHECKING:
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("gazebo_ros_p3d",)
 ALIASES = {

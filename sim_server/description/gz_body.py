@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.drives import PlanarMove
-from sim_server.description.drive_tags import base_of, read_frame, read_odometry_rate, read_topic
+from zensim.proto.drives import PlanarMove
+from zensim.sim_server.description.drive_tags import (
+    base_of,
+    read_frame,
+    read_odometry_rate,
+    read_topic,
+)
 
 if TYPE_CHECKING:
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("mecanum-drive-system", "velocity-control-system")
 ALIASES: dict[str, str] = {}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.drives import DiffDrive, Limits, WheelPair
-from sim_server.description.drive_tags import (
+from zensim.proto.drives import DiffDrive, Limits, WheelPair
+from zensim.sim_server.description.drive_tags import (
     base_of,
     check_lengths,
     grip_nm,
@@ -16,8 +16,8 @@ from sim_server.description.drive_tags import (
 )
 
 if TYPE_CHECKING:
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("diff-drive-system",)
 ALIASES: dict[str, str] = {}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.model import JointStatePublisher
+from zensim.proto.model import JointStatePublisher
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from proto.model import Joint
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.proto.model import Joint
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 GZ = "joint-state-publisher-system"
 """Of Gazebo Sim: it publishes all joints when it names none."""

@@ -2,8 +2,8 @@
 
 from importlib.resources import files
 
-from proto.result import ResultCode
-from sim_server.errors import ModelError
+from zensim.proto.result import ResultCode
+from zensim.sim_server.errors import ModelError
 
 MODELS = ("models", ".urdf")
 WORLDS = ("worlds", ".sdf")
@@ -38,7 +38,7 @@ def world_text(name: str) -> str:
 
 
 def _names(folder: str, suffix: str) -> tuple[str, ...]:
-    entries = files("sim_server").joinpath(folder).iterdir()
+    entries = files("zensim.sim_server").joinpath(folder).iterdir()
     return tuple(
         sorted(entry.name.removesuffix(suffix) for entry in entries if entry.name.endswith(suffix))
     )
@@ -53,4 +53,9 @@ def _text(name: str, what: str, folder: str, suffix: str) -> str:
             code=ResultCode.NOT_FOUND,
             slug=f"library.{what}",
         )
-    return files("sim_server").joinpath(folder).joinpath(name + suffix).read_text(encoding="utf-8")
+    return (
+        files("zensim.sim_server")
+        .joinpath(folder)
+        .joinpath(name + suffix)
+        .read_text(encoding="utf-8")
+    )

@@ -6,8 +6,8 @@ from math import fsum
 import msgspec
 import numpy as np
 
-from proto.model import ZERO, Decay, Frame, Inertial, Joint, Link, Origin, Shape
-from sim_server.description.transforms import compose, matrix_of, placed, turned
+from zensim.proto.model import ZERO, Decay, Frame, Inertial, Joint, Link, Origin, Shape
+from zensim.sim_server.description.transforms import compose, matrix_of, placed, turned
 
 
 class Lumped(msgspec.Struct, frozen=True):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_server.description.mesh_formats import Triangles
+from zensim.sim_server.description.mesh_formats import Triangles
 
 CELLS = 512
 """On a side of the finest grid; each coarser one has half as many."""

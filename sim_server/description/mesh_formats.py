@@ -11,14 +11,14 @@ import numpy as np
 import trimesh
 from lxml import etree
 
-from proto.result import SpawnCode
-from proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
-from sim_server.description.collada import MAX_DRAWN, DrawnTooOften, check_drawn
-from sim_server.description.gltf import BadGltf, check_promises
-from sim_server.description.number_text import leading_numbers
-from sim_server.description.obj import NoObj, read_obj
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.result import SpawnCode
+from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
+from zensim.sim_server.description.collada import MAX_DRAWN, DrawnTooOften, check_drawn
+from zensim.sim_server.description.gltf import BadGltf, check_promises
+from zensim.sim_server.description.number_text import leading_numbers
+from zensim.sim_server.description.obj import NoObj, read_obj
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

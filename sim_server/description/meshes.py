@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from proto.model import ReportEntry
-from sim_server.description.merging import fewer
-from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.model import ReportEntry
+from zensim.sim_server.description.merging import fewer
+from zensim.sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from proto.model import Link, Model, Shape
+    from zensim.proto.model import Link, Model, Shape
 
 Points = NDArray[np.float64]
 Files = dict[str, tuple[str, bytes | None]]

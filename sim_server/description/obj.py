@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_server.description.number_text import leading_numbers
+from zensim.sim_server.description.number_text import leading_numbers
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -10,19 +10,19 @@ import numpy as np
 import yourdfpy
 from lxml import etree
 
-from proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
-from proto.rotation import FloatArray, from_matrix
-from sim_server.description.colours import named_colours
-from sim_server.description.grammar import INERTIAL, JOINT, LINK, Tag
-from sim_server.description.part_list import Parts
-from sim_server.description.shapes import MeshRule, read_collisions, read_visuals
-from sim_server.description.wording import in_line
-from sim_server.errors import ModelError
+from zensim.proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
+from zensim.proto.rotation import FloatArray, from_matrix
+from zensim.sim_server.description.colours import named_colours
+from zensim.sim_server.description.grammar import INERTIAL, JOINT, LINK, Tag
+from zensim.sim_server.description.part_list import Parts
+from zensim.sim_server.description.shapes import MeshRule, read_collisions, read_visuals
+from zensim.sim_server.description.wording import in_line
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
 BONE = msgspec.structs.replace(LINK, children={"inertial": INERTIAL})

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.drives import PlanarMove
-from sim_server.description import drive_tags
-from sim_server.description.drive_tags import with_settings
+from zensim.proto.drives import PlanarMove
+from zensim.sim_server.description import drive_tags
+from zensim.sim_server.description.drive_tags import with_settings
 
 if TYPE_CHECKING:
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("gazebo_ros_planar_move", "gazebo_ros_force_based_move")
 """The second pushes the body until it has the twist; here it has it at once."""

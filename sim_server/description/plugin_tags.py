@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.model import RosBlock
-from proto.result import SpawnCode
-from sim_server.description.decimals import read_number, read_numbers
-from sim_server.description.ros_block import read_ros_block
-from sim_server.errors import ModelError
+from zensim.proto.model import RosBlock
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.decimals import read_number, read_numbers
+from zensim.sim_server.description.ros_block import read_ros_block
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from lxml.etree import _Element as Element
 
-    from proto.model import Vec3
-    from sim_server.description.report import Report
+    from zensim.proto.model import Vec3
+    from zensim.sim_server.description.report import Report
 
 FLAGS = {"true": True, "1": True, "false": False, "0": False}
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from proto.drives import Drive
-from proto.model import GroundTruth, JointStatePublisher
-from sim_server.description import (
+from zensim.proto.drives import Drive
+from zensim.proto.model import GroundTruth, JointStatePublisher
+from zensim.sim_server.description import (
     ackermann,
     classic_drive,
     diff_drive,
@@ -19,18 +19,18 @@ from sim_server.description import (
     planar_move,
     tricycle,
 )
-from sim_server.description.drive_geometry import check_drive
-from sim_server.description.drive_words import in_words
-from sim_server.description.plugin_tags import PluginTags
-from sim_server.description.rolling import contact_notes
+from zensim.sim_server.description.drive_geometry import check_drive
+from zensim.sim_server.description.drive_words import in_words
+from zensim.sim_server.description.plugin_tags import PluginTags
+from zensim.sim_server.description.rolling import contact_notes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
     from lxml.etree import _Element as Element
 
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.report import Report
 
 MAX_PLUGINS = 100
 _ROS_CONTROL = "ros_control is not used here; wheels are driven by the diff_drive plug-in"

@@ -1,9 +1,9 @@
 """A spawn request's resource to the text that it stands for. Reads no XML."""
 
-from proto.result import ResultCode, SpawnCode
-from proto.services import Resource
-from sim_server.description.library import model_text
-from sim_server.errors import ModelError
+from zensim.proto.result import ResultCode, SpawnCode
+from zensim.proto.services import Resource
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.errors import ModelError
 
 SCHEMES = ("model://", "zensim://")
 

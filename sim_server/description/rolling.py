@@ -10,9 +10,9 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
-from proto.drives import Drive
-from proto.model import ZERO, Joint, Link, Model, Origin, Shape
-from sim_server.description.transforms import matrix_of
+from zensim.proto.drives import Drive
+from zensim.proto.model import ZERO, Joint, Link, Model, Origin, Shape
+from zensim.sim_server.description.transforms import matrix_of
 
 MAX_OFFSET = 0.01
 """Share of its radius by which a tyre may be off its axle."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.model import RosBlock
-from proto.names import InvalidName, check_namespace
+from zensim.proto.model import RosBlock
+from zensim.proto.names import InvalidName, check_namespace
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 UNUSED = {
     "argument": "there is no ROS node to pass it to",

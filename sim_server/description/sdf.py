@@ -8,29 +8,29 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.model import IDENTITY, Model, Origin, ReportEntry, Vec3
-from proto.result import SpawnCode
-from proto.scene import Scene
-from sim_server.description.assets import HasMesh, no_meshes
-from sim_server.description.decimals import read_numbers
-from sim_server.description.report import Report
-from sim_server.description.sdf_frames import MODEL, Frames
-from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
-from sim_server.description.sdf_model import model_of, placement_of
-from sim_server.description.sdf_places import (
+from zensim.proto.model import IDENTITY, Model, Origin, ReportEntry, Vec3
+from zensim.proto.result import SpawnCode
+from zensim.proto.scene import Scene
+from zensim.sim_server.description.assets import HasMesh, no_meshes
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.sdf_frames import MODEL, Frames
+from zensim.sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
+from zensim.sim_server.description.sdf_model import model_of, placement_of
+from zensim.sim_server.description.sdf_places import (
     PREFIX,
     WORDS_OF_WORLDS,
     NamedPlace,
     own_word,
     read_place,
 )
-from sim_server.description.sdf_scene import Pace, read_light, read_pace, read_scene
-from sim_server.description.sdf_shapes import LOWERED, SLAB_M
-from sim_server.description.sdf_values import read_name, read_pose, read_text
-from sim_server.description.shapes import MeshRule
-from sim_server.description.strict_xml import parse_xml
-from sim_server.description.wording import listed, shown
-from sim_server.errors import ModelError
+from zensim.sim_server.description.sdf_scene import Pace, read_light, read_pace, read_scene
+from zensim.sim_server.description.sdf_shapes import LOWERED, SLAB_M
+from zensim.sim_server.description.sdf_values import read_name, read_pose, read_text
+from zensim.sim_server.description.shapes import MeshRule
+from zensim.sim_server.description.strict_xml import parse_xml
+from zensim.sim_server.description.wording import listed, shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, get_args
 
-from proto.model import Dynamics
-from sim_server.description.sdf_places import own_word
-from sim_server.description.wording import shown
+from zensim.proto.model import Dynamics
+from zensim.sim_server.description.sdf_places import own_word
+from zensim.sim_server.description.wording import shown
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 
 def read_dynamics(model: Element, report: Report) -> Dynamics:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from proto.model import Origin
-from proto.rotation import conjugate, rotate
-from sim_server.description.transforms import compose
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.model import Origin
+from zensim.proto.rotation import conjugate, rotate
+from zensim.sim_server.description.transforms import compose
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from sim_server.description.sdf_values import WrittenPose
+    from zensim.sim_server.description.sdf_values import WrittenPose
 
 MODEL = "__model__"
 SEPARATOR = "::"

@@ -6,19 +6,19 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from sim_server.description.sdf_frames import MODEL, Frames, scoped
-from sim_server.description.sdf_grammar import note_tags
-from sim_server.description.sdf_joints import JointTag
-from sim_server.description.sdf_links import LinkTag
-from sim_server.description.sdf_values import read_flag, read_name, read_pose, read_text
-from sim_server.description.sensors import SensorTag
-from sim_server.description.wording import listed, shown
-from sim_server.errors import ModelError
+from zensim.sim_server.description.sdf_frames import MODEL, Frames, scoped
+from zensim.sim_server.description.sdf_grammar import note_tags
+from zensim.sim_server.description.sdf_joints import JointTag
+from zensim.sim_server.description.sdf_links import LinkTag
+from zensim.sim_server.description.sdf_values import read_flag, read_name, read_pose, read_text
+from zensim.sim_server.description.sensors import SensorTag
+from zensim.sim_server.description.wording import listed, shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 MAX_LINKS = 500
 MAX_FRAMES = 5000

@@ -9,7 +9,7 @@ import msgspec
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 NO_EFFECT = "known to Gazebo; no effect here"
 DRAWN = "the page draws plain colours"

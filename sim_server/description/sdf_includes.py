@@ -6,17 +6,17 @@ from collections.abc import Callable
 from copy import deepcopy
 from typing import TYPE_CHECKING
 
-from proto.assets import joined
-from proto.result import SpawnCode
-from sim_server.description.sdf_values import read_text
-from sim_server.description.strict_xml import parse_xml
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.assets import joined
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.sdf_values import read_text
+from zensim.sim_server.description.strict_xml import parse_xml
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 Resolve = Callable[[str], str | None]
 """The SDF text that a URI stands for; None when it is not here."""

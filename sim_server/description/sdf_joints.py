@@ -13,27 +13,27 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.model import Joint, JointKind, Link, Mimic, Origin, Vec3
-from proto.result import SpawnCode
-from sim_server.description.sdf_frames import MODEL, Frames, inverse
-from sim_server.description.sdf_includes import VERSION_MARK
-from sim_server.description.sdf_values import (
+from zensim.proto.model import Joint, JointKind, Link, Mimic, Origin, Vec3
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.sdf_frames import MODEL, Frames, inverse
+from zensim.sim_server.description.sdf_includes import VERSION_MARK
+from zensim.sim_server.description.sdf_values import (
     read_bound,
     read_flag,
     read_scalar,
     read_text,
     read_vector,
 )
-from sim_server.description.transforms import compose, turned
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.sim_server.description.transforms import compose, turned
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.report import Report
 
 UNLIMITED = 1e15
 """SDF writes 1e16 where there is no limit."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.model import Decay, Inertial, Link, Origin, Shape
-from sim_server.description.sdf_frames import Frames, inverse
-from sim_server.description.sdf_shapes import (
+from zensim.proto.model import Decay, Inertial, Link, Origin, Shape
+from zensim.sim_server.description.sdf_frames import Frames, inverse
+from zensim.sim_server.description.sdf_shapes import (
     colour_of,
     is_here,
     moved,
@@ -20,18 +20,18 @@ from sim_server.description.sdf_shapes import (
     slab_of,
     surface_of,
 )
-from sim_server.description.sdf_values import read_flag, read_pose, read_scalar
-from sim_server.description.surface import decay_rate
-from sim_server.description.transforms import compose, matrix_of
-from sim_server.description.wording import shown
+from zensim.sim_server.description.sdf_values import read_flag, read_pose, read_scalar
+from zensim.sim_server.description.surface import decay_rate
+from zensim.sim_server.description.transforms import compose, matrix_of
+from zensim.sim_server.description.wording import shown
 
 if TYPE_CHECKING:
     from collections.abc import Set
 
     from lxml.etree import _Element as Element
 
-    from sim_server.description.report import Report
-    from sim_server.description.shapes import MeshRule
+    from zensim.sim_server.description.report import Report
+    from zensim.sim_server.description.shapes import MeshRule
 
 MOMENTS = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
 """What SDF takes where one is not written [kg m^2]."""

@@ -7,31 +7,31 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from proto.model import Inertial, Joint, Link, Model, Origin
-from proto.result import SpawnCode
-from sim_server.description.assets import HasMesh, no_meshes
-from sim_server.description.following import with_true_mimics
-from sim_server.description.free_joints import with_chains
-from sim_server.description.lumping import Lumped, lump
-from sim_server.description.part_list import Parts
-from sim_server.description.plugins import read_plugins
-from sim_server.description.report import Report
-from sim_server.description.sdf_dynamics import read_dynamics
-from sim_server.description.sdf_frames import MODEL, inverse
-from sim_server.description.sdf_gather import WORLD, Gathered, canonical_link, gather
-from sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
-from sim_server.description.sdf_joints import JointReader
-from sim_server.description.sdf_links import DEFAULT, LinkReader
-from sim_server.description.sdf_tree import as_tree
-from sim_server.description.sdf_values import read_flag, read_name, read_pose
-from sim_server.description.sensors import read_sensors
-from sim_server.description.shapes import MeshRule
-from sim_server.description.strict_xml import parse_xml
-from sim_server.description.transforms import compose
-from sim_server.description.tree import in_tree_order
-from sim_server.description.values import check_links, check_moving, with_unit_axes
-from sim_server.description.wording import listed, shown
-from sim_server.errors import ModelError
+from zensim.proto.model import Inertial, Joint, Link, Model, Origin
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.assets import HasMesh, no_meshes
+from zensim.sim_server.description.following import with_true_mimics
+from zensim.sim_server.description.free_joints import with_chains
+from zensim.sim_server.description.lumping import Lumped, lump
+from zensim.sim_server.description.part_list import Parts
+from zensim.sim_server.description.plugins import read_plugins
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.sdf_dynamics import read_dynamics
+from zensim.sim_server.description.sdf_frames import MODEL, inverse
+from zensim.sim_server.description.sdf_gather import WORLD, Gathered, canonical_link, gather
+from zensim.sim_server.description.sdf_includes import Includes, Resolve, marked, no_includes
+from zensim.sim_server.description.sdf_joints import JointReader
+from zensim.sim_server.description.sdf_links import DEFAULT, LinkReader
+from zensim.sim_server.description.sdf_tree import as_tree
+from zensim.sim_server.description.sdf_values import read_flag, read_name, read_pose
+from zensim.sim_server.description.sensors import read_sensors
+from zensim.sim_server.description.shapes import MeshRule
+from zensim.sim_server.description.strict_xml import parse_xml
+from zensim.sim_server.description.transforms import compose
+from zensim.sim_server.description.tree import in_tree_order
+from zensim.sim_server.description.values import check_links, check_moving, with_unit_axes
+from zensim.sim_server.description.wording import listed, shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

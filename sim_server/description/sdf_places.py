@@ -16,18 +16,18 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.geometry import Point, Pose, Quaternion, Vector3
-from proto.info import MAX_DESCRIPTION, MAX_TAG, MAX_TAGS
-from proto.places import NamedPose
-from proto.services import Bounds, BoundsType
-from sim_server.description.decimals import read_numbers
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.geometry import Point, Pose, Quaternion, Vector3
+from zensim.proto.info import MAX_DESCRIPTION, MAX_TAG, MAX_TAGS
+from zensim.proto.places import NamedPose
+from zensim.proto.services import Bounds, BoundsType
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from proto.model import Origin
+    from zensim.proto.model import Origin
 
 PREFIX = "zensim:"
 WORDS_OF_WORLDS = ("description", "tags")

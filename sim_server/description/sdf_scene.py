@@ -6,22 +6,17 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.scene import DOWN, Light, LightKind, Scene
-from sim_server.description.decimals import read_numbers
-from sim_server.description.sdf_values import (
-    read_pose,
-    read_scalar,
-    read_text,
-    read_vector,
-)
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.scene import DOWN, Light, LightKind, Scene
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.sdf_values import read_pose, read_scalar, read_text, read_vector
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from proto.model import Quat
-    from sim_server.description.report import Report
+    from zensim.proto.model import Quat
+    from zensim.sim_server.description.report import Report
 
 LIGHT_KINDS: dict[str, LightKind] = {
     "point": "point",

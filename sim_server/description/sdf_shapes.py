@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.model import IDENTITY, Origin, Shape, Vec3
-from proto.result import SpawnCode
-from sim_server.description.colours import gazebo_colour
-from sim_server.description.decimals import read_numbers
-from sim_server.description.sdf_values import read_scalar, read_text, read_vector
-from sim_server.description.surface import Surface, SurfaceTags
-from sim_server.description.transforms import compose
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.model import IDENTITY, Origin, Shape, Vec3
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.colours import gazebo_colour
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.sdf_values import read_scalar, read_text, read_vector
+from zensim.sim_server.description.surface import Surface, SurfaceTags
+from zensim.sim_server.description.transforms import compose
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from proto.model import Quat
-    from sim_server.description.report import Report
-    from sim_server.description.shapes import MeshRule
+    from zensim.proto.model import Quat
+    from zensim.sim_server.description.report import Report
+    from zensim.sim_server.description.shapes import MeshRule
 
 SOLIDS = ("box", "sphere", "cylinder", "capsule", "plane", "mesh")
 CONES = "no engine here has it"

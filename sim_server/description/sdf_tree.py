@@ -6,13 +6,13 @@ from collections import Counter, deque
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from sim_server.description.wording import shown
+from zensim.sim_server.description.wording import shown
 
 if TYPE_CHECKING:
     from collections.abc import Container, Iterable, Sequence
 
-    from sim_server.description.report import Report
-    from sim_server.description.sdf_joints import JointTag
+    from zensim.sim_server.description.report import Report
+    from zensim.sim_server.description.sdf_joints import JointTag
 
 COUPLING = ("gearbox", "screw")
 """Types of joints that couple links, which others may hold."""

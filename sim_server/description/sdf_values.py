@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.model import Origin, Vec3
-from proto.rotation import from_rpy
-from sim_server.description.decimals import read_numbers
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.model import Origin, Vec3
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element

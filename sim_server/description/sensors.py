@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from proto.model import Origin, Parameter, RosBlock, Sensor
-from proto.rotation import from_rpy
-from sim_server.description.decimals import read_numbers
-from sim_server.description.ros_block import read_ros_block
-from sim_server.description.transforms import compose
-from sim_server.description.wording import shown
+from zensim.proto.model import Origin, Parameter, RosBlock, Sensor
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.ros_block import read_ros_block
+from zensim.sim_server.description.transforms import compose
+from zensim.sim_server.description.wording import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
     from lxml.etree import _Element as Element
 
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.report import Report
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.report import Report
 
 KINDS = (
     "altimeter", "camera", "contact", "depth", "force_torque", "gps", "gpu_lidar", "gpu_ray", "imu",

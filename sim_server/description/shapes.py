@@ -8,20 +8,20 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from proto.model import Origin, Shape, Vec3
-from proto.result import SpawnCode
-from proto.rotation import from_rpy
-from sim_server.description.colours import colour_of
-from sim_server.description.decimals import read_numbers
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.model import Origin, Shape, Vec3
+from zensim.proto.result import SpawnCode
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.colours import colour_of
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from proto.model import Quat
-    from sim_server.description.assets import HasMesh
-    from sim_server.description.report import Report
+    from zensim.proto.model import Quat
+    from zensim.sim_server.description.assets import HasMesh
+    from zensim.sim_server.description.report import Report
 
 ROUND = {"sphere": ("radius",), "cylinder": ("radius", "length"), "capsule": ("radius", "length")}
 """Attributes that make the size, by kind."""

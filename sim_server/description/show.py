@@ -4,9 +4,9 @@ from typing import Any
 
 import msgspec
 
-from proto.drives import DiffDrive
-from proto.model import Joint, Model
-from sim_server.description.drive_words import in_words
+from zensim.proto.drives import DiffDrive
+from zensim.proto.model import Joint, Model
+from zensim.sim_server.description.drive_words import in_words
 
 
 def model_json(model: Model) -> dict[str, Any]:

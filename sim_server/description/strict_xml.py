@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 from lxml import etree
 
-from proto.result import SpawnCode
-from sim_server.description.wording import in_line
-from sim_server.errors import ModelError
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.wording import in_line
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element

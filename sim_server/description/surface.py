@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.model import ZERO, Contact, Decay, Inertial, Shape, Vec3
-from sim_server.description.decimals import read_numbers
-from sim_server.description.transforms import turned
-from sim_server.errors import ModelError
+from zensim.proto.model import ZERO, Contact, Decay, Inertial, Shape, Vec3
+from zensim.sim_server.description.decimals import read_numbers
+from zensim.sim_server.description.transforms import turned
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from proto.model import Link
-    from sim_server.description.report import Report
+    from zensim.proto.model import Link
+    from zensim.sim_server.description.report import Report
 
 FRICTION = 1.0
 """Coulomb coefficient where none is written, as in Gazebo."""

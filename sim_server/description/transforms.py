@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from proto.model import IDENTITY, Joint, Origin, Vec3
-from proto.rotation import FloatArray, multiply, rotate
+from zensim.proto.model import IDENTITY, Joint, Origin, Vec3
+from zensim.proto.rotation import FloatArray, multiply, rotate
 
 
 def compose(outer: Origin, inner: Origin) -> Origin:

@@ -3,11 +3,11 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from proto.model import Joint, Link
-from sim_server.description.part_list import Parts
-from sim_server.description.report import Report
-from sim_server.description.wording import listed
-from sim_server.errors import ModelError
+from zensim.proto.model import Joint, Link
+from zensim.sim_server.description.part_list import Parts
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.wording import listed
+from zensim.sim_server.errors import ModelError
 
 MAX_LINKS = 500
 WORLD = "world"

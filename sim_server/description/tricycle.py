@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.drives import TricycleDrive
-from sim_server.description import drive_tags
-from sim_server.description.drive_tags import grip_nm, joint_fault, with_settings
+from zensim.proto.drives import TricycleDrive
+from zensim.sim_server.description import drive_tags
+from zensim.sim_server.description.drive_tags import grip_nm, joint_fault, with_settings
 
 if TYPE_CHECKING:
-    from sim_server.description.lumping import Lumped
-    from sim_server.description.plugin_tags import PluginTags
+    from zensim.sim_server.description.lumping import Lumped
+    from zensim.sim_server.description.plugin_tags import PluginTags
 
 FILENAMES = ("gazebo_ros_tricycle_drive",)
 ALIASES = drive_tags.ALIASES | {

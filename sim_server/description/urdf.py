@@ -6,30 +6,29 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.model import Joint, Model
-from proto.result import SpawnCode
-from sim_server.description.assets import HasMesh, no_meshes
-from sim_server.description.following import with_true_mimics
-from sim_server.description.free_joints import with_chains
-from sim_server.description.gazebo import GazeboBlocks, read_gazebo, with_surfaces
-from sim_server.description.grammar import check_grammar
-from sim_server.description.lumping import Lumped, lump
-from sim_server.description.parts import read_parts
-from sim_server.description.plugins import read_plugins
-from sim_server.description.report import Report
-from sim_server.description.sensors import read_sensors
-from sim_server.description.shapes import MeshRule
-from sim_server.description.strict_xml import parse_xml
-from sim_server.description.tree import in_tree_order, is_held_by_world, without_world
-from sim_server.description.values import check_links, check_moving, with_unit_axes
-from sim_server.description.wording import shown
-from sim_server.errors import ModelError
+from zensim.proto.model import Joint, Model
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.assets import HasMesh, no_meshes
+from zensim.sim_server.description.following import with_true_mimics
+from zensim.sim_server.description.free_joints import with_chains
+from zensim.sim_server.description.gazebo import GazeboBlocks, read_gazebo, with_surfaces
+from zensim.sim_server.description.grammar import check_grammar
+from zensim.sim_server.description.lumping import Lumped, lump
+from zensim.sim_server.description.parts import read_parts
+from zensim.sim_server.description.plugins import read_plugins
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.sensors import read_sensors
+from zensim.sim_server.description.shapes import MeshRule
+from zensim.sim_server.description.strict_xml import parse_xml
+from zensim.sim_server.description.tree import in_tree_order, is_held_by_world, without_world
+from zensim.sim_server.description.values import check_links, check_moving, with_unit_axes
+from zensim.sim_server.description.wording import shown
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from sim_server.description.part_list import Parts
-
+    from zensim.sim_server.description.part_list import Parts
 
 MAX_JOINTS = 120
 """Left after lumping: the engine reads the states of 127 joints of a body and no more."""

@@ -6,10 +6,10 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from proto.model import Inertial, Joint, Link, Shape, Vec3
-from sim_server.description.report import Report
-from sim_server.description.wording import listed
-from sim_server.errors import ModelError
+from zensim.proto.model import Inertial, Joint, Link, Shape, Vec3
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.wording import listed
+from zensim.sim_server.errors import ModelError
 
 TURNING_OR_SLIDING = ("revolute", "continuous", "prismatic", "planar")
 SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}

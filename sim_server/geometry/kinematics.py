@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from proto.model import Joint, Model, Origin
-from proto.rotation import FloatArray, multiply, rotate
+from zensim.proto.model import Joint, Model, Origin
+from zensim.proto.rotation import FloatArray, multiply, rotate
 
 SLIDING = "prismatic"
 TURNING = frozenset({"revolute", "continuous"})

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from proto.model import Joint, Model
-from proto.rotation import FloatArray, rotate
-from sim_server.geometry.kinematics import SLIDING, TURNING, link_poses
+from zensim.proto.model import Joint, Model
+from zensim.proto.rotation import FloatArray, rotate
+from zensim.sim_server.geometry.kinematics import SLIDING, TURNING, link_poses
 
 
 def link_states(

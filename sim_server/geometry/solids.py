@@ -8,9 +8,9 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import Model, Shape
-from proto.rotation import FloatArray, rotate
-from sim_server.geometry.kinematics import row_of
+from zensim.proto.model import Model, Shape
+from zensim.proto.rotation import FloatArray, rotate
+from zensim.sim_server.geometry.kinematics import row_of
 
 Corners = Callable[[str], npt.NDArray[np.floating]]
 """Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""

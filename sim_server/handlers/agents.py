@@ -1,12 +1,12 @@
 """Claims of agents: by name, and as a pool's share of all robots."""
 
-from proto import claims
-from proto.names import InvalidName, check_name
-from proto.result import ClaimCode, Result
-from sim_server.desk import Desk
-from sim_server.errors import IncorrectState, Refused
-from sim_server.handlers.shares import moves_to
-from sim_server.world.entity import Entity
+from zensim.proto import claims
+from zensim.proto.names import InvalidName, check_name
+from zensim.proto.result import ClaimCode, Result
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import IncorrectState, Refused
+from zensim.sim_server.handlers.shares import moves_to
+from zensim.sim_server.world.entity import Entity
 
 ANY_NUMBER = 1 << 32
 SHARE_TEXT = 2 << 20

@@ -1,10 +1,10 @@
 """How much room entities take."""
 
-from proto import entities
-from proto.services import BoundsType
-from sim_server.desk import Desk
-from sim_server.geometry.solids import solids_at
-from sim_server.lookup.regions import BoundsUnsupported, Sight, bounds_of
+from zensim.proto import entities
+from zensim.proto.services import BoundsType
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.geometry.solids import solids_at
+from zensim.sim_server.lookup.regions import BoundsUnsupported, Sight, bounds_of
 
 
 def get_bounds(

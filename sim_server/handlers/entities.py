@@ -1,11 +1,11 @@
 """Entities: which there are, what they look like, and taking one out."""
 
-from proto import services, telemetry
-from proto.result import Result
-from sim_server.desk import Desk
-from sim_server.later import Later
-from sim_server.lookup.filters import passing
-from sim_server.world.poses import pose_of
+from zensim.proto import services, telemetry
+from zensim.proto.result import Result
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.later import Later
+from zensim.sim_server.lookup.filters import passing
+from zensim.sim_server.world.poses import pose_of
 
 
 def delete(desk: Desk, request: services.DeleteEntityRequest) -> services.DeleteEntityResponse:

@@ -1,8 +1,8 @@
 """Files that descriptions speak of: which are missing, in and out, piece by piece."""
 
-from proto import assets
-from proto.result import Result
-from sim_server.desk import Desk
+from zensim.proto import assets
+from zensim.proto.result import Result
+from zensim.sim_server.desk import Desk
 
 
 def missing_assets(

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import msgspec
 
-from proto.fleets import (
+from zensim.proto.fleets import (
     HELD_BACK,
     MAX_SPAWNS,
     SpawnEntitiesOrder,
@@ -12,14 +12,14 @@ from proto.fleets import (
     SpawnEntity,
     SpawnResult,
 )
-from proto.header import NANOSECONDS
-from proto.model import Model
-from proto.result import Result, ResultCode, SpawnEntitiesCode
-from proto.services import Resource, SpawnEntityOrder
-from sim_server.desk import Desk
-from sim_server.errors import Refused, SimError
-from sim_server.later import Later
-from sim_server.spawning import Expected, expect_model, let_in, spawn_model
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.model import Model
+from zensim.proto.result import Result, ResultCode, SpawnEntitiesCode
+from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Refused, SimError
+from zensim.sim_server.later import Later
+from zensim.sim_server.spawning import Expected, expect_model, let_in, spawn_model
 
 SLICE_NS = 5 * NANOSECONDS // 1000
 """What spawning takes of each turn of the loop where steps are late; the last begun is finished.

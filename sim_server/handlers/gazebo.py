@@ -1,16 +1,16 @@
 """Gazebo's own names for time and states; what stands behind them is that of the other services."""
 
-from proto import gazebo, services
-from proto.header import Header, time_from_ns
-from proto.result import Result, ResultCode
-from proto.services import ResetScope, SimulationState, State
-from sim_server.desk import Desk
-from sim_server.errors import Refused
-from sim_server.handlers.states import set_state
-from sim_server.handlers.transitions import set_simulation_state
-from sim_server.lookup.frames import SCOPE, seen_from
-from sim_server.lookup.scoped import link_of, state_of
-from sim_server.world.poses import WORLD_FRAMES, pose_of, twist_of
+from zensim.proto import gazebo, services
+from zensim.proto.header import Header, time_from_ns
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.services import ResetScope, SimulationState, State
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.handlers.states import set_state
+from zensim.sim_server.handlers.transitions import set_simulation_state
+from zensim.sim_server.lookup.frames import SCOPE, seen_from
+from zensim.sim_server.lookup.scoped import link_of, state_of
+from zensim.sim_server.world.poses import WORLD_FRAMES, pose_of, twist_of
 
 
 def pause_physics(desk: Desk, _: gazebo.PausePhysicsRequest) -> gazebo.EmptyReport:

@@ -4,18 +4,18 @@ import math
 
 import numpy as np
 
-from proto import gazebo
-from proto.geometry import Point, Vector3
-from proto.header import Duration, Time, ns_from_time
-from proto.result import ResultCode
-from proto.rotation import FloatArray, rotate
-from sim_server.desk import Desk
-from sim_server.errors import Refused
-from sim_server.lookup.frames import frame_pose
-from sim_server.lookup.scoped import ScopedLink, joint_of, link_of, state_of
-from sim_server.world.poses import MAX_POSITION_M, WORLD_FRAMES
-from sim_server.world.pushes import JointPush, LinkPush, Span, span_of
-from sim_server.world.world import World
+from zensim.proto import gazebo
+from zensim.proto.geometry import Point, Vector3
+from zensim.proto.header import Duration, Time, ns_from_time
+from zensim.proto.result import ResultCode
+from zensim.proto.rotation import FloatArray, rotate
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.lookup.frames import frame_pose
+from zensim.sim_server.lookup.scoped import ScopedLink, joint_of, link_of, state_of
+from zensim.sim_server.world.poses import MAX_POSITION_M, WORLD_FRAMES
+from zensim.sim_server.world.pushes import JointPush, LinkPush, Span, span_of
+from zensim.sim_server.world.world import World
 
 MOST = 1e6
 """Of a force [N], a torque or an effort [N m]."""

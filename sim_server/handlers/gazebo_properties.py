@@ -8,16 +8,16 @@ import math
 import msgspec
 import numpy as np
 
-from proto import gazebo
-from proto.gazebo import JointType
-from proto.geometry import Point, Pose, Quaternion
-from proto.model import Inertial, Joint, Link
-from proto.result import ResultCode
-from proto.rotation import conjugate, rotate
-from sim_server.desk import Desk
-from sim_server.errors import Refused
-from sim_server.lookup.scoped import ScopedJoint, ScopedLink, joint_of, link_of
-from sim_server.world.poses import pose_row
+from zensim.proto import gazebo
+from zensim.proto.gazebo import JointType
+from zensim.proto.geometry import Point, Pose, Quaternion
+from zensim.proto.model import Inertial, Joint, Link
+from zensim.proto.result import ResultCode
+from zensim.proto.rotation import conjugate, rotate
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.lookup.scoped import ScopedJoint, ScopedLink, joint_of, link_of
+from zensim.sim_server.world.poses import pose_row
 
 TYPES = {
     "revolute": JointType.REVOLUTE,

@@ -2,9 +2,9 @@
 
 from importlib.metadata import version
 
-from proto import telemetry
-from proto.services import State
-from sim_server.desk import Desk
+from zensim.proto import telemetry
+from zensim.proto.services import State
+from zensim.sim_server.desk import Desk
 
 VERSION = version("zensim")
 

@@ -1,9 +1,9 @@
 """What entities are: category, description, tags."""
 
-from proto import entities
-from sim_server.desk import Desk
-from sim_server.physics.engine import Tiered
-from sim_server.world.infos import checked
+from zensim.proto import entities
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.physics.engine import Tiered
+from zensim.sim_server.world.infos import checked
 
 
 def get_info(desk: Desk, request: entities.GetEntityInfoRequest) -> entities.GetEntityInfoReport:

@@ -9,11 +9,11 @@ from typing import Any
 
 import msgspec
 
-from proto import catalog, services
-from proto.catalog import Request, Response, Service
-from proto.services import Feature
-from sim_server.desk import Desk
-from sim_server.handlers import (
+from zensim.proto import catalog, services
+from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.services import Feature
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.handlers import (
     agents,
     bounds,
     entities,
@@ -31,8 +31,8 @@ from sim_server.handlers import (
     transitions,
     worlds,
 )
-from sim_server.later import Later
-from sim_server.spawning import spawn_when_read
+from zensim.sim_server.later import Later
+from zensim.sim_server.spawning import spawn_when_read
 
 SPAWN_FORMATS = ("urdf", "sdf")
 

@@ -1,12 +1,12 @@
 """How time is made to pass: steps that are asked for, runs to a time, speed."""
 
-from proto import services, stepping
-from proto.header import NANOSECONDS, ns_from_time, time_from_ns
-from proto.result import Result, ResultCode
-from sim_server.desk import Desk
-from sim_server.errors import IncorrectState, Refused
-from sim_server.later import Later
-from sim_server.pacing.stepping import Goal
+from zensim.proto import services, stepping
+from zensim.proto.header import NANOSECONDS, ns_from_time, time_from_ns
+from zensim.proto.result import Result, ResultCode
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import IncorrectState, Refused
+from zensim.sim_server.later import Later
+from zensim.sim_server.pacing.stepping import Goal
 
 MAX_STEPS = 10_000_000
 MAX_GOALS = 64

@@ -1,16 +1,16 @@
 """What can be spawned, and where: shipped robots, named poses of the world."""
 
-from proto import places
-from proto.model import Model
-from proto.result import ResultCode
-from proto.services import BoundsType, Resource, SpawnEntityOrder
-from sim_server.description.library import shipped_models
-from sim_server.desk import Desk
-from sim_server.errors import Refused
-from sim_server.geometry.solids import solids_at
-from sim_server.later import Later
-from sim_server.lookup.filters import tags_test
-from sim_server.lookup.regions import bounds_of, links_at_zero
+from zensim.proto import places
+from zensim.proto.model import Model
+from zensim.proto.result import ResultCode
+from zensim.proto.services import BoundsType, Resource, SpawnEntityOrder
+from zensim.sim_server.description.library import shipped_models
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.geometry.solids import solids_at
+from zensim.sim_server.later import Later
+from zensim.sim_server.lookup.filters import tags_test
+from zensim.sim_server.lookup.regions import bounds_of, links_at_zero
 
 SHIPPED = "zensim://"
 

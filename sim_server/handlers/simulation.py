@@ -1,8 +1,8 @@
 """Going back to the start."""
 
-from proto import services
-from sim_server.desk import Desk
-from sim_server.errors import Unsupported
+from zensim.proto import services
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Unsupported
 
 
 def reset(desk: Desk, request: services.ResetSimulationRequest) -> services.ResetSimulationResponse:

@@ -4,17 +4,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from proto import entities, services
-from proto.header import Header, time_from_ns
-from proto.result import SetEntityStateCode
-from proto.rotation import FloatArray
-from sim_server.desk import Desk
-from sim_server.errors import PoseRefused, Refused, Unsupported
-from sim_server.later import Later
-from sim_server.lookup.filters import passing
-from sim_server.lookup.frames import frame_pose, in_world, seen_from, twist_in_world
-from sim_server.world.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
-from sim_server.world.world import World
+from zensim.proto import entities, services
+from zensim.proto.header import Header, time_from_ns
+from zensim.proto.result import SetEntityStateCode
+from zensim.proto.rotation import FloatArray
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import PoseRefused, Refused, Unsupported
+from zensim.sim_server.later import Later
+from zensim.sim_server.lookup.filters import passing
+from zensim.sim_server.lookup.frames import frame_pose, in_world, seen_from, twist_in_world
+from zensim.sim_server.world.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
+from zensim.sim_server.world.world import World
 
 
 def get_state(desk: Desk, request: entities.GetEntityStateOrder) -> services.GetEntityStateResponse:

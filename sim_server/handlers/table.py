@@ -2,14 +2,14 @@
 
 import msgspec
 
-from proto import services
-from proto.catalog import SERVICES
-from proto.result import Result
-from proto.services import State
-from sim_server.desk import Desk
-from sim_server.errors import IncorrectState
-from sim_server.handlers.offers import OFFERS
-from sim_server.later import Later
+from zensim.proto import services
+from zensim.proto.catalog import SERVICES
+from zensim.proto.result import Result
+from zensim.proto.services import State
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.handlers.offers import OFFERS
+from zensim.sim_server.later import Later
 
 
 def handle(desk: Desk, request: msgspec.Struct) -> msgspec.Struct | Later:

@@ -1,11 +1,11 @@
 """The state of the simulation: telling it, and going from one to another."""
 
-from proto import services
-from proto.result import SetSimulationStateCode
-from proto.services import State
-from sim_server.desk import Desk
-from sim_server.errors import Refused, SimError
-from sim_server.world.phases import LEADS_TO, NAMES, why_not
+from zensim.proto import services
+from zensim.proto.result import SetSimulationStateCode
+from zensim.proto.services import State
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import Refused, SimError
+from zensim.sim_server.world.phases import LEADS_TO, NAMES, why_not
 
 
 def get_simulation_state(

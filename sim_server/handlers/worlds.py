@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Iterator
 
-from proto import services, worlds
-from proto.header import NANOSECONDS
-from proto.model import ReportEntry
-from proto.result import (
+from zensim.proto import services, worlds
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.model import ReportEntry
+from zensim.proto.result import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
@@ -14,14 +14,14 @@ from proto.result import (
     SpawnCode,
     UnloadWorldCode,
 )
-from proto.services import State
-from sim_server.description.sdf import WorldModel
-from sim_server.desk import Desk, Founded
-from sim_server.errors import IncorrectState, ModelError, Refused, SimError
-from sim_server.later import Later
-from sim_server.reading.messages import TextRead
-from sim_server.worlds.atlas import ONLINE, Search
-from sim_server.worlds.world_reading import WorldReading
+from zensim.proto.services import State
+from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.desk import Desk, Founded
+from zensim.sim_server.errors import IncorrectState, ModelError, Refused, SimError
+from zensim.sim_server.later import Later
+from zensim.sim_server.reading.messages import TextRead
+from zensim.sim_server.worlds.atlas import ONLINE, Search
+from zensim.sim_server.worlds.world_reading import WorldReading
 
 NOTHING = WorldModel("", gravity=(0.0, 0.0, 0.0))
 SHOWN = 3

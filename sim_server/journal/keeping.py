@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.model import Model
-from sim_server.journal.ledger import FILES, sync_folder
-from sim_server.journal.rows import (
+from zensim.proto.model import Model
+from zensim.sim_server.journal.ledger import FILES, sync_folder
+from zensim.sim_server.journal.rows import (
     ENCODER,
     AsideRow,
     EntityRow,
@@ -21,13 +21,13 @@ from sim_server.journal.rows import (
     body_of,
     sha256_of,
 )
-from sim_server.reading.descriptions import meshes_of
+from zensim.sim_server.reading.descriptions import meshes_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from sim_server.journal.ledger import Ledger
-    from sim_server.journal.records import Change, Kept, Record
+    from zensim.sim_server.journal.ledger import Ledger
+    from zensim.sim_server.journal.records import Change, Kept, Record
 
 MOTION, CLOCK, WORLD = "motion", "clock", "world"
 """Rows of which there is one; their key is empty."""

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from sim_server.durable import Told
-from sim_server.journal.keeping import Keeper
-from sim_server.journal.ledger import FILES, Ledger, as_one_line, open_ledger, sync_folder
-from sim_server.journal.probing import deadly
-from sim_server.journal.recorder import Recorder
-from sim_server.journal.restoring import (
+from zensim.sim_server.durable import Told
+from zensim.sim_server.journal.keeping import Keeper
+from zensim.sim_server.journal.ledger import FILES, Ledger, as_one_line, open_ledger, sync_folder
+from zensim.sim_server.journal.probing import deadly
+from zensim.sim_server.journal.recorder import Recorder
+from zensim.sim_server.journal.restoring import (
     Contents,
     Shelf,
     birth_of,
@@ -24,17 +24,17 @@ from sim_server.journal.restoring import (
     restore,
     seal,
 )
-from sim_server.journal.rows import AsideRow
-from sim_server.journal.writer import Writer
+from zensim.sim_server.journal.rows import AsideRow
+from zensim.sim_server.journal.writer import Writer
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from sim_server.desk import Desk
-    from sim_server.journal.records import Kept
-    from sim_server.physics.engine import Engine
-    from sim_server.reading.assets import AssetStore
-    from sim_server.world.world import World
+    from zensim.sim_server.desk import Desk
+    from zensim.sim_server.journal.records import Kept
+    from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.reading.assets import AssetStore
+    from zensim.sim_server.world.world import World
 
 LOG = logging.getLogger(__name__)
 MARK = "restoring"

@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from proto.header import NANOSECONDS
-from proto.services import State
-from sim_server.errors import SimError
-from sim_server.journal.records import Change, Kept, Motion, Record
-from sim_server.journal.rows import AnswerRow, ClockRow, WorldRow
-from sim_server.world.birth import Birth
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.services import State
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.journal.records import Change, Kept, Motion, Record
+from zensim.sim_server.journal.rows import AnswerRow, ClockRow, WorldRow
+from zensim.sim_server.world.birth import Birth
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from sim_server.desk import Desk
-    from sim_server.durable import Told
-    from sim_server.physics.engine import FloatArray
+    from zensim.sim_server.desk import Desk
+    from zensim.sim_server.durable import Told
+    from zensim.sim_server.physics.engine import FloatArray
 
 LOG = logging.getLogger(__name__)
 MOTION_S = 0.4

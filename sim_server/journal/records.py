@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.journal.rows import AnswerRow, ClockRow, MotionRow, WorldRow
-from sim_server.physics.engine import Reading
-from sim_server.reading.descriptions import Reading as TextReading
-from sim_server.world.entity import Entity
+from zensim.sim_server.journal.rows import AnswerRow, ClockRow, MotionRow, WorldRow
+from zensim.sim_server.physics.engine import Reading
+from zensim.sim_server.reading.descriptions import Reading as TextReading
+from zensim.sim_server.world.entity import Entity
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 import numpy as np
 
-from proto.model import Model
-from proto.services import State
-from sim_server.errors import SimError
-from sim_server.journal.keeping import CLOCK, MOTION, WORLD
-from sim_server.journal.ledger import JournalError, Ledger
-from sim_server.journal.records import Kept
-from sim_server.journal.rows import (
+from zensim.proto.model import Model
+from zensim.proto.services import State
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.journal.keeping import CLOCK, MOTION, WORLD
+from zensim.sim_server.journal.ledger import JournalError, Ledger
+from zensim.sim_server.journal.records import Kept
+from zensim.sim_server.journal.rows import (
     ENCODER,
     AnswerRow,
     AsideRow,
@@ -24,15 +24,15 @@ from sim_server.journal.rows import (
     MotionRow,
     WorldRow,
 )
-from sim_server.reading.descriptions import Reading, meshes_of
-from sim_server.world.birth import Birth
+from zensim.sim_server.reading.descriptions import Reading, meshes_of
+from zensim.sim_server.world.birth import Birth
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from sim_server.physics.engine import FloatArray
-    from sim_server.reading.assets import AssetStore
-    from sim_server.world.world import World
+    from zensim.sim_server.physics.engine import FloatArray
+    from zensim.sim_server.reading.assets import AssetStore
+    from zensim.sim_server.world.world import World
 
 LOG = logging.getLogger(__name__)
 Row = TypeVar("Row", bound=msgspec.Struct)

@@ -7,12 +7,12 @@ import hashlib
 
 import msgspec
 
-from proto.assets import AssetRef
-from proto.info import EntityInfo
-from proto.model import Dynamics, Model
-from proto.services import Compat
-from proto.worlds import WorldResource
-from sim_server.description.sdf import WorldModel
+from zensim.proto.assets import AssetRef
+from zensim.proto.info import EntityInfo
+from zensim.proto.model import Dynamics, Model
+from zensim.proto.services import Compat
+from zensim.proto.worlds import WorldResource
+from zensim.sim_server.description.sdf import WorldModel
 
 ENCODER = msgspec.msgpack.Encoder()
 

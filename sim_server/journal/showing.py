@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.header import NANOSECONDS
-from proto.services import State
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.services import State
 
 if TYPE_CHECKING:
-    from sim_server.journal.ledger import Ledger
-    from sim_server.journal.restoring import Contents
-    from sim_server.journal.rows import EntityRow
+    from zensim.sim_server.journal.ledger import Ledger
+    from zensim.sim_server.journal.restoring import Contents
+    from zensim.sim_server.journal.rows import EntityRow
 
 
 def summary(ledger: Ledger, contents: Contents | None) -> dict[str, object]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from sim_server.journal.records import Record
+    from zensim.sim_server.journal.records import Record
 
 END_S = 1.5
 """How long a server that ends waits for the disk."""

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from sim_server.config import paced
-from sim_server.journal.ledger import JournalError
-from sim_server.loading.world_files import LoadedWorld, WorldOrder, doubts, loaded_elsewhere
+from zensim.sim_server.config import paced
+from zensim.sim_server.journal.ledger import JournalError
+from zensim.sim_server.loading.world_files import LoadedWorld, WorldOrder, doubts, loaded_elsewhere
 
 if TYPE_CHECKING:
-    from sim_server.config import ServerConfig
-    from sim_server.journal.opening import Journal
-    from sim_server.journal.restoring import Contents
+    from zensim.sim_server.config import ServerConfig
+    from zensim.sim_server.journal.opening import Journal
+    from zensim.sim_server.journal.restoring import Contents
 
 LOG = logging.getLogger(__name__)
 SAME_HZ = 1e-6

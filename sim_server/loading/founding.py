@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from proto.result import ResultCode
-from sim_server.config import ConfigError, paced
-from sim_server.desk import Founded
-from sim_server.errors import Refused
-from sim_server.loading.world_files import furnishing
-from sim_server.world.world import World
+from zensim.proto.result import ResultCode
+from zensim.sim_server.config import ConfigError, paced
+from zensim.sim_server.desk import Founded
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.loading.world_files import furnishing
+from zensim.sim_server.world.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from sim_server.config import ServerConfig
-    from sim_server.description.sdf import WorldModel
-    from sim_server.desk import Founding
-    from sim_server.physics.engine import Engine
+    from zensim.sim_server.config import ServerConfig
+    from zensim.sim_server.description.sdf import WorldModel
+    from zensim.sim_server.desk import Founding
+    from zensim.sim_server.physics.engine import Engine
 
 
 def founding(

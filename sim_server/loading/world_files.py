@@ -9,19 +9,19 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from sim_server.config import ConfigError
-from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import WorldModel, read_world
-from sim_server.errors import SimError
-from sim_server.world.birth import Birth
+from zensim.sim_server.config import ConfigError
+from zensim.sim_server.description.library import shipped_worlds, world_text
+from zensim.sim_server.description.sdf import WorldModel, read_world
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.world.birth import Birth
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from proto.model import ReportEntry
-    from sim_server.world.world import World
+    from zensim.proto.model import ReportEntry
+    from zensim.sim_server.world.world import World
 
-COMMAND = (sys.executable, "-m", "sim_server.loading.world_loading")
+COMMAND = (sys.executable, "-m", "zensim.sim_server.loading.world_loading")
 
 
 class LoadedWorld(msgspec.Struct, frozen=True):

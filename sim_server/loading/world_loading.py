@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from sim_server.config import ConfigError
-from sim_server.description.describing import describe_world
-from sim_server.description.library import shipped_worlds, world_text
-from sim_server.errors import SimError
-from sim_server.loading.world_files import LoadedWorld, WorldOrder, WorldOutcome, doubts
-from sim_server.reading.process import die_with_parent
-from sim_server.worlds.model_path import bytes_in, models_in
+from zensim.sim_server.config import ConfigError
+from zensim.sim_server.description.describing import describe_world
+from zensim.sim_server.description.library import shipped_worlds, world_text
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.loading.world_files import LoadedWorld, WorldOrder, WorldOutcome, doubts
+from zensim.sim_server.reading.process import die_with_parent
+from zensim.sim_server.worlds.model_path import bytes_in, models_in
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

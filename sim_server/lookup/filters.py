@@ -5,15 +5,15 @@ from typing import TypeVar
 
 import msgspec
 
-from proto.header import NANOSECONDS
-from proto.info import MAX_TAGS
-from proto.services import EntityFilters, FilterMode, TagsFilter
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.later import Later
-from sim_server.lookup.patterns import Pattern
-from sim_server.lookup.regions import Region, Sight, overlapping, region_of
-from sim_server.world.entity import Entity
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.info import MAX_TAGS
+from zensim.proto.services import EntityFilters, FilterMode, TagsFilter
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.later import Later
+from zensim.sim_server.lookup.patterns import Pattern
+from zensim.sim_server.lookup.regions import Region, Sight, overlapping, region_of
+from zensim.sim_server.world.entity import Entity
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 

@@ -6,13 +6,13 @@ the same as tf writes it under namespace r1. Links that were merged into others 
 
 import numpy as np
 
-from proto.result import ResultCode
-from proto.rotation import FloatArray, conjugate, multiply, rotate
-from sim_server.errors import SimError
-from sim_server.geometry.kinematics import link_poses
-from sim_server.world.entity import Entity
-from sim_server.world.poses import WORLD_FRAMES, compose, turned
-from sim_server.world.world import World
+from zensim.proto.result import ResultCode
+from zensim.proto.rotation import FloatArray, conjugate, multiply, rotate
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.geometry.kinematics import link_poses
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.poses import WORLD_FRAMES, compose, turned
+from zensim.sim_server.world.world import World
 
 SCOPE = "::"
 SHOWN = 80

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import re2
 
-from sim_server.errors import SimError
+from zensim.sim_server.errors import SimError
 
 MAX_CHARACTERS = 1024
 MAX_BYTES = 1 << 16

@@ -6,16 +6,24 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from proto.geometry import Vector3
-from proto.model import Model
-from proto.result import ResultCode
-from proto.rotation import FloatArray
-from proto.services import Bounds, BoundsType
-from sim_server.errors import SimError
-from sim_server.geometry.kinematics import link_poses
-from sim_server.geometry.solids import CUBE, Corners, Solid, outermost, overlap, reach_of, solids_at
-from sim_server.physics.engine import Reading
-from sim_server.world.entity import Entity, Roster
+from zensim.proto.geometry import Vector3
+from zensim.proto.model import Model
+from zensim.proto.result import ResultCode
+from zensim.proto.rotation import FloatArray
+from zensim.proto.services import Bounds, BoundsType
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.geometry.kinematics import link_poses
+from zensim.sim_server.geometry.solids import (
+    CUBE,
+    Corners,
+    Solid,
+    outermost,
+    overlap,
+    reach_of,
+    solids_at,
+)
+from zensim.sim_server.physics.engine import Reading
+from zensim.sim_server.world.entity import Entity, Roster
 
 BoolArray = npt.NDArray[np.bool_]
 

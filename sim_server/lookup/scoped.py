@@ -4,14 +4,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.model import Joint, Link
-from proto.result import ResultCode
-from proto.rotation import FloatArray
-from sim_server.errors import Refused
-from sim_server.geometry.motions import link_states
-from sim_server.lookup.frames import SCOPE, frame_pose
-from sim_server.world.entity import Entity
-from sim_server.world.world import World
+from zensim.proto.model import Joint, Link
+from zensim.proto.result import ResultCode
+from zensim.proto.rotation import FloatArray
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.geometry.motions import link_states
+from zensim.sim_server.lookup.frames import SCOPE, frame_pose
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.world import World
 
 SHOWN = 80
 NAMED = 5

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from proto.claims import DriveCommand, DriveState
-from proto.header import NANOSECONDS
+from zensim.proto.claims import DriveCommand, DriveState
+from zensim.proto.header import NANOSECONDS
 
 OnMiss = Literal["wait", "hold", "fail"]
 TIMEOUT_S = 1.0

@@ -4,8 +4,8 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from proto.header import NANOSECONDS
-from proto.stepping import GoalStatus, StepsProgress
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.stepping import GoalStatus, StepsProgress
 
 PROGRESS_HZ = 10
 KEPT = 256

@@ -3,8 +3,8 @@
 from collections.abc import Collection, Iterable
 from pathlib import Path
 
-from sim_server.physics.blueprint import Blueprint, Part
-from sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.blueprint import Blueprint, Part
+from zensim.sim_server.physics.engine import EngineRefused
 
 
 def check_blueprint(

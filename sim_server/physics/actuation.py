@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.drives import Actuator
-from proto.model import Model
-from proto.rotation import yaw_of
-from sim_server.physics.engine import FloatArray
+from zensim.proto.drives import Actuator
+from zensim.proto.model import Model
+from zensim.proto.rotation import yaw_of
+from zensim.sim_server.physics.engine import FloatArray
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from proto.model import (
+from zensim.proto.model import (
     IDENTITY,
     ZERO,
     Contact,
@@ -21,8 +21,8 @@ from proto.model import (
     Shape,
     Vec3,
 )
-from proto.rotation import from_matrix
-from sim_server.description.rolling import touching_links
+from zensim.proto.rotation import from_matrix
+from zensim.sim_server.description.rolling import touching_links
 
 DEFAULT_FRICTION = 1.0
 OPPOSITE = 1.0 - 1e-12

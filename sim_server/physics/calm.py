@@ -6,9 +6,9 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import Decay, Inertial, Model
-from sim_server.physics.actuation import actuation_of
-from sim_server.physics.engine import FloatArray, Reading
+from zensim.proto.model import Decay, Inertial, Model
+from zensim.sim_server.physics.actuation import actuation_of
+from zensim.sim_server.physics.engine import FloatArray, Reading
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]

@@ -2,12 +2,12 @@
 
 import os
 
-from sim_server.physics.choice import EngineChoice, EngineName, engine_of, engines_here
-from sim_server.physics.clusters.cells import Cells, CellsHere
-from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.clusters.workers import CellsOfWorkers
-from sim_server.physics.engine import Engine, EngineConfig
-from sim_server.physics.making import CellOrders, made
+from zensim.sim_server.physics.choice import EngineChoice, EngineName, engine_of, engines_here
+from zensim.sim_server.physics.clusters.cells import Cells, CellsHere
+from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
+from zensim.sim_server.physics.engine import Engine, EngineConfig
+from zensim.sim_server.physics.making import CellOrders, made
 
 ALONE = 250
 """Bodies that one cell has before there are several: fewer gain nothing (docs/fleet.md)."""

@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypedDict
 
-from proto.model import Shape
-from sim_server.physics.blueprint import Blueprint, Part
-from sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
-from sim_server.physics.touch import Dynamics, touch_of
+from zensim.proto.model import Shape
+from zensim.sim_server.physics.blueprint import Blueprint, Part
+from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
+from zensim.sim_server.physics.touch import Dynamics, touch_of
 
 SOLID_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 

@@ -8,9 +8,9 @@ from typing import Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from proto.model import Model, TierName
-from proto.result import ResultCode
-from sim_server.errors import SimError
+from zensim.proto.model import Model, TierName
+from zensim.proto.result import ResultCode
+from zensim.sim_server.errors import SimError
 
 FloatArray = npt.NDArray[np.float64]
 

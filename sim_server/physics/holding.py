@@ -4,8 +4,8 @@ Without it a braked robot on two wheels goes on rocking between its casters: not
 contacts takes that motion away. Wheels that are driven roll freely, and cost no more than before.
 """
 
-from proto.model import Model
-from sim_server.physics.blueprint import Blueprint, Part
+from zensim.proto.model import Model
+from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 RESISTANCE = 0.01
 """Rolling friction over radius, as of rubber on a hard floor."""

@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from proto.model import Joint, Model, Vec3
-from sim_server.physics.blueprint import Blueprint
-from sim_server.physics.engine import FloatArray
+from zensim.proto.model import Joint, Model, Vec3
+from zensim.sim_server.physics.blueprint import Blueprint
+from zensim.sim_server.physics.engine import FloatArray
 
 
 class Gear(NamedTuple):

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.model import Decay, Inertial, Link, Vec3
-from proto.rotation import conjugate, rotate
-from sim_server.physics.blueprint import Blueprint
-from sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
+from zensim.proto.model import Decay, Inertial, Link, Vec3
+from zensim.proto.rotation import conjugate, rotate
+from zensim.sim_server.physics.blueprint import Blueprint
+from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from importlib import import_module
 
 import msgspec
 
-from sim_server.physics.choice import EngineName
-from sim_server.physics.engine import Engine, EngineConfig
-from sim_server.physics.sleeping import with_sleep
+from zensim.sim_server.physics.choice import EngineName
+from zensim.sim_server.physics.engine import Engine, EngineConfig
+from zensim.sim_server.physics.sleeping import with_sleep
 
 ENGINES: dict[EngineName, tuple[str, str]] = {
-    "pybullet": ("sim_server.physics.pybullet_engine", "PyBulletEngine"),
-    "mujoco": ("sim_server.physics.mujoco_engine", "MujocoEngine"),
+    "pybullet": ("zensim.sim_server.physics.pybullet_engine", "PyBulletEngine"),
+    "mujoco": ("zensim.sim_server.physics.mujoco_engine", "MujocoEngine"),
 }
 READY = 2
 """Parked bodies of a PyBullet cell that stay awake for those who come moving."""

@@ -10,23 +10,23 @@ from itertools import count
 import mujoco
 import numpy as np
 
-from proto.model import Model
-from proto.rotation import conjugate, rotate
-from sim_server.physics.acceptance import check_meshes
-from sim_server.physics.actuation import actuation_of
-from sim_server.physics.casting.contact import correct, soft
-from sim_server.physics.casting.foundry import Foundry
-from sim_server.physics.casting.gathering import XYZ_XYZW
-from sim_server.physics.casting.make import NONE, Make, Makes
-from sim_server.physics.casting.meshes import pieces
-from sim_server.physics.casting.mjcf import JOINTS, MAX_PARTS, SHAPES, mjcf_of
-from sim_server.physics.casting.nearness import nearby
-from sim_server.physics.casting.plan import Plan, plan_of
-from sim_server.physics.casting.seat import Seat
-from sim_server.physics.casting.selection import Body, Selection, selection_of
-from sim_server.physics.casting.slots import Cast, Slots
-from sim_server.physics.casting.stock import stock_of
-from sim_server.physics.casting.switching import (
+from zensim.proto.model import Model
+from zensim.proto.rotation import conjugate, rotate
+from zensim.sim_server.physics.acceptance import check_meshes
+from zensim.sim_server.physics.actuation import actuation_of
+from zensim.sim_server.physics.casting.contact import correct, soft
+from zensim.sim_server.physics.casting.foundry import Foundry
+from zensim.sim_server.physics.casting.gathering import XYZ_XYZW
+from zensim.sim_server.physics.casting.make import NONE, Make, Makes
+from zensim.sim_server.physics.casting.meshes import pieces
+from zensim.sim_server.physics.casting.mjcf import JOINTS, MAX_PARTS, SHAPES, mjcf_of
+from zensim.sim_server.physics.casting.nearness import nearby
+from zensim.sim_server.physics.casting.plan import Plan, plan_of
+from zensim.sim_server.physics.casting.seat import Seat
+from zensim.sim_server.physics.casting.selection import Body, Selection, selection_of
+from zensim.sim_server.physics.casting.slots import Cast, Slots
+from zensim.sim_server.physics.casting.stock import stock_of
+from zensim.sim_server.physics.casting.switching import (
     FARTHEST,
     carry,
     empty,
@@ -36,10 +36,10 @@ from sim_server.physics.casting.switching import (
     man,
     still,
 )
-from sim_server.physics.casting.wishes import no_wishes
-from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
-from sim_server.physics.loads import loads_of
-from sim_server.physics.planning import Planner
+from zensim.sim_server.physics.casting.wishes import no_wishes
+from zensim.sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
+from zensim.sim_server.physics.loads import loads_of
+from zensim.sim_server.physics.planning import Planner
 
 # They would be said on the terminal, and in a file of the working directory.
 mujoco.set_mju_user_warning(lambda _: None)

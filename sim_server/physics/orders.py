@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 IntArray = npt.NDArray[np.intp]
 KEPT = 256

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from proto.model import Joint, Link, Model
-from sim_server.physics.actuation import Actuation, actuation_of
-from sim_server.physics.blueprint import Blueprint
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.holding import Holds, holds_of
-from sim_server.physics.loads import Load
+from zensim.proto.model import Joint, Link, Model
+from zensim.sim_server.physics.actuation import Actuation, actuation_of
+from zensim.sim_server.physics.blueprint import Blueprint
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.holding import Holds, holds_of
+from zensim.sim_server.physics.loads import Load
 
 PLACES = 64
 DEPTH_M = 1e4

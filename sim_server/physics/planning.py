@@ -2,10 +2,10 @@
 
 from collections.abc import Collection
 
-from proto.model import Model
-from sim_server.physics.acceptance import check_blueprint
-from sim_server.physics.blueprint import Blueprint, blueprint_of
-from sim_server.physics.spreading import spread
+from zensim.proto.model import Model
+from zensim.sim_server.physics.acceptance import check_blueprint
+from zensim.sim_server.physics.blueprint import Blueprint, blueprint_of
+from zensim.sim_server.physics.spreading import spread
 
 
 class Planner:

@@ -9,23 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from proto.model import ZERO, Model
-from sim_server.physics.actuation import imposed
-from sim_server.physics.blueprint import Blueprint
-from sim_server.physics.creation import SOLID_KINDS, creation_of, dynamics_of
-from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
-from sim_server.physics.holding import holds_of
-from sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
-from sim_server.physics.loads import Load, loads_of
-from sim_server.physics.orders import Orders
-from sim_server.physics.parking import Body, Parking, body_of
-from sim_server.physics.planning import Planner
-from sim_server.physics.readback import base_states, joint_states
-from sim_server.physics.roots import Roots
-from sim_server.physics.shapes import Shapes
-from sim_server.physics.silence import silenced
-from sim_server.physics.solving import SOLVING
-from sim_server.physics.touch import self_touching, standing_friction, touches_itself
+from zensim.proto.model import ZERO, Model
+from zensim.sim_server.physics.actuation import imposed
+from zensim.sim_server.physics.blueprint import Blueprint
+from zensim.sim_server.physics.creation import SOLID_KINDS, creation_of, dynamics_of
+from zensim.sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray, Reading
+from zensim.sim_server.physics.holding import holds_of
+from zensim.sim_server.physics.joints import Gear, bearable_dampings, gears_of, moving_joints
+from zensim.sim_server.physics.loads import Load, loads_of
+from zensim.sim_server.physics.orders import Orders
+from zensim.sim_server.physics.parking import Body, Parking, body_of
+from zensim.sim_server.physics.planning import Planner
+from zensim.sim_server.physics.readback import base_states, joint_states
+from zensim.sim_server.physics.roots import Roots
+from zensim.sim_server.physics.shapes import Shapes
+from zensim.sim_server.physics.silence import silenced
+from zensim.sim_server.physics.solving import SOLVING
+from zensim.sim_server.physics.touch import self_touching, standing_friction, touches_itself
 
 with silenced():
     import pybullet

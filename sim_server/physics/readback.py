@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 Triple = tuple[float, float, float]
 Quadruple = tuple[float, float, float, float]

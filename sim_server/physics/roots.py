@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.rotation import conjugate, multiply, rotate
-from sim_server.physics.blueprint import Part
-from sim_server.physics.engine import FloatArray
+from zensim.proto.rotation import conjugate, multiply, rotate
+from zensim.sim_server.physics.blueprint import Part
+from zensim.sim_server.physics.engine import FloatArray
 
 ROUND = np.array([0, 1, 2, 0, 1])
 """Rows of vectors as columns (3, n), written on so that cross products are products of slices."""

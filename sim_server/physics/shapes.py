@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Mapping
 
-from proto.model import Shape
-from sim_server.physics.acceptance import check_meshes
-from sim_server.physics.blueprint import Blueprint, Part
-from sim_server.physics.creation import solids_of
-from sim_server.physics.spreading import ShapeKey, key_of
+from zensim.proto.model import Shape
+from zensim.sim_server.physics.acceptance import check_meshes
+from zensim.sim_server.physics.blueprint import Blueprint, Part
+from zensim.sim_server.physics.creation import solids_of
+from zensim.sim_server.physics.spreading import ShapeKey, key_of
 
 
 class Shapes:

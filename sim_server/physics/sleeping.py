@@ -10,12 +10,19 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from proto.model import Model
-from sim_server.physics.actuation import Actuation, actuation_of
-from sim_server.physics.calm import CALM_S, GAP_M, Calm, IntArray, State, reached
-from sim_server.physics.clusters.reach import FARTHEST_M, Measure
-from sim_server.physics.engine import Concealing, Dozing, Engine, EngineConfig, FloatArray, Reading
-from sim_server.physics.orders import Orders
+from zensim.proto.model import Model
+from zensim.sim_server.physics.actuation import Actuation, actuation_of
+from zensim.sim_server.physics.calm import CALM_S, GAP_M, Calm, IntArray, State, reached
+from zensim.sim_server.physics.clusters.reach import FARTHEST_M, Measure
+from zensim.sim_server.physics.engine import (
+    Concealing,
+    Dozing,
+    Engine,
+    EngineConfig,
+    FloatArray,
+    Reading,
+)
+from zensim.sim_server.physics.orders import Orders
 
 LOOK_S = 0.1
 AHEAD = 2.0

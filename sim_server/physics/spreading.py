@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
-from proto.model import Origin, Shape, Vec3
-from sim_server.physics.blueprint import Blueprint, Part
+from zensim.proto.model import Origin, Shape, Vec3
+from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 ShapeKey = tuple[tuple[str, Vec3, Origin, str, bool], ...]
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import TypedDict
 
-from proto.model import ZERO, Link
-from sim_server.physics.blueprint import Blueprint, Part
+from zensim.proto.model import ZERO, Link
+from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 SOFTEST_STEPS = 4.0
 """Damping in units of stiffness times step that pushes out a fifth of a depth in each step.

@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-from proto.model import Model
-from sim_server.physics.blank_pages import give_back_blank_pages, map_large_blocks
-from sim_server.physics.clusters.sharing import Board
-from sim_server.physics.clusters.worker import Answer, CellTold
-from sim_server.physics.engine import Engine, EngineRefused, FloatArray, concealing
-from sim_server.physics.making import CellOrders
+from zensim.proto.model import Model
+from zensim.sim_server.physics.blank_pages import give_back_blank_pages, map_large_blocks
+from zensim.sim_server.physics.clusters.sharing import Board
+from zensim.sim_server.physics.clusters.worker import Answer, CellTold
+from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray, concealing
+from zensim.sim_server.physics.making import CellOrders
 
 SIMPLE = ("place", "rest", "put", "push_link", "push_joint")
 """What a cell is told of a body as an engine is; nothing comes of it."""

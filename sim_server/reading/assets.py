@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
-from proto.result import ResultCode
-from proto.stl import read_corners
-from sim_server.errors import AssetRefused
+from zensim.proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
+from zensim.proto.result import ResultCode
+from zensim.proto.stl import read_corners
+from zensim.sim_server.errors import AssetRefused
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

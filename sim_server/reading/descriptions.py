@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
-from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
-from sim_server.description.resources import text_of
-from sim_server.errors import ModelError
-from sim_server.reading.messages import MeshMade, ReadRequest, TextRead
+from zensim.proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
+from zensim.sim_server.description.resources import text_of
+from zensim.sim_server.errors import ModelError
+from zensim.sim_server.reading.messages import MeshMade, ReadRequest, TextRead
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from proto.model import Dynamics, Model
-    from proto.services import Compat, SpawnEntityOrder
-    from sim_server.reading.assets import AssetStore
-    from sim_server.reading.reader import Reader
+    from zensim.proto.model import Dynamics, Model
+    from zensim.proto.services import Compat, SpawnEntityOrder
+    from zensim.sim_server.reading.assets import AssetStore
+    from zensim.sim_server.reading.reader import Reader
 
 KEPT = 512
 KEPT_CHARACTERS = 64 << 20

@@ -6,10 +6,10 @@ import struct
 
 import msgspec
 
-from proto.assets import AssetRef
-from proto.model import Dynamics, Model
-from proto.services import Compat
-from sim_server.description.sdf import WorldModel
+from zensim.proto.assets import AssetRef
+from zensim.proto.model import Dynamics, Model
+from zensim.proto.services import Compat
+from zensim.sim_server.description.sdf import WorldModel
 
 LENGTH = struct.Struct("<Q")
 """Stands before each frame."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from proto.result import SpawnCode
+from zensim.proto.result import SpawnCode
 
 UNNEEDED = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "shapely")
 """What trimesh imports where it is there, and uses for nothing that is read here."""
@@ -22,9 +22,9 @@ UNNEEDED = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "
 if __name__ == "__main__":
     sys.modules.update(dict.fromkeys(UNNEEDED))  # type: ignore[arg-type]
 
-from sim_server.description.describing import describe, describe_world, warm_up  # noqa: E402
-from sim_server.errors import ModelError  # noqa: E402
-from sim_server.reading.messages import (  # noqa: E402
+from zensim.sim_server.description.describing import describe, describe_world, warm_up  # noqa: E402
+from zensim.sim_server.errors import ModelError  # noqa: E402
+from zensim.sim_server.reading.messages import (  # noqa: E402
     LENGTH,
     MeshMade,
     ReaderReady,

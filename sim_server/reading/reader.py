@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
-from proto.header import NANOSECONDS
-from proto.result import ResultCode
-from sim_server.reading.messages import (
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.result import ResultCode
+from zensim.sim_server.reading.messages import (
     LENGTH,
     MeshMade,
     ReaderMessage,
@@ -29,14 +29,14 @@ from sim_server.reading.messages import (
     TextRead,
     framed,
 )
-from sim_server.reading.own_time import ReaderTime
+from zensim.sim_server.reading.own_time import ReaderTime
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 LOG = logging.getLogger(__name__)
 
-COMMAND = (sys.executable, "-m", "sim_server.reading.process")
+COMMAND = (sys.executable, "-m", "zensim.sim_server.reading.process")
 DEADLINE_S = 9.0
 """From handing a request over to its answer, in the reader's own time: callers wait for 10 s."""
 START_S = 60.0

@@ -4,9 +4,9 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from proto.catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES
-from sim_server.durable import Told
-from sim_server.traffic.calls import Call
+from zensim.proto.catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES
+from zensim.sim_server.durable import Told
+from zensim.sim_server.traffic.calls import Call
 
 KEPT = 4096
 KEPT_BYTES = 32 << 20

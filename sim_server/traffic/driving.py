@@ -4,15 +4,15 @@ import logging
 
 import msgspec
 
-from proto.bus import Sample
-from proto.claims import DriveCommand, DriveState
-from proto.codec import MalformedPayload, decode
-from proto.keys import agent_of
-from proto.services import State
-from proto.telemetry import Event
-from sim_server.desk import Desk
-from sim_server.traffic.inbox import Inbox
-from sim_server.traffic.outlets import Outlet
+from zensim.proto.bus import Sample
+from zensim.proto.claims import DriveCommand, DriveState
+from zensim.proto.codec import MalformedPayload, decode
+from zensim.proto.keys import agent_of
+from zensim.proto.services import State
+from zensim.proto.telemetry import Event
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.traffic.inbox import Inbox
+from zensim.sim_server.traffic.outlets import Outlet
 
 APART_NS = 2_000_000
 """Wall time between two states that nobody waits for: an agent answers no more often."""

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from proto.gazebo import LinkStates, ModelStates
-from proto.geometry import Point, Pose, Quaternion, Twist, Vector3
-from proto.rotation import FloatArray
-from sim_server.geometry.motions import link_states as motion_of
-from sim_server.lookup.frames import SCOPE
-from sim_server.world.entity import Entity
-from sim_server.world.world import World
+from zensim.proto.gazebo import LinkStates, ModelStates
+from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3
+from zensim.proto.rotation import FloatArray
+from zensim.sim_server.geometry.motions import link_states as motion_of
+from zensim.sim_server.lookup.frames import SCOPE
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.world import World
 
 
 def model_states(world: World) -> ModelStates:

@@ -2,10 +2,10 @@
 
 from typing import Protocol
 
-from proto import keys
-from proto.bus import Bus, Sample
-from sim_server.traffic.calls import Call
-from sim_server.traffic.ros_side import Source
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Sample
+from zensim.sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.ros_side import Source
 
 COMMAND_DEPTH = 8192
 

@@ -8,13 +8,13 @@ import logging
 from collections.abc import Callable
 from typing import Protocol
 
-from proto.services import State
-from sim_server.desk import Desk
-from sim_server.traffic.driving import Driving
-from sim_server.traffic.inbox import Inbox
-from sim_server.traffic.outlets import Outlet
-from sim_server.traffic.requests import Requests
-from sim_server.traffic.telemetry import Telemetry
+from zensim.proto.services import State
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.traffic.driving import Driving
+from zensim.sim_server.traffic.inbox import Inbox
+from zensim.sim_server.traffic.outlets import Outlet
+from zensim.sim_server.traffic.requests import Requests
+from zensim.sim_server.traffic.telemetry import Telemetry
 
 LOG = logging.getLogger(__name__)
 

@@ -5,16 +5,16 @@ from typing import Protocol
 
 import msgspec
 
-from proto import keys
-from proto.bus import Bus, Publisher
-from proto.claims import DriveState
-from proto.codec import Format, encode, encoding_of
-from proto.faces import Faces
-from proto.gazebo import LinkStates, ModelStates
-from proto.ros_graph import Topic
-from proto.stepping import StepsProgress
-from proto.telemetry import Event, Snapshot, Stats, WorldClock
-from proto.topics import Clock
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Publisher
+from zensim.proto.claims import DriveState
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.faces import Faces
+from zensim.proto.gazebo import LinkStates, ModelStates
+from zensim.proto.ros_graph import Topic
+from zensim.proto.stepping import StepsProgress
+from zensim.proto.telemetry import Event, Snapshot, Stats, WorldClock
+from zensim.proto.topics import Clock
 
 FACED: dict[str, type[msgspec.Struct]] = {
     "clock": Clock,

@@ -4,8 +4,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim_server.traffic.answers import Answer
-from sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.answers import Answer
+from zensim.sim_server.traffic.calls import Call
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 import msgspec
 
-from proto.catalog import SERVICES, SPAWN_ENTITY
-from proto.codec import Format, MalformedPayload, encode, encoding_of, format_of
-from proto.keys import service as service_key
-from proto.result import ResultCode, SpawnCode
-from proto.services import MAX_REQUEST_BYTES
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers.table import handle, refusal
-from sim_server.later import Later
-from sim_server.traffic.answers import Answer, Answers, is_mutating, told
-from sim_server.traffic.calls import Call
-from sim_server.traffic.replies import Replies, Waiting
-from sim_server.traffic.telemetry import TOPICS, Telemetry
+from zensim.proto.catalog import SERVICES, SPAWN_ENTITY
+from zensim.proto.codec import Format, MalformedPayload, encode, encoding_of, format_of
+from zensim.proto.keys import service as service_key
+from zensim.proto.result import ResultCode, SpawnCode
+from zensim.proto.services import MAX_REQUEST_BYTES
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.table import handle, refusal
+from zensim.sim_server.later import Later
+from zensim.sim_server.traffic.answers import Answer, Answers, is_mutating, told
+from zensim.sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.replies import Replies, Waiting
+from zensim.sim_server.traffic.telemetry import TOPICS, Telemetry
 
 LASTING = frozenset(
     {

@@ -12,20 +12,20 @@ from typing import Final, Protocol, TypeVar
 
 import msgspec
 
-from proto import ros_actions as action
-from proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
-from proto.codec import Format, MalformedPayload, decode, encode
-from proto.header import Time, ns_from_time, time_from_ns
-from proto.result import Result, ResultCode
-from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.stepping import (
+from zensim.proto import ros_actions as action
+from zensim.proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
+from zensim.proto.codec import Format, MalformedPayload, decode, encode
+from zensim.proto.header import Time, ns_from_time, time_from_ns
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.stepping import (
     CancelStepsRequest,
     CancelStepsResponse,
     SimulateStepsRequest,
     SimulateStepsResponse,
     StepsProgress,
 )
-from sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.calls import Call
 
 CDR: Final = str(Format.CDR.value)
 MSGPACK: Final = str(Format.MSGPACK.value)

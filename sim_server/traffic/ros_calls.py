@@ -11,13 +11,20 @@ from typing import Final, TypeVar
 
 import msgspec
 
-from proto import bus as network
-from proto.codec import MalformedPayload
-from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.ros2.keys import NO_HASH
-from proto.ros_graph import RosNode
-from proto.ros_services import CDR, ROS_SERVICES, RosService, by_bridge_key, by_key, served_keys
-from sim_server.traffic.calls import Call
+from zensim.proto import bus as network
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.keys import NO_HASH
+from zensim.proto.ros_graph import RosNode
+from zensim.proto.ros_services import (
+    CDR,
+    ROS_SERVICES,
+    RosService,
+    by_bridge_key,
+    by_key,
+    served_keys,
+)
+from zensim.sim_server.traffic.calls import Call
 
 LOG = logging.getLogger(__name__)
 Message = TypeVar("Message", bound=msgspec.Struct)

@@ -4,17 +4,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from proto import ros_actions as action
-from proto.bus import Bus
-from proto.faces import Faces, TopicPublisher
-from proto.ros2.keys import ANY_HASH, NO_HASH, data_key
-from proto.ros2.settings import RosSettings
-from proto.ros2.type_hash import service_hash, service_type
-from proto.ros_graph import RosGraph, RosNode, Topic
-from proto.stepping import StepsProgress
-from sim_server.traffic.calls import Call
-from sim_server.traffic.ros_action import Query, StepsAction
-from sim_server.traffic.ros_calls import announce_services, bridge_calls, rmw_calls
+from zensim.proto import ros_actions as action
+from zensim.proto.bus import Bus
+from zensim.proto.faces import Faces, TopicPublisher
+from zensim.proto.ros2.keys import ANY_HASH, NO_HASH, data_key
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros2.type_hash import service_hash, service_type
+from zensim.proto.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.stepping import StepsProgress
+from zensim.sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.ros_action import Query, StepsAction
+from zensim.sim_server.traffic.ros_calls import announce_services, bridge_calls, rmw_calls
 
 NODE: Final = "zensim"
 """What the server is called in ROS 2."""

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import msgspec
 
-from proto.header import NANOSECONDS, time_from_ns
-from proto.services import State
-from proto.telemetry import Stats, WorldClock
-from sim_server.desk import Desk
-from sim_server.physics.engine import Tiered
-from sim_server.traffic.gazebo_states import link_states, model_states
+from zensim.proto.header import NANOSECONDS, time_from_ns
+from zensim.proto.services import State
+from zensim.proto.telemetry import Stats, WorldClock
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.physics.engine import Tiered
+from zensim.sim_server.traffic.gazebo_states import link_states, model_states
 
 CLOCK_HZ = 100
 SNAPSHOT_HZ = 30

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from proto.info import EntityInfo
-from proto.model import Model
-from sim_server.physics.engine import FloatArray
-from sim_server.world.naming import Names, free_name, free_namespace
+from zensim.proto.info import EntityInfo
+from zensim.proto.model import Model
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.world.naming import Names, free_name, free_namespace
 
 
 @dataclass(frozen=True)

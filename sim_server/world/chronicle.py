@@ -1,9 +1,9 @@
 """A world's time and state, and what everybody is told of it."""
 
-from proto.services import State
-from proto.telemetry import Event, EventKind, StateName
-from sim_server.errors import IncorrectState
-from sim_server.world.phases import ENTERED, NAMES
+from zensim.proto.services import State
+from zensim.proto.telemetry import Event, EventKind, StateName
+from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.world.phases import ENTERED, NAMES
 
 
 class Chronicle:

@@ -5,11 +5,11 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from proto.claims import DriveCommand, OnRelease
-from proto.result import ClaimCode
-from sim_server.errors import Refused
-from sim_server.physics.engine import FloatArray
-from sim_server.world.entity import Entity, Fleet, Hold, Roster, fleet_of
+from zensim.proto.claims import DriveCommand, OnRelease
+from zensim.proto.result import ClaimCode
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.world.entity import Entity, Fleet, Hold, Roster, fleet_of
 
 
 class Claims:

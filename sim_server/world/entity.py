@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from proto.claims import DriveState, OnRelease
-from proto.info import Category, EntityCategory, EntityInfo
-from proto.model import Model
-from sim_server.physics.engine import FloatArray, Reading
+from zensim.proto.claims import DriveState, OnRelease
+from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.proto.model import Model
+from zensim.sim_server.physics.engine import FloatArray, Reading
 
 IntArray = npt.NDArray[np.intp]
 

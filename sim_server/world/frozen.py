@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from proto.model import Joint, Model, Origin
-from sim_server.errors import IncorrectState
-from sim_server.geometry.kinematics import joint_motion, placed, row_of
-from sim_server.physics.engine import FloatArray, Reading
-from sim_server.world.entity import Entity, Roster
+from zensim.proto.model import Joint, Model, Origin
+from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.geometry.kinematics import joint_motion, placed, row_of
+from zensim.sim_server.physics.engine import FloatArray, Reading
+from zensim.sim_server.world.entity import Entity, Roster
 
 FARTHEST_M = 1e6
 """From the origin along an axis: ten times as far as a pose may be asked for."""

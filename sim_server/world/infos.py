@@ -1,7 +1,7 @@
 """What may be said of an entity, checked."""
 
-from proto.info import MAX_DESCRIPTION, MAX_TAG, MAX_TAGS, Category, EntityInfo
-from sim_server.errors import SimError
+from zensim.proto.info import MAX_DESCRIPTION, MAX_TAG, MAX_TAGS, Category, EntityInfo
+from zensim.sim_server.errors import SimError
 
 
 class InfoRefused(SimError):

@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from proto.info import EntityInfo
-from proto.model import Model
-from sim_server.errors import EntityNotFound
-from sim_server.physics.engine import Engine, concealing, patient
-from sim_server.world.birth import Birth
-from sim_server.world.chronicle import Chronicle
-from sim_server.world.entity import Entity, Roster, info_of, roster_of
-from sim_server.world.naming import Names
+from zensim.proto.info import EntityInfo
+from zensim.proto.model import Model
+from zensim.sim_server.errors import EntityNotFound
+from zensim.sim_server.physics.engine import Engine, concealing, patient
+from zensim.sim_server.world.birth import Birth
+from zensim.sim_server.world.chronicle import Chronicle
+from zensim.sim_server.world.entity import Entity, Roster, info_of, roster_of
+from zensim.sim_server.world.naming import Names
 
 
 class Inhabited(Chronicle):

@@ -2,9 +2,9 @@
 
 from collections.abc import Collection, Iterable, Mapping
 
-from proto.names import InvalidName, check_name, check_namespace
-from sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
-from sim_server.world.entity import Entity
+from zensim.proto.names import InvalidName, check_name, check_namespace
+from zensim.sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
+from zensim.sim_server.world.entity import Entity
 
 MAX_RENAMES = 100_000
 BARE_CHARACTERS = 56

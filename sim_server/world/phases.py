@@ -1,7 +1,7 @@
 """What the simulation does: in words, as events, and what may follow what."""
 
-from proto.services import State
-from proto.telemetry import EventKind, StateName
+from zensim.proto.services import State
+from zensim.proto.telemetry import EventKind, StateName
 
 NAMES: dict[State, StateName] = {
     State.STOPPED: "stopped",

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 
-from proto.geometry import Point, Pose, Quaternion, Twist, Vector3
-from proto.rotation import multiply, rotate
-from sim_server.errors import PoseRefused
-from sim_server.physics.engine import FloatArray
+from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3
+from zensim.proto.rotation import multiply, rotate
+from zensim.sim_server.errors import PoseRefused
+from zensim.sim_server.physics.engine import FloatArray
 
 MAX_POSITION_M = 1e5
 MAX_SPEED = 1e4

@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from proto.result import ResultCode
-from sim_server.errors import Refused
-from sim_server.physics.engine import Engine, FloatArray
-from sim_server.world.entity import Entity
+from zensim.proto.result import ResultCode
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.world.entity import Entity
 
 MOST = 4096
 """That last at one time."""

@@ -6,18 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from proto.claims import Claim, DriveCommand, DriveState, OnRelease
-from proto.model import Model
-from proto.services import ResetScope, State
-from proto.telemetry import Snapshot
-from sim_server.physics.actuation import standing
-from sim_server.physics.engine import Engine, FloatArray, Reading
-from sim_server.world.claims import Claims
-from sim_server.world.entity import Entity, Fleet
-from sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, is_good, still
-from sim_server.world.inhabited import Inhabited
-from sim_server.world.naming import Names
-from sim_server.world.pushes import Pushes
+from zensim.proto.claims import Claim, DriveCommand, DriveState, OnRelease
+from zensim.proto.model import Model
+from zensim.proto.services import ResetScope, State
+from zensim.proto.telemetry import Snapshot
+from zensim.sim_server.physics.actuation import standing
+from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
+from zensim.sim_server.world.claims import Claims
+from zensim.sim_server.world.entity import Entity, Fleet
+from zensim.sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, is_good, still
+from zensim.sim_server.world.inhabited import Inhabited
+from zensim.sim_server.world.naming import Names
+from zensim.sim_server.world.pushes import Pushes
 
 RECENT_NS = 25_000_000
 """Simulation time for which what agents were told will do for an answer."""

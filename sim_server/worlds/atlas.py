@@ -12,12 +12,12 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from proto.result import LoadWorldCode, ResultCode
-from proto.services import Resource
-from proto.worlds import WorldResource
-from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.strict_xml import MAX_BYTES
-from sim_server.errors import Refused
+from zensim.proto.result import LoadWorldCode, ResultCode
+from zensim.proto.services import Resource
+from zensim.proto.worlds import WorldResource
+from zensim.sim_server.description.library import shipped_worlds, world_text
+from zensim.sim_server.description.strict_xml import MAX_BYTES
+from zensim.sim_server.errors import Refused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from proto.assets import MAX_FILE_BYTES
-from sim_server.description.strict_xml import MAX_BYTES, parse_xml
-from sim_server.errors import ModelError
+from zensim.proto.assets import MAX_FILE_BYTES
+from zensim.sim_server.description.strict_xml import MAX_BYTES, parse_xml
+from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from sim_server.description.sdf_includes import Resolve
+    from zensim.sim_server.description.sdf_includes import Resolve
 
 SCHEMES = ("model://", "package://", "file://")
 CONFIG = "model.config"

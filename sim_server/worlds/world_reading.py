@@ -5,17 +5,17 @@ from __future__ import annotations
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
-from proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
-from proto.result import SpawnCode
-from sim_server.reading.messages import ReadRequest, TextRead
-from sim_server.worlds.model_path import bytes_in, models_in
+from zensim.proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.reading.messages import ReadRequest, TextRead
+from zensim.sim_server.worlds.model_path import bytes_in, models_in
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-    from sim_server.reading.assets import AssetStore
-    from sim_server.reading.descriptions import Descriptions
+    from zensim.sim_server.reading.assets import AssetStore
+    from zensim.sim_server.reading.descriptions import Descriptions
 
 MAX_ROUNDS = 20
 """Each may bring models that name others: includes nest 16 deep."""

@@ -5,10 +5,10 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from proto.bus import BusConfig, open_bus
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.exits import FAILURES
-from spawner.client import SimClient
+from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.exits import FAILURES
+from zensim.spawner.client import SimClient
 
 Found = TypeVar("Found")
 

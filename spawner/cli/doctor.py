@@ -8,11 +8,11 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.exits import Exit, one_line_failures
-from proto.names import check_name
-from spawner.cli.session import AsJson, Connect, WorldName, data_console
-from spawner.doctor import Finding, Mark, examine, worst
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.exits import Exit, one_line_failures
+from zensim.proto.names import check_name
+from zensim.spawner.cli.session import AsJson, Connect, WorldName, data_console
+from zensim.spawner.doctor import Finding, Mark, examine, worst
 
 STYLES: dict[Mark, str] = {"ok": "green", "note": "yellow", "wrong": "bold red"}
 

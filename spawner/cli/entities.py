@@ -7,22 +7,15 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from proto.exits import Exit, line_of, one_line_failures, status_of
-from proto.result import ResultCode, ServiceError
-from proto.services import Bounds, BoundsType, EntityFilters
-from spawner.angles import yaw_of
-from spawner.cli.completion import Name, entity_names
-from spawner.cli.kinds import category_word
-from spawner.cli.report_table import print_report
-from spawner.cli.session import (
-    AsJson,
-    Connect,
-    Timeout,
-    WorldName,
-    client_for,
-    data_console,
-)
-from spawner.client import SimClient
+from zensim.proto.exits import Exit, line_of, one_line_failures, status_of
+from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.services import Bounds, BoundsType, EntityFilters
+from zensim.spawner.angles import yaw_of
+from zensim.spawner.cli.completion import Name, entity_names
+from zensim.spawner.cli.kinds import category_word
+from zensim.spawner.cli.report_table import print_report
+from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for, data_console
+from zensim.spawner.client import SimClient
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -5,11 +5,11 @@ from typing import Annotated
 import msgspec
 import typer
 
-from proto.exits import one_line_failures
-from proto.info import EntityInfo
-from spawner.cli.completion import Name
-from spawner.cli.kinds import category_of, category_word
-from spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
+from zensim.proto.exits import one_line_failures
+from zensim.proto.info import EntityInfo
+from zensim.spawner.cli.completion import Name
+from zensim.spawner.cli.kinds import category_of, category_word
+from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
 
 app = typer.Typer(
     name="info", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False

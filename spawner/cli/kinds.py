@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from proto.info import Category, EntityCategory
-from proto.services import EntityFilters, TagsFilter
+from zensim.proto.info import Category, EntityCategory
+from zensim.proto.services import EntityFilters, TagsFilter
 
 
 def category_of(word: str) -> EntityCategory:

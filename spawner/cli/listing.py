@@ -12,13 +12,13 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from proto.bus import NoServer
-from proto.exits import one_line_failures
-from proto.header import NANOSECONDS, ns_from_time
-from proto.services import EntityFilters
-from spawner.angles import yaw_of
-from spawner.cli.kinds import filters_of
-from spawner.cli.session import (
+from zensim.proto.bus import NoServer
+from zensim.proto.exits import one_line_failures
+from zensim.proto.header import NANOSECONDS, ns_from_time
+from zensim.proto.services import EntityFilters
+from zensim.spawner.angles import yaw_of
+from zensim.spawner.cli.kinds import filters_of
+from zensim.spawner.cli.session import (
     AsJson,
     Connect,
     Timeout,
@@ -27,7 +27,7 @@ from spawner.cli.session import (
     data_console,
     print_table,
 )
-from spawner.client import SimClient
+from zensim.spawner.client import SimClient
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from spawner.cli.session import AsJson, Connect, Timeout, WorldName
+from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName
 
 Model = Annotated[
     str, typer.Argument(help="Shipped model, path of a URDF, xacro or SDF file, or - for stdin.")

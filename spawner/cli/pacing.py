@@ -6,13 +6,13 @@ from typing import Annotated
 import msgspec
 import typer
 
-from proto.exits import one_line_failures
-from proto.header import NANOSECONDS
-from proto.stepping import SimulateStepsResponse
-from spawner.cli.progress import step_progress
-from spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
-from spawner.client import SimClient
-from spawner.goals import GoalInterrupted
+from zensim.proto.exits import one_line_failures
+from zensim.proto.header import NANOSECONDS
+from zensim.proto.stepping import SimulateStepsResponse
+from zensim.spawner.cli.progress import step_progress
+from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
+from zensim.spawner.client import SimClient
+from zensim.spawner.goals import GoalInterrupted
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -13,8 +13,8 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from proto.stepping import StepsProgress
-from spawner.cli.session import progress_console
+from zensim.proto.stepping import StepsProgress
+from zensim.spawner.cli.session import progress_console
 
 
 @contextmanager

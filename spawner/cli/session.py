@@ -8,11 +8,11 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from proto.bus import BusConfig, open_bus
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.exits import one_line_failures
-from proto.names import check_name
-from spawner.client import SimClient
+from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.exits import one_line_failures
+from zensim.proto.names import check_name
+from zensim.spawner.client import SimClient
 
 Connect = Annotated[
     str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")

@@ -6,8 +6,8 @@ from typing import Annotated
 import msgspec
 import typer
 
-from proto.services import Feature, ResetScope, State
-from spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
+from zensim.proto.services import Feature, ResetScope, State
+from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

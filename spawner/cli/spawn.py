@@ -5,21 +5,21 @@ from contextlib import ExitStack
 import msgspec
 import typer
 
-from proto import keys
-from proto.exits import Exit, one_line_failures
-from proto.fleets import HELD_BACK
-from proto.model import ReportEntry
-from proto.names import check_name
-from proto.option_fields import takes
-from proto.result import ResultCode, ServiceError, SetSimulationStateCode
-from proto.services import SpawnEntityOrder, SpawnEntityReport, State
-from proto.stop import StopFlag
-from spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
-from spawner.cli.options import FleetOptions, SpawnOptions
-from spawner.cli.progress import upload_progress
-from spawner.cli.report_table import print_report
-from spawner.cli.session import client_for, data_console
-from spawner.cli.wishes import (
+from zensim.proto import keys
+from zensim.proto.exits import Exit, one_line_failures
+from zensim.proto.fleets import HELD_BACK
+from zensim.proto.model import ReportEntry
+from zensim.proto.names import check_name
+from zensim.proto.option_fields import takes
+from zensim.proto.result import ResultCode, ServiceError, SetSimulationStateCode
+from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport, State
+from zensim.proto.stop import StopFlag
+from zensim.spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
+from zensim.spawner.cli.options import FleetOptions, SpawnOptions
+from zensim.spawner.cli.progress import upload_progress
+from zensim.spawner.cli.report_table import print_report
+from zensim.spawner.cli.session import client_for, data_console
+from zensim.spawner.cli.wishes import (
     Source,
     compat_of,
     description_here,
@@ -29,10 +29,10 @@ from spawner.cli.wishes import (
     paths_of,
     source_of,
 )
-from spawner.client import SimClient
-from spawner.launch import Cargo, Outcome, cargo_of, order_for, send_files, spawn_all
-from spawner.placement import LAYOUTS, Place, fleet_places, name_stem
-from spawner.search_paths import SearchPaths
+from zensim.spawner.client import SimClient
+from zensim.spawner.launch import Cargo, Outcome, cargo_of, order_for, send_files, spawn_all
+from zensim.spawner.placement import LAYOUTS, Place, fleet_places, name_stem
+from zensim.spawner.search_paths import SearchPaths
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

@@ -5,14 +5,14 @@ from typing import Annotated, TypeVar
 import msgspec
 import typer
 
-from proto.exits import one_line_failures
-from proto.geometry import Point, Pose, Twist, Vector3
-from proto.header import NANOSECONDS, Header, ns_from_time
-from proto.services import EntityState
-from spawner.angles import roll_pitch_yaw
-from spawner.cli.completion import Name
-from spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
-from spawner.launch import pose_at
+from zensim.proto.exits import one_line_failures
+from zensim.proto.geometry import Point, Pose, Twist, Vector3
+from zensim.proto.header import NANOSECONDS, Header, ns_from_time
+from zensim.proto.services import EntityState
+from zensim.spawner.angles import roll_pitch_yaw
+from zensim.spawner.cli.completion import Name
+from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
+from zensim.spawner.launch import pose_at
 
 app = typer.Typer(
     name="state", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False

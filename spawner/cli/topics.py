@@ -9,12 +9,12 @@ from typing import Annotated
 import msgspec
 import typer
 
-from proto import keys
-from proto.bus import BusError, Publisher, Sample, Subscription
-from proto.codec import Format, encode, encoding_of
-from proto.geometry import Twist, Vector3
-from spawner.cli.session import AsJson, Connect, WorldName, client_for
-from spawner.payloads import as_lines, as_plain
+from zensim.proto import keys
+from zensim.proto.bus import BusError, Publisher, Sample, Subscription
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
+from zensim.spawner.cli.session import AsJson, Connect, WorldName, client_for
+from zensim.spawner.payloads import as_lines, as_plain
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 

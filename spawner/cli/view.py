@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from proto.bus import BusConfig, open_bus
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.exits import one_line_failures
-from proto.names import check_name
-from proto.stop import StopFlag
-from spawner.cli.session import Connect, WorldName
+from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.exits import one_line_failures
+from zensim.proto.names import check_name
+from zensim.proto.stop import StopFlag
+from zensim.spawner.cli.session import Connect, WorldName
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -62,8 +62,8 @@ def _serve(
     stop: StopFlag,
 ) -> None:
     try:
-        from spawner.viewer.app import Viewer
-        from spawner.viewer.page import Page
+        from zensim.spawner.viewer.app import Viewer
+        from zensim.spawner.viewer.page import Page
     except ModuleNotFoundError as error:
         if error.name not in VIEWER_EXTRA:
             raise

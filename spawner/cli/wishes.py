@@ -7,14 +7,14 @@ from typing import get_args
 
 import msgspec
 
-from proto.bus import Bus
-from proto.geometry import PoseStamped
-from proto.header import Header
-from proto.model import Dynamics
-from proto.names import check_name, check_namespace
-from proto.services import Compat, SpawnEntityOrder
-from spawner.cli.options import Reading, SpawnOptions
-from spawner.descriptions import (
+from zensim.proto.bus import Bus
+from zensim.proto.geometry import PoseStamped
+from zensim.proto.header import Header
+from zensim.proto.model import Dynamics
+from zensim.proto.names import check_name, check_namespace
+from zensim.proto.services import Compat, SpawnEntityOrder
+from zensim.spawner.cli.options import Reading, SpawnOptions
+from zensim.spawner.descriptions import (
     Description,
     from_database,
     from_file,
@@ -23,9 +23,9 @@ from spawner.descriptions import (
     from_word,
     with_model_uris,
 )
-from spawner.expansion import arguments_of
-from spawner.launch import pose_at
-from spawner.search_paths import SearchPaths, search_paths
+from zensim.spawner.expansion import arguments_of
+from zensim.spawner.launch import pose_at
+from zensim.spawner.search_paths import SearchPaths, search_paths
 
 COMPATS: tuple[Compat, ...] = get_args(Compat)
 DYNAMICS: tuple[Dynamics, ...] = get_args(Dynamics)

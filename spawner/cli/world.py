@@ -9,13 +9,13 @@ import msgspec
 import typer
 from rich.table import Table
 
-from proto.exits import one_line_failures
-from proto.services import TagsFilter
-from proto.worlds import WorldResource
-from spawner.angles import yaw_of
-from spawner.cli.completion import world_names
-from spawner.cli.report_table import print_report
-from spawner.cli.session import (
+from zensim.proto.exits import one_line_failures
+from zensim.proto.services import TagsFilter
+from zensim.proto.worlds import WorldResource
+from zensim.spawner.angles import yaw_of
+from zensim.spawner.cli.completion import world_names
+from zensim.spawner.cli.report_table import print_report
+from zensim.spawner.cli.session import (
     AsJson,
     Connect,
     Timeout,

@@ -4,8 +4,8 @@ import time
 from collections.abc import Mapping
 from typing import Final, Protocol
 
-from proto.bus import BusError
-from proto.catalog import (
+from zensim.proto.bus import BusError
+from zensim.proto.catalog import (
     RESET_SIMULATION,
     SET_SIMULATION_STATE,
     STEP_SIMULATION,
@@ -13,9 +13,9 @@ from proto.catalog import (
     Response,
     Service,
 )
-from proto.codec import MalformedPayload
-from proto.result import ServiceError, SetSimulationStateCode
-from proto.services import (
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.result import ServiceError, SetSimulationStateCode
+from zensim.proto.services import (
     ResetScope,
     ResetSimulationRequest,
     SetSimulationStateRequest,
@@ -23,10 +23,10 @@ from proto.services import (
     State,
     StepSimulationRequest,
 )
-from spawner.viewer.buttons import Button
-from spawner.viewer.feed import CALL_TIMEOUT_S, Clock, Feed, Network
-from spawner.viewer.fetching import MeshFetcher
-from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
+from zensim.spawner.viewer.buttons import Button
+from zensim.spawner.viewer.feed import CALL_TIMEOUT_S, Clock, Feed, Network
+from zensim.spawner.viewer.fetching import MeshFetcher
+from zensim.spawner.viewer.scene import Fleet, Frame, LastCommand, Status
 
 IDLE_S: Final = 0.1
 """How long a page waits for its first visitor before it looks whether to end."""

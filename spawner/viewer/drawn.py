@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import viser
 
-from spawner.viewer.form import Form
-from spawner.viewer.kinematics import Poses
-from spawner.viewer.meshes import Part, link_parts, top_of
-from spawner.viewer.scene import Cohort, Fleet, Frame
-from spawner.viewer.triangles import Meshes
+from zensim.spawner.viewer.form import Form
+from zensim.spawner.viewer.kinematics import Poses
+from zensim.spawner.viewer.meshes import Part, link_parts, top_of
+from zensim.spawner.viewer.scene import Cohort, Fleet, Frame
+from zensim.spawner.viewer.triangles import Meshes
 
 MAX_LABELS: Final = 100
 LABEL_GAP_M: Final = 0.03

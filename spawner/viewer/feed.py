@@ -5,15 +5,15 @@ from typing import Final, Protocol
 
 import msgspec
 
-from proto import keys
-from proto.bus import BusError, Sample
-from proto.catalog import GET_MODELS, Request, Response, Service
-from proto.codec import MalformedPayload, decode
-from proto.commands import decode_twist
-from proto.result import ServiceError
-from proto.telemetry import GetModelsRequest, GetModelsResponse, Snapshot
-from spawner.viewer.fetching import MeshFetcher
-from spawner.viewer.scene import (
+from zensim.proto import keys
+from zensim.proto.bus import BusError, Sample
+from zensim.proto.catalog import GET_MODELS, Request, Response, Service
+from zensim.proto.codec import MalformedPayload, decode
+from zensim.proto.commands import decode_twist
+from zensim.proto.result import ServiceError
+from zensim.proto.telemetry import GetModelsRequest, GetModelsResponse, Snapshot
+from zensim.spawner.viewer.fetching import MeshFetcher
+from zensim.spawner.viewer.scene import (
     Fleet,
     Frame,
     LastCommand,
@@ -23,7 +23,7 @@ from spawner.viewer.scene import (
     arrange,
     draw,
 )
-from spawner.viewer.triangles import Meshes
+from zensim.spawner.viewer.triangles import Meshes
 
 CALL_TIMEOUT_S: Final = 0.8
 """Short, so that Ctrl-C is heeded within a second."""

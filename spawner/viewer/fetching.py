@@ -6,14 +6,14 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from proto.assets import GetAssetRequest
-from proto.bus import BusError
-from proto.catalog import GET_ASSET, Request, Response, Service
-from proto.codec import MalformedPayload
-from proto.model import Model
-from proto.result import ServiceError
-from proto.stl import read_corners, stl_size
-from spawner.viewer.triangles import NO_MESHES, Mesh, Meshes, welded
+from zensim.proto.assets import GetAssetRequest
+from zensim.proto.bus import BusError
+from zensim.proto.catalog import GET_ASSET, Request, Response, Service
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.model import Model
+from zensim.proto.result import ServiceError
+from zensim.proto.stl import read_corners, stl_size
+from zensim.spawner.viewer.triangles import NO_MESHES, Mesh, Meshes, welded
 
 CALL_TIMEOUT_S: Final = 0.8
 ASK_AGAIN_S: Final = 1.0

@@ -4,8 +4,8 @@ from collections.abc import Container
 
 import msgspec
 
-from proto.model import Link, Model, Shape
-from spawner.viewer.kinematics import Hinge
+from zensim.proto.model import Link, Model, Shape
+from zensim.spawner.viewer.kinematics import Hinge
 
 
 class NotATree(Exception):

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from proto.model import JointKind, Origin, Quat, Vec3
-from proto.rotation import multiply, rotate
+from zensim.proto.model import JointKind, Origin, Quat, Vec3
+from zensim.proto.rotation import multiply, rotate
 
 Array = NDArray[np.float64]
 

@@ -6,11 +6,11 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from proto.model import Quat, Shape, Vec3
-from proto.rotation import rotate
-from spawner.viewer.form import Form
-from spawner.viewer.kinematics import link_poses, unit
-from spawner.viewer.triangles import NO_MESHES, Faces, Mesh, Meshes, Vertices
+from zensim.proto.model import Quat, Shape, Vec3
+from zensim.proto.rotation import rotate
+from zensim.spawner.viewer.form import Form
+from zensim.spawner.viewer.kinematics import link_poses, unit
+from zensim.spawner.viewer.triangles import NO_MESHES, Faces, Mesh, Meshes, Vertices
 
 UNCOLOURED: Final[Quat] = (0.72, 0.74, 0.77, 1.0)
 """For a visual whose description names no colour."""

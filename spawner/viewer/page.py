@@ -10,15 +10,15 @@ import msgspec
 import numpy as np
 import viser
 
-from proto.scene import Scene
-from spawner.viewer import stage
-from spawner.viewer.buttons import BUTTONS, Button
-from spawner.viewer.drawn import LABEL_GAP_M, MAX_LABELS, DrawnFleet
-from spawner.viewer.lighting import Lighting
-from spawner.viewer.panel import status_html
-from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
-from spawner.viewer.serving import close_server, open_server
-from spawner.viewer.visitor import Visitor
+from zensim.proto.scene import Scene
+from zensim.spawner.viewer import stage
+from zensim.spawner.viewer.buttons import BUTTONS, Button
+from zensim.spawner.viewer.drawn import LABEL_GAP_M, MAX_LABELS, DrawnFleet
+from zensim.spawner.viewer.lighting import Lighting
+from zensim.spawner.viewer.panel import status_html
+from zensim.spawner.viewer.scene import Fleet, Frame, LastCommand, Status
+from zensim.spawner.viewer.serving import close_server, open_server
+from zensim.spawner.viewer.visitor import Visitor
 
 TEXT_PERIOD_S: Final = 0.15
 """The panel's text and the names need not keep up with the picture."""

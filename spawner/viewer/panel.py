@@ -3,9 +3,9 @@
 from html import escape
 from typing import Final
 
-from proto.telemetry import EntityModel
-from spawner.viewer.kinematics import Array
-from spawner.viewer.scene import LastCommand, Status, pose_lines
+from zensim.proto.telemetry import EntityModel
+from zensim.spawner.viewer.kinematics import Array
+from zensim.spawner.viewer.scene import LastCommand, Status, pose_lines
 
 COLOURS: Final = {"playing": "#4cc38a", "paused": "#e5b454"}
 """Of the dot before the state; any other state is red."""

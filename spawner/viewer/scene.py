@@ -5,13 +5,13 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from proto.claims import STATE_COLUMNS
-from proto.rotation import yaw_of
-from proto.scene import Scene
-from proto.telemetry import EntityModel, GetModelsResponse, Snapshot
-from spawner.viewer.form import Form, NotATree, form_of
-from spawner.viewer.kinematics import Array, Poses, link_poses
-from spawner.viewer.triangles import NO_MESHES, Meshes
+from zensim.proto.claims import STATE_COLUMNS
+from zensim.proto.rotation import yaw_of
+from zensim.proto.scene import Scene
+from zensim.proto.telemetry import EntityModel, GetModelsResponse, Snapshot
+from zensim.spawner.viewer.form import Form, NotATree, form_of
+from zensim.spawner.viewer.kinematics import Array, Poses, link_poses
+from zensim.spawner.viewer.triangles import NO_MESHES, Meshes
 
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
 """How far the view is turned from the long side of the fleet: a row then runs into the depth."""

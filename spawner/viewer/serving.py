@@ -26,7 +26,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from spawner.viewer.hover import SCRIPT
+from zensim.spawner.viewer.hover import SCRIPT
 
 CLOSE_TIMEOUT_S: Final = 0.1
 """What a page gets to say goodbye."""

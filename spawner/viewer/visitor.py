@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 import viser
 
-from proto.telemetry import EntityModel
-from spawner.viewer.kinematics import Array
-from spawner.viewer.panel import robot_html
-from spawner.viewer.scene import LastCommand, framing
-from spawner.viewer.stage import FOV_RAD, QUIET, START
+from zensim.proto.telemetry import EntityModel
+from zensim.spawner.viewer.kinematics import Array
+from zensim.spawner.viewer.panel import robot_html
+from zensim.spawner.viewer.scene import LastCommand, framing
+from zensim.spawner.viewer.stage import FOV_RAD, QUIET, START
 
 GLIDE: Final = 0.2
 """Share of the way that the camera goes towards the followed robot at each call."""

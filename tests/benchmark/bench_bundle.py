@@ -12,21 +12,21 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from proto.assets import (
+from tests.benchmark import huge
+from tests.benchmark.echo import Echo, echo
+from tests.benchmark.figures import Figure, table
+from tests.benchmark.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
+from zensim.proto.assets import (
     MAX_CHUNK_BYTES,
     MissingAssetsRequest,
     MissingAssetsResponse,
     PutAssetRequest,
     PutAssetResponse,
 )
-from proto.codec import Format, encode
-from spawner.assets import AssetFile, bundle_of
-from spawner.launch import send_files
-from spawner.search_paths import SearchPaths
-from tests.benchmark import huge
-from tests.benchmark.echo import Echo, echo
-from tests.benchmark.figures import Figure, table
-from tests.benchmark.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
+from zensim.proto.codec import Format, encode
+from zensim.spawner.assets import AssetFile, bundle_of
+from zensim.spawner.launch import send_files
+from zensim.spawner.search_paths import SearchPaths
 
 __all__ = ["rows", "table"]
 

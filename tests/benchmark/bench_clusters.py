@@ -13,12 +13,12 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.choice import Clustering, EngineChoice
-from sim_server.physics.choosing import chosen_engine
-from sim_server.physics.engine import EngineConfig, FloatArray
 from tests.benchmark.figures import Asked, Figure, table
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.choice import Clustering, EngineChoice
+from zensim.sim_server.physics.choosing import chosen_engine
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray
 
 __all__ = ["rows", "table"]
 

@@ -9,9 +9,11 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from proto.claims import STATE_COLUMNS, DriveState
-from proto.codec import Format, decode, encode, encoding_of
-from proto.geometry import (
+from tests.benchmark.timing import Timing, measure
+from tests.proto.ros_oracle import HUMBLE, as_ros, message_name
+from zensim.proto.claims import STATE_COLUMNS, DriveState
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.geometry import (
     Point,
     Pose,
     PoseWithCovariance,
@@ -22,10 +24,8 @@ from proto.geometry import (
     TwistWithCovariance,
     Vector3,
 )
-from proto.header import Header, Time
-from proto.topics import JointState, Odometry, TFMessage
-from tests.benchmark.timing import Timing, measure
-from tests.proto.ros_oracle import HUMBLE, as_ros, message_name
+from zensim.proto.header import Header, Time
+from zensim.proto.topics import JointState, Odometry, TFMessage
 
 REPEATS = 501
 REPEATS_WHEN_SHORT = 11

@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 
 import psutil
 
-from proto import keys
-from proto.bus import Subscription
-from spawner.client import SimClient
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
 from tests.integration.processes import joined, read_json_line, running
 from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.bus import Subscription
+from zensim.spawner.client import SimClient
 
 __all__ = ["rows", "table"]
 

@@ -9,11 +9,11 @@ import random
 import time
 from collections.abc import Callable, Iterator
 
-from proto.services import State
 from tests.benchmark.echo import echo
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import milliseconds
 from tests.benchmark.served import Served, served
+from zensim.proto.services import State
 
 __all__ = ["rows", "table"]
 

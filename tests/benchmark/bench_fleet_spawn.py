@@ -17,8 +17,6 @@ from dataclasses import dataclass, field
 import msgspec
 import psutil
 
-from proto.bus import Subscription
-from proto.services import State
 from tests.benchmark.bench_fleet_traffic import POOLS, pool
 from tests.benchmark.bodies import CONFIG
 from tests.benchmark.crowd import Tally
@@ -29,6 +27,8 @@ from tests.benchmark.plain import PlainLoop
 from tests.benchmark.served import Served, served, spawn
 from tests.benchmark.staffed import crowd, staffed
 from tests.integration.processes import zensim
+from zensim.proto.bus import Subscription
+from zensim.proto.services import State
 
 __all__ = ["rows", "table"]
 

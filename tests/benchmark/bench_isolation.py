@@ -19,13 +19,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from proto.geometry import Point, Pose, PoseStamped
-from proto.result import ServiceError
-from proto.services import Resource, SpawnEntityOrder
-from spawner.client import SimClient
-from spawner.descriptions import from_word
-from spawner.launch import Cargo, cargo_of, order_for, send_files
-from spawner.search_paths import SearchPaths
 from tests.benchmark import huge
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import (
@@ -42,9 +35,16 @@ from tests.benchmark.fleet import (
 from tests.hostile.case import Case, alone, solid
 from tests.hostile.corpus import corpus
 from tests.hostile.meshes import BadMesh, bad_meshes
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.result import ServiceError
+from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.spawner.client import SimClient
+from zensim.spawner.descriptions import from_word
+from zensim.spawner.launch import Cargo, cargo_of, order_for, send_files
+from zensim.spawner.search_paths import SearchPaths
 
 if TYPE_CHECKING:
-    from proto.telemetry import Stats
+    from zensim.proto.telemetry import Stats
 
 __all__ = ["rows", "table"]
 

@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from spawner.client import SimClient
 from tests.benchmark.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import (
@@ -25,6 +24,7 @@ from tests.benchmark.fleet import (
 )
 from tests.integration.journals import kept_in, kill_hard
 from tests.integration.processes import START_S, free_endpoint, joined, running
+from zensim.spawner.client import SimClient
 
 __all__ = ["rows", "table"]
 

@@ -12,19 +12,19 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from proto.bus import Bus
-from proto.claims import STATE_COLUMNS, Claim, DriveState
-from proto.codec import Format, encode, encoding_of
-from proto.geometry import Twist, Vector3
-from proto.topics import Odometry
-from robot_agent.fleet import Fleet
-from robot_agent.pool.fleet import PoolFleet
-from robot_agent.rates import Rates, with_rates
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import MILLISECONDS
 from tests.integration.processes import free_endpoint, joined, running
+from zensim.proto.bus import Bus
+from zensim.proto.claims import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.topics import Odometry
+from zensim.robot_agent.fleet import Fleet
+from zensim.robot_agent.pool.fleet import PoolFleet
+from zensim.robot_agent.rates import Rates, with_rates
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
 
 __all__ = ["rows", "table"]
 

@@ -14,19 +14,19 @@ from unittest.mock import patch
 
 import numpy as np
 
-from proto.model import Model, ReportStatus
-from sim_server.description import urdf
-from sim_server.description.describing import describe
-from sim_server.description.library import model_text
-from sim_server.description.report import Report
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.benchmark import huge
 from tests.benchmark.figures import Asked, Figure, table
+from zensim.proto.model import Model, ReportStatus
+from zensim.sim_server.description import urdf
+from zensim.sim_server.description.describing import describe
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 if TYPE_CHECKING:
-    from sim_server.description.meshes import Files
+    from zensim.sim_server.description.meshes import Files
 
 __all__ = ["rows", "table"]
 

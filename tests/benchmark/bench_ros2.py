@@ -18,19 +18,19 @@ from dataclasses import dataclass
 import numpy as np
 import zenoh
 
-from proto import keys
-from proto.bus import Bus, Sample
-from proto.claims import STATE_COLUMNS
-from proto.codec import Format, decode, encode, encoding_of
-from proto.geometry import Twist, Vector3
-from proto.telemetry import Snapshot
-from spawner.launch import spawn_fleet
-from spawner.placement import fleet_places
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import CIRCLE, MILLISECONDS, SPACING_M
 from tests.benchmark.machine import thread_used_s, used_s
 from tests.benchmark.motion import MOVES
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Sample
+from zensim.proto.claims import STATE_COLUMNS
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.telemetry import Snapshot
+from zensim.spawner.launch import spawn_fleet
+from zensim.spawner.placement import fleet_places
 
 __all__ = ["rows", "table"]
 

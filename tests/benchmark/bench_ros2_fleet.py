@@ -12,15 +12,15 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 
-from proto.bus import Bus
-from proto.ros2.keys import OFF
-from spawner.client import SimClient
 from tests.benchmark.bench_fleet_traffic import POOLS, pool
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import POLL_S, soon
 from tests.benchmark.machine import used_s
 from tests.benchmark.served import CALL_TIMEOUT_S, PATIENCE_S, spawn
 from tests.integration.processes import free_endpoint, joined, running
+from zensim.proto.bus import Bus
+from zensim.proto.ros2.keys import OFF
+from zensim.spawner.client import SimClient
 
 __all__ = ["rows", "table"]
 

@@ -11,17 +11,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.choice import EngineChoice
-from sim_server.physics.choosing import chosen_engine
-from sim_server.physics.engine import Engine, EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from spawner.placement import fleet_places
 from tests.benchmark.bodies import standing_at
 from tests.benchmark.circling import WHEEL_SPEEDS
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import SPACING_M
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.choice import EngineChoice
+from zensim.sim_server.physics.choosing import chosen_engine
+from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.spawner.placement import fleet_places
 
 __all__ = ["rows", "table"]
 

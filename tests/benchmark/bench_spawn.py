@@ -12,13 +12,6 @@ import time
 from collections.abc import Iterator
 from functools import partial
 
-from proto.geometry import Point, Pose, PoseStamped
-from proto.services import SpawnEntityOrder
-from proto.telemetry import Stats
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from spawner.client import SimClient
-from spawner.launch import read_description, resource_for
 from tests.benchmark.bodies import Bodies, standing_at
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import (
@@ -32,6 +25,13 @@ from tests.benchmark.fleet import (
     observed,
     stats_of,
 )
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.services import SpawnEntityOrder
+from zensim.proto.telemetry import Stats
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.spawner.client import SimClient
+from zensim.spawner.launch import read_description, resource_for
 
 __all__ = ["rows", "table"]
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from sim_server.config import ServerConfig, server_bus
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.benchmark.fleet import SPACING_M
+from zensim.sim_server.config import ServerConfig, server_bus
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 CONFIG = ServerConfig(bus=server_bus("", ""))
 """As a server that is told nothing."""

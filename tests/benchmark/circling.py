@@ -11,14 +11,14 @@ from typing import NoReturn
 
 import numpy as np
 
-from deploy.parent import die_with_parent
-from proto import keys
-from proto.bus import Bus, BusConfig, open_bus
-from proto.catalog import CLAIM_ENTITY
-from proto.claims import ClaimEntityRequest, DriveCommand, DriveState
-from proto.codec import Format, decode, encode, encoding_of
-from proto.result import ResultCode, ServiceError
 from tests.benchmark.fleet import POLL_S, soon
+from zensim.deploy.parent import die_with_parent
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.catalog import CLAIM_ENTITY
+from zensim.proto.claims import ClaimEntityRequest, DriveCommand, DriveState
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.result import ResultCode, ServiceError
 
 WORLD, AGENT = "default", "circling"
 CALL_TIMEOUT_S = 20.0

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from deploy.parent import PARENT
 from tests.benchmark import machine
 from tests.benchmark.report import Section, page
+from zensim.deploy.parent import PARENT
 
 
 class Make(Protocol):

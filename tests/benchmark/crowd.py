@@ -12,14 +12,14 @@ from typing import NoReturn
 
 import msgspec
 
-from deploy.parent import die_with_parent
-from proto import keys
-from proto.bus import Bus, BusConfig, Subscription, open_bus
-from proto.codec import Format, decode, encode, encoding_of
-from proto.geometry import Twist, Vector3
-from proto.topics import Odometry
 from tests.benchmark.fleet import CIRCLE, POLL_S
 from tests.benchmark.motion import MOVES
+from zensim.deploy.parent import die_with_parent
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, Subscription, open_bus
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.topics import Odometry
 
 TALLY = "bench/tally"
 DEPTH = 262_144

@@ -11,10 +11,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-from deploy.parent import die_with_parent
-from proto.bus import Bus, BusConfig, open_bus
 from tests.benchmark.fleet import POLL_S, soon
 from tests.benchmark.machine import ROOT
+from zensim.deploy.parent import die_with_parent
+from zensim.proto.bus import Bus, BusConfig, open_bus
 
 CALL = "bench/call"
 SINK = "bench/sink"

@@ -6,13 +6,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
-from proto import keys
-from proto.bus import Subscription
-from proto.codec import decode
-from proto.telemetry import Stats
 from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.bus import Subscription
+from zensim.proto.codec import decode
+from zensim.proto.telemetry import Stats
 
 T = TypeVar("T")
 ROBOTS = 10

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 
-from proto import keys
-from proto.bus import Bus
-from proto.claims import DriveState
-from proto.codec import decode
 from tests.benchmark.bodies import CONFIG
 from tests.benchmark.circling import AGENT, WORLD
 from tests.benchmark.fleet import MILLISECONDS, POLL_S
+from zensim.proto import keys
+from zensim.proto.bus import Bus
+from zensim.proto.claims import DriveState
+from zensim.proto.codec import decode
 
 DEPTH = 4096
 PERIOD_S = CONFIG.control_steps * CONFIG.step_ns * 1e-9

@@ -4,9 +4,9 @@ import math
 import random
 import time
 
-from proto.topics import Odometry
 from tests.benchmark.fleet import milliseconds, soon
 from tests.integration.robots import Robot
+from zensim.proto.topics import Odometry
 
 SPEED = 0.2
 MOVES = 0.01

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 import pybullet
 
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.physics.solving import SOLVER_ITERATIONS
-from spawner.placement import fleet_places
 from tests.benchmark.bodies import standing_at
 from tests.benchmark.circling import WHEEL_SPEEDS
 from tests.benchmark.fleet import SPACING_M
 from tests.sim_server.physics.bullet import client_of
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.solving import SOLVER_ITERATIONS
+from zensim.spawner.placement import fleet_places
 
 FEW_ITERATIONS = 10
 """Of the solver: the fewest with which box_bots still drive where they should."""

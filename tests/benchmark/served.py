@@ -13,16 +13,16 @@ from dataclasses import dataclass
 import msgspec
 import psutil
 
-from deploy.parent import PARENT
-from proto.services import SpawnEntityOrder, State
-from spawner.client import SimClient
-from spawner.launch import read_cargo, spawn_all
-from spawner.placement import fleet_places
 from tests.benchmark.fleet import SPACING_M
 from tests.benchmark.machine import ROOT, used_s
 from tests.benchmark.plain import Turn
 from tests.benchmark.watched_server import Used, mark
 from tests.integration.processes import end, free_endpoint, joined
+from zensim.deploy.parent import PARENT
+from zensim.proto.services import SpawnEntityOrder, State
+from zensim.spawner.client import SimClient
+from zensim.spawner.launch import read_cargo, spawn_all
+from zensim.spawner.placement import fleet_places
 
 PATIENCE_S = 120.0
 """A server starts slowly on a machine that others keep busy."""

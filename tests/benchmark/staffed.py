@@ -9,13 +9,13 @@ from itertools import pairwise
 import msgspec
 import psutil
 
-from proto.bus import Bus, Subscription
-from spawner.client import SimClient
 from tests.benchmark.crowd import TALLY, Tally
 from tests.benchmark.fleet import soon
 from tests.benchmark.machine import used_s
 from tests.benchmark.served import PATIENCE_S, program
 from tests.integration.processes import free_endpoint, joined, running
+from zensim.proto.bus import Bus, Subscription
+from zensim.spawner.client import SimClient
 
 CALL_TIMEOUT_S = 60.0
 TALLIES = 256

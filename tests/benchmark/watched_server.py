@@ -11,14 +11,14 @@ import time
 
 import msgspec
 
-from deploy.cli import main
-from deploy.parent import die_with_parent
-from proto.bus import Publisher
-from proto.services import State
-from sim_server.traffic import outlets
-from sim_server.traffic.driving import Driving
-from sim_server.world.world import World
 from tests.benchmark.stopwatch import Stopwatch
+from zensim.deploy.cli import main
+from zensim.deploy.parent import die_with_parent
+from zensim.proto.bus import Publisher
+from zensim.proto.services import State
+from zensim.sim_server.traffic import outlets
+from zensim.sim_server.traffic.driving import Driving
+from zensim.sim_server.world.world import World
 
 ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
 

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import psutil
 
-from proto.services import Resource, SpawnEntityOrder
 from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import Server, serving
+from zensim.proto.services import Resource, SpawnEntityOrder
 
 ROUNDS, ROUNDS_WHEN_SHORT = 10_000, 300
 MEGABYTE = 1e6

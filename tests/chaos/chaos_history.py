@@ -14,20 +14,16 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from proto import catalog
-from proto.bus import Bus, BusConfig, open_bus
-from proto.entities import GetEntityStateOrder
-from proto.result import ResultCode, ServiceError, SpawnCode
-from proto.services import (
-    DeleteEntityRequest,
-    Resource,
-    SpawnEntityOrder,
-)
-from spawner.client import SimClient
 from tests.benchmark.figures import Asked, Figure
 from tests.chaos.history import Answer, Kind, Operation, first_fault
 from tests.chaos.persistence import POLL_S, Mortal, ask, mortal
 from tests.integration.processes import START_S
+from zensim.proto import catalog
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.entities import GetEntityStateOrder
+from zensim.proto.result import ResultCode, ServiceError, SpawnCode
+from zensim.proto.services import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.spawner.client import SimClient
 
 CLIENTS, CLIENTS_WHEN_SHORT = 10, 4
 OPERATIONS, OPERATIONS_WHEN_SHORT = 1000, 150

@@ -14,20 +14,20 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from proto import catalog, keys
-from proto.bus import Bus, BusConfig, NoServer, Subscription, open_bus
-from proto.codec import decode
-from proto.services import (
+from tests.benchmark.figures import Asked, Figure
+from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
+from tests.integration.processes import START_S, eventually, zensim
+from zensim.proto import catalog, keys
+from zensim.proto.bus import Bus, BusConfig, NoServer, Subscription, open_bus
+from zensim.proto.codec import decode
+from zensim.proto.services import (
     DeleteEntityRequest,
     GetEntitiesRequest,
     Resource,
     SpawnEntityOrder,
 )
-from proto.telemetry import WorldClock
-from spawner.client import SimClient
-from tests.benchmark.figures import Asked, Figure
-from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
-from tests.integration.processes import START_S, eventually, zensim
+from zensim.proto.telemetry import WorldClock
+from zensim.spawner.client import SimClient
 
 ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 5

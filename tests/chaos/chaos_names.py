@@ -9,12 +9,12 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from proto.bus import BusConfig, open_bus
-from proto.result import ServiceError
-from proto.services import Resource, SpawnEntityOrder
-from spawner.client import SimClient
 from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import serving
+from zensim.proto.bus import BusConfig, open_bus
+from zensim.proto.result import ServiceError
+from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.spawner.client import SimClient
 
 CLIENTS, CLIENTS_WHEN_SHORT = 100, 20
 ROUNDS, ROUNDS_WHEN_SHORT = 10, 2

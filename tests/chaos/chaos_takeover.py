@@ -10,14 +10,7 @@ from collections.abc import Iterator
 
 from tests.benchmark.figures import Asked, Figure
 from tests.chaos.chaos_agents import MOVING_M_S, STANDING_M_S, speed_of
-from tests.integration.processes import (
-    Server,
-    agent_of,
-    eventually,
-    kill,
-    running,
-    serving,
-)
+from tests.integration.processes import Server, agent_of, eventually, kill, running, serving
 from tests.integration.robots import Robot, robot
 
 ROUNDS, ROUNDS_WHEN_SHORT = 50, 2

@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from proto import keys
-from proto.bus import Bus
 from tests.benchmark.figures import Asked, Figure
 from tests.chaos.recovery import ROBOTS_WHEN_SHORT, crew
 from tests.integration.bare_page import a_camera, bare_page
@@ -27,6 +25,8 @@ from tests.integration.processes import (
     joined,
     running,
 )
+from zensim.proto import keys
+from zensim.proto.bus import Bus
 
 if TYPE_CHECKING:
     import subprocess

@@ -7,9 +7,9 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from proto.bus import Bus, NoServer
-from proto.catalog import Request, Response, Service
 from tests.integration.processes import free_endpoint, joined, kill, running
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.catalog import Request, Response, Service
 
 if TYPE_CHECKING:
     import subprocess

@@ -6,13 +6,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from subprocess import Popen
 
-from proto import keys
-from proto.bus import Bus, BusConfig, open_bus
-from proto.codec import decode
-from proto.telemetry import WorldClock
-from spawner.client import SimClient
 from tests.integration.processes import START_S, eventually, running, zensim
 from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.codec import decode
+from zensim.proto.telemetry import WorldClock
+from zensim.spawner.client import SimClient
 
 ROBOTS, ROBOTS_WHEN_SHORT = 10, 2
 MOVED_M = 0.01

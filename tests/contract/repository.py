@@ -4,7 +4,7 @@ import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("deploy", "proto", "robot_agent", "sim_server", "spawner")
+PACKAGES = ("deploy", "proto", "robot_agent", "sim_server", "spawner", "zensim")
 
 
 def files() -> list[Path]:

@@ -15,11 +15,11 @@ for name in ("pybullet", "yourdfpy", "lxml", "viser"):
 IMPORT_ALL = """
 package = importlib.import_module(sys.argv[1])
 for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-    if not module.name.startswith("spawner.viewer") and not module.name.endswith("__main__"):
+    if not module.name.startswith("zensim.spawner.viewer") and not module.name.endswith("__main__"):
         importlib.import_module(module.name)
 """
 CALL_ZENSIM = """
-from deploy.cli import main
+from zensim.deploy.cli import main
 sys.argv = ["zensim", *sys.argv[1:]]
 main()
 """
@@ -36,7 +36,9 @@ def run(code: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("package", ["proto", "robot_agent", "spawner", "deploy"])
+@pytest.mark.parametrize(
+    "package", ["zensim.proto", "zensim.robot_agent", "zensim.spawner", "zensim.deploy"]
+)
 def test_package_imports_when_no_extra_is_installed(package: str) -> None:
     done = run(IMPORT_ALL, package)
 

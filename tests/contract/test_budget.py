@@ -5,7 +5,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import proto
 from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
 
 MAX_FILE_LINES = 400
@@ -78,7 +77,3 @@ def test_no_file_is_large() -> None:
     too_large = {name: size for name, size in sizes.items() if size > MAX_FILE_BYTES}
 
     assert too_large == {}
-
-
-def test_package_proto_is_ours_and_not_proto_plus() -> None:
-    assert Path(str(proto.__file__)) == ROOT / "proto" / "__init__.py"

@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import JointKind, Model
-from sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray
 from tests.engines import ENGINES, STEP_NS, MakeEngine, advance, running
 from tests.models import (
     a_box,
@@ -20,6 +18,8 @@ from tests.models import (
     assert_same_state,
     on_ground,
 )
+from zensim.proto.model import JointKind, Model
+from zensim.sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray
 
 FLOATING = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
 every_engine = pytest.mark.parametrize("make", ENGINES, ids=lambda make: make.name)

@@ -6,10 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sim_server.physics.actuation import standing
-from sim_server.physics.engine import Engine, FloatArray
 from tests.engines import ENGINES, advance, running
 from tests.models import a_box, a_cart, a_fork, a_puck, a_state, on_ground
+from zensim.sim_server.physics.actuation import standing
+from zensim.sim_server.physics.engine import Engine, FloatArray
 
 STEPS_OF_1_S = 240
 STEERING = 3

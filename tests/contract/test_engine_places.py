@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sim_server.physics.engine import Engine, FloatArray
 from tests.engines import ENGINES, advance, running
 from tests.models import a_cart, assert_same_state, on_ground
+from zensim.sim_server.physics.engine import Engine, FloatArray
 
 
 @pytest.fixture(params=ENGINES, ids=lambda make: make.name)

@@ -6,9 +6,9 @@ from typing import TypeAlias
 import msgspec
 import pytest
 
-from proto.codec import Format, decode, encode, encoding_of, offers
-from proto.example import example_of
-from proto.schema import SCHEMAS, golden, spoken_types
+from zensim.proto.codec import Format, decode, encode, encoding_of, offers
+from zensim.proto.example import example_of
+from zensim.proto.schema import SCHEMAS, golden, spoken_types
 
 Golden: TypeAlias = dict[str, dict[str, str]]
 

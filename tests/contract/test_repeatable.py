@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from sim_server.physics.engine import Engine, EngineConfig
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance
 from tests.models import a_box_bot, box_bot_at
+from zensim.sim_server.physics.engine import Engine, EngineConfig
 
 ROBOTS, STEPS, PERIOD = 6, 480, 24
 SPACING_M = 0.11

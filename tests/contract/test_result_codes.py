@@ -4,8 +4,8 @@ from enum import IntEnum
 
 import pytest
 
-from proto.catalog import SERVICES
-from proto.result import (
+from zensim.proto.catalog import SERVICES
+from zensim.proto.result import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
@@ -15,7 +15,7 @@ from proto.result import (
     SpawnCode,
     UnloadWorldCode,
 )
-from proto.services import Feature, ResetScope, State
+from zensim.proto.services import Feature, ResetScope, State
 
 EVERY_SERVICE = {
     "FEATURE_UNSUPPORTED": 0,

@@ -6,26 +6,26 @@ import pkgutil
 
 import msgspec
 
-import proto
-from proto import schema
+from zensim import proto
+from zensim.proto import schema
 
 MAX_BYTES = 400 * 1024
 WITHOUT_MESSAGES = {
-    "proto.bus",
-    "proto.catalog",
-    "proto.channels",
-    "proto.commands",
-    "proto.ros_graph",
-    "proto.cdr_layout",
-    "proto.ros_actions",
-    "proto.ros_forms",
-    "proto.ros_services",
+    "zensim.proto.bus",
+    "zensim.proto.catalog",
+    "zensim.proto.channels",
+    "zensim.proto.commands",
+    "zensim.proto.ros_graph",
+    "zensim.proto.cdr_layout",
+    "zensim.proto.ros_actions",
+    "zensim.proto.ros_forms",
+    "zensim.proto.ros_services",
 }
 """Modules whose structs do not travel by themselves, or whose schemas are ROS 2's own."""
 
 
 def modules_with_structs() -> set[str]:
-    names = [f"proto.{module.name}" for module in pkgutil.iter_modules(proto.__path__)]
+    names = [f"zensim.proto.{module.name}" for module in pkgutil.iter_modules(proto.__path__)]
     return {
         name
         for name in names
@@ -36,7 +36,7 @@ def modules_with_structs() -> set[str]:
 
 
 def test_committed_schemas_are_what_the_code_says() -> None:
-    assert schema.drifted() == [], "run 'python -m proto.schema' and commit what it wrote"
+    assert schema.drifted() == [], "run 'python -m zensim.proto.schema' and commit what it wrote"
 
 
 def test_schemas_are_the_same_on_every_run() -> None:

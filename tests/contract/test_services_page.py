@@ -6,10 +6,10 @@ import re
 import msgspec
 import pytest
 
-from proto.catalog import SERVICES
-from proto.codec import Format, decode
-from sim_server.handlers.offers import OFFERS
 from tests.contract.repository import ROOT, text_of
+from zensim.proto.catalog import SERVICES
+from zensim.proto.codec import Format, decode
+from zensim.sim_server.handlers.offers import OFFERS
 
 ROW = re.compile(r"^\| `(\w+)` \|.*$", re.MULTILINE)
 EXAMPLE = re.compile(r"\| `(\{.*\})` \|$")

@@ -9,9 +9,9 @@ from importlib.metadata import version
 import pytest
 from typer.testing import CliRunner
 
-from deploy.cli import VERBS, build
-from proto.exits import Exit
 from tests.integration.processes import zensim
+from zensim.deploy.cli import VERBS, build
+from zensim.proto.exits import Exit
 
 RUNNER = CliRunner()
 HEAVY = ("pybullet", "viser", "yourdfpy", "lxml", "zenoh", "numpy")
@@ -41,7 +41,7 @@ def test_help_is_shown_when_nothing_was_asked() -> None:
 
 
 def test_help_imports_nothing_heavy() -> None:
-    assert modules_after("from deploy.cli import build; build('')") == set()
+    assert modules_after("from zensim.deploy.cli import build; build('')") == set()
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -53,7 +53,7 @@ def test_verb_shows_its_own_help(verb: str) -> None:
 
 
 def test_verbs_import_neither_engine_nor_page_before_they_run() -> None:
-    code = "from deploy.cli import VERBS, build\nfor verb in VERBS: build(verb)"
+    code = "from zensim.deploy.cli import VERBS, build\nfor verb in VERBS: build(verb)"
 
     assert not modules_after(code) & {"pybullet", "viser", "yourdfpy", "lxml"}
 
@@ -121,7 +121,7 @@ def test_up_says_why_when_its_server_does_not_come_up() -> None:
 def test_shell_completes_verbs_and_their_options(line: str, word: int, offered: str) -> None:
     asked = {"_ZENSIM_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(word)}
     done = subprocess.run(
-        [sys.executable, "-c", "from deploy.cli import main; main()"],
+        [sys.executable, "-c", "from zensim.deploy.cli import main; main()"],
         capture_output=True,
         text=True,
         timeout=30,

@@ -3,11 +3,11 @@
 import msgspec
 import pytest
 
-from deploy.demo import AgentsConfig, DemoConfig, agent_starts, pools_for, serve_arguments
-from proto.ros2.settings import RosSettings
-from robot_agent.config import AgentStart
-from robot_agent.rates import Rates
-from spawner.placement import Place
+from zensim.deploy.demo import AgentsConfig, DemoConfig, agent_starts, pools_for, serve_arguments
+from zensim.proto.ros2.settings import RosSettings
+from zensim.robot_agent.config import AgentStart
+from zensim.robot_agent.rates import Rates
+from zensim.spawner.placement import Place
 
 PLAIN = DemoConfig(
     places=(),

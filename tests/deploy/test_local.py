@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from deploy.local import MAX_RESTARTS, Program, ProgramDied, Supervisor
-from deploy.parent import PARENT
 from tests.integration.processes import eventually, free_endpoint
+from zensim.deploy.local import MAX_RESTARTS, Program, ProgramDied, Supervisor
+from zensim.deploy.parent import PARENT
 
 NOWHERE = "tcp/127.0.0.1:1"
 WAITING = ("spawn", "box_bot", "--wait", "600", "--connect", NOWHERE)
@@ -69,7 +69,7 @@ def test_supervisor_starts_zensim_in_a_session_of_its_own(supervisor: Supervisor
     # The kernel tells both a moment after the process is there.
     eventually(lambda: process.cmdline() or None, ENDS_S, "a command line")
     eventually(lambda: process.environ() or None, ENDS_S, "an environment")
-    assert process.cmdline() == [sys.executable, "-m", "deploy", *WAITING]
+    assert process.cmdline() == [sys.executable, "-m", "zensim", *WAITING]
     assert process.environ()[PARENT] == str(os.getpid())
     assert os.getsid(process.pid) == process.pid
     assert supervisor.programs == [program]

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from deploy.cli.model import app
-from proto.exits import Exit
 from tests.spawner.packages import a_package, robot_of
+from zensim.deploy.cli.model import app
+from zensim.proto.exits import Exit
 
 RUNNER = CliRunner()
 BASE, GONE = "package://my_robot/meshes/base.stl", "package://my_robot/meshes/gone.stl"

@@ -8,13 +8,13 @@ import sys
 import psutil
 import pytest
 
-from deploy.parent import PARENT, die_with_parent
 from tests.contract.repository import ROOT
 from tests.integration.processes import eventually, kill
+from zensim.deploy.parent import PARENT, die_with_parent
 
 CHILD = """
 import os, time
-from deploy.parent import die_with_parent
+from zensim.deploy.parent import die_with_parent
 die_with_parent(os.environ)
 print(os.getpid(), flush=True)
 time.sleep(600)

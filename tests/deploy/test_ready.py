@@ -6,8 +6,8 @@ import sys
 import msgspec
 import pytest
 
-from robot_agent.config import AgentConfig, AgentStart
 from tests.integration.processes import free_endpoint
+from zensim.robot_agent.config import AgentConfig, AgentStart
 
 NOBODY = AgentStart(
     endpoint=free_endpoint(), config=AgentConfig(entities=("r1",), wait_s=0.0), is_quiet=True
@@ -16,7 +16,10 @@ NOBODY = AgentStart(
 
 def run(*words: str) -> "subprocess.CompletedProcess[str]":
     return subprocess.run(
-        [sys.executable, "-m", "deploy.ready", *words], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "zensim.deploy.ready", *words],
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 

@@ -11,19 +11,19 @@ from hashlib import sha256
 
 import trimesh
 
-from proto import assets
-from proto.codec import Format, MalformedPayload, decode, encode, offers
-from proto.example import example_of
-from proto.schema import spoken_types
-from sim_server.description.formats import read_robot
-from sim_server.description.library import model_text
-from sim_server.description.mesh_formats import read_mesh
-from sim_server.errors import ModelError, SimError
-from sim_server.reading.assets import AssetStore
 from tests.hostile.corpus import corpus
 from tests.hostile.sdf import sdf_cases
 from tests.hostile.test_fuzz import damaged
 from tests.sim_server.description.sdf_robots import PIONEER
+from zensim.proto import assets
+from zensim.proto.codec import Format, MalformedPayload, decode, encode, offers
+from zensim.proto.example import example_of
+from zensim.proto.schema import spoken_types
+from zensim.sim_server.description.formats import read_robot
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.mesh_formats import read_mesh
+from zensim.sim_server.errors import ModelError, SimError
+from zensim.sim_server.reading.assets import AssetStore
 
 RUNS = 100_000
 SHARES = {"urdf": 0.3, "sdf": 0.3, "bundle": 0.2, "requests": 0.2}

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.stl import write_corners
+from zensim.proto.stl import write_corners
 
 BYTES = 1 << 20
 SEED = 7

@@ -6,11 +6,11 @@ import random
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import Model
-from sim_server.description.library import model_text
-from sim_server.description.urdf import MAX_JOINTS, read_urdf
-from sim_server.errors import ModelError
 from tests.hostile.corpus import corpus
+from zensim.proto.model import Model
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
+from zensim.sim_server.errors import ModelError
 
 SEEDS = [
     model_text("box_bot"),

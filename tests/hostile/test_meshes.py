@@ -2,10 +2,10 @@
 
 import pytest
 
-from sim_server.description.describing import describe
-from sim_server.errors import ModelError
 from tests.hostile.case import alone, solid
 from tests.hostile.meshes import BadMesh, bad_meshes
+from zensim.sim_server.description.describing import describe
+from zensim.sim_server.errors import ModelError
 
 
 @pytest.mark.parametrize("bad", list(bad_meshes()), ids=lambda bad: bad.name)

@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_server.description.formats import read_robot
-from sim_server.errors import ModelError
 from tests.hostile.case import Case
 from tests.hostile.sdf import INERTIAL, joint, link, model, sdf_cases
 from tests.hostile.test_fuzz import damaged
 from tests.sim_server.description.sdf_robots import PIONEER
+from zensim.sim_server.description.formats import read_robot
+from zensim.sim_server.errors import ModelError
 
 CASES = tuple(sdf_cases())
 NESTED = f'<model name="n">{link("c")}{link("d")}{joint("k", "c", "d")}</model>'

@@ -5,10 +5,10 @@ import time
 
 import pytest
 
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.hostile.case import Case
 from tests.hostile.corpus import corpus
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 CASES = corpus()
 LONGEST_MESSAGE = 600

@@ -5,7 +5,7 @@ import viser
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from spawner.viewer.stage import FOV_RAD, START
+from zensim.spawner.viewer.stage import FOV_RAD, START
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from spawner.client import SimClient
 from tests.integration.processes import START_S, Server, joined, running
+from zensim.spawner.client import SimClient
 
 if TYPE_CHECKING:
     from subprocess import CompletedProcess

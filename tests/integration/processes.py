@@ -15,12 +15,12 @@ from typing import TypeVar
 import psutil
 from typer.testing import CliRunner
 
-from deploy.cli import build
-from deploy.parent import PARENT
-from proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
-from proto.endpoint import with_free_port
-from spawner.client import SimClient
 from tests.contract.repository import ROOT
+from zensim.deploy.cli import build
+from zensim.deploy.parent import PARENT
+from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
+from zensim.proto.endpoint import with_free_port
+from zensim.spawner.client import SimClient
 
 T = TypeVar("T")
 POLL_S = 0.005
@@ -51,7 +51,7 @@ def free_endpoint() -> str:
 
 def command_line(arguments: Sequence[str], prefix: Sequence[str] = ()) -> list[str]:
     """Say how `zensim ARGUMENTS` is run."""
-    return [*prefix, sys.executable, "-m", "deploy", *arguments]
+    return [*prefix, sys.executable, "-m", "zensim", *arguments]
 
 
 def zensim(

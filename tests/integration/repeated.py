@@ -8,10 +8,6 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
-from proto import keys
-from proto.bus import Bus, Subscription
-from proto.codec import decode
-from proto.telemetry import Snapshot
 from tests.integration.processes import (
     START_S,
     Server,
@@ -21,6 +17,10 @@ from tests.integration.processes import (
     wait_for_agents,
 )
 from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Subscription
+from zensim.proto.codec import decode
+from zensim.proto.telemetry import Snapshot
 
 if TYPE_CHECKING:
     import hashlib

@@ -5,15 +5,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from proto import keys
-from proto.bus import Bus, Publisher, Subscription
-from proto.codec import Format, decode, encode, encoding_of
-from proto.geometry import Twist, Vector3
-from proto.header import NANOSECONDS, ns_from_time
-from proto.services import State
-from proto.topics import Odometry
-from spawner.client import SimClient
 from tests.integration.processes import eventually
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Publisher, Subscription
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.header import NANOSECONDS, ns_from_time
+from zensim.proto.services import State
+from zensim.proto.topics import Odometry
+from zensim.spawner.client import SimClient
 
 SEND_EVERY_S = 0.1
 """Simulation time between two commands; the agent stops a robot after 0.5 s without."""

@@ -7,12 +7,6 @@ from typing import TYPE_CHECKING
 import psutil
 import pytest
 
-from proto import keys
-from proto.bus import Bus
-from proto.codec import decode
-from proto.exits import Exit
-from proto.topics import JointState, Odometry, String, TFMessage
-from spawner.client import SimClient
 from tests.integration.processes import (
     END_S,
     Server,
@@ -25,6 +19,12 @@ from tests.integration.processes import (
     serving,
     wait_for_agents,
 )
+from zensim.proto import keys
+from zensim.proto.bus import Bus
+from zensim.proto.codec import decode
+from zensim.proto.exits import Exit
+from zensim.proto.topics import JointState, Odometry, String, TFMessage
+from zensim.spawner.client import SimClient
 
 if TYPE_CHECKING:
     import subprocess

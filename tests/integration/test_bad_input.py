@@ -10,11 +10,6 @@ import msgspec
 import pytest
 import zenoh
 
-from proto.catalog import SERVICES
-from proto.codec import decode
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.result import ResultCode
-from proto.services import DeleteEntityResponse
 from tests.integration.processes import (
     Server,
     driven,
@@ -25,6 +20,11 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.robots import Robot, robot
+from zensim.proto.catalog import SERVICES
+from zensim.proto.codec import decode
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.result import ResultCode
+from zensim.proto.services import DeleteEntityResponse
 
 GARBAGE = (
     b"\x00",

@@ -6,15 +6,15 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 
-from proto import keys
-from proto.bus import Bus, BusConfig, EndpointTaken, NoServer, Sample, Unreachable, open_bus
-from proto.catalog import DELETE_ENTITY, INFO
-from proto.codec import Format, encode, encoding_of
-from proto.endpoint import check_endpoint, with_free_port
-from proto.result import Result, ResultCode, ServiceError
-from proto.services import DeleteEntityRequest, DeleteEntityResponse
-from proto.telemetry import Info, InfoRequest
 from tests.integration.processes import eventually, free_endpoint
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, EndpointTaken, NoServer, Sample, Unreachable, open_bus
+from zensim.proto.catalog import DELETE_ENTITY, INFO
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.endpoint import check_endpoint, with_free_port
+from zensim.proto.result import Result, ResultCode, ServiceError
+from zensim.proto.services import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.telemetry import Info, InfoRequest
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 import zenoh
 import zenoh.ext
 
-from proto.bus import Bus, BusConfig, Call, CallQueue, Sample, open_bus
 from tests.integration.processes import eventually, free_endpoint
+from zensim.proto.bus import Bus, BusConfig, Call, CallQueue, Sample, open_bus
 
 KEY = "0/r1/tf_static/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369"
 ATTACHMENT = b"a" * 33

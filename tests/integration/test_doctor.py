@@ -6,7 +6,6 @@ import socket
 
 import zenoh
 
-from proto.exits import Exit
 from tests.integration.processes import (
     Server,
     eventually,
@@ -17,6 +16,7 @@ from tests.integration.processes import (
     serving,
     zensim,
 )
+from zensim.proto.exits import Exit
 
 DENY_QUERIES = {
     "enabled": True,

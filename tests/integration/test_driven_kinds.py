@@ -1,9 +1,9 @@
 """Robots of other drives hear twists over the network as box_bots do."""
 
-from proto.codec import Format, encode
-from proto.geometry import Twist, Vector3
 from tests.integration.processes import driven, serving
 from tests.integration.robots import Robot, place, robot, stamp_s, yaw
+from zensim.proto.codec import Format, encode
+from zensim.proto.geometry import Twist, Vector3
 
 HEIGHT_M = "0.05"
 STRAFE = Twist(Vector3(0.0, 0.3))

@@ -7,12 +7,12 @@ from contextlib import ExitStack
 import msgspec
 import pytest
 
-from proto.model import Model, Origin, Shape
-from proto.rotation import from_rpy
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
 from tests.course import Track
 from tests.models import TRACK_M, WHEEL_RADIUS_M, a_cart, a_state
+from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
 
 HEIGHTS = {"omni_bot": 0.05, "skid_bot": 0.06, "car_bot": 0.05, "trike_bot": 0.05}
 CAR_WHEELBASE_M = 0.3

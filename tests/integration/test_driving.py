@@ -5,10 +5,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from proto.geometry import Point, Pose, Twist
-from proto.services import EntityState
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.robots import Robot, drive_for, place, robot
+from zensim.proto.geometry import Point, Pose, Twist
+from zensim.proto.services import EntityState
 
 TEN = tuple(f"box_bot{i}" for i in range(10))
 BODY_M = 0.1

@@ -2,9 +2,9 @@
 
 import math
 
-from proto.header import NANOSECONDS, ns_from_time
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.robots import Robot, robot
+from zensim.proto.header import NANOSECONDS, ns_from_time
 
 NAME = "box_bot0"
 PERIOD_NS = NANOSECONDS

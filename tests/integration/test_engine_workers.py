@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import psutil
 import pytest
 
-from sim_server.physics.choosing import MOST
 from tests.integration.processes import END_S, Server, driven, eventually, serving
 from tests.integration.robots import robot
+from zensim.sim_server.physics.choosing import MOST
 
 FLEET = MOST["pybullet"] + 6
 
@@ -28,7 +28,7 @@ def workers_of(server: Server) -> list[psutil.Process]:
     return [
         child
         for child in psutil.Process(server.process.pid).children()
-        if "sim_server.physics.working" in child.cmdline()
+        if "zensim.sim_server.physics.working" in child.cmdline()
     ]
 
 

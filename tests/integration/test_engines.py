@@ -5,16 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from proto.exits import Exit
-from tests.integration.processes import (
-    Server,
-    driven,
-    free_endpoint,
-    serving,
-    without,
-    zensim,
-)
+from tests.integration.processes import Server, driven, free_endpoint, serving, without, zensim
 from tests.integration.robots import drive_for, robot
+from zensim.proto.exits import Exit
 
 TWO = ("box_bot0", "box_bot1")
 

@@ -4,11 +4,11 @@ import math
 import struct
 from pathlib import Path
 
-from proto import keys
-from proto.codec import decode
-from proto.telemetry import Event, Snapshot
 from tests.integration.processes import driven, eventually, serving
 from tests.integration.robots import drive_for, robot
+from zensim.proto import keys
+from zensim.proto.codec import decode
+from zensim.proto.telemetry import Event, Snapshot
 
 INERTIAL = """<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>
 <inertia ixx="{moment}" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="{moment}"/></inertial>"""

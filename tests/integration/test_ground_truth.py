@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from proto.codec import decode
-from proto.topics import Odometry
-from sim_server.description.library import model_text
 from tests.integration.processes import driven, eventually, serving
 from tests.integration.robots import drive_for, place, robot, stamp_s
+from zensim.proto.codec import decode
+from zensim.proto.topics import Odometry
+from zensim.sim_server.description.library import model_text
 
 P3D = """<gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">
 <ros><remapping>odom:=ground_truth/state</remapping></ros>

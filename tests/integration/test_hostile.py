@@ -6,11 +6,11 @@ import msgspec
 import pytest
 import zenoh
 
-from proto.result import ServiceError
-from proto.services import MAX_REQUEST_BYTES, Resource, SpawnEntityOrder
 from tests.hostile.case import Case
 from tests.hostile.corpus import corpus
 from tests.integration.processes import Server, eventually, serving
+from zensim.proto.result import ServiceError
+from zensim.proto.services import MAX_REQUEST_BYTES, Resource, SpawnEntityOrder
 
 EVERY = 6
 CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]

@@ -10,12 +10,6 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from proto.catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
-from proto.geometry import Point, Pose
-from proto.result import ResultCode, ServiceError
-from proto.services import EntityState, Resource, SpawnEntityOrder, State
-from proto.worlds import GetCurrentWorldRequest, LoadWorldRequest
-from sim_server.journal.ledger import DATABASE
 from tests.integration.journals import kept_in, kill_hard, last_line
 from tests.integration.processes import (
     END_S,
@@ -27,6 +21,12 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.robots import robot
+from zensim.proto.catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
+from zensim.proto.geometry import Point, Pose
+from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.services import EntityState, Resource, SpawnEntityOrder, State
+from zensim.proto.worlds import GetCurrentWorldRequest, LoadWorldRequest
+from zensim.sim_server.journal.ledger import DATABASE
 
 SMALL_BYTES = 1 << 20
 TRACED = "fsync,fdatasync,pwrite64,sendto,sendmsg,write,writev"

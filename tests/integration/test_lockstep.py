@@ -9,13 +9,13 @@ from ipaddress import IPv4Address, IPv4Network
 
 import pytest
 
-from proto.codec import decode
-from proto.endpoint import with_free_port
-from proto.geometry import Point, Pose, PoseStamped
-from proto.services import Resource, SpawnEntityOrder, State
-from proto.telemetry import Stats
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.repeated import Said, drive, locked_fleet
+from zensim.proto.codec import decode
+from zensim.proto.endpoint import with_free_port
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.services import Resource, SpawnEntityOrder, State
+from zensim.proto.telemetry import Stats
 
 ROBOTS = 3
 STEPS = 480

@@ -7,10 +7,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from proto.assets import GetAssetRequest
-from proto.catalog import GET_ASSET
-from proto.exits import Exit
-from spawner.client import SimClient
 from tests.integration.chromium import opened
 from tests.integration.processes import (
     START_S,
@@ -22,6 +18,10 @@ from tests.integration.processes import (
     serving,
 )
 from tests.integration.test_view import BATCHES, viewing
+from zensim.proto.assets import GetAssetRequest
+from zensim.proto.catalog import GET_ASSET
+from zensim.proto.exits import Exit
+from zensim.spawner.client import SimClient
 
 STEPS = 400
 LEAST_PX = 2000

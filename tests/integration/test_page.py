@@ -9,12 +9,12 @@ import msgspec
 import pytest
 from websockets.sync.client import ClientConnection
 
-from spawner.viewer.page import Page
-from spawner.viewer.scene import Fleet, Frame, LastCommand, Status, arrange, draw
-from spawner.viewer.serving import CannotListen, PortTaken
 from tests.integration.bare_page import a_camera, a_click, a_wish_to_share, bare_page
 from tests.integration.processes import eventually
 from tests.spawner.viewer.builders import a_robot, a_snapshot, a_wall, models_in
+from zensim.spawner.viewer.page import Page
+from zensim.spawner.viewer.scene import Fleet, Frame, LastCommand, Status, arrange, draw
+from zensim.spawner.viewer.serving import CannotListen, PortTaken
 
 STATUS = Status("playing", 1.0, 1.0, robots=2, entities=3)
 

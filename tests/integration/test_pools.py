@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from proto.codec import decode
-from proto.topics import Odometry
 from tests.integration.processes import (
     Server,
     agent_of,
@@ -20,6 +18,8 @@ from tests.integration.processes import (
     serving,
 )
 from tests.integration.robots import robot
+from zensim.proto.codec import decode
+from zensim.proto.topics import Odometry
 
 if TYPE_CHECKING:
     import subprocess

@@ -13,14 +13,14 @@ from pathlib import Path
 import psutil
 import pytest
 
-from proto.result import ServiceError
-from proto.services import Resource, SpawnEntityOrder
-from sim_server.reading.reader import TOO_LONG
-from spawner.descriptions import from_word
-from spawner.launch import cargo_of, order_for, send_files
-from spawner.search_paths import SearchPaths
 from tests.hostile.case import BODY, alone, solid
 from tests.integration.processes import Server, eventually, serving
+from zensim.proto.result import ServiceError
+from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.sim_server.reading.reader import TOO_LONG
+from zensim.spawner.descriptions import from_word
+from zensim.spawner.launch import cargo_of, order_for, send_files
+from zensim.spawner.search_paths import SearchPaths
 
 STDIN = 0
 SLOW = f"reader.timeout: {TOO_LONG}"
@@ -51,7 +51,7 @@ def reader_of(server: Server) -> psutil.Process:
     (reader,) = [
         child
         for child in psutil.Process(server.process.pid).children()
-        if "sim_server.reading.process" in child.cmdline()
+        if "zensim.sim_server.reading.process" in child.cmdline()
     ]
     return reader
 

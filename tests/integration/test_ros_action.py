@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import zenoh
 
-from proto.services import State
 from tests.integration.processes import Server, eventually, serving
 from tests.integration.ros_asking import Ask, Do, asking, observing, replies, session_of
 from tests.integration.ros_rules import check_bytes, check_topic, heard_of
 from tests.integration.ros_watching import SIGHT_S, TRANSIENT_LOCAL, publishers_of, subscribed
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import HUMBLE
+from zensim.proto.services import State
 
 STEPS = "simulation_interfaces/action/SimulateSteps"
 UNDER = "/simulate_steps/_action"

@@ -14,14 +14,6 @@ from typing import Any, cast
 import pytest
 import zenoh
 
-from proto.bus import Bus, BusConfig, Publisher, open_bus
-from proto.codec import Format, encode
-from proto.example import example_of
-from proto.ros2.settings import RosSettings
-from proto.ros_graph import Topic
-from proto.services import DeleteEntityResponse
-from proto.topics import Odometry
-from sim_server.traffic.ros_side import ros_side
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import free_endpoint
 from tests.integration.ros_asking import observing, replies, session_of
@@ -29,6 +21,14 @@ from tests.integration.ros_grammar import NoToken, check_hash, graph_of
 from tests.integration.ros_rules import BrokenRule, Heard, check_topic, heard_of
 from tests.integration.ros_watching import tokens
 from tests.proto.ros_hashes import hash_of_message
+from zensim.proto.bus import Bus, BusConfig, Publisher, open_bus
+from zensim.proto.codec import Format, encode
+from zensim.proto.example import example_of
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros_graph import Topic
+from zensim.proto.services import DeleteEntityResponse
+from zensim.proto.topics import Odometry
+from zensim.sim_server.traffic.ros_side import ros_side
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 ODOM_KEY = f"0/r1/odom/nav_msgs::msg::dds_::Odometry_/{hash_of_message(ODOMETRY)}"

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from proto.result import ResultCode
-from spawner.client import SimClient
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import START_S, Server, eventually, running, serving
 from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
 from tests.integration.ros_grammar import graph_of
 from tests.integration.ros_watching import SIGHT_S, tokens
+from zensim.proto.result import ResultCode
+from zensim.spawner.client import SimClient
 
 GET_ENTITIES = "simulation_interfaces/srv/GetEntities"
 SPAWN = "simulation_interfaces/srv/SpawnEntity"

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from sim_server.description.library import model_text
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.ros_asking import Ask, Do, asking, observing, replies
 from tests.integration.ros_watching import SIGHT_S
 from tests.proto.ros_hashes import hash_of_service
 from tests.proto.ros_oracle import HUMBLE
+from zensim.sim_server.description.library import model_text
 
 SPAWN, DELETE = "gazebo_msgs/srv/SpawnEntity", "gazebo_msgs/srv/DeleteEntity"
 EMPTY = "std_srvs/srv/Empty"

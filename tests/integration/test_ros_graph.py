@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 import zenoh
 
-from sim_server.description.library import model_text
 from tests.integration.processes import (
     Server,
     driven,
@@ -27,6 +26,7 @@ from tests.integration.ros_rules import check_bytes, check_topic
 from tests.integration.ros_watching import SIGHT_S, captured, publishers_of, tokens
 from tests.integration.test_ground_truth import P3D
 from tests.proto.ros_oracle import HUMBLE, message_name
+from zensim.sim_server.description.library import model_text
 
 ODOMETRY, TF, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 STATES = "sensor_msgs/msg/JointState"

@@ -6,10 +6,6 @@ from typing import Any
 import pytest
 import zenoh
 
-from proto.codec import Format, encode
-from proto.geometry import Twist, TwistStamped, Vector3
-from proto.ros2.keys import data_key
-from proto.ros2.type_hash import type_hash
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
 from tests.integration.ros_asking import session_of
 from tests.integration.ros_rules import check_bytes, check_topic
@@ -24,6 +20,10 @@ from tests.integration.ros_watching import (
     tokens,
 )
 from tests.proto.ros_oracle import HUMBLE
+from zensim.proto.codec import Format, encode
+from zensim.proto.geometry import Twist, TwistStamped, Vector3
+from zensim.proto.ros2.keys import data_key
+from zensim.proto.ros2.type_hash import type_hash
 
 ROBOTS = ("r1", "r2", "r3")
 FASTER = Vector3(x=0.5)

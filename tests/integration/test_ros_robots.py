@@ -8,7 +8,6 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from proto.result import ResultCode
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import (
     Server,
@@ -29,6 +28,7 @@ from tests.integration.ros_watching import (
     publishers_of,
     subscribed,
 )
+from zensim.proto.result import ResultCode
 
 ROBOTS = ("r1", "r2")
 SPAWN = "simulation_interfaces/srv/SpawnEntity"

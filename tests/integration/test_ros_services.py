@@ -6,15 +6,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from proto.codec import Format, decode, encode
-from proto.result import ResultCode
-from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.ros_services import CDR
-from proto.services import DeleteEntityRequest, DeleteEntityResponse
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, serving
 from tests.integration.ros_asking import Ask, replies, result_of, ros_client
 from tests.proto.ros_oracle import rewritten_by_ros
+from zensim.proto.codec import Format, decode, encode
+from zensim.proto.result import ResultCode
+from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros_services import CDR
+from zensim.proto.services import DeleteEntityRequest, DeleteEntityResponse
 
 SPAWN = "simulation_interfaces/srv/SpawnEntity"
 DELETE = "simulation_interfaces/srv/DeleteEntity"

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 import zenoh
 
-from proto.result import SpawnCode
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
 from tests.integration.ros_interfaces import SPAWN_V2_HASH
@@ -22,6 +21,7 @@ from tests.integration.ros_watching import (
     publishers_of,
     tokens,
 )
+from zensim.proto.result import SpawnCode
 
 NAME = "[A-Za-z_][A-Za-z0-9_]*(?:§[A-Za-z_][A-Za-z0-9_]*)*"
 TYPE = "[a-z0-9_]+§(?:msg|srv|action)§[A-Z][A-Za-z0-9]*"

@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 import zenoh
 
-from sim_server.description.library import model_text
 from tests.integration.processes import (
     Server,
     driven,
@@ -24,6 +23,7 @@ from tests.integration.robots import drive_for, robot
 from tests.integration.ros_asking import session_of
 from tests.integration.ros_watching import SIGHT_S, TF, key_of, publishers_of, subscribed
 from tests.proto.ros_oracle import HUMBLE
+from zensim.sim_server.description.library import model_text
 
 ROBOTS = ("r1", "r2", "r3")
 """r3 counts its wheels' turns; it begins turned by a right angle."""

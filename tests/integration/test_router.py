@@ -1,6 +1,5 @@
 """A router of its own: programs come in any order, and come back by themselves when it has died."""
 
-from spawner.client import SimClient
 from tests.integration.processes import (
     START_S,
     Server,
@@ -13,6 +12,7 @@ from tests.integration.processes import (
 )
 from tests.integration.robots import robot
 from tests.integration.test_lifecycle import MOVING_M_S, speed
+from zensim.spawner.client import SimClient
 
 BACK_S = 20.0
 

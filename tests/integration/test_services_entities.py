@@ -5,15 +5,18 @@ from collections.abc import Iterator
 
 import pytest
 
-from proto import keys
-from proto.bus import Subscription
-from proto.codec import decode
-from proto.fleets import SpawnEntitiesOrder, SpawnEntity
-from proto.geometry import Point, Pose, PoseStamped, Vector3
-from proto.header import Header
-from proto.info import EntityInfo
-from proto.result import ResultCode, ServiceError, SpawnCode, SpawnEntitiesCode
-from proto.services import (
+from tests.features import PROOFS
+from tests.integration.processes import Server, agent_of, driven, eventually, serving
+from tests.integration.robots import robot
+from zensim.proto import keys
+from zensim.proto.bus import Subscription
+from zensim.proto.codec import decode
+from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntity
+from zensim.proto.geometry import Point, Pose, PoseStamped, Vector3
+from zensim.proto.header import Header
+from zensim.proto.info import EntityInfo
+from zensim.proto.result import ResultCode, ServiceError, SpawnCode, SpawnEntitiesCode
+from zensim.proto.services import (
     Bounds,
     BoundsType,
     EntityFilters,
@@ -23,10 +26,7 @@ from proto.services import (
     State,
     TagsFilter,
 )
-from proto.telemetry import Event
-from tests.features import PROOFS
-from tests.integration.processes import Server, agent_of, driven, eventually, serving
-from tests.integration.robots import robot
+from zensim.proto.telemetry import Event
 
 
 @pytest.fixture(scope="module")

@@ -2,14 +2,19 @@
 
 import pytest
 
-from proto.codec import decode
-from proto.gazebo import LinkStates, ModelStates, ODEJointProperties, SetLinkPropertiesRequest
-from proto.geometry import Point, Pose, Vector3, Wrench
-from proto.keys import link_states, model_states
-from proto.result import ResultCode, ServiceError
-from proto.services import State
-from spawner.gazebo import GazeboClient
 from tests.integration.processes import Server, eventually, serving
+from zensim.proto.codec import decode
+from zensim.proto.gazebo import (
+    LinkStates,
+    ModelStates,
+    ODEJointProperties,
+    SetLinkPropertiesRequest,
+)
+from zensim.proto.geometry import Point, Pose, Vector3, Wrench
+from zensim.proto.keys import link_states, model_states
+from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.services import State
+from zensim.spawner.gazebo import GazeboClient
 
 PUSH_N = 2.0
 

@@ -4,16 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from proto.result import (
+from tests.integration.processes import END_S, Server, agent_of, driven, eventually, serving
+from tests.integration.robots import robot
+from zensim.proto.result import (
     GetCurrentWorldCode,
     LoadWorldCode,
     ResultCode,
     ServiceError,
     SetSimulationStateCode,
 )
-from proto.services import State, TagsFilter
-from tests.integration.processes import END_S, Server, agent_of, driven, eventually, serving
-from tests.integration.robots import robot
+from zensim.proto.services import State, TagsFilter
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (

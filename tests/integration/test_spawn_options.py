@@ -9,13 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from proto import keys
-from proto.codec import Format, encode, encoding_of
-from proto.exits import Exit
-from proto.services import ResetScope, State
-from proto.topics import String
-from spawner.cli.spawn import app
-from spawner.launch import read_cargo
 from tests.integration.processes import (
     END_S,
     Server,
@@ -29,6 +22,13 @@ from tests.integration.processes import (
 )
 from tests.spawner.cli.commands import run_at
 from tests.spawner.packages import a_package, robot_of
+from zensim.proto import keys
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.exits import Exit
+from zensim.proto.services import ResetScope, State
+from zensim.proto.topics import String
+from zensim.spawner.cli.spawn import app
+from zensim.spawner.launch import read_cargo
 
 BOX = (
     '<robot name="box"><link name="base"><inertial><mass value="2"/>'

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import pytest
 
-from proto.catalog import GET_ENTITY_INFO
-from proto.entities import GetEntityInfoRequest
-from proto.geometry import Point, Pose, PoseStamped
-from proto.model import Dynamics
-from proto.result import ServiceError
-from proto.services import Resource, SpawnEntityOrder
 from tests.integration.journals import kept_in, kill_hard
 from tests.integration.processes import Server, driven, eventually, free_endpoint, serving
 from tests.integration.robots import robot
+from zensim.proto.catalog import GET_ENTITY_INFO
+from zensim.proto.entities import GetEntityInfoRequest
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.model import Dynamics
+from zensim.proto.result import ServiceError
+from zensim.proto.services import Resource, SpawnEntityOrder
 
 CRATE = """<robot name="crate"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""

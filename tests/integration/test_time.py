@@ -7,15 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from proto import keys
-from proto.codec import decode
-from proto.header import NANOSECONDS, ns_from_time
-from proto.result import ServiceError
-from proto.services import ResetScope, State
-from proto.stepping import StepsProgress
-from proto.telemetry import WorldClock
 from tests.integration.processes import Server, agent_of, driven, eventually, serving
 from tests.integration.robots import Robot, place, robot, stamp_s
+from zensim.proto import keys
+from zensim.proto.codec import decode
+from zensim.proto.header import NANOSECONDS, ns_from_time
+from zensim.proto.result import ServiceError
+from zensim.proto.services import ResetScope, State
+from zensim.proto.stepping import StepsProgress
+from zensim.proto.telemetry import WorldClock
 
 PERIOD = 3
 """Steps between two drive states, at 240 Hz."""

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from proto import keys
-from proto.codec import Format, encode, encoding_of
-from proto.geometry import Twist, Vector3
 from tests.integration.bare_page import a_camera, bare_page
 from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
+from zensim.proto import keys
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
 
 if TYPE_CHECKING:
     import subprocess

@@ -2,7 +2,7 @@
 
 import pytest
 
-from proto.assets import joined
+from zensim.proto.assets import joined
 
 
 @pytest.mark.parametrize(

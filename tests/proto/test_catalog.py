@@ -2,8 +2,8 @@
 
 import pytest
 
-from proto.catalog import GET_ENTITIES, SERVICES, SPAWN_ENTITY
-from proto.result import ResultCode, SpawnCode
+from zensim.proto.catalog import GET_ENTITIES, SERVICES, SPAWN_ENTITY
+from zensim.proto.result import ResultCode, SpawnCode
 
 GAZEBO = {
     "pause_physics": "Empty",

@@ -7,23 +7,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto import cdr
-from proto.cdr_read import MalformedPayload
-from proto.example import example_of
-from proto.geometry import TransformStamped, Twist, Vector3
-from proto.header import Header, Time
-from proto.schema import messages
-from proto.services import (
+from tests.proto.ros_oracle import knows, rewritten_by_ros, ros_bytes
+from tests.proto.strategies import messages_of
+from zensim.proto import cdr
+from zensim.proto.cdr_read import MalformedPayload
+from zensim.proto.example import example_of
+from zensim.proto.geometry import TransformStamped, Twist, Vector3
+from zensim.proto.header import Header, Time
+from zensim.proto.schema import messages
+from zensim.proto.services import (
     GetSimulationStateRequest,
     SpawnEntityOrder,
     SpawnEntityReport,
     SpawnEntityRequest,
     SpawnEntityResponse,
 )
-from proto.telemetry import WorldClock
-from proto.topics import Clock, Odometry, TFMessage
-from tests.proto.ros_oracle import knows, rewritten_by_ros, ros_bytes
-from tests.proto.strategies import messages_of
+from zensim.proto.telemetry import WorldClock
+from zensim.proto.topics import Clock, Odometry, TFMessage
 
 EXPRESSIBLE = [
     pytest.param(kind, id=name)

@@ -5,15 +5,15 @@ from typing import ClassVar, Literal
 import msgspec
 import pytest
 
-from proto import cdr
-from proto.cdr_layout import Fixed, Layout, Text, images, ros_class, runs
-from proto.claims import Claim, ClaimEntityRequest
-from proto.geometry import Point, Pose, Quaternion, Twist, TwistWithCovariance
-from proto.header import Header
-from proto.model import Model
-from proto.services import SpawnEntityReport, SpawnEntityResponse
-from proto.telemetry import Stats
 from tests.proto.widest import Nothing, Widest
+from zensim.proto import cdr
+from zensim.proto.cdr_layout import Fixed, Layout, Text, images, ros_class, runs
+from zensim.proto.claims import Claim, ClaimEntityRequest
+from zensim.proto.geometry import Point, Pose, Quaternion, Twist, TwistWithCovariance
+from zensim.proto.header import Header
+from zensim.proto.model import Model
+from zensim.proto.services import SpawnEntityReport, SpawnEntityResponse
+from zensim.proto.telemetry import Stats
 
 
 class Widthless(msgspec.Struct, frozen=True):

@@ -7,14 +7,14 @@ import msgspec
 import pytest
 from hypothesis import given
 
-from proto import cdr
-from proto.cdr_layout import Fixed, Layout, Numbers
-from proto.cdr_places import places_of
-from proto.geometry import TransformStamped
-from proto.header import Header, Time
-from proto.topics import JointState, Odometry, TFMessage
 from tests.proto.strategies import messages_of
 from tests.proto.widest import Widest
+from zensim.proto import cdr
+from zensim.proto.cdr_layout import Fixed, Layout, Numbers
+from zensim.proto.cdr_places import places_of
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.header import Header, Time
+from zensim.proto.topics import JointState, Odometry, TFMessage
 
 
 def numbers_of(message: msgspec.Struct) -> dict[str, tuple[str, object]]:

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import cdr
-from proto.cdr_read import MalformedPayload
-from proto.example import example_of
-from proto.services import GetEntitiesRequest, GetEntitiesResponse, SpawnEntityRequest
-from proto.topics import JointState, String
 from tests.proto.widest import Widest
+from zensim.proto import cdr
+from zensim.proto.cdr_read import MalformedPayload
+from zensim.proto.example import example_of
+from zensim.proto.services import GetEntitiesRequest, GetEntitiesResponse, SpawnEntityRequest
+from zensim.proto.topics import JointState, String
 
 HEADER = bytes.fromhex("00 01 00 00")
 HUGE = b"\xff\xff\xff\xff"

@@ -4,13 +4,13 @@ import pytest
 from hypothesis import given
 from msgspec.structs import replace
 
-from proto import cdr
-from proto.geometry import PoseWithCovariance
-from proto.services import Bounds, StepSimulationRequest
-from proto.topics import String
 from tests.proto.ros_oracle import ros_bytes
 from tests.proto.strategies import messages_of
 from tests.proto.widest import Widest
+from zensim.proto import cdr
+from zensim.proto.geometry import PoseWithCovariance
+from zensim.proto.services import Bounds, StepSimulationRequest
+from zensim.proto.topics import String
 
 
 @given(message=messages_of(Widest))

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.claims import ClaimEntityRequest, DriveState
-from proto.codec import (
+from tests.proto.strategies import messages_of
+from zensim.proto.claims import ClaimEntityRequest, DriveState
+from zensim.proto.codec import (
     Format,
     MalformedPayload,
     decode,
@@ -19,16 +20,15 @@ from proto.codec import (
     offers,
     schema_of,
 )
-from proto.geometry import Point, Twist, Vector3
-from proto.model import Model
-from proto.schema import spoken_types
-from proto.services import (
+from zensim.proto.geometry import Point, Twist, Vector3
+from zensim.proto.model import Model
+from zensim.proto.schema import spoken_types
+from zensim.proto.services import (
     GetSimulationStateRequest,
     SpawnEntityReport,
     StepSimulationRequest,
 )
-from proto.topics import String
-from tests.proto.strategies import messages_of
+from zensim.proto.topics import String
 
 TWIST = Twist(Vector3(0.5), Vector3(z=-0.25))
 SPOKEN = [pytest.param(kind, id=kind.__name__) for kind in spoken_types()]

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.codec import Format, MalformedPayload, encode, encoding_of
-from proto.commands import decode_twist
-from proto.geometry import Accel, Twist, TwistStamped, Vector3
-from proto.header import Header, Time
+from zensim.proto.codec import Format, MalformedPayload, encode, encoding_of
+from zensim.proto.commands import decode_twist
+from zensim.proto.geometry import Accel, Twist, TwistStamped, Vector3
+from zensim.proto.header import Header, Time
 
 TWIST = Twist(Vector3(0.5), Vector3(z=-0.25))
 STAMPED = TwistStamped(Header(Time(1, 2), "base_link"), TWIST)

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from proto.drives import (
+from zensim.proto.drives import (
     AckermannDrive,
     Actuator,
     DiffDrive,
@@ -12,7 +12,7 @@ from proto.drives import (
     TricycleDrive,
     WheelPair,
 )
-from proto.model import Link, Model
+from zensim.proto.model import Link, Model
 
 FRONT = WheelPair("front_left", "front_right", 0.4, 0.2)
 REAR = WheelPair("rear_left", "rear_right", 0.6, 0.1)

@@ -5,13 +5,13 @@ from datetime import timedelta
 import msgspec
 import pytest
 
-from proto.claims import Claim, ClaimEntityRequest, DriveState
-from proto.codec import Format, decode, encode
-from proto.example import example_of
-from proto.geometry import PoseWithCovariance
-from proto.header import Header, Time
-from proto.schema import messages
-from proto.telemetry import Stats
+from zensim.proto.claims import Claim, ClaimEntityRequest, DriveState
+from zensim.proto.codec import Format, decode, encode
+from zensim.proto.example import example_of
+from zensim.proto.geometry import PoseWithCovariance
+from zensim.proto.header import Header, Time
+from zensim.proto.schema import messages
+from zensim.proto.telemetry import Stats
 
 
 @pytest.mark.parametrize("kind", messages().values(), ids=messages().keys())
@@ -42,5 +42,7 @@ def test_example_says_when_it_cannot_fill_a_field() -> None:
     class Odd(msgspec.Struct):
         when: timedelta
 
-    with pytest.raises(TypeError, match=r"field 'when' is a TimeDeltaType; say in proto.example"):
+    with pytest.raises(
+        TypeError, match=r"field 'when' is a TimeDeltaType; say in proto.example"
+    ):
         example_of(Odd)

@@ -6,11 +6,11 @@ import sys
 
 import pytest
 
-from proto.bus import BusError, EndpointTaken, NoServer, Unreachable
-from proto.codec import MalformedPayload
-from proto.exits import Exit, line_of, one_line_failures, status_of
-from proto.names import InvalidName
-from proto.result import ResultCode, ServiceError, SpawnCode
+from zensim.proto.bus import BusError, EndpointTaken, NoServer, Unreachable
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.exits import Exit, line_of, one_line_failures, status_of
+from zensim.proto.names import InvalidName
+from zensim.proto.result import ResultCode, ServiceError, SpawnCode
 
 
 def a_refusal(code: int, name: str = "SOME_CODE") -> ServiceError:
@@ -98,7 +98,7 @@ def test_command_ends_quietly_when_interrupted(capsys: pytest.CaptureFixture[str
 
 def test_command_ends_well_when_its_reader_has_gone() -> None:
     program = (
-        "from proto.exits import one_line_failures\n"
+        "from zensim.proto.exits import one_line_failures\n"
         "import sys\n"
         "with one_line_failures('echo'):\n"
         "    while True:\n"

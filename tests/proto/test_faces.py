@@ -3,15 +3,15 @@
 from collections.abc import Callable
 from typing import cast
 
-from proto.channels import Stamp
-from proto.faces import Face, Faces, TopicPublisher
-from proto.geometry import Twist, TwistStamped
-from proto.ros2.attachment import read_attachment
-from proto.ros2.settings import RosSettings
-from proto.ros2.tokens import gid_of
-from proto.ros_graph import RosGraph, Topic
-from proto.topics import String
 from tests.fakes import MemoryBus
+from zensim.proto.channels import Stamp
+from zensim.proto.faces import Face, Faces, TopicPublisher
+from zensim.proto.geometry import Twist, TwistStamped
+from zensim.proto.ros2.attachment import read_attachment
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros2.tokens import gid_of
+from zensim.proto.ros_graph import RosGraph, Topic
+from zensim.proto.topics import String
 
 TOPIC = Topic("r1/description", String, is_latched=True)
 ROS_KEY = (

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.header import Time, ns_from_time, time_from_ns
+from zensim.proto.header import Time, ns_from_time, time_from_ns
 
 
 @pytest.mark.parametrize(

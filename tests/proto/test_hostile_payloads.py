@@ -8,12 +8,12 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from proto.codec import Format, MalformedPayload, decode, encode, encoding_of, offers
-from proto.example import example_of
-from proto.schema import spoken_types
-from proto.services import GetEntitiesResponse
-from proto.telemetry import GetModelsResponse, Snapshot, Stats
-from proto.topics import TFMessage
+from zensim.proto.codec import Format, MalformedPayload, decode, encode, encoding_of, offers
+from zensim.proto.example import example_of
+from zensim.proto.schema import spoken_types
+from zensim.proto.services import GetEntitiesResponse
+from zensim.proto.telemetry import GetModelsResponse, Snapshot, Stats
+from zensim.proto.topics import TFMessage
 
 Sample: TypeAlias = tuple[type[msgspec.Struct], Format, bytes]
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import keys
-from proto.names import NAME
+from zensim.proto import keys
+from zensim.proto.names import NAME
 
 NAMES = st.from_regex(NAME, fullmatch=True)
 

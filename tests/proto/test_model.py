@@ -1,7 +1,7 @@
 """What a model tells of itself."""
 
-from proto.drives import DiffDrive, PlanarMove, WheelPair
-from proto.model import Inertial, Link, Model
+from zensim.proto.drives import DiffDrive, PlanarMove, WheelPair
+from zensim.proto.model import Inertial, Link, Model
 
 BASE = Link("base_link", Inertial(mass_kg=5.0))
 WHEEL = Link("wheel", Inertial(mass_kg=0.25))

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.names import (
+from zensim.proto.names import (
     FRAME,
     MAX_NAMESPACE_LENGTH,
     NAME,

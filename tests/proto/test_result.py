@@ -1,6 +1,6 @@
 """Results, and the error that a refused caller sees."""
 
-from proto.result import Result, ResultCode, ServiceError
+from zensim.proto.result import Result, ResultCode, ServiceError
 
 
 def test_result_is_ok_unless_told() -> None:

@@ -3,12 +3,12 @@
 import msgspec
 import pytest
 
-from proto import ros_actions as action
-from proto.codec import Format, decode, encode
-from proto.example import example_of
-from proto.ros2.type_hash import service_hash, service_type, type_hash
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import ros_bytes
+from zensim.proto import ros_actions as action
+from zensim.proto.codec import Format, decode, encode
+from zensim.proto.example import example_of
+from zensim.proto.ros2.type_hash import service_hash, service_type, type_hash
 
 KINDS = [
     *action.TOPICS.values(),

@@ -2,12 +2,12 @@
 
 import pytest
 
-from proto.ros2.keys import NO_HASH
-from proto.ros2.settings import NO_ROS, RosSettings
-from proto.ros2.tokens import Endpoint, Node, parse_token
-from proto.ros_graph import NODES_OF_SESSION, RosGraph, RosNode, Topic
-from proto.topics import Odometry, String
 from tests.fakes import MemoryBus
+from zensim.proto.ros2.keys import NO_HASH
+from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.proto.ros2.tokens import Endpoint, Node, parse_token
+from zensim.proto.ros_graph import NODES_OF_SESSION, RosGraph, RosNode, Topic
+from zensim.proto.topics import Odometry, String
 
 ODOM = Topic("r1/odom", Odometry)
 

@@ -3,15 +3,15 @@
 import pytest
 import zenoh
 
-from proto import ros_forms
-from proto.catalog import SERVICES
-from proto.codec import Format, MalformedPayload, decode, encode, encoding_of
-from proto.example import example_of
-from proto.geometry import Point, Pose, PoseStamped
-from proto.header import Header
-from proto.places import GetSpawnablesResponse, Spawnable
-from proto.result import Result, ResultCode
-from proto.ros_services import (
+from zensim.proto import ros_forms
+from zensim.proto.catalog import SERVICES
+from zensim.proto.codec import Format, MalformedPayload, decode, encode, encoding_of
+from zensim.proto.example import example_of
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.header import Header
+from zensim.proto.places import GetSpawnablesResponse, Spawnable
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.ros_services import (
     CDR,
     ROS_SERVICES,
     RosService,
@@ -19,7 +19,7 @@ from proto.ros_services import (
     by_key,
     served_keys,
 )
-from proto.services import (
+from zensim.proto.services import (
     DeleteEntityRequest,
     DeleteEntityResponse,
     EntityState,

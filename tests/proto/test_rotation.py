@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.rotation import FloatArray, conjugate, from_matrix, from_rpy, multiply, rotate, yaw_of
+from zensim.proto.rotation import (
+    FloatArray,
+    conjugate,
+    from_matrix,
+    from_rpy,
+    multiply,
+    rotate,
+    yaw_of,
+)
 
 angles = st.floats(-math.pi, math.pi)
 turns = st.builds(from_rpy, angles, angles, angles)

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from proto import schema
-from proto.catalog import SERVICES
-from proto.geometry import Twist, TwistStamped
-from proto.model import Model
-from proto.services import SpawnEntityReport
-from proto.telemetry import WorldClock
+from zensim.proto import schema
+from zensim.proto.catalog import SERVICES
+from zensim.proto.geometry import Twist, TwistStamped
+from zensim.proto.model import Model
+from zensim.proto.services import SpawnEntityReport
+from zensim.proto.telemetry import WorldClock
 
 
 def test_messages_are_listed_by_name() -> None:
@@ -107,7 +107,7 @@ def test_main_names_stale_files_and_the_command_that_writes_them(
     status = schema.main(["--check"], tmp_path)
 
     assert status == 1
-    assert capsys.readouterr().out == "keys.json is stale; run 'python -m proto.schema'\n"
+    assert capsys.readouterr().out == "keys.json is stale; run 'python -m zensim.proto.schema'\n"
 
 
 def test_main_refuses_other_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from proto.stl import read_corners, stl_size, write_corners
+from zensim.proto.stl import read_corners, stl_size, write_corners
 
 CORNERS = np.arange(18.0).reshape(2, 3, 3)
 

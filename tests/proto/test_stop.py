@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from proto.stop import STOP_SIGNALS, StopFlag
+from zensim.proto.stop import STOP_SIGNALS, StopFlag
 
 
 @pytest.fixture(autouse=True)

@@ -3,17 +3,9 @@
 import struct
 from collections.abc import Sequence
 
-from proto.claims import Claim, DriveState
-from proto.drives import DiffDrive, Drive, WheelPair
-from proto.model import (
-    IDENTITY,
-    Frame,
-    Joint,
-    JointStatePublisher,
-    Link,
-    Model,
-    Origin,
-)
+from zensim.proto.claims import Claim, DriveState
+from zensim.proto.drives import DiffDrive, Drive, WheelPair
+from zensim.proto.model import IDENTITY, Frame, Joint, JointStatePublisher, Link, Model, Origin
 
 PAIR = WheelPair("left_joint", "right_joint", separation_m=0.4, diameter_m=0.2)
 DRIVE = DiffDrive(

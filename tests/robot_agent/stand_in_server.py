@@ -3,16 +3,22 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from proto import keys
-from proto.claims import ClaimEntityRequest, ClaimEntityResponse, DriveCommand, DriveState, granted
-from proto.codec import Format, decode, encode, encoding_of
-from proto.result import ClaimCode, Result, ResultCode
-from proto.telemetry import Event, EventKind
 from tests.fakes import MemoryBus, MemoryToken
 from tests.robot_agent.models import a_claim, two_wheeler
+from zensim.proto import keys
+from zensim.proto.claims import (
+    ClaimEntityRequest,
+    ClaimEntityResponse,
+    DriveCommand,
+    DriveState,
+    granted,
+)
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.result import ClaimCode, Result, ResultCode
+from zensim.proto.telemetry import Event, EventKind
 
 if TYPE_CHECKING:
-    from proto.model import Model
+    from zensim.proto.model import Model
 
 WORLD = "default"
 AGENT = "a1"

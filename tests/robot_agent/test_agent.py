@@ -8,18 +8,18 @@ from contextlib import suppress
 import pytest
 from msgspec.structs import replace
 
-from proto import keys
-from proto.codec import Format, decode
-from proto.geometry import Twist, Vector3
-from proto.model import DiffDrive
-from proto.result import ServiceError
-from proto.stop import STOP_SIGNALS, StopFlag
-from proto.topics import Odometry
-from robot_agent.agent import Agent, run_agent
-from robot_agent.config import AgentConfig
 from tests.fakes import ManualClock, MemoryBus
 from tests.robot_agent.models import DRIVE, a_state, two_wheeler
 from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
+from zensim.proto import keys
+from zensim.proto.codec import Format, decode
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.model import DiffDrive
+from zensim.proto.result import ServiceError
+from zensim.proto.stop import STOP_SIGNALS, StopFlag
+from zensim.proto.topics import Odometry
+from zensim.robot_agent.agent import Agent, run_agent
+from zensim.robot_agent.config import AgentConfig
 
 FORWARD = Twist(Vector3(0.5))
 BACK = Twist(Vector3(-0.5))

@@ -2,13 +2,13 @@
 
 import pytest
 
-from proto import keys
-from proto.bus import NoServer
-from proto.codec import MalformedPayload
-from proto.result import ClaimCode, ServiceError
-from robot_agent.claimer import Claimer, Wish
 from tests.fakes import MemoryBus
 from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
+from zensim.proto import keys
+from zensim.proto.bus import NoServer
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.result import ClaimCode, ServiceError
+from zensim.robot_agent.claimer import Claimer, Wish
 
 
 def a_claimer(bus: MemoryBus, *entities: str, wait_s: float = 30.0) -> Claimer:

@@ -1,9 +1,9 @@
 """Which twist holds when."""
 
-from proto.codec import Format
-from proto.geometry import Twist, TwistStamped, Vector3
-from robot_agent.cmd_vel import DEPTH, CommandedTwist
 from tests.fakes import MemoryBus
+from zensim.proto.codec import Format
+from zensim.proto.geometry import Twist, TwistStamped, Vector3
+from zensim.robot_agent.cmd_vel import DEPTH, CommandedTwist
 
 TIMEOUT_NS = 500
 FORWARD = Twist(Vector3(1.0))

@@ -3,12 +3,12 @@
 import msgspec
 import pytest
 
-from proto.drives import Compat, Limits, PlanarMove
-from proto.geometry import Twist, Vector3
-from robot_agent.driven_base import DrivenBase
-from robot_agent.odometry import Motion
-from robot_agent.reading import Reading
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, two_wheeler
+from zensim.proto.drives import Compat, Limits, PlanarMove
+from zensim.proto.geometry import Twist, Vector3
+from zensim.robot_agent.driven_base import DrivenBase
+from zensim.robot_agent.odometry import Motion
+from zensim.robot_agent.reading import Reading
 
 MS = 1_000_000
 FORWARD = Twist(Vector3(0.5))

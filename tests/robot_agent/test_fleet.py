@@ -4,14 +4,14 @@ import struct
 
 import pytest
 
-from proto.claims import DriveCommand
-from proto.codec import MalformedPayload
-from proto.faces import Faces
-from proto.geometry import Twist, Vector3
-from robot_agent.fleet import Fleet
-from robot_agent.robot import Robot
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim, a_state, two_wheeler
+from zensim.proto.claims import DriveCommand
+from zensim.proto.codec import MalformedPayload
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import Twist, Vector3
+from zensim.robot_agent.fleet import Fleet
+from zensim.robot_agent.robot import Robot
 
 
 def a_fleet(bus: MemoryBus, *claims: int) -> Fleet:

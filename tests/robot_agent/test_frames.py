@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.geometry import Quaternion, TransformStamped, Vector3
-from proto.header import Header, Time
-from proto.model import Frame, Joint, JointStatePublisher, Link, Model, Origin
-from robot_agent.frames import (
+from tests.robot_agent.models import DRIVE, FOOTPRINT, WHEELS, two_wheeler
+from zensim.proto.geometry import Quaternion, TransformStamped, Vector3
+from zensim.proto.header import Header, Time
+from zensim.proto.model import Frame, Joint, JointStatePublisher, Link, Model, Origin
+from zensim.robot_agent.frames import (
     Base,
     Edge,
     MovingJoint,
@@ -21,9 +22,8 @@ from robot_agent.frames import (
     odometry_edge,
     published_joints,
 )
-from robot_agent.odometry import Motion
-from robot_agent.transforms import compose, inverse, turn
-from tests.robot_agent.models import DRIVE, FOOTPRINT, WHEELS, two_wheeler
+from zensim.robot_agent.odometry import Motion
+from zensim.robot_agent.transforms import compose, inverse, turn
 
 STAMP = Time(1, 2)
 LIDAR = Joint("lidar_joint", "revolute", "base_link", "lidar", axis=(0.0, 0.0, 1.0))

@@ -6,17 +6,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.codec import decode
-from proto.faces import Faces
-from proto.model import GroundTruth, Origin, RosBlock
-from proto.rotation import from_rpy
-from proto.topics import Odometry
-from robot_agent.ground_truth import TruthTelemetry
-from robot_agent.reading import Reading
-from robot_agent.robot import Robot
 from tests.fakes import MemoryBus, MemorySubscription
 from tests.models import a_state
 from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
+from zensim.proto.codec import decode
+from zensim.proto.faces import Faces
+from zensim.proto.model import GroundTruth, Origin, RosBlock
+from zensim.proto.rotation import from_rpy
+from zensim.proto.topics import Odometry
+from zensim.robot_agent.ground_truth import TruthTelemetry
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.robot import Robot
 
 MS = 1_000_000
 QUARTER = math.pi / 2.0

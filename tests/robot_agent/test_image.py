@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import cdr
-from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from proto.header import Header, Time
-from proto.topics import TFMessage
-from robot_agent.image import Image
-from robot_agent.odometry import Motion, OdometryFrames
-from robot_agent.templates import HEADER_STAMP, ODOMETRY_PATHS, tf_paths, tf_stamps
+from zensim.proto import cdr
+from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
+from zensim.proto.header import Header, Time
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.image import Image
+from zensim.robot_agent.odometry import Motion, OdometryFrames
+from zensim.robot_agent.templates import HEADER_STAMP, ODOMETRY_PATHS, tf_paths, tf_stamps
 
 numbers = st.floats(width=64)
 times_ns = st.integers(min_value=0, max_value=(1 << 31) * 1_000_000_000 - 1)

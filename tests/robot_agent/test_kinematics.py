@@ -4,14 +4,14 @@ import numpy as np
 import pybullet
 import pytest
 
-from proto.model import Frame, Joint, Link, Model, Origin
-from robot_agent.kinematics import Chain
-from robot_agent.reading import Reading
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.engines import STEP_NS
 from tests.models import a_body, a_state, angle_between
 from tests.sim_server.physics.bullet import client_of
+from zensim.proto.model import Frame, Joint, Link, Model, Origin
+from zensim.robot_agent.kinematics import Chain
+from zensim.robot_agent.reading import Reading
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 TILTED = Origin((0.3, -0.1, 0.2), (0.5, 0.5, -0.5, 0.5))
 CRANE = Model(

@@ -6,16 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.header import Header, Time
-from proto.model import IDENTITY, DiffDrive, Origin, WheelPair
-from robot_agent.odometry import (
+from zensim.proto.header import Header, Time
+from zensim.proto.model import IDENTITY, DiffDrive, Origin, WheelPair
+from zensim.robot_agent.odometry import (
     EncoderOdometry,
     Motion,
     OdometryFrames,
     covariance_of,
     world_motion,
 )
-from robot_agent.transforms import turn, yaw_of
+from zensim.robot_agent.transforms import turn, yaw_of
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
 SECOND = 1_000_000_000

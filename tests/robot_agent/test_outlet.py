@@ -1,11 +1,11 @@
 """When a topic is put, and what it answers."""
 
-from proto.codec import decode
-from proto.faces import Faces
-from proto.ros_graph import Topic
-from proto.topics import String
-from robot_agent.outlet import Outlet
 from tests.fakes import MemoryBus
+from zensim.proto.codec import decode
+from zensim.proto.faces import Faces
+from zensim.proto.ros_graph import Topic
+from zensim.proto.topics import String
+from zensim.robot_agent.outlet import Outlet
 
 KEY = "r1/robot_description"
 ENCODING = "application/cdr;std_msgs/msg/String"

@@ -5,8 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-from proto.claims import DriveState
-from robot_agent.precedence import NICENESS, Precedence
+from zensim.proto.claims import DriveState
+from zensim.robot_agent.precedence import NICENESS, Precedence
 
 MS = 1_000_000
 NICE = f"from robot_agent.precedence import be_nice; print(be_nice({NICENESS}))"

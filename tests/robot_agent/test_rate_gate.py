@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robot_agent.rate_gate import RateGate
+from zensim.robot_agent.rate_gate import RateGate
 
 MS = 1_000_000
 

@@ -2,14 +2,14 @@
 
 import pytest
 
-from proto.claims import Claim
-from proto.faces import Faces
-from robot_agent.driven_base import motion_rates
-from robot_agent.rates import Rates, with_rates
-from robot_agent.reading import Reading
-from robot_agent.robot import Robot
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, a_claim, two_wheeler
+from zensim.proto.claims import Claim
+from zensim.proto.faces import Faces
+from zensim.robot_agent.driven_base import motion_rates
+from zensim.robot_agent.rates import Rates, with_rates
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.robot import Robot
 
 PERIOD_NS = 10_000_000
 

@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from proto.codec import MalformedPayload
-from robot_agent.reading import Layout, Reading, Timeline
 from tests.robot_agent.models import AT_REST, a_state
+from zensim.proto.codec import MalformedPayload
+from zensim.robot_agent.reading import Layout, Reading, Timeline
 
 
 def test_layout_cuts_a_state_robot_by_robot() -> None:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from proto.drives import Compat, DiffDrive, RosBlock
-from robot_agent.remapping import command_key, odometry_key, topic_key
+from zensim.proto.drives import Compat, DiffDrive, RosBlock
+from zensim.robot_agent.remapping import command_key, odometry_key, topic_key
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,8 @@
 
 from msgspec.structs import replace
 
-from robot_agent.revising import LEAST_S, MOST_S, Revising
 from tests.robot_agent.models import a_state
+from zensim.robot_agent.revising import LEAST_S, MOST_S, Revising
 
 NOW_S = 5.0
 

@@ -1,6 +1,6 @@
 """How often an agent looks for drive states."""
 
-from robot_agent.rhythm import COMMANDS_S, EAGER_LOOK_S, IDLE_S, LONGEST_S, SOONEST_S, Rhythm
+from zensim.robot_agent.rhythm import COMMANDS_S, EAGER_LOOK_S, IDLE_S, LONGEST_S, SOONEST_S, Rhythm
 
 
 def looks_between_states(rhythm: Rhythm, period_s: float, *, states: int, awaited: bool) -> float:

@@ -3,13 +3,13 @@
 import msgspec
 import pytest
 
-from proto.faces import Faces
-from proto.geometry import Twist, Vector3
-from proto.model import Model, RosBlock
-from robot_agent.reading import Reading
-from robot_agent.robot import Robot
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, DRIVE, a_claim, two_wheeler
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.model import Model, RosBlock
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.robot import Robot
 
 MS = 1_000_000
 TIMEOUT_NS = 500 * MS

@@ -2,15 +2,15 @@
 
 import pytest
 
-from proto import keys
-from proto.bus import NoServer
-from proto.claims import Claim, ClaimShareRequest, ClaimShareResponse, granted
-from proto.codec import Format, decode, encode, encoding_of
-from proto.result import Result, ResultCode, ServiceError
-from proto.telemetry import Event, EventKind
-from robot_agent.share_claimer import LATEST_S, SOONEST_S, ShareClaimer, ShareWish
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim
+from zensim.proto import keys
+from zensim.proto.bus import NoServer
+from zensim.proto.claims import Claim, ClaimShareRequest, ClaimShareResponse, granted
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.result import Result, ResultCode, ServiceError
+from zensim.proto.telemetry import Event, EventKind
+from zensim.robot_agent.share_claimer import LATEST_S, SOONEST_S, ShareClaimer, ShareWish
 
 WORLD = "default"
 

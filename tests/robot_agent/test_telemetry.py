@@ -5,16 +5,16 @@ from typing import TypeVar
 import msgspec
 import pytest
 
-from proto.codec import decode
-from proto.faces import Faces
-from proto.header import Header, Time
-from proto.model import JointStatePublisher, Model, RosBlock
-from proto.topics import JointState, Odometry, String, TFMessage
-from robot_agent.odometry import Motion
-from robot_agent.reading import Reading
-from robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, a_claim, two_wheeler
+from zensim.proto.codec import decode
+from zensim.proto.faces import Faces
+from zensim.proto.header import Header, Time
+from zensim.proto.model import JointStatePublisher, Model, RosBlock
+from zensim.proto.topics import JointState, Odometry, String, TFMessage
+from zensim.robot_agent.odometry import Motion
+from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
 
 SECOND = 1_000_000_000
 Message = TypeVar("Message", bound=msgspec.Struct)

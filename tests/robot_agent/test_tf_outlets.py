@@ -2,14 +2,14 @@
 
 import pytest
 
-from proto.codec import decode
-from proto.faces import Faces
-from proto.geometry import TransformStamped
-from proto.header import Header
-from proto.ros2.settings import RosSettings, TfScope
-from proto.topics import TFMessage
-from robot_agent.tf_outlets import tf_outlets, with_namespace
 from tests.fakes import MemoryBus
+from zensim.proto.codec import decode
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.header import Header
+from zensim.proto.ros2.settings import RosSettings, TfScope
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.tf_outlets import tf_outlets, with_namespace
 
 EDGE = TFMessage((TransformStamped(Header(frame_id="odom"), "base_link"),))
 

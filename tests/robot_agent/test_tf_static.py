@@ -5,17 +5,17 @@ import math
 import msgspec
 import pytest
 
-from proto.claims import Claim
-from proto.codec import decode
-from proto.drives import DiffDrive
-from proto.faces import Faces
-from proto.geometry import TransformStamped
-from proto.header import Header
-from proto.ros2.settings import RosSettings, TfScope
-from proto.topics import TFMessage
-from robot_agent.tf_static import tf_static_of, tf_static_outlets
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
+from zensim.proto.claims import Claim
+from zensim.proto.codec import decode
+from zensim.proto.drives import DiffDrive
+from zensim.proto.faces import Faces
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.header import Header
+from zensim.proto.ros2.settings import RosSettings, TfScope
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.tf_static import tf_static_of, tf_static_outlets
 
 FIXED = TFMessage((TransformStamped(Header(frame_id="base_link"), "lidar"),))
 NOTHING = TFMessage()

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import Origin, Quat, Vec3
-from robot_agent import transforms
+from zensim.proto.model import Origin, Quat, Vec3
+from zensim.robot_agent import transforms
 
 QUARTER = math.sqrt(0.5)
 LEFT: Quat = (0.0, 0.0, QUARTER, QUARTER)

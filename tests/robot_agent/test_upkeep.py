@@ -2,12 +2,12 @@
 
 import pytest
 
-from proto.faces import Faces
-from robot_agent.fleet import Fleet
-from robot_agent.robot import Robot
-from robot_agent.upkeep import Upkeep
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim, a_state, two_wheeler
+from zensim.proto.faces import Faces
+from zensim.robot_agent.fleet import Fleet
+from zensim.robot_agent.robot import Robot
+from zensim.robot_agent.upkeep import Upkeep
 
 
 def a_fleet(bus: MemoryBus) -> Fleet:

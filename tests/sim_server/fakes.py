@@ -6,31 +6,31 @@ from dataclasses import dataclass, field
 import msgspec
 import numpy as np
 
-from proto.bus import BusConfig, Sample
-from proto.claims import DriveCommand, DriveState
-from proto.codec import Format, decode, encode, encoding_of
-from proto.keys import drive_command
-from proto.model import Model
-from proto.services import SpawnEntityOrder
-from proto.telemetry import Event
-from sim_server.config import ServerConfig
-from sim_server.description.describing import describe
-from sim_server.description.resources import text_of
-from sim_server.desk import Desk
-from sim_server.loading.founding import founding
-from sim_server.pacing.meter import Meter
-from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.reading.assets import AssetStore
-from sim_server.reading.descriptions import Reading
-from sim_server.reading.messages import ReadRequest, TextRead
-from sim_server.reading.process import read
-from sim_server.traffic.calls import Call
-from sim_server.traffic.loop import Loop
-from sim_server.world.birth import Birth
-from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground
+from zensim.proto.bus import BusConfig, Sample
+from zensim.proto.claims import DriveCommand, DriveState
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.keys import drive_command
+from zensim.proto.model import Model
+from zensim.proto.services import SpawnEntityOrder
+from zensim.proto.telemetry import Event
+from zensim.sim_server.config import ServerConfig
+from zensim.sim_server.description.describing import describe
+from zensim.sim_server.description.resources import text_of
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.loading.founding import founding
+from zensim.sim_server.pacing.meter import Meter
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray
+from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.reading.descriptions import Reading
+from zensim.sim_server.reading.messages import ReadRequest, TextRead
+from zensim.sim_server.reading.process import read
+from zensim.sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.world.birth import Birth
+from zensim.sim_server.world.world import World
 
 CONTROL_STEPS = 3
 

@@ -2,12 +2,12 @@
 
 import math
 
-from proto import services
-from proto.geometry import Point, Pose, PoseStamped, Quaternion
-from proto.header import Header
-from proto.services import Resource
-from sim_server.desk import Desk
-from sim_server.handlers.table import handle
+from zensim.proto import services
+from zensim.proto.geometry import Point, Pose, PoseStamped, Quaternion
+from zensim.proto.header import Header
+from zensim.proto.services import Resource
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.handlers.table import handle
 
 BOX_BOT = Resource(uri="box_bot")
 LYING = Quaternion(math.sin(math.pi / 4.0), 0.0, 0.0, math.cos(math.pi / 4.0))

@@ -2,8 +2,8 @@
 
 import pytest
 
-from proto.exits import Exit
 from tests.integration.processes import free_endpoint, zensim
+from zensim.proto.exits import Exit
 
 
 @pytest.mark.parametrize(

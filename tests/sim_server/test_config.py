@@ -5,11 +5,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from proto.bus import BusConfig
-from proto.endpoint import DEFAULT_ENDPOINT
-from proto.header import NANOSECONDS
-from sim_server.config import CONTROL_HZ, ConfigError, ServerConfig, checked, paced, server_bus
-from sim_server.pacing.lockstep import LockstepSettings
+from zensim.proto.bus import BusConfig
+from zensim.proto.endpoint import DEFAULT_ENDPOINT
+from zensim.proto.header import NANOSECONDS
+from zensim.sim_server.config import (
+    CONTROL_HZ,
+    ConfigError,
+    ServerConfig,
+    checked,
+    paced,
+    server_bus,
+)
+from zensim.sim_server.pacing.lockstep import LockstepSettings
 
 DEFAULTS = ServerConfig(bus=BusConfig())
 

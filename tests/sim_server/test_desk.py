@@ -1,8 +1,8 @@
 """Bonds: what hangs on one goes with it, and nothing else."""
 
-from sim_server.desk import Desk
 from tests.sim_server.fakes import WallTime, a_birth, a_desk, a_world, names_in
 from tests.sim_server.orders import an_order, spawned
+from zensim.sim_server.desk import Desk
 
 
 def a_bonded_desk(*names: str, bond: str = "b1") -> Desk:

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from proto.geometry import Point, Pose, PoseStamped
-from proto.model import Inertial, Link, Model, Shape
-from proto.services import SpawnEntityOrder, SpawnEntityReport
-from proto.stl import write_corners
-from sim_server.desk import Desk
-from sim_server.errors import IncorrectState, ModelError, NameNotUnique
-from sim_server.handlers.table import handle
 from tests.sim_server.fakes import ReadHere, a_desk, a_stage, a_world, names_in
 from tests.sim_server.orders import BOX_BOT
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.model import Inertial, Link, Model, Shape
+from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.stl import write_corners
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import IncorrectState, ModelError, NameNotUnique
+from zensim.sim_server.handlers.table import handle
 
 FAR = PoseStamped(pose=Pose(Point(50.0, 0.0, 0.06)))
 AT_R1 = PoseStamped(pose=Pose(Point(0.0, 0.0, 0.06)))

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.geometry import Quaternion
-from spawner.angles import roll_pitch_yaw, yaw_of
-from spawner.launch import pose_at
+from zensim.proto.geometry import Quaternion
+from zensim.spawner.angles import roll_pitch_yaw, yaw_of
+from zensim.spawner.launch import pose_at
 
 TURN = st.floats(-3.1, 3.1)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from proto.assets import MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
-from proto.result import ServiceError, SpawnCode
-from spawner.assets import Bundle, Mesh, bundle_of, check_collisions, meshes_named
-from spawner.search_paths import search_paths
 from tests.spawner.packages import a_package, robot_of, tetrahedron
+from zensim.proto.assets import MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
+from zensim.proto.result import ServiceError, SpawnCode
+from zensim.spawner.assets import Bundle, Mesh, bundle_of, check_collisions, meshes_named
+from zensim.spawner.search_paths import search_paths
 
 BASE, DRAWN = "package://my_robot/meshes/base.stl", "package://my_robot/meshes/drawn.stl"
 

@@ -4,16 +4,16 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from proto.bus import NoServer
-from proto.result import ResultCode, ServiceError
-from proto.services import EntityFilters, EntityState, SpawnEntityOrder, SpawnEntityReport
-from spawner import bonding
-from spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
-from spawner.client import SimClient
 from tests.fakes import MemoryBus
+from zensim.proto.bus import NoServer
+from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.services import EntityFilters, EntityState, SpawnEntityOrder, SpawnEntityReport
+from zensim.spawner import bonding
+from zensim.spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
+from zensim.spawner.client import SimClient
 
 if TYPE_CHECKING:
-    from proto.bus import Bus
+    from zensim.proto.bus import Bus
 
 
 def refusal(code: ResultCode) -> ServiceError:

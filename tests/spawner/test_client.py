@@ -4,10 +4,12 @@ from typing import cast
 
 import pytest
 
-from proto.bus import Bus, NoServer
-from proto.geometry import Point, Pose, Twist, Vector3
-from proto.result import ResultCode, ServiceError
-from proto.services import (
+from tests.fakes import MemoryBus
+from tests.sim_server.fakes import WallTime, a_desk, a_world, names_in
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.geometry import Point, Pose, Twist, Vector3
+from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.services import (
     EntityState,
     Feature,
     ResetScope,
@@ -15,12 +17,10 @@ from proto.services import (
     SpawnEntityOrder,
     State,
 )
-from sim_server.traffic.inbox import BusInbox
-from sim_server.traffic.loop import Loop
-from sim_server.traffic.outlets import BusOutlet
-from spawner.client import SimClient
-from tests.fakes import MemoryBus
-from tests.sim_server.fakes import WallTime, a_desk, a_world, names_in
+from zensim.sim_server.traffic.inbox import BusInbox
+from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.traffic.outlets import BusOutlet
+from zensim.spawner.client import SimClient
 
 
 class Served:

@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from proto.codec import Format
-from proto.result import ServiceError
-from proto.topics import String
-from spawner.descriptions import (
+from tests.fakes import MemoryBus
+from zensim.proto.codec import Format
+from zensim.proto.result import ServiceError
+from zensim.proto.topics import String
+from zensim.spawner.descriptions import (
     Description,
     from_database,
     from_file,
@@ -18,12 +19,11 @@ from spawner.descriptions import (
     from_word,
     with_model_uris,
 )
-from spawner.markup import MAX_TEXT_BYTES, DescriptionError
-from spawner.search_paths import SearchPaths, search_paths
-from tests.fakes import MemoryBus
+from zensim.spawner.markup import MAX_TEXT_BYTES, DescriptionError
+from zensim.spawner.search_paths import SearchPaths, search_paths
 
 if TYPE_CHECKING:
-    from proto.bus import Bus
+    from zensim.proto.bus import Bus
 
 SDF = '<sdf version="1.6"><model name="m"/></sdf>'
 

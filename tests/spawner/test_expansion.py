@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from spawner.expansion import arguments_of, expanded, needs_expansion
-from spawner.markup import DescriptionError
-from spawner.search_paths import search_paths
 from tests.spawner.packages import a_package
+from zensim.spawner.expansion import arguments_of, expanded, needs_expansion
+from zensim.spawner.markup import DescriptionError
+from zensim.spawner.search_paths import search_paths
 
 HEAD = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
 INCLUDE = HEAD + '<xacro:include filename="$(find parts)/urdf/part.xacro"/><xacro:part/></robot>'

@@ -4,19 +4,19 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from proto.result import ServiceError
-from proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
-from sim_server.traffic.inbox import BusInbox
-from sim_server.traffic.loop import Loop
-from sim_server.traffic.outlets import BusOutlet
-from spawner.client import SimClient
-from spawner.goals import OnProgress, reach_goal
 from tests.fakes import MemoryBus
 from tests.sim_server.fakes import WallTime, a_desk, a_world
+from zensim.proto.result import ServiceError
+from zensim.proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
+from zensim.sim_server.traffic.inbox import BusInbox
+from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.traffic.outlets import BusOutlet
+from zensim.spawner.client import SimClient
+from zensim.spawner.goals import OnProgress, reach_goal
 
 if TYPE_CHECKING:
-    from proto.bus import Bus
-    from sim_server.world.world import World
+    from zensim.proto.bus import Bus
+    from zensim.sim_server.world.world import World
 
 
 class Served:

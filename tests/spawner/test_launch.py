@@ -9,17 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.bus import Bus, NoServer
-from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnResult
-from proto.geometry import Pose, Quaternion
-from proto.result import Result, ResultCode, SpawnCode
-from proto.rotation import from_rpy
-from proto.services import Resource
-from spawner.client import SimClient
-from spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
-from spawner.namespacing import DescriptionError
-from spawner.placement import Place
 from tests.fakes import MemoryBus
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnResult
+from zensim.proto.geometry import Pose, Quaternion
+from zensim.proto.result import Result, ResultCode, SpawnCode
+from zensim.proto.rotation import from_rpy
+from zensim.proto.services import Resource
+from zensim.spawner.client import SimClient
+from zensim.spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
+from zensim.spawner.namespacing import DescriptionError
+from zensim.spawner.placement import Place
 
 DRIVEN = (
     '<robot name="r"><link name="base"/><gazebo>'

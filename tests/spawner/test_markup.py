@@ -2,7 +2,7 @@
 
 import pytest
 
-from spawner.markup import DescriptionError, Written, counted, parsed, without_comments
+from zensim.spawner.markup import DescriptionError, Written, counted, parsed, without_comments
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.names import InvalidName
-from spawner.namespacing import DescriptionError, namespaced, without_namespace
+from zensim.proto.names import InvalidName
+from zensim.spawner.namespacing import DescriptionError, namespaced, without_namespace
 
 NAMES = st.from_regex(r"/?[a-z][a-z0-9_]{0,5}(/[a-z]{1,3})?", fullmatch=True).filter(
     lambda name: name.strip("/").split("/")[0] not in ("sim", "world")

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.bus import Sample
-from proto.claims import DriveCommand
-from proto.codec import Format, encode, encoding_of
-from proto.geometry import Twist, Vector3
-from proto.telemetry import Event, Snapshot, Stats, WorldClock
-from proto.topics import Odometry, String
-from spawner.payloads import as_lines, as_plain
 from tests.sim_server.fakes import floats
+from zensim.proto.bus import Sample
+from zensim.proto.claims import DriveCommand
+from zensim.proto.codec import Format, encode, encoding_of
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.telemetry import Event, Snapshot, Stats, WorldClock
+from zensim.proto.topics import Odometry, String
+from zensim.spawner.payloads import as_lines, as_plain
 
 ENCODINGS = [
     "",

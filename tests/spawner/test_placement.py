@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.names import InvalidName
-from spawner.placement import LAYOUTS, Layout, Place, fleet_places, name_stem
+from zensim.proto.names import InvalidName
+from zensim.spawner.placement import LAYOUTS, Layout, Place, fleet_places, name_stem
 
 layouts = st.sampled_from(LAYOUTS)
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from spawner.search_paths import SearchPaths, search_paths
 from tests.spawner.packages import a_package
+from zensim.spawner.search_paths import SearchPaths, search_paths
 
 
 def beside(file: Path, *roots: Path) -> SearchPaths:

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from proto.assets import MAX_CHUNK_BYTES, MissingAssetsResponse
-from spawner.assets import AssetFile
-from spawner.client import SimClient
-from spawner.upload import Outstanding, outstanding, send
 from tests.fakes import MemoryBus
+from zensim.proto.assets import MAX_CHUNK_BYTES, MissingAssetsResponse
+from zensim.spawner.assets import AssetFile
+from zensim.spawner.client import SimClient
+from zensim.spawner.upload import Outstanding, outstanding, send
 
 if TYPE_CHECKING:
-    from proto.bus import Bus
+    from zensim.proto.bus import Bus
 
 
 class Store(SimClient):

@@ -11,9 +11,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.blueprint import Part
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.touch import SOFTEST_STEPS
+from zensim.sim_server.physics.blueprint import Part
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.touch import SOFTEST_STEPS
 
 MENDED = 0.2
 """Share of a depth or of an error that one step mends, where rigid."""

@@ -5,9 +5,9 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Generic, TypeVar
 
-from sim_server.physics.casting.make import Make
-from sim_server.physics.casting.slots import Cast
-from sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.casting.make import Make
+from zensim.sim_server.physics.casting.slots import Cast
+from zensim.sim_server.physics.engine import EngineConfig
 
 KEPT = 24
 AHEAD_FROM, AHEAD_TO = 16, 256

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.rotation import rotate
-from sim_server.physics.casting.make import ROOT_VELOCITIES
-from sim_server.physics.casting.seat import Seat
-from sim_server.physics.casting.wishes import Places
-from sim_server.physics.engine import FloatArray
+from zensim.proto.rotation import rotate
+from zensim.sim_server.physics.casting.make import ROOT_VELOCITIES
+from zensim.sim_server.physics.casting.seat import Seat
+from zensim.sim_server.physics.casting.wishes import Places
+from zensim.sim_server.physics.engine import FloatArray
 
 XYZ_XYZW = np.array([0, 1, 2, 4, 5, 6, 3])
 

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from proto.model import Shape
-from sim_server.physics.blueprint import Blueprint, Part
+from zensim.proto.model import Shape
+from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 ROOT_POSITIONS, ROOT_VELOCITIES = 7, 6
 """Of a free root: place and quaternion w x y z; linear in the world, angular in the root."""

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from proto.model import Shape
-from proto.stl import read_corners
-from sim_server.physics.casting.hulls import Points, pieces_of
+from zensim.proto.model import Shape
+from zensim.proto.stl import read_corners
+from zensim.sim_server.physics.casting.hulls import Points, pieces_of
 
 
 @cache

@@ -2,12 +2,12 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from proto.model import Origin, Shape
-from sim_server.physics.blueprint import Part
-from sim_server.physics.casting.contact import Yield, grip, grip_of, motor, rigid
-from sim_server.physics.casting.hulls import Points
-from sim_server.physics.casting.make import Make, followers
-from sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, EngineConfig
+from zensim.proto.model import Origin, Shape
+from zensim.sim_server.physics.blueprint import Part
+from zensim.sim_server.physics.casting.contact import Yield, grip, grip_of, motor, rigid
+from zensim.sim_server.physics.casting.hulls import Points
+from zensim.sim_server.physics.casting.make import Make, followers
+from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, EngineConfig
 
 Pieces = Callable[[Shape, bool], Sequence[Points]]
 """Convex pieces of a mesh, scaled; the flag says that it never moves."""

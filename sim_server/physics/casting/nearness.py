@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim_server.physics.casting.wishes import Places
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.casting.wishes import Places
+from zensim.sim_server.physics.engine import FloatArray
 
 
 def nearby(centres: FloatArray, radii: FloatArray, own: Places) -> Places:

@@ -5,18 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.blueprint import Part
-from sim_server.physics.casting.make import (
-    Layout,
-    Make,
-    Widths,
-    layout_of,
-)
-from sim_server.physics.casting.mjcf import Pieces, geometries_of
-from sim_server.physics.casting.seat import Seat
-from sim_server.physics.casting.slots import Cast
-from sim_server.physics.casting.wishes import Places
-from sim_server.physics.engine import MIN_INERTIA, EngineConfig, FloatArray
+from zensim.sim_server.physics.blueprint import Part
+from zensim.sim_server.physics.casting.make import Layout, Make, Widths, layout_of
+from zensim.sim_server.physics.casting.mjcf import Pieces, geometries_of
+from zensim.sim_server.physics.casting.seat import Seat
+from zensim.sim_server.physics.casting.slots import Cast
+from zensim.sim_server.physics.casting.wishes import Places
+from zensim.sim_server.physics.engine import MIN_INERTIA, EngineConfig, FloatArray
 
 
 @dataclass(frozen=True)

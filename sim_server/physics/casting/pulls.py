@@ -7,9 +7,9 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.casting.wishes import Places
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.loads import Load
+from zensim.sim_server.physics.casting.wishes import Places
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.loads import Load
 
 
 class Motions(Protocol):

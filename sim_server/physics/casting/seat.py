@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from sim_server.physics.casting.make import NONE, Layout, Widths
-from sim_server.physics.casting.wishes import Places
+from zensim.sim_server.physics.casting.make import NONE, Layout, Widths
+from zensim.sim_server.physics.casting.wishes import Places
 
 
 @dataclass(frozen=True)

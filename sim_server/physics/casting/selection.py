@@ -5,14 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.model import Model
-from sim_server.physics.actuation import Actuation
-from sim_server.physics.casting.gathering import Gathering, gathering_of
-from sim_server.physics.casting.make import Make
-from sim_server.physics.casting.seat import Seat
-from sim_server.physics.casting.telling import Telling, telling_of
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.loads import Load
+from zensim.proto.model import Model
+from zensim.sim_server.physics.actuation import Actuation
+from zensim.sim_server.physics.casting.gathering import Gathering, gathering_of
+from zensim.sim_server.physics.casting.make import Make
+from zensim.sim_server.physics.casting.seat import Seat
+from zensim.sim_server.physics.casting.telling import Telling, telling_of
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.loads import Load
 
 
 @dataclass

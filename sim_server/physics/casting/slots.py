@@ -1,6 +1,6 @@
 """Slots: how many a cast has of each make, and whose they are."""
 
-from sim_server.physics.casting.make import Make
+from zensim.sim_server.physics.casting.make import Make
 
 Cast = tuple[tuple[Make, int], ...]
 """Makes in the order of their first body, each with its number of slots."""

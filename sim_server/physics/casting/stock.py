@@ -5,13 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.rotation import conjugate, rotate
-from sim_server.physics.actuation import imposed
-from sim_server.physics.casting.gathering import Gathering, gathering_of
-from sim_server.physics.casting.pulls import Pulls, pulls_of
-from sim_server.physics.casting.selection import Body
-from sim_server.physics.casting.wishes import ANGLE_SHARE, Places, Wishes
-from sim_server.physics.engine import FloatArray
+from zensim.proto.rotation import conjugate, rotate
+from zensim.sim_server.physics.actuation import imposed
+from zensim.sim_server.physics.casting.gathering import Gathering, gathering_of
+from zensim.sim_server.physics.casting.pulls import Pulls, pulls_of
+from zensim.sim_server.physics.casting.selection import Body
+from zensim.sim_server.physics.casting.wishes import ANGLE_SHARE, Places, Wishes
+from zensim.sim_server.physics.engine import FloatArray
 
 
 @dataclass(frozen=True)

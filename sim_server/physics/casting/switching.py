@@ -6,12 +6,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.actuation import Actuation
-from sim_server.physics.casting.make import NONE
-from sim_server.physics.casting.plan import Plan
-from sim_server.physics.casting.seat import Seat
-from sim_server.physics.casting.wishes import Places, Wishes
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.actuation import Actuation
+from zensim.sim_server.physics.casting.make import NONE
+from zensim.sim_server.physics.casting.plan import Plan
+from zensim.sim_server.physics.casting.seat import Seat
+from zensim.sim_server.physics.casting.wishes import Places, Wishes
+from zensim.sim_server.physics.engine import FloatArray
 
 MOST_EFFORT = 1e12
 DEPTH_M = 1e4

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.actuation import Actuation
-from sim_server.physics.casting.make import NONE
-from sim_server.physics.casting.seat import Seat
-from sim_server.physics.casting.wishes import Places, Wishes
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.actuation import Actuation
+from zensim.sim_server.physics.casting.make import NONE
+from zensim.sim_server.physics.casting.seat import Seat
+from zensim.sim_server.physics.casting.wishes import Places, Wishes
+from zensim.sim_server.physics.engine import FloatArray
 
 
 @dataclass(frozen=True)

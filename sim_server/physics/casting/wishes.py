@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 Places = npt.NDArray[np.intp]
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, Protocol
 
-from sim_server.physics.engine import Engine, FloatArray, Reading
+from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
 
 
 class Asked(NamedTuple):

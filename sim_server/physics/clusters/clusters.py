@@ -11,15 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from proto.model import Model
-from sim_server.physics.clusters.cells import Asked, Cells, Told
-from sim_server.physics.clusters.dealing import Room, deal
-from sim_server.physics.clusters.homes import Homes
-from sim_server.physics.clusters.members import EVERYWHERE
-from sim_server.physics.clusters.parting import MARGIN_M, SPARE_MPS, Parting, part
-from sim_server.physics.clusters.reach import Measure
-from sim_server.physics.clusters.routes import Lineup, Route, joined, lineup_of, route_of
-from sim_server.physics.engine import EngineConfig, FloatArray, Reading
+from zensim.proto.model import Model
+from zensim.sim_server.physics.clusters.cells import Asked, Cells, Told
+from zensim.sim_server.physics.clusters.dealing import Room, deal
+from zensim.sim_server.physics.clusters.homes import Homes
+from zensim.sim_server.physics.clusters.members import EVERYWHERE
+from zensim.sim_server.physics.clusters.parting import MARGIN_M, SPARE_MPS, Parting, part
+from zensim.sim_server.physics.clusters.reach import Measure
+from zensim.sim_server.physics.clusters.routes import Lineup, Route, joined, lineup_of, route_of
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray, Reading
 
 PERIODS = (4, 2, 1)
 """How many periods to the next look: the first for which no group is too large for a cell."""

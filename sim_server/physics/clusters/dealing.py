@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.clusters.discs import IntArray
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.clusters.discs import IntArray
+from zensim.sim_server.physics.engine import FloatArray
 
 FILLED = 0.75
 """To which share of its room a cell that is too full is emptied, and others are filled."""

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 IntArray = npt.NDArray[np.intp]
 

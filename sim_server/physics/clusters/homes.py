@@ -4,14 +4,21 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from proto.model import Model
-from sim_server.physics.clusters.cells import Cells
-from sim_server.physics.clusters.dealing import Room
-from sim_server.physics.clusters.discs import IntArray
-from sim_server.physics.clusters.members import EVERYWHERE, Members
-from sim_server.physics.clusters.reach import Reach, moves
-from sim_server.physics.clusters.routes import Lineup
-from sim_server.physics.engine import Concealing, Engine, FloatArray, Reading, concealing, patient
+from zensim.proto.model import Model
+from zensim.sim_server.physics.clusters.cells import Cells
+from zensim.sim_server.physics.clusters.dealing import Room
+from zensim.sim_server.physics.clusters.discs import IntArray
+from zensim.sim_server.physics.clusters.members import EVERYWHERE, Members
+from zensim.sim_server.physics.clusters.reach import Reach, moves
+from zensim.sim_server.physics.clusters.routes import Lineup
+from zensim.sim_server.physics.engine import (
+    Concealing,
+    Engine,
+    FloatArray,
+    Reading,
+    concealing,
+    patient,
+)
 
 READY_AT = 0.8
 """Of the bodies that one cell has before there are several: from then on workers start."""

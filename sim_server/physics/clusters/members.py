@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from proto.model import Model
-from sim_server.physics.clusters.discs import IntArray
-from sim_server.physics.clusters.reach import Reach
-from sim_server.physics.engine import FloatArray
+from zensim.proto.model import Model
+from zensim.sim_server.physics.clusters.discs import IntArray
+from zensim.sim_server.physics.clusters.reach import Reach
+from zensim.sim_server.physics.engine import FloatArray
 
 EVERYWHERE = -1
 """Cell of what never moves: it has a copy in each."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.clusters.discs import IntArray, labels_of, touching
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.clusters.discs import IntArray, labels_of, touching
+from zensim.sim_server.physics.engine import FloatArray
 
 MARGIN_M = 0.02
 """Between bodies of different cells at the least."""

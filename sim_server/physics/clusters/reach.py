@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from proto.model import Link, Model, Shape, Vec3
-from proto.stl import read_corners
-from sim_server.physics.actuation import actuation_of
-from sim_server.physics.engine import FloatArray
+from zensim.proto.model import Link, Model, Shape, Vec3
+from zensim.proto.stl import read_corners
+from zensim.sim_server.physics.actuation import actuation_of
+from zensim.sim_server.physics.engine import FloatArray
 
 BEYOND = 1e-3
 """What engines put around a shape [m]."""

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.clusters.discs import IntArray
-from sim_server.physics.clusters.members import Members
-from sim_server.physics.engine import FloatArray, Reading
+from zensim.sim_server.physics.clusters.discs import IntArray
+from zensim.sim_server.physics.clusters.members import Members
+from zensim.sim_server.physics.engine import FloatArray, Reading
 
 
 @dataclass(frozen=True)

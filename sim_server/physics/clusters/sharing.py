@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 MOST_NUMBERS = 1 << 23
 """Room on a board: what is not written takes no memory."""

@@ -15,15 +15,15 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from proto.model import Model
-from sim_server.physics.clusters.sharing import new_board
-from sim_server.physics.engine import EngineRefused, FloatArray, Reading
+from zensim.proto.model import Model
+from zensim.sim_server.physics.clusters.sharing import new_board
+from zensim.sim_server.physics.engine import EngineRefused, FloatArray, Reading
 
 Kind = TypeVar("Kind")
 CellTold = tuple[int, tuple[Sequence[int], int]]
 """A cell by number, its bodies, and how many targets they have together."""
 
-MODULE = "sim_server.physics.working"
+MODULE = "zensim.sim_server.physics.working"
 MOST_HELD = 32
 """Orders that are held back to be sent together, unless something is asked before."""
 

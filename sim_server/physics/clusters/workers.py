@@ -6,9 +6,9 @@ from itertools import count
 
 import numpy as np
 
-from sim_server.physics.clusters.cells import Asked, CellsHere, Told
-from sim_server.physics.clusters.worker import RemoteCell, Worker
-from sim_server.physics.engine import Engine, Reading
+from zensim.sim_server.physics.clusters.cells import Asked, CellsHere, Told
+from zensim.sim_server.physics.clusters.worker import RemoteCell, Worker
+from zensim.sim_server.physics.engine import Engine, Reading
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.grid import IntArray
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.grid import IntArray
 
 GAP_M = 0.001
 """How far apart things stop."""

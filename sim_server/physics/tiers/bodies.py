@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from proto.rotation import yaw_of
-from sim_server.physics.tiers.footprint import Corners, reach_of
-from sim_server.physics.tiers.kinematic import Kinematic
-from sim_server.physics.tiers.mapping import Mappings
-from sim_server.physics.tiers.outline import outline_of
-from sim_server.physics.tiers.rows import IntColumn, Rows, Tier, turned
-from sim_server.physics.tiers.surroundings import Surroundings
+from zensim.proto.rotation import yaw_of
+from zensim.sim_server.physics.tiers.footprint import Corners, reach_of
+from zensim.sim_server.physics.tiers.kinematic import Kinematic
+from zensim.sim_server.physics.tiers.mapping import Mappings
+from zensim.sim_server.physics.tiers.outline import outline_of
+from zensim.sim_server.physics.tiers.rows import IntColumn, Rows, Tier, turned
+from zensim.sim_server.physics.tiers.surroundings import Surroundings
 
 if TYPE_CHECKING:
-    from proto.model import Model
-    from sim_server.physics.engine import Engine, FloatArray, Reading
-    from sim_server.physics.tiers.planning import FlatPlan
+    from zensim.proto.model import Model
+    from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
+    from zensim.sim_server.physics.tiers.planning import FlatPlan
 
 HARDLY = 1e-9
 """An engine makes a body that moves anew [rad/s]."""

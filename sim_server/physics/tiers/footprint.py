@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from proto.model import Model, Origin, Shape
-from proto.rotation import rotate
-from proto.stl import read_corners
-from sim_server.description.rolling import touching_links
-from sim_server.description.transforms import compose, link_poses
-from sim_server.physics.engine import FloatArray
+from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.rotation import rotate
+from zensim.proto.stl import read_corners
+from zensim.sim_server.description.rolling import touching_links
+from zensim.sim_server.description.transforms import compose, link_poses
+from zensim.sim_server.physics.engine import FloatArray
 
 Corners = Callable[[str], FloatArray]
 """Corners (3 f, 3) of the triangles of the mesh of a `Shape.mesh`, unscaled."""

@@ -4,17 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.blocking import GAP_M, Moves
-from sim_server.physics.tiers.grid import IntArray
-from sim_server.physics.tiers.motion import (
-    arcs,
-    ramped,
-    rolling_speeds,
-    twists_by_steering,
-)
-from sim_server.physics.tiers.rows import At, Pool, Rows, Tier, at_rows, turned
-from sim_server.physics.tiers.vehicle import Vehicle
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.blocking import GAP_M, Moves
+from zensim.sim_server.physics.tiers.grid import IntArray
+from zensim.sim_server.physics.tiers.motion import arcs, ramped, rolling_speeds, twists_by_steering
+from zensim.sim_server.physics.tiers.rows import At, Pool, Rows, Tier, at_rows, turned
+from zensim.sim_server.physics.tiers.vehicle import Vehicle
 
 HARSH_M_S = 0.1
 """A change of speed that may tip over what can be tipped over by its wheels."""

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.blocking import from_edges
-from sim_server.physics.tiers.grid import IntArray
-from sim_server.physics.tiers.outline import Edges
-from sim_server.physics.tiers.rows import BoolColumn
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.blocking import from_edges
+from zensim.sim_server.physics.tiers.grid import IntArray
+from zensim.sim_server.physics.tiers.outline import Edges
+from zensim.sim_server.physics.tiers.rows import BoolColumn
 
 NEAR_M = 0.02
 """Discs with a smaller gap are near each other, if any of them moves."""

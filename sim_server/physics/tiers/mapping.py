@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sim_server.physics.tiers.grid import IntArray
-from sim_server.physics.tiers.rows import At, Rows, Tier, at_rows, spans
+from zensim.sim_server.physics.tiers.grid import IntArray
+from zensim.sim_server.physics.tiers.rows import At, Rows, Tier, at_rows, spans
 
 KEPT = 4096
 

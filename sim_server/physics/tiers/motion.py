@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.rows import turned
-from sim_server.physics.tiers.vehicle import Vehicle
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.rows import turned
+from zensim.sim_server.physics.tiers.vehicle import Vehicle
 
 HARDLY = 1e-300
 """Stands for no turn [rad], of which an arc has no radius."""

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.blocking import from_edges
-from sim_server.physics.tiers.grid import Cells, IntArray, cells_of, close_pairs, near_points
-from sim_server.physics.tiers.outline import NO_EDGES, Edges
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.blocking import from_edges
+from zensim.sim_server.physics.tiers.grid import Cells, IntArray, cells_of, close_pairs, near_points
+from zensim.sim_server.physics.tiers.outline import NO_EDGES, Edges
 
 LEAST_M = 0.05
 """How far anybody may go, at least, before the lists are made anew."""

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from proto.model import Model
-from proto.rotation import rotate
-from sim_server.description.transforms import link_poses
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.footprint import Corners, Piece, piece_of, ring
+from zensim.proto.model import Model
+from zensim.proto.rotation import rotate
+from zensim.sim_server.description.transforms import link_poses
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.footprint import Corners, Piece, piece_of, ring
 
 LARGE_M = 0.3
 """What is round and larger is taken as a polygon."""

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from sim_server.physics.engine import EngineConfig, EngineRefused
-from sim_server.physics.tiers.footprint import Footprint, corners_in
-from sim_server.physics.tiers.vehicle import NotFlat, Vehicle, vehicle_of
+from zensim.sim_server.physics.engine import EngineConfig, EngineRefused
+from zensim.sim_server.physics.tiers.footprint import Footprint, corners_in
+from zensim.sim_server.physics.tiers.vehicle import NotFlat, Vehicle, vehicle_of
 
 if TYPE_CHECKING:
-    from proto.model import Dynamics, Model
+    from zensim.proto.model import Dynamics, Model
 
 KEPT = 256
 

@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 IntColumn = npt.NDArray[np.intp]
 BoolColumn = npt.NDArray[np.bool_]

@@ -2,19 +2,26 @@
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.blocking import (
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.blocking import (
     Moves,
     from_edges,
     shares_by_each_other,
     shares_by_edges,
 )
-from sim_server.physics.tiers.grid import IntArray
-from sim_server.physics.tiers.kinematic import STEP_OVER_M, Kinematic
-from sim_server.physics.tiers.lookout import MARGIN_M, Discs, Sight, both, look, look_at_edges
-from sim_server.physics.tiers.neighbours import Neighbours
-from sim_server.physics.tiers.outline import NO_EDGES, Edges, joined
-from sim_server.physics.tiers.rows import At, Rows, Tier, at_rows
+from zensim.sim_server.physics.tiers.grid import IntArray
+from zensim.sim_server.physics.tiers.kinematic import STEP_OVER_M, Kinematic
+from zensim.sim_server.physics.tiers.lookout import (
+    MARGIN_M,
+    Discs,
+    Sight,
+    both,
+    look,
+    look_at_edges,
+)
+from zensim.sim_server.physics.tiers.neighbours import Neighbours
+from zensim.sim_server.physics.tiers.outline import NO_EDGES, Edges, joined
+from zensim.sim_server.physics.tiers.rows import At, Rows, Tier, at_rows
 
 
 class Surroundings:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.vehicle import Vehicle
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.vehicle import Vehicle
 
 SETTLED_S = 0.3
 """For how long a robot has been alone and even before it leaves full dynamics."""

@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_server.physics.engine import EngineConfig, FloatArray, Reading, concealing, patient
-from sim_server.physics.tiers.bodies import Bodies
-from sim_server.physics.tiers.planning import FlatPlans
-from sim_server.physics.tiers.rows import Tier
-from sim_server.physics.tiers.switching import goes_flat, stands_flat
-from sim_server.physics.tiers.watching import Watching
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray, Reading, concealing, patient
+from zensim.sim_server.physics.tiers.bodies import Bodies
+from zensim.sim_server.physics.tiers.planning import FlatPlans
+from zensim.sim_server.physics.tiers.rows import Tier
+from zensim.sim_server.physics.tiers.switching import goes_flat, stands_flat
+from zensim.sim_server.physics.tiers.watching import Watching
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from proto.model import Dynamics, Model, TierName
-    from sim_server.physics.engine import Engine
-    from sim_server.physics.tiers.mapping import Mapping
+    from zensim.proto.model import Dynamics, Model, TierName
+    from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.physics.tiers.mapping import Mapping
 
 LOOK_S = 0.02
 """How often robots look around, or once a step if that is longer."""

@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from proto.drives import AckermannDrive, DiffDrive, PlanarMove, TricycleDrive, WheelPair
-from proto.model import Joint, Link, Model, Origin, Shape
-from sim_server.description.transforms import link_poses, placed, turned
-from sim_server.physics.actuation import actuation_of
-from sim_server.physics.tiers.footprint import Corners, Footprint, footprint_of
+from zensim.proto.drives import AckermannDrive, DiffDrive, PlanarMove, TricycleDrive, WheelPair
+from zensim.proto.model import Joint, Link, Model, Origin, Shape
+from zensim.sim_server.description.transforms import link_poses, placed, turned
+from zensim.sim_server.physics.actuation import actuation_of
+from zensim.sim_server.physics.tiers.footprint import Corners, Footprint, footprint_of
 
 if TYPE_CHECKING:
-    from sim_server.physics.engine import FloatArray
+    from zensim.sim_server.physics.engine import FloatArray
 
 ROUND = ("sphere", "cylinder", "capsule")
 GRIP = 0.5

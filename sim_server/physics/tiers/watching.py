@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_server.physics.tiers.lookout import MOVING_M_S, Sight
-from sim_server.physics.tiers.rows import spans
-from sim_server.physics.tiers.switching import SETTLED_S, goes_flat, has_reached, stands_flat
+from zensim.sim_server.physics.tiers.lookout import MOVING_M_S, Sight
+from zensim.sim_server.physics.tiers.rows import spans
+from zensim.sim_server.physics.tiers.switching import SETTLED_S, goes_flat, has_reached, stands_flat
 
 if TYPE_CHECKING:
-    from sim_server.physics.engine import FloatArray
-    from sim_server.physics.tiers.bodies import Bodies
+    from zensim.sim_server.physics.engine import FloatArray
+    from zensim.sim_server.physics.tiers.bodies import Bodies
 
 FALL_M_S2 = 20.0
 """What anything loose may gain between two looks."""

@@ -2,7 +2,7 @@ import pytest
 import zenoh.ext
 from zenoh_ros2_sdk.attachment import Attachment as TheirAttachment
 
-from proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
 
 GID = bytes(range(16))
 ATTACHMENT = Attachment(258, -2, GID)

@@ -1,4 +1,4 @@
-from proto.ros2.bridge import Route, bridge_token, route_token
+from zensim.proto.ros2.bridge import Route, bridge_token, route_token
 
 
 def test_bridge_token_names_the_session() -> None:

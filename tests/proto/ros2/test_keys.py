@@ -3,9 +3,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from zenoh_ros2_sdk.keyexpr import topic_keyexpr
 
-from proto import geometry, topics
-from proto.ros2.keys import NO_HASH, DataKey, check_domain, data_key, parse_data_key
-from proto.ros2.type_hash import type_hash
+from zensim.proto import geometry, topics
+from zensim.proto.ros2.keys import NO_HASH, DataKey, check_domain, data_key, parse_data_key
+from zensim.proto.ros2.type_hash import type_hash
 
 ODOM = (
     "0/box_bot0/odom/nav_msgs::msg::dds_::Odometry_/"

@@ -1,6 +1,6 @@
 import pytest
 
-from proto.ros2.names import demangled, mangled, qualified, ros_type
+from zensim.proto.ros2.names import demangled, mangled, qualified, ros_type
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile, QosReliability
 
-from proto.ros2.qos import (
+from zensim.proto.ros2.qos import (
     DEFAULT,
     DURABILITY,
     HISTORY,

@@ -1,6 +1,6 @@
 import pytest
 
-from proto.ros2.settings import RosSettings, arguments_of, ros_settings
+from zensim.proto.ros2.settings import RosSettings, arguments_of, ros_settings
 
 
 def test_settings_are_read_from_words() -> None:

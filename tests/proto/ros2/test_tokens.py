@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
 from zenoh_ros2_sdk.keyexpr import endpoint_liveliness_keyexpr, node_liveliness_keyexpr
 
-from proto.ros2.qos import RELIABLE_10, Qos, write_qos
-from proto.ros2.tokens import (
+from zensim.proto.ros2.qos import RELIABLE_10, Qos, write_qos
+from zensim.proto.ros2.tokens import (
     Endpoint,
     EndpointKind,
     Node,

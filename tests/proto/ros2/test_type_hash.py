@@ -5,13 +5,13 @@ from typing import ClassVar
 import msgspec
 import pytest
 
-from proto import cdr, geometry, services, topics
-from proto.catalog import SERVICES, Service
-from proto.ros2.type_hash import service_hash, service_type, type_hash
-from proto.widths import Int64
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import knows
 from tests.proto.test_cdr import EXPRESSIBLE, ros_type_of
+from zensim.proto import cdr, geometry, services, topics
+from zensim.proto.catalog import SERVICES, Service
+from zensim.proto.ros2.type_hash import service_hash, service_type, type_hash
+from zensim.proto.widths import Int64
 
 PUBLISHED = {
     topics.Odometry: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",

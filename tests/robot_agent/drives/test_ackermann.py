@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.drives import AckermannDrive
-from proto.geometry import Twist, Vector3
-from robot_agent.drives.ackermann import AckermannSteering
-from robot_agent.drives.controller import Measured
+from zensim.proto.drives import AckermannDrive
+from zensim.proto.geometry import Twist, Vector3
+from zensim.robot_agent.drives.ackermann import AckermannSteering
+from zensim.robot_agent.drives.controller import Measured
 
 CAR = AckermannDrive(wheel_radius_m=0.1, wheelbase_m=1.0, track_m=0.6, max_speed=5.0, max_steer=0.6)
 STRAIGHT = Measured((0.0,) * 5, (0.0,) * 5)

@@ -2,10 +2,17 @@
 
 import pytest
 
-from proto.drives import AckermannDrive, DiffDrive, Drive, PlanarMove, TricycleDrive, WheelPair
-from proto.geometry import Twist
-from robot_agent.drives.choice import controller_of
-from robot_agent.drives.controller import Measured
+from zensim.proto.drives import (
+    AckermannDrive,
+    DiffDrive,
+    Drive,
+    PlanarMove,
+    TricycleDrive,
+    WheelPair,
+)
+from zensim.proto.geometry import Twist
+from zensim.robot_agent.drives.choice import controller_of
+from zensim.robot_agent.drives.controller import Measured
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.drives import DiffDrive, Limits, WheelPair
-from proto.geometry import Twist, Vector3
-from robot_agent.drives.controller import Measured
-from robot_agent.drives.diff_drive import DifferentialDrive
+from zensim.proto.drives import DiffDrive, Limits, WheelPair
+from zensim.proto.geometry import Twist, Vector3
+from zensim.robot_agent.drives.controller import Measured
+from zensim.robot_agent.drives.diff_drive import DifferentialDrive
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
 REAR = WheelPair("left2", "right2", separation_m=0.6, diameter_m=0.1)

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from proto.geometry import Twist, Vector3
-from robot_agent.drives.controller import Measured
-from robot_agent.drives.planar_move import PlanarMotion
+from zensim.proto.geometry import Twist, Vector3
+from zensim.robot_agent.drives.controller import Measured
+from zensim.robot_agent.drives.planar_move import PlanarMotion
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.drives import TricycleDrive
-from proto.geometry import Twist, Vector3
-from robot_agent.drives.controller import Measured
-from robot_agent.drives.tricycle import TricycleSteering
+from zensim.proto.drives import TricycleDrive
+from zensim.proto.geometry import Twist, Vector3
+from zensim.robot_agent.drives.controller import Measured
+from zensim.robot_agent.drives.tricycle import TricycleSteering
 
 RADIUS = 0.1
 STANDING = Measured((0.0, 0.0), (0.0, 0.0))

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.drives import Limits
-from robot_agent.drives.twist_limits import LimitedVelocity
+from zensim.proto.drives import Limits
+from zensim.robot_agent.drives.twist_limits import LimitedVelocity
 
 
 def test_velocity_is_what_is_wanted_when_nothing_limits_it() -> None:

@@ -1,7 +1,7 @@
 """Attachments of many publishers are those of each."""
 
-from proto.ros2.attachment import Attachment, write_attachment
-from robot_agent.pool.attachments import Attachments
+from zensim.proto.ros2.attachment import Attachment, write_attachment
+from zensim.robot_agent.pool.attachments import Attachments
 
 GID = bytes(range(16))
 

@@ -1,7 +1,7 @@
 """Which robots' publishers are listened to."""
 
-from robot_agent.pool.audience import AT_ONCE, Audience
 from tests.fakes import MemoryBus
+from zensim.robot_agent.pool.audience import AT_ONCE, Audience
 
 
 def an_audience(bus: MemoryBus, count: int) -> Audience[int]:

@@ -9,19 +9,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.bus import Sample
-from proto.claims import Claim, DriveCommand, DriveState
-from proto.codec import Format, MalformedPayload, decode
-from proto.drives import Drive, RosBlock
-from proto.geometry import Twist, Vector3
-from proto.keys import last_chunk
-from proto.model import GroundTruth, Model
-from proto.topics import JointState, Odometry, TFMessage
-from robot_agent.fleet import Fleet
-from robot_agent.pool.fleet import PoolFleet
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
 from tests.robot_agent.pool.kinds import DRIVES, robot_of
+from zensim.proto.bus import Sample
+from zensim.proto.claims import Claim, DriveCommand, DriveState
+from zensim.proto.codec import Format, MalformedPayload, decode
+from zensim.proto.drives import Drive, RosBlock
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.keys import last_chunk
+from zensim.proto.model import GroundTruth, Model
+from zensim.proto.topics import JointState, Odometry, TFMessage
+from zensim.robot_agent.fleet import Fleet
+from zensim.robot_agent.pool.fleet import PoolFleet
 
 TIMEOUT_NS = 100_000_000
 KINDS: dict[str, type[msgspec.Struct]] = {

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import cdr
-from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from proto.header import Header, time_from_ns
-from proto.topics import JointState, TFMessage
-from robot_agent import templates
-from robot_agent.odometry import Motion, OdometryFrames, covariance_of
-from robot_agent.pool.images import Images
 from tests.robot_agent.models import DRIVE, two_wheeler
+from zensim.proto import cdr
+from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
+from zensim.proto.header import Header, time_from_ns
+from zensim.proto.topics import JointState, TFMessage
+from zensim.robot_agent import templates
+from zensim.robot_agent.odometry import Motion, OdometryFrames, covariance_of
+from zensim.robot_agent.pool.images import Images
 
 NUMBER = st.floats(allow_nan=False, allow_infinity=False)
 TIME_NS = st.integers(0, 2**31 * 10**9 - 1)

@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import cdr
-from proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from proto.header import Header, Time, time_from_ns
-from proto.topics import TFMessage
-from robot_agent.pool.joined_images import JoinedImages
+from zensim.proto import cdr
+from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
+from zensim.proto.header import Header, Time, time_from_ns
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.pool.joined_images import JoinedImages
 
 NAMES = st.text(max_size=9)
 

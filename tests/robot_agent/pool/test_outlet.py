@@ -1,8 +1,8 @@
 """A topic of many robots on its plain keys: put where somebody listens."""
 
-from proto.topics import String
-from robot_agent.pool.outlet import FleetOutlet, Line
 from tests.fakes import MemoryBus
+from zensim.proto.topics import String
+from zensim.robot_agent.pool.outlet import FleetOutlet, Line
 
 
 class Nothing:

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import pytest
 
-from proto.ros2.attachment import read_attachment
-from proto.ros2.settings import RosSettings
-from proto.ros_graph import RosGraph, RosNode, Topic
-from proto.topics import String
-from robot_agent.pool.outlet import Line
-from robot_agent.pool.ros_face import AT_ONCE, RosFace
 from tests.fakes import MemoryBus
+from zensim.proto.ros2.attachment import read_attachment
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.topics import String
+from zensim.robot_agent.pool.outlet import Line
+from zensim.robot_agent.pool.ros_face import AT_ONCE, RosFace
 
 KEY = (
     "0/{}/text/std_msgs::msg::dds_::String_/"

@@ -5,19 +5,19 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from proto.claims import STATE_COLUMNS, Claim, DriveState
-from proto.codec import decode
-from proto.geometry import TransformStamped
-from proto.model import Model
-from proto.ros2.attachment import read_attachment
-from proto.ros2.settings import RosSettings
-from proto.ros_graph import RosGraph
-from proto.topics import TFMessage
-from robot_agent.fleet import Fleet
-from robot_agent.pool import tf_topics
-from robot_agent.pool.fleet import PoolFleet
 from tests.fakes import MemoryBus, MemorySubscription
 from tests.robot_agent.pool.kinds import DRIVES, robot_of
+from zensim.proto.claims import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.codec import decode
+from zensim.proto.geometry import TransformStamped
+from zensim.proto.model import Model
+from zensim.proto.ros2.attachment import read_attachment
+from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros_graph import RosGraph
+from zensim.proto.topics import TFMessage
+from zensim.robot_agent.fleet import Fleet
+from zensim.robot_agent.pool import tf_topics
+from zensim.robot_agent.pool.fleet import PoolFleet
 
 PERIOD_NS = 12_500_000
 FACE = "0/tf/tf2_msgs::msg::dds_::TFMessage_/*"

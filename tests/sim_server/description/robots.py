@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
-from proto.model import Model, ReportEntry
-from sim_server.description.urdf import read_urdf
+from zensim.proto.model import Model, ReportEntry
+from zensim.sim_server.description.urdf import read_urdf
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
 

@@ -1,6 +1,6 @@
 """A description that nothing was sent with has no meshes."""
 
-from sim_server.description.assets import no_meshes
+from zensim.sim_server.description.assets import no_meshes
 
 
 def test_no_mesh_is_here_when_none_was_sent() -> None:

@@ -2,9 +2,6 @@
 
 import pytest
 
-from proto.drives import DiffDrive, WheelPair
-from sim_server.description.sdf_model import read_sdf_model
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import (
     WHEELS,
     a_cart,
@@ -16,6 +13,9 @@ from tests.sim_server.description.robots import (
     reasons,
 )
 from tests.sim_server.description.sdf_robots import PIONEER
+from zensim.proto.drives import DiffDrive, WheelPair
+from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.description.urdf import read_urdf
 
 TWO, FOUR = "libDiffDrivePlugin.so", "libSkidSteerDrivePlugin.so"
 PAIR = WheelPair("left_joint", "right_joint", 0.4, 0.2)

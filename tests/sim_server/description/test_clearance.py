@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from proto.model import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
-from sim_server.description import clearance
+from zensim.proto.model import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
+from zensim.sim_server.description import clearance
 
 HALF = math.sqrt(0.5)
 ON_ITS_SIDE = (HALF, 0.0, 0.0, HALF)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_server.description.collada import DrawnTooOften, check_drawn
+from zensim.sim_server.description.collada import DrawnTooOften, check_drawn
 
 DRAWN = '<instance_geometry url="#g"/>'
 

@@ -2,9 +2,6 @@
 
 import pytest
 
-from proto.model import Quat
-from sim_server.description.colours import GAZEBO_COLOURS, gazebo_colour
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import (
     BALL,
     a_link,
@@ -14,6 +11,9 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
+from zensim.proto.model import Quat
+from zensim.sim_server.description.colours import GAZEBO_COLOURS, gazebo_colour
+from zensim.sim_server.description.urdf import read_urdf
 
 RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 USE_RED = '<material name="red"/>'

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.description.decimals import read_number, read_numbers
-from sim_server.errors import ModelError
+from zensim.sim_server.description.decimals import read_number, read_numbers
+from zensim.sim_server.errors import ModelError
 
 
 def read(text: str, *counts: int) -> tuple[float, ...]:

@@ -2,10 +2,6 @@
 
 import pytest
 
-from proto.model import DiffDrive, RosBlock, WheelPair
-from proto.result import SpawnCode
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
     SIZES,
     a_cart,
@@ -18,6 +14,10 @@ from tests.sim_server.description.robots import (
     reasons,
     report_of,
 )
+from zensim.proto.model import DiffDrive, RosBlock, WheelPair
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 PAIR = WheelPair("left_joint", "right_joint", 0.4, 0.2)
 

@@ -2,8 +2,6 @@
 
 import pytest
 
-from proto.model import DiffDrive
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import (
     FRAME,
     SIZES,
@@ -18,6 +16,8 @@ from tests.sim_server.description.robots import (
     reasons,
     report_of,
 )
+from zensim.proto.model import DiffDrive
+from zensim.sim_server.description.urdf import read_urdf
 
 
 def noted(*parts: str) -> list[str]:

@@ -3,7 +3,9 @@
 import msgspec
 import pytest
 
-from proto.drives import (
+from tests.sim_server.description.cars import a_car, a_trike
+from tests.sim_server.description.robots import WHEELS, a_cart, a_plugin, reasons, report_of
+from zensim.proto.drives import (
     AckermannDrive,
     DiffDrive,
     Limits,
@@ -12,10 +14,8 @@ from proto.drives import (
     TricycleDrive,
     WheelPair,
 )
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
-from tests.sim_server.description.cars import a_car, a_trike
-from tests.sim_server.description.robots import WHEELS, a_cart, a_plugin, reasons, report_of
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 PLANAR = "libgazebo_ros_planar_move.so"
 CAR = "libgazebo_ros_ackermann_drive.so"

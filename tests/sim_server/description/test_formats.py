@@ -2,10 +2,10 @@
 
 import pytest
 
-from sim_server.description.formats import is_sdf, read_robot
-from sim_server.description.library import model_text
-from sim_server.errors import ModelError
 from tests.sim_server.description.sdf_robots import PIONEER
+from zensim.sim_server.description.formats import is_sdf, read_robot
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.errors import ModelError
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import Origin
-from sim_server.description.urdf import MAX_JOINTS, read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
     a_joint,
     a_link,
@@ -16,6 +13,9 @@ from tests.sim_server.description.robots import (
     link_names,
     reasons,
 )
+from zensim.proto.model import Origin
+from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
+from zensim.sim_server.errors import ModelError
 
 PAIR = a_link("a", an_inertial()) + a_link("b", an_inertial())
 PLACE = '<origin xyz="1 2 3"/><axis xyz="0 0 1"/>'

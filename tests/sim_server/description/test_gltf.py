@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from sim_server.description.gltf import BadGltf, check_promises
+from zensim.sim_server.description.gltf import BadGltf, check_promises
 
 HEAD = b"glTF\x02\x00\x00\x00\x00\x00\x00\x00"
 

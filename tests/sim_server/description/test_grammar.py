@@ -2,8 +2,6 @@
 
 import pytest
 
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
     BALL,
     a_collision,
@@ -15,6 +13,8 @@ from tests.sim_server.description.robots import (
     reasons,
     report_of,
 )
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 PAIR = a_link("a", an_inertial()) + a_link("b", an_inertial())
 

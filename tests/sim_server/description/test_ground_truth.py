@@ -2,11 +2,11 @@
 
 import pytest
 
-from proto.model import GroundTruth, Model, Origin, RosBlock
-from sim_server.description.describing import describe
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
+from zensim.proto.model import GroundTruth, Model, Origin, RosBlock
+from zensim.sim_server.description.describing import describe
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 P3D = "libgazebo_ros_p3d.so"
 

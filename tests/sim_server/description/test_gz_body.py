@@ -2,9 +2,9 @@
 
 import pytest
 
-from proto.drives import PlanarMove
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
+from zensim.proto.drives import PlanarMove
+from zensim.sim_server.description.urdf import read_urdf
 
 MECANUM = """
   <front_left_joint>left_joint</front_left_joint><wheelbase>0.4</wheelbase>

@@ -2,9 +2,9 @@
 
 import pytest
 
-from proto.model import JointStatePublisher, RosBlock
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
+from zensim.proto.model import JointStatePublisher, RosBlock
+from zensim.sim_server.description.urdf import read_urdf
 
 FILE = "libgazebo_ros_joint_state_publisher.so"
 

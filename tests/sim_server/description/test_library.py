@@ -4,16 +4,16 @@ from collections.abc import Callable
 
 import pytest
 
-from proto.result import ResultCode
-from sim_server.description.library import (
+from zensim.proto.result import ResultCode
+from zensim.sim_server.description.library import (
     model_text,
     shipped_models,
     shipped_worlds,
     world_text,
 )
-from sim_server.description.sdf import read_world
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
+from zensim.sim_server.description.sdf import read_world
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 
 def test_library_names_the_tutorials_robot_and_world() -> None:

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import Frame, Inertial, Joint, Link, Origin, Quat, Shape, Vec3
-from sim_server.description.lumping import combine, lump
-from sim_server.description.transforms import compose, placed
+from zensim.proto.model import Frame, Inertial, Joint, Link, Origin, Quat, Shape, Vec3
+from zensim.sim_server.description.lumping import combine, lump
+from zensim.sim_server.description.transforms import compose, placed
 
 Array = npt.NDArray[np.float64]
 HALF = 0.5**0.5

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from sim_server.description.merging import fewer
-from sim_server.description.mesh_formats import Triangles
+from zensim.sim_server.description.merging import fewer
+from zensim.sim_server.description.mesh_formats import Triangles
 
 MOST = 20_000
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from proto.model import Inertial, Link, Model, Shape
-from sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
-from sim_server.description.meshes import (
+from zensim.proto.model import Inertial, Link, Model, Shape
+from zensim.sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
+from zensim.sim_server.description.meshes import (
     MAX_HULL_CORNERS,
     MAX_PIECE,
     MAX_SOUP_OF_ALL,
@@ -16,7 +16,7 @@ from sim_server.description.meshes import (
     convex_hull,
     with_meshes,
 )
-from sim_server.errors import ModelError
+from zensim.sim_server.errors import ModelError
 
 BOX = trimesh.creation.box((1.0, 2.0, 3.0))
 ASCII = b"""solid t

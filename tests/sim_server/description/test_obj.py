@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_server.description.obj import PIECE_BYTES, NoObj, read_obj
+from zensim.sim_server.description.obj import PIECE_BYTES, NoObj, read_obj
 
 MOST = 10_000
 SQUARE = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"

@@ -5,15 +5,6 @@ import math
 import pytest
 from lxml import etree
 
-from proto.model import Origin
-from proto.result import SpawnCode
-from sim_server.description.assets import no_meshes
-from sim_server.description.parts import read_parts
-from sim_server.description.report import Report
-from sim_server.description.shapes import MeshRule
-from sim_server.description.strict_xml import parse_xml
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
     BALL,
     a_collision,
@@ -24,6 +15,15 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
+from zensim.proto.model import Origin
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.assets import no_meshes
+from zensim.sim_server.description.parts import read_parts
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.shapes import MeshRule
+from zensim.sim_server.description.strict_xml import parse_xml
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 MESH = '<geometry><mesh filename="package://r/body.stl" scale="2"/></geometry>'
 

@@ -1,8 +1,8 @@
 """Every plug-in is read, or its entry says why not."""
 
-from proto.model import DiffDrive
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import a_cart, a_drive, a_plugin, reasons, report_of
+from zensim.proto.model import DiffDrive
+from zensim.sim_server.description.urdf import read_urdf
 
 JOINTS = "<joint_name>left_joint</joint_name>"
 STATES = "libgazebo_ros_joint_state_publisher.so"

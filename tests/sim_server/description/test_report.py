@@ -1,7 +1,7 @@
 """The report tells what became of each tag, and stays small."""
 
-from proto.model import ReportEntry
-from sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS, Report
+from zensim.proto.model import ReportEntry
+from zensim.sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS, Report
 
 
 def test_report_lists_entries_in_order_when_noted() -> None:

@@ -5,10 +5,10 @@ import math
 import msgspec
 import pytest
 
-from proto.model import Model, Origin, Shape
-from proto.rotation import from_rpy
-from sim_server.description.rolling import touching_links
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
+from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description.rolling import touching_links
 
 SIDEWAYS = tuple(from_rpy(math.pi / 2.0, 0.0, 0.0).tolist())
 TYRE = Shape("cylinder", (WHEEL_RADIUS_M, 0.02, 0.0), Origin((0.0, 0.01, 0.0), SIDEWAYS))

@@ -3,11 +3,11 @@
 import pytest
 from lxml import etree
 
-from proto.model import ReportEntry, RosBlock
-from sim_server.description.report import Report
-from sim_server.description.ros_block import read_ros_block
-from sim_server.description.strict_xml import parse_xml
 from tests.sim_server.description.robots import reasons
+from zensim.proto.model import ReportEntry, RosBlock
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.ros_block import read_ros_block
+from zensim.sim_server.description.strict_xml import parse_xml
 
 
 def read(inside: str) -> tuple[RosBlock, tuple[ReportEntry, ...]]:

@@ -2,15 +2,15 @@
 
 import pytest
 
-from proto.model import Origin
-from proto.result import SpawnCode
-from proto.scene import Light, Scene
-from sim_server.description.library import world_text
-from sim_server.description.sdf import read_world
-from sim_server.description.sdf_scene import Pace
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_link, a_pose
+from zensim.proto.model import Origin
+from zensim.proto.result import SpawnCode
+from zensim.proto.scene import Light, Scene
+from zensim.sim_server.description.library import world_text
+from zensim.sim_server.description.sdf import read_world
+from zensim.sim_server.description.sdf_scene import Pace
+from zensim.sim_server.errors import ModelError
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from sim_server.description.sdf import read_world
-from sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.description.sdf import read_world
+from zensim.sim_server.description.sdf_model import read_sdf_model
 
 ROBOT = """<sdf version="1.7"><model name="m" xmlns:zensim="urn:zensim">
   {word}<link name="base"><inertial><mass>1</mass></inertial></link></model></sdf>"""

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import Origin
-from proto.rotation import FloatArray, from_rpy
-from sim_server.description.sdf_frames import MODEL, Frames, inverse
-from sim_server.description.sdf_values import WrittenPose
-from sim_server.description.transforms import compose, matrix_of, placed
-from sim_server.errors import ModelError
+from zensim.proto.model import Origin
+from zensim.proto.rotation import FloatArray, from_rpy
+from zensim.sim_server.description.sdf_frames import MODEL, Frames, inverse
+from zensim.sim_server.description.sdf_values import WrittenPose
+from zensim.sim_server.description.transforms import compose, matrix_of, placed
+from zensim.sim_server.errors import ModelError
 
 NUMBERS = st.floats(-3.0, 3.0, allow_nan=False)
 ORIGINS = st.builds(

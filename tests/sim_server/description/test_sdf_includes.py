@@ -2,11 +2,11 @@
 
 import pytest
 
-from proto.model import Model
-from sim_server.description.sdf_model import read_sdf_model
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_pose, an_axis
+from zensim.proto.model import Model
+from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.errors import ModelError
 
 HAND = a_model(a_pose("0 0 5 0 0 0"), a_link("palm"), attributes='name="hand"')
 

@@ -4,17 +4,10 @@ import math
 
 import pytest
 
-from proto.model import Joint, Mimic
-from sim_server.description.sdf_model import read_sdf_model
 from tests.sim_server.description.robots import reasons
-from tests.sim_server.description.sdf_robots import (
-    a_joint,
-    a_link,
-    a_model,
-    a_pose,
-    an_axis,
-    read,
-)
+from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_pose, an_axis, read
+from zensim.proto.model import Joint, Mimic
+from zensim.sim_server.description.sdf_model import read_sdf_model
 
 QUARTER = str(math.pi / 2)
 

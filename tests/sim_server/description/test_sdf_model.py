@@ -2,11 +2,6 @@
 
 import pytest
 
-from proto.drives import DiffDrive
-from proto.model import Model, Origin, Shape
-from proto.result import SpawnCode
-from sim_server.description.sdf_model import read_sdf_model
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import (
     BALL,
@@ -19,6 +14,11 @@ from tests.sim_server.description.sdf_robots import (
     an_axis,
     read,
 )
+from zensim.proto.drives import DiffDrive
+from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.errors import ModelError
 
 TWO = a_link("a") + a_link("b")
 POINT = BALL.replace("0.1", "0")

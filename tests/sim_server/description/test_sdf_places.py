@@ -4,12 +4,12 @@ import math
 
 import pytest
 
-from proto.geometry import Point, Vector3
-from proto.services import Bounds, BoundsType
-from sim_server.description.library import shipped_worlds, world_text
-from sim_server.description.sdf import read_world
-from sim_server.description.sdf_places import NamedPlace
-from sim_server.errors import ModelError
+from zensim.proto.geometry import Point, Vector3
+from zensim.proto.services import Bounds, BoundsType
+from zensim.sim_server.description.library import shipped_worlds, world_text
+from zensim.sim_server.description.sdf import read_world
+from zensim.sim_server.description.sdf_places import NamedPlace
+from zensim.sim_server.errors import ModelError
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 

@@ -3,9 +3,10 @@
 import pytest
 from lxml import etree
 
-from proto.model import Contact, Origin, Shape
-from sim_server.description.report import Report
-from sim_server.description.sdf_shapes import (
+from tests.sim_server.description.robots import reasons
+from zensim.proto.model import Contact, Origin, Shape
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.sdf_shapes import (
     colour_of,
     read_solid,
     seen_through,
@@ -13,9 +14,8 @@ from sim_server.description.sdf_shapes import (
     slab_of,
     surface_of,
 )
-from sim_server.description.transforms import turned
-from sim_server.errors import ModelError
-from tests.sim_server.description.robots import reasons
+from zensim.sim_server.description.transforms import turned
+from zensim.sim_server.errors import ModelError
 
 
 def a_part(inside: str) -> etree._Element:

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from proto.model import Model
-from sim_server.description.report import Report
-from sim_server.description.sdf_tree import as_tree
-from sim_server.description.transforms import link_poses
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_pose, an_axis, read
+from zensim.proto.model import Model
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.sdf_tree import as_tree
+from zensim.sim_server.description.transforms import link_poses
 
 THREE = (a_link("a"), a_link("b", a_pose("0 1 0 0 0 0")), a_link("c", a_pose("0 2 0 0 0 0")))
 

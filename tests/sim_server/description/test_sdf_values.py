@@ -5,9 +5,9 @@ import math
 import pytest
 from lxml import etree
 
-from proto.model import Origin
-from sim_server.description.sdf_values import read_flag, read_name, read_pose
-from sim_server.errors import ModelError
+from zensim.proto.model import Origin
+from zensim.sim_server.description.sdf_values import read_flag, read_name, read_pose
+from zensim.sim_server.errors import ModelError
 
 
 def an_element(text: str) -> etree._Element:

@@ -2,10 +2,6 @@
 
 import pytest
 
-from proto.model import Model, Origin, Parameter, RosBlock
-from sim_server.description.sensors import MAX_PARAMETERS, MAX_SENSORS
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
     a_joint,
     a_link,
@@ -14,6 +10,10 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
+from zensim.proto.model import Model, Origin, Parameter, RosBlock
+from zensim.sim_server.description.sensors import MAX_PARAMETERS, MAX_SENSORS
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 LIDAR = """
 <sensor type="gpu_ray" name="lidar">

@@ -2,9 +2,6 @@
 
 import pytest
 
-from proto.result import SpawnCode
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import (
     BALL,
     a_collision,
@@ -13,6 +10,9 @@ from tests.sim_server.description.robots import (
     a_visual,
     reasons,
 )
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 MESH = '<geometry><mesh filename="package://r/body.stl" scale="-1 1 1"/></geometry>'
 

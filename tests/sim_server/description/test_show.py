@@ -2,10 +2,10 @@
 
 import json
 
-from sim_server.description.library import model_text
-from sim_server.description.show import model_json, model_tree
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import a_link, a_robot, an_inertial
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.show import model_json, model_tree
+from zensim.sim_server.description.urdf import read_urdf
 
 BOX_BOT = read_urdf(model_text("box_bot"))
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from proto.result import SpawnCode
-from sim_server.description.strict_xml import MAX_BYTES, MAX_DEPTH, MAX_TAGS, parse_xml
-from sim_server.errors import ModelError
+from zensim.proto.result import SpawnCode
+from zensim.sim_server.description.strict_xml import MAX_BYTES, MAX_DEPTH, MAX_TAGS, parse_xml
+from zensim.sim_server.errors import ModelError
 
 BOMB = (
     '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">]>'

@@ -2,11 +2,6 @@
 
 import pytest
 
-from proto.model import Contact, Decay, Inertial, Link, Origin, Shape
-from sim_server.description.lumping import lump
-from sim_server.description.report import Report
-from sim_server.description.surface import RIGID, Surface, SurfaceTags, decay_rate, in_bounds
-from sim_server.description.urdf import read_urdf
 from tests.sim_server.description.robots import (
     a_collision,
     a_joint,
@@ -16,6 +11,11 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
+from zensim.proto.model import Contact, Decay, Inertial, Link, Origin, Shape
+from zensim.sim_server.description.lumping import lump
+from zensim.sim_server.description.report import Report
+from zensim.sim_server.description.surface import RIGID, Surface, SurfaceTags, decay_rate, in_bounds
+from zensim.sim_server.description.urdf import read_urdf
 
 
 def read(**texts: str) -> tuple[Surface, Report]:

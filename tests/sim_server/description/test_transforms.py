@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from proto.model import Joint, Origin
-from sim_server.description.transforms import compose, link_poses, matrix_of, placed, turned
+from zensim.proto.model import Joint, Origin
+from zensim.sim_server.description.transforms import compose, link_poses, matrix_of, placed, turned
 
 HALF = math.sqrt(0.5)
 QUARTER_LEFT = Origin((1.0, 0.0, 0.0), (0.0, 0.0, HALF, HALF))

@@ -2,16 +2,10 @@
 
 import pytest
 
-from sim_server.description.tree import MAX_LINKS
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
-from tests.sim_server.description.robots import (
-    a_joint,
-    a_link,
-    a_robot,
-    an_inertial,
-    link_names,
-)
+from tests.sim_server.description.robots import a_joint, a_link, a_robot, an_inertial, link_names
+from zensim.sim_server.description.tree import MAX_LINKS
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 
 def links(*names: str) -> str:

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import DiffDrive, Frame, Model, Origin, WheelPair
-from sim_server.description.clearance import ground_clearance
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import ModelError
 from tests.sim_server.description.robots import link_names
+from zensim.proto.model import DiffDrive, Frame, Model, Origin, WheelPair
+from zensim.sim_server.description.clearance import ground_clearance
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import ModelError
 
 BOX_BOT = model_text("box_bot")
 HOSTILE = ("", "nan", "inf", "-1", "0", "1e308", "base_link", "left_wheel_joint", "a" * 300, "${x}")

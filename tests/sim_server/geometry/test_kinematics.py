@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from proto.model import Frame, JointKind, Model, Origin
-from proto.rotation import FloatArray, from_rpy
-from sim_server.geometry.kinematics import link_poses, placed
 from tests.models import a_cart, a_state, an_arm
+from zensim.proto.model import Frame, JointKind, Model, Origin
+from zensim.proto.rotation import FloatArray, from_rpy
+from zensim.sim_server.geometry.kinematics import link_poses, placed
 
 HERE = a_state()[:7]
 

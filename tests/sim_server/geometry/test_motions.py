@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from proto.model import Frame, Joint, Link, Model, Origin
-from proto.rotation import FloatArray, multiply, rotate
-from sim_server.geometry.kinematics import link_poses
-from sim_server.geometry.motions import link_states
 from tests.models import a_body, a_state
+from zensim.proto.model import Frame, Joint, Link, Model, Origin
+from zensim.proto.rotation import FloatArray, multiply, rotate
+from zensim.sim_server.geometry.kinematics import link_poses
+from zensim.sim_server.geometry.motions import link_states
 
 DT_S = 1e-6
 

@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import JointKind, Link, Model, Origin, Shape
-from proto.rotation import FloatArray, from_rpy
-from sim_server.description.clearance import NO_MESHES
-from sim_server.geometry.kinematics import link_poses
-from sim_server.geometry.solids import (
+from tests.models import an_arm
+from zensim.proto.model import JointKind, Link, Model, Origin, Shape
+from zensim.proto.rotation import FloatArray, from_rpy
+from zensim.sim_server.description.clearance import NO_MESHES
+from zensim.sim_server.geometry.kinematics import link_poses
+from zensim.sim_server.geometry.solids import (
     CUBE,
     Solid,
     outermost,
@@ -21,7 +22,6 @@ from sim_server.geometry.solids import (
     solids_at,
     solids_of,
 )
-from tests.models import an_arm
 
 numbers = st.floats(-2.0, 2.0)
 points = st.tuples(numbers, numbers, numbers)

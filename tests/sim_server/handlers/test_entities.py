@@ -6,17 +6,17 @@ from itertools import product
 import msgspec
 import pytest
 
-from proto import entities, services
-from proto.geometry import Point, Vector3
-from proto.info import Category, EntityCategory, EntityInfo
-from proto.model import Model
-from proto.services import Bounds, BoundsType, EntityFilters, ResetScope
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers.table import handle
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck, an_arm, on_ground
 from tests.sim_server.fakes import a_birth, a_desk, a_world
 from tests.sim_server.orders import an_order, spawned
+from zensim.proto import entities, services
+from zensim.proto.geometry import Point, Vector3
+from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.proto.model import Model
+from zensim.proto.services import Bounds, BoundsType, EntityFilters, ResetScope
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.table import handle
 
 HUMAN = EntityInfo(EntityCategory(Category.HUMAN), "walks about", ("slow", "tall"))
 

@@ -5,21 +5,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnEntity
-from proto.geometry import Point, Pose, PoseStamped
-from proto.info import EntityInfo
-from proto.model import Model
-from proto.result import ResultCode, SpawnCode, SpawnEntitiesCode
-from proto.services import ResetScope, Resource, SpawnEntityOrder
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers import fleets
-from sim_server.handlers.table import handle
-from sim_server.later import Later
-from sim_server.physics.engine import EngineConfig
 from tests.engines import STEP_NS, ObedientEngine
 from tests.sim_server.fakes import ReadHere, WallTime, a_desk, a_world, kinds_of_events, names_in
 from tests.sim_server.orders import BOX_BOT
+from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnEntity
+from zensim.proto.geometry import Point, Pose, PoseStamped
+from zensim.proto.info import EntityInfo
+from zensim.proto.model import Model
+from zensim.proto.result import ResultCode, SpawnCode, SpawnEntitiesCode
+from zensim.proto.services import ResetScope, Resource, SpawnEntityOrder
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers import fleets
+from zensim.sim_server.handlers.table import handle
+from zensim.sim_server.later import Later
+from zensim.sim_server.physics.engine import EngineConfig
 
 COMMON = SpawnEntityOrder(entity_resource=BOX_BOT, snap_to_ground=True)
 

@@ -6,21 +6,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto import gazebo
-from proto.catalog import SERVICES
-from proto.gazebo import GazeboEntityState, JointType, ODEJointProperties
-from proto.geometry import Point, Pose, Quaternion, Twist, Vector3, Wrench
-from proto.header import Duration, Time
-from proto.model import Inertial
-from proto.result import ResultCode
-from proto.services import State
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers.table import handle, refusal
-from sim_server.traffic.gazebo_states import link_states, model_states
 from tests.engines import STEP_NS
 from tests.models import a_body, a_box, a_state, an_arm
 from tests.sim_server.fakes import a_birth, a_desk, a_world, names_in
+from zensim.proto import gazebo
+from zensim.proto.catalog import SERVICES
+from zensim.proto.gazebo import GazeboEntityState, JointType, ODEJointProperties
+from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3, Wrench
+from zensim.proto.header import Duration, Time
+from zensim.proto.model import Inertial
+from zensim.proto.result import ResultCode
+from zensim.proto.services import State
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.table import handle, refusal
+from zensim.sim_server.traffic.gazebo_states import link_states, model_states
 
 DT_S = STEP_NS * 1e-9
 HALF = math.sqrt(0.5)
@@ -354,7 +354,7 @@ def test_joint_that_several_entities_have_is_named_in_full(desk: Desk) -> None:
         handle(desk, gazebo.ApplyJointEffortRequest("swing", 1.0))
 
 
-GAZEBO = [name for name, one in SERVICES.items() if one.request.__module__ == "proto.gazebo"]
+GAZEBO = [name for name, one in SERVICES.items() if one.request.__module__ == "zensim.proto.gazebo"]
 
 
 @pytest.mark.parametrize("name", GAZEBO)

@@ -8,27 +8,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto import claims, entities, services, telemetry
-from proto.catalog import SERVICES, Service
-from proto.codec import Format, encode, offers
-from proto.geometry import Point, Pose, Twist, Vector3
-from proto.header import Header, Time
-from proto.result import ResultCode
-from proto.services import ResetScope, State
-from sim_server.errors import SimError
-from sim_server.handlers.offers import FEATURES
-from sim_server.handlers.table import HANDLERS, handle, refusal
-from sim_server.later import Later
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.proto.strategies import messages_of
-from tests.sim_server.fakes import (
-    a_command,
-    a_desk,
-    a_world,
-    names_in,
-    wheel_speeds,
-)
+from tests.sim_server.fakes import a_command, a_desk, a_world, names_in, wheel_speeds
 from tests.sim_server.orders import an_order, spawned
+from zensim.proto import claims, entities, services, telemetry
+from zensim.proto.catalog import SERVICES, Service
+from zensim.proto.codec import Format, encode, offers
+from zensim.proto.geometry import Point, Pose, Twist, Vector3
+from zensim.proto.header import Header, Time
+from zensim.proto.result import ResultCode
+from zensim.proto.services import ResetScope, State
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.offers import FEATURES
+from zensim.sim_server.handlers.table import HANDLERS, handle, refusal
+from zensim.sim_server.later import Later
 
 
 def state_at(

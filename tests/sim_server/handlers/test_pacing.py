@@ -7,10 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.header import Time, ns_from_time, time_from_ns
-from proto.result import Result, ResultCode
-from proto.services import ResetScope, State, StepSimulationRequest
-from proto.stepping import (
+from tests.engines import STEP_NS
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import Stage, a_stage, answer_of
+from zensim.proto.header import Time, ns_from_time, time_from_ns
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.services import ResetScope, State, StepSimulationRequest
+from zensim.proto.stepping import (
     CancelStepsRequest,
     CancelStepsResponse,
     RunToRequest,
@@ -21,11 +24,8 @@ from proto.stepping import (
     SimulateStepsResponse,
     StepsProgress,
 )
-from proto.telemetry import Info, InfoRequest
-from sim_server.handlers.pacing import MAX_GOALS, MAX_STEPS
-from tests.engines import STEP_NS
-from tests.fakes import MemoryCall
-from tests.sim_server.fakes import Stage, a_stage, answer_of
+from zensim.proto.telemetry import Info, InfoRequest
+from zensim.sim_server.handlers.pacing import MAX_GOALS, MAX_STEPS
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 

@@ -3,14 +3,14 @@
 import msgspec
 import pytest
 
-from proto import claims
-from proto.codec import MalformedPayload
-from sim_server.desk import Desk
-from sim_server.errors import IncorrectState, Refused
-from sim_server.handlers import agents
-from sim_server.handlers.table import handle
 from tests.models import a_box, on_ground
 from tests.sim_server.fakes import a_birth, a_desk, a_world
+from zensim.proto import claims
+from zensim.proto.codec import MalformedPayload
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import IncorrectState, Refused
+from zensim.sim_server.handlers import agents
+from zensim.sim_server.handlers.table import handle
 
 CRATE = a_box()
 

@@ -5,24 +5,24 @@ import math
 import msgspec
 import pytest
 
-from proto import claims, entities, services, telemetry
-from proto.geometry import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
-from proto.header import Header
-from proto.result import (
+from tests.sim_server.description.robots import a_joint, a_link, a_robot
+from tests.sim_server.fakes import a_desk, a_world, names_in
+from tests.sim_server.orders import BOX_BOT, an_order
+from zensim.proto import claims, entities, services, telemetry
+from zensim.proto.geometry import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
+from zensim.proto.header import Header
+from zensim.proto.result import (
     ClaimCode,
     ResultCode,
     SetEntityStateCode,
     SetSimulationStateCode,
     SpawnCode,
 )
-from proto.services import EntityState, Resource, State
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers.pacing import MAX_STEPS
-from sim_server.handlers.table import handle
-from tests.sim_server.description.robots import a_joint, a_link, a_robot
-from tests.sim_server.fakes import a_desk, a_world, names_in
-from tests.sim_server.orders import BOX_BOT, an_order
+from zensim.proto.services import EntityState, Resource, State
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.pacing import MAX_STEPS
+from zensim.sim_server.handlers.table import handle
 
 HEDGEHOG = a_robot(
     a_link("body"),

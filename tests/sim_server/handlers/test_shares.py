@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.handlers.shares import moves_to, shares
+from zensim.sim_server.handlers.shares import moves_to, shares
 
 MANY = 1 << 32
 LIMITS = st.lists(st.integers(0, 30), min_size=1, max_size=6)

@@ -4,18 +4,13 @@ import math
 
 import pytest
 
-from proto import services
-from proto.geometry import Quaternion
-from proto.services import Resource
-from sim_server.desk import Desk
 from tests.models import WHEEL_RADIUS_M, on_ground
-from tests.sim_server.fakes import (
-    WallTime,
-    a_desk,
-    a_world,
-    kinds_of_events,
-)
+from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events
 from tests.sim_server.orders import LYING, an_order, spawned, suspicions
+from zensim.proto import services
+from zensim.proto.geometry import Quaternion
+from zensim.proto.services import Resource
+from zensim.sim_server.desk import Desk
 
 
 def height_of(desk: Desk, name: str = "r") -> float:

@@ -5,24 +5,24 @@ from pathlib import Path
 
 import pytest
 
-from proto import services, worlds
-from proto.result import (
+from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events, names_in
+from tests.sim_server.orders import an_order
+from zensim.proto import services, worlds
+from zensim.proto.result import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
     ResultCode,
     UnloadWorldCode,
 )
-from proto.services import Resource, State, TagsFilter
-from sim_server.description.sdf import WorldModel
-from sim_server.desk import Desk, Founded
-from sim_server.errors import SimError
-from sim_server.handlers.table import handle
-from sim_server.handlers.worlds import SLICE_NS
-from sim_server.later import Later
-from sim_server.worlds.atlas import FILES_A_TURN, Atlas, described
-from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events, names_in
-from tests.sim_server.orders import an_order
+from zensim.proto.services import Resource, State, TagsFilter
+from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.desk import Desk, Founded
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.table import handle
+from zensim.sim_server.handlers.worlds import SLICE_NS
+from zensim.sim_server.later import Later
+from zensim.sim_server.worlds.atlas import FILES_A_TURN, Atlas, described
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (

@@ -4,16 +4,16 @@ import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 
-from sim_server.journal.keeping import Keeper
-from sim_server.journal.ledger import Ledger, open_ledger
-from sim_server.journal.opening import Journal
-from sim_server.journal.recorder import Recorder
-from sim_server.journal.records import Record
-from sim_server.journal.restoring import Contents, contents_of
-from sim_server.reading.assets import AssetStore
-from sim_server.traffic.loop import Loop
-from sim_server.world.world import World
 from tests.sim_server.fakes import RecordingOutlet, ScriptedInbox, Stage, WallTime, a_desk, a_world
+from zensim.sim_server.journal.keeping import Keeper
+from zensim.sim_server.journal.ledger import Ledger, open_ledger
+from zensim.sim_server.journal.opening import Journal
+from zensim.sim_server.journal.recorder import Recorder
+from zensim.sim_server.journal.records import Record
+from zensim.sim_server.journal.restoring import Contents, contents_of
+from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.world.world import World
 
 DISK_FULL = "database or disk is full"
 

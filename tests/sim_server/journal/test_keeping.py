@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.model import Link, Model, Shape
-from sim_server.journal.keeping import Keeper
-from sim_server.journal.ledger import FILES, Ledger, open_ledger
-from sim_server.journal.records import Change, Kept, Record
-from sim_server.journal.rows import EntityRow
-from sim_server.world.entity import Entity
 from tests.models import a_body
+from zensim.proto.model import Link, Model, Shape
+from zensim.sim_server.journal.keeping import Keeper
+from zensim.sim_server.journal.ledger import FILES, Ledger, open_ledger
+from zensim.sim_server.journal.records import Change, Kept, Record
+from zensim.sim_server.journal.rows import EntityRow
+from zensim.sim_server.world.entity import Entity
 
 MESH = "ab" * 32
 

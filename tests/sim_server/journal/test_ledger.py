@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_server.journal import ledger as ledger_module
-from sim_server.journal.ledger import (
+from zensim.sim_server.journal import ledger as ledger_module
+from zensim.sim_server.journal.ledger import (
     DATABASE,
     FILES,
     LOCK,

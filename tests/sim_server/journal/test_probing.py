@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 import pytest
 
-from sim_server.journal import probing
-from sim_server.journal.probing import deadly
+from zensim.sim_server.journal import probing
+from zensim.sim_server.journal.probing import deadly
 
 
 def harmless() -> None:

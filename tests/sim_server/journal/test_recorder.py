@@ -6,9 +6,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.catalog import SERVICES
-from proto.result import ResultCode
-from proto.services import (
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import answer_of, names_in
+from tests.sim_server.journal.stage import DISK_FULL, Journalled, contents_in
+from zensim.proto.catalog import SERVICES
+from zensim.proto.result import ResultCode
+from zensim.proto.services import (
     DeleteEntityRequest,
     GetEntitiesRequest,
     GetEntitiesResponse,
@@ -19,10 +22,7 @@ from proto.services import (
     SpawnEntityOrder,
     State,
 )
-from sim_server.journal.recorder import BONDS_S, MOTION_S, WriterEnded
-from tests.fakes import MemoryCall
-from tests.sim_server.fakes import answer_of, names_in
-from tests.sim_server.journal.stage import DISK_FULL, Journalled, contents_in
+from zensim.sim_server.journal.recorder import BONDS_S, MOTION_S, WriterEnded
 
 
 def ask(kept: Journalled, service: str, request: msgspec.Struct, name: str = "") -> MemoryCall:

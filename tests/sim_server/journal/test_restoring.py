@@ -11,20 +11,20 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from proto.info import Category, EntityCategory, EntityInfo
-from proto.model import Model
-from proto.services import ResetScope, State
-from sim_server.errors import SimError
-from sim_server.journal.ledger import JournalError, open_ledger
-from sim_server.journal.opening import MARK, Journal, open_journal
-from sim_server.journal.restoring import contents_of
-from sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray
-from sim_server.reading.descriptions import Reading
-from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_birth, a_world, names_in
 from tests.sim_server.journal.stage import Journalled, contents_in
+from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.proto.model import Model
+from zensim.proto.services import ResetScope, State
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.journal.ledger import JournalError, open_ledger
+from zensim.sim_server.journal.opening import MARK, Journal, open_journal
+from zensim.sim_server.journal.restoring import contents_of
+from zensim.sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray
+from zensim.sim_server.reading.descriptions import Reading
+from zensim.sim_server.world.world import World
 
 NAMES = st.sampled_from(["r0", "r1", "r2"])
 

@@ -3,11 +3,11 @@
 import json
 from pathlib import Path
 
-from sim_server.journal.ledger import open_ledger
-from sim_server.journal.restoring import contents_of, seal
-from sim_server.journal.rows import AsideRow
-from sim_server.journal.showing import exported, page, summary
 from tests.sim_server.journal.stage import Journalled
+from zensim.sim_server.journal.ledger import open_ledger
+from zensim.sim_server.journal.restoring import contents_of, seal
+from zensim.sim_server.journal.rows import AsideRow
+from zensim.sim_server.journal.showing import exported, page, summary
 
 
 def test_page_lists_entities_and_who_is_set_aside(tmp_path: Path) -> None:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from sim_server.journal.records import Record
-from sim_server.journal.writer import Writer
 from tests.integration.processes import eventually
+from zensim.sim_server.journal.records import Record
+from zensim.sim_server.journal.writer import Writer
 
 
 class GatedDisk:
@@ -81,7 +81,7 @@ def test_writer_drops_all_of_a_generation_that_failed(fault: Exception) -> None:
 
 
 def test_writer_does_not_wait_for_ever_at_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim_server.journal.writer.END_S", 0.05)
+    monkeypatch.setattr("zensim.sim_server.journal.writer.END_S", 0.05)
     disk = GatedDisk()
     writer = Writer(disk, 0)
     writer.start()

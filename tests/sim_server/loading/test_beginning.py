@@ -5,13 +5,13 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from proto.bus import BusConfig
-from sim_server.config import ServerConfig
-from sim_server.journal.ledger import JournalError
-from sim_server.journal.opening import Journal, open_journal
-from sim_server.loading.beginning import begin
 from tests.engines import STEP_NS
 from tests.sim_server.journal.stage import Journalled
+from zensim.proto.bus import BusConfig
+from zensim.sim_server.config import ServerConfig
+from zensim.sim_server.journal.ledger import JournalError
+from zensim.sim_server.journal.opening import Journal, open_journal
+from zensim.sim_server.loading.beginning import begin
 
 CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
 

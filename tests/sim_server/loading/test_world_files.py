@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from proto.model import Shape
-from sim_server.config import ConfigError
-from sim_server.description.library import shipped_worlds
-from sim_server.loading import world_files
-from sim_server.loading.world_files import WorldOrder, doubts, furnish, loaded_elsewhere
-from sim_server.loading.world_loading import load_world
 from tests.sim_server.description.test_meshes import exported
 from tests.sim_server.fakes import a_world
+from zensim.proto.model import Shape
+from zensim.sim_server.config import ConfigError
+from zensim.sim_server.description.library import shipped_worlds
+from zensim.sim_server.loading import world_files
+from zensim.sim_server.loading.world_files import WorldOrder, doubts, furnish, loaded_elsewhere
+from zensim.sim_server.loading.world_loading import load_world
 
 CRATE = (
     "<model name='crate'><link name='box'><inertial><mass>1</mass><inertia><ixx>0.1</ixx>"

@@ -3,18 +3,18 @@
 import msgspec
 import pytest
 
-from proto import services
-from proto.geometry import Vector3
-from proto.info import Category, EntityCategory, EntityInfo
-from proto.services import Bounds, BoundsType, EntityFilters, FilterMode, TagsFilter
-from sim_server.desk import Desk
-from sim_server.errors import SimError
-from sim_server.handlers.table import handle
-from sim_server.later import Later
-from sim_server.lookup.filters import LONGEST_NS, SLICE_NS, SearchTooLong
-from sim_server.world.world import World
 from tests.models import a_box, on_ground
 from tests.sim_server.fakes import WallTime, a_birth, a_desk, a_world
+from zensim.proto import services
+from zensim.proto.geometry import Vector3
+from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.proto.services import Bounds, BoundsType, EntityFilters, FilterMode, TagsFilter
+from zensim.sim_server.desk import Desk
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.handlers.table import handle
+from zensim.sim_server.later import Later
+from zensim.sim_server.lookup.filters import LONGEST_NS, SLICE_NS, SearchTooLong
+from zensim.sim_server.world.world import World
 
 
 def an_info(category: Category, *tags: str) -> EntityInfo:

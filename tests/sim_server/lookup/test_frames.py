@@ -7,9 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.model import Frame, Link, Model, Origin
-from proto.rotation import from_rpy
-from sim_server.lookup.frames import (
+from tests.models import TRACK_M, WHEEL_RADIUS_M, on_ground
+from tests.sim_server.fakes import a_birth, a_world
+from zensim.proto.model import Frame, Link, Model, Origin
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.lookup.frames import (
     FrameAmbiguous,
     FrameNotFound,
     frame_pose,
@@ -17,8 +19,6 @@ from sim_server.lookup.frames import (
     seen_from,
     twist_in_world,
 )
-from tests.models import TRACK_M, WHEEL_RADIUS_M, on_ground
-from tests.sim_server.fakes import a_birth, a_world
 
 numbers = st.floats(-3.0, 3.0)
 LIDAR = Model("r", (Link("base"),), frames=(Frame("lidar", "base", Origin((0.5, 0.0, 0.2))),))

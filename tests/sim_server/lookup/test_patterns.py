@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sim_server.lookup.patterns import Pattern, PatternRefused
+from zensim.sim_server.lookup.patterns import Pattern, PatternRefused
 
 NAMES = ("r1", "r10", "robot_2", "Box", "shelf_a1")
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from proto.claims import DriveCommand, DriveState
-from sim_server.pacing.lockstep import LONGEST_LOOK_NS, Lockstep, LockstepSettings, OnMiss
+from zensim.proto.claims import DriveCommand, DriveState
+from zensim.sim_server.pacing.lockstep import LONGEST_LOOK_NS, Lockstep, LockstepSettings, OnMiss
 
 SECOND = 1_000_000_000
 CLAIMS = b"\x01\0\0\0"

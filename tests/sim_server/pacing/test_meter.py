@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim_server.pacing.meter import Meter
+from zensim.sim_server.pacing.meter import Meter
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000

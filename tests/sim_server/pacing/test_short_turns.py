@@ -7,13 +7,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from sim_server.pacing.short_turns import TURN_NS, ask_for_short_turns, turn_ns
+from zensim.sim_server.pacing.short_turns import TURN_NS, ask_for_short_turns, turn_ns
 
 T = TypeVar("T")
 ORDINARY_NS = turn_ns()
 """0 where the kernel does not tell."""
 SHORT_NS = min(TURN_NS, ORDINARY_NS)
-TELL = "from sim_server.pacing.short_turns import turn_ns; print(turn_ns())"
+TELL = "from zensim.sim_server.pacing.short_turns import turn_ns; print(turn_ns())"
 
 
 def aside(call: Callable[[], T]) -> T:

@@ -2,8 +2,8 @@
 
 import pytest
 
-from proto.stepping import StepsProgress
-from sim_server.pacing.stepping import KEPT, Stepping
+from zensim.proto.stepping import StepsProgress
+from zensim.sim_server.pacing.stepping import KEPT, Stepping
 
 SECOND = 1_000_000_000
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.rotation import from_rpy
-from sim_server.physics.actuation import actuation_of, imposed, standing
 from tests.models import a_box, a_cart, a_fork, a_puck
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.physics.actuation import actuation_of, imposed, standing
 
 speeds = st.floats(-10.0, 10.0)
 

@@ -5,11 +5,11 @@ import subprocess
 import sys
 import threading
 
-from sim_server.physics.blank_pages import give_back_blank_pages
+from zensim.sim_server.physics.blank_pages import give_back_blank_pages
 
 PROGRAM = """
 import numpy as np, psutil
-from sim_server.physics.blank_pages import give_back_blank_pages, map_large_blocks
+from zensim.sim_server.physics.blank_pages import give_back_blank_pages, map_large_blocks
 held = lambda: psutil.Process().memory_full_info().uss
 assert map_large_blocks()
 blank, full, mixed = np.empty(1 << 20), np.empty(1 << 20), np.empty(1 << 20)

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import IDENTITY, Contact, Inertial, Joint, Link, Model, Origin, Shape
-from proto.rotation import from_rpy, rotate
-from sim_server.physics.blueprint import DEFAULT_FRICTION, blueprint_of, principal_axes
-from sim_server.physics.engine import FloatArray
 from tests.models import a_body, a_box_bot, a_cart
+from zensim.proto.model import IDENTITY, Contact, Inertial, Joint, Link, Model, Origin, Shape
+from zensim.proto.rotation import from_rpy, rotate
+from zensim.sim_server.physics.blueprint import DEFAULT_FRICTION, blueprint_of, principal_axes
+from zensim.sim_server.physics.engine import FloatArray
 
 angles = st.floats(-3.0, 3.0)
 moments = st.floats(1e-4, 10.0)

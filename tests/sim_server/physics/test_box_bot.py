@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from proto.rotation import yaw_of
-from sim_server.physics.engine import Engine, FloatArray
-from sim_server.world.world import World
 from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box_bot, box_bot_at
 from tests.sim_server.fakes import a_birth, a_command
+from zensim.proto.rotation import yaw_of
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.world.world import World
 
 CONTROL_STEPS = 3
 STEPS_OF_10_S = 2400

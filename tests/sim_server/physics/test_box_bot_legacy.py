@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from proto.model import Model
-from sim_server.description.clearance import ground_clearance
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import EngineConfig
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance
 from tests.models import a_state
 from tests.sim_server.description.robots import reasons
+from zensim.proto.model import Model
+from zensim.sim_server.description.clearance import ground_clearance
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import EngineConfig
 
 SPAWN_Z = 0.01
 """Five centimetres under ground: the last of the traps."""

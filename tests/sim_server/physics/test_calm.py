@@ -4,10 +4,18 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.model import Decay, Model
-from sim_server.physics.calm import BRAKED, LOOSE, Calm, State, bounds_of, first_state, reached
-from sim_server.physics.engine import FloatArray, Reading
 from tests.models import a_box, a_box_bot, a_state, an_arm
+from zensim.proto.model import Decay, Model
+from zensim.sim_server.physics.calm import (
+    BRAKED,
+    LOOSE,
+    Calm,
+    State,
+    bounds_of,
+    first_state,
+    reached,
+)
+from zensim.sim_server.physics.engine import FloatArray, Reading
 
 STEPS = 10
 ONE = np.array([3], dtype=np.intp)

@@ -2,16 +2,16 @@
 
 import pytest
 
-from sim_server.physics.choice import (
+from tests.engines import STEP_NS
+from zensim.sim_server.physics.choice import (
     EngineChoice,
     EngineMissing,
     engine_named,
     engine_of,
     engines_here,
 )
-from sim_server.physics.choosing import chosen_engine
-from sim_server.physics.engine import EngineConfig
-from tests.engines import STEP_NS
+from zensim.sim_server.physics.choosing import chosen_engine
+from zensim.sim_server.physics.engine import EngineConfig
 
 BOTH = ("pybullet", "mujoco")
 

@@ -6,16 +6,16 @@ from typing import Protocol
 import numpy as np
 import pytest
 
-from sim_server.physics.clusters.cells import CellsHere
-from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.clusters.workers import CellsOfWorkers
-from sim_server.physics.engine import Concealing, Engine, EngineConfig
-from sim_server.physics.making import CellOrders
-from sim_server.physics.mujoco_engine import MujocoEngine
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.physics.tiers.tiers import Tiers
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
+from zensim.sim_server.physics.clusters.cells import CellsHere
+from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
+from zensim.sim_server.physics.engine import Concealing, Engine, EngineConfig
+from zensim.sim_server.physics.making import CellOrders
+from zensim.sim_server.physics.mujoco_engine import MujocoEngine
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.tiers.tiers import Tiers
 
 CONFIG = EngineConfig(STEP_NS)
 

@@ -5,16 +5,16 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from proto.model import Model
-from proto.services import ResetScope
-from sim_server.description.urdf import read_urdf
-from sim_server.errors import IncorrectState
-from sim_server.physics.engine import Engine, FloatArray
-from sim_server.world.world import World
 from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.fakes import a_birth, a_command
+from zensim.proto.model import Model
+from zensim.proto.services import ResetScope
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.world.world import World
 
 SPEED_RAD_S = 4.0
 CONTROL_STEPS = 5

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.holding import RESISTANCE, holds_of
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, box_bot_at
 from tests.sim_server.physics.bullet import dynamics_of
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.holding import RESISTANCE, holds_of
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 
 @pytest.fixture

@@ -7,20 +7,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.model import Model
-from sim_server.description.urdf import MAX_JOINTS, read_urdf
-from sim_server.physics.engine import Engine, EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_state, an_arm
-from tests.sim_server.description.robots import (
-    a_collision,
-    a_joint,
-    a_link,
-    a_robot,
-    an_inertial,
-)
+from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.physics.bullet import dynamics_of
+from zensim.proto.model import Model
+from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
+from zensim.sim_server.physics.engine import Engine, EngineConfig
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'
 

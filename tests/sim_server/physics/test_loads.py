@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from proto.model import Decay, Inertial, Joint, Link, Model, Shape, Vec3
-from proto.rotation import from_rpy
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.loads import Load, loads_of, lost
 from tests.models import a_body
+from zensim.proto.model import Decay, Inertial, Joint, Link, Model, Shape, Vec3
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.loads import Load, loads_of, lost
 
 G: Vec3 = (0.0, 0.0, -10.0)
 DT_S = 0.004

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim_server.physics.orders import Orders
+from zensim.sim_server.physics.orders import Orders
 
 WIDTHS = {0: 2, 1: 0, 2: 1, 100: 3}
 

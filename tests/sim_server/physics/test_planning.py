@@ -2,11 +2,11 @@
 
 import pytest
 
-from proto.model import Model
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.engine import EngineRefused
-from sim_server.physics.planning import Planner
 from tests.models import a_box, a_cart
+from zensim.proto.model import Model
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.planning import Planner
 
 
 def a_planner(max_parts: int = 128) -> Planner:

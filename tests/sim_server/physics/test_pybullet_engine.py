@@ -8,9 +8,6 @@ import numpy as np
 import pybullet
 import pytest
 
-from proto.model import Inertial, Joint, JointKind, Link, Model, RosBlock, Shape
-from sim_server.physics.engine import EngineConfig, EngineRefused
-from sim_server.physics.pybullet_engine import MAX_PARTS, PyBulletEngine
 from tests.engines import STEP_NS, advance
 from tests.models import (
     a_body,
@@ -24,13 +21,10 @@ from tests.models import (
     box_bot_at,
     on_ground,
 )
-from tests.sim_server.physics.bullet import (
-    bodies_in,
-    client_of,
-    dynamics_of,
-    next_shape,
-    touching,
-)
+from tests.sim_server.physics.bullet import bodies_in, client_of, dynamics_of, next_shape, touching
+from zensim.proto.model import Inertial, Joint, JointKind, Link, Model, RosBlock, Shape
+from zensim.sim_server.physics.engine import EngineConfig, EngineRefused
+from zensim.sim_server.physics.pybullet_engine import MAX_PARTS, PyBulletEngine
 
 DT_S = STEP_NS * 1e-9
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from sim_server.physics.readback import Quadruple, Triple, base_states, joint_states
+from zensim.sim_server.physics.readback import Quadruple, Triple, base_states, joint_states
 
 CLIENT = 3
 Joint = tuple[float, float, Sequence[float], float]

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.roots import Roots
 from tests.models import a_box, a_lopsided_box, a_state
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.roots import Roots
 
 numbers = st.floats(-3.0, 3.0)
 triples = st.tuples(numbers, numbers, numbers)

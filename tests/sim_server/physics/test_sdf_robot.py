@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from proto.model import Inertial, Link, Model, Shape
-from sim_server.description.clearance import ground_clearance
-from sim_server.description.library import world_text
-from sim_server.description.sdf import read_world
-from sim_server.description.sdf_model import read_sdf_model
-from sim_server.physics.engine import EngineConfig
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine
 from tests.models import a_state
 from tests.sim_server.description.sdf_robots import PIONEER
+from zensim.proto.model import Inertial, Link, Model, Shape
+from zensim.sim_server.description.clearance import ground_clearance
+from zensim.sim_server.description.library import world_text
+from zensim.sim_server.description.sdf import read_world
+from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.physics.engine import EngineConfig
 
 RACK_TOP_M = 2.2
 every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)

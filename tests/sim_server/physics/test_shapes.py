@@ -1,9 +1,9 @@
 """Shapes that are made once."""
 
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.creation import SOLID_KINDS
-from sim_server.physics.shapes import Shapes
 from tests.models import a_box_bot
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.creation import SOLID_KINDS
+from zensim.sim_server.physics.shapes import Shapes
 
 
 def test_shapes_of_alike_parts_are_made_once() -> None:

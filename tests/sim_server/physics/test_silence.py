@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from sim_server.physics.silence import silenced
+from zensim.sim_server.physics.silence import silenced
 
 
 def print_from_c(text: str) -> None:

@@ -6,12 +6,12 @@ import numpy as np
 import pybullet
 import pytest
 
-from sim_server.physics.engine import EngineConfig, FloatArray, Reading
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.physics.sleeping import Sleeping
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.physics.bullet import client_of
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray, Reading
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.sleeping import Sleeping
 
 CONFIG = EngineConfig(STEP_NS)
 SECONDS = 240

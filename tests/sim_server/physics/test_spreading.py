@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from proto.model import Link, Model, Shape
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import MAX_PARTS, PyBulletEngine
-from sim_server.physics.spreading import spread
 from tests.engines import STEP_NS
 from tests.models import a_box, a_state
+from zensim.proto.model import Link, Model, Shape
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.pybullet_engine import MAX_PARTS, PyBulletEngine
+from zensim.sim_server.physics.spreading import spread
 
 MESHES = 20
 

@@ -6,11 +6,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from proto.model import Model
-from sim_server.description.sdf_model import read_sdf_model
-from sim_server.description.surface import decay_rate
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import Engine, EngineConfig, FloatArray
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance, running
 from tests.models import a_state
 from tests.sim_server.description.robots import (
@@ -22,6 +17,11 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
+from zensim.proto.model import Model
+from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.description.surface import decay_rate
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
 
 every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 DT_S = STEP_NS * 1e-9

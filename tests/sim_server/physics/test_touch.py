@@ -2,16 +2,16 @@
 
 import pytest
 
-from proto.model import Contact, Joint, Link, Model, Shape
-from sim_server.physics.blueprint import Part, blueprint_of
-from sim_server.physics.touch import (
+from tests.models import a_body
+from zensim.proto.model import Contact, Joint, Link, Model, Shape
+from zensim.sim_server.physics.blueprint import Part, blueprint_of
+from zensim.sim_server.physics.touch import (
     REACH_M,
     self_touching,
     standing_friction,
     touch_of,
     touches_itself,
 )
-from tests.models import a_body
 
 DT_S = 0.004
 RIGID = Contact()

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
-from proto.stl import write_corners
-from sim_server.errors import AssetRefused
-from sim_server.reading.assets import AssetStore
+from zensim.proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
+from zensim.proto.stl import write_corners
+from zensim.sim_server.errors import AssetRefused
+from zensim.sim_server.reading.assets import AssetStore
 
 DATA = b"solid zensim\nendsolid\n" * 10
 NAME = hashlib.sha256(DATA).hexdigest()

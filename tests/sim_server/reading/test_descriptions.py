@@ -5,18 +5,18 @@ from collections.abc import Iterator
 
 import pytest
 
-from proto.assets import AssetRef
-from proto.model import Model
-from proto.services import Resource, SpawnEntityOrder
-from sim_server.errors import ModelError
-from sim_server.reading.assets import AssetStore
-from sim_server.reading.descriptions import FEW_MESHES, ReadElsewhere
-from sim_server.reading.reader import Reader
 from tests.integration.processes import eventually
 from tests.sim_server.description.test_meshes import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.reading.test_assets import put
 from tests.sim_server.reading.test_reader import MESH_ROBOT
+from zensim.proto.assets import AssetRef
+from zensim.proto.model import Model
+from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.sim_server.errors import ModelError
+from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.reading.descriptions import FEW_MESHES, ReadElsewhere
+from zensim.sim_server.reading.reader import Reader
 
 WITHIN_S = 30.0
 STL = exported(BOX, "stl")

@@ -2,8 +2,8 @@
 
 import os
 
-from sim_server.reading.own_time import ReaderTime, waited_ns
 from tests.sim_server.fakes import WallTime
+from zensim.sim_server.reading.own_time import ReaderTime, waited_ns
 
 PROCESS, NEXT = 1, 2
 MS = 1_000_000

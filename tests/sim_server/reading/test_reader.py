@@ -12,16 +12,16 @@ import psutil
 import pytest
 import trimesh
 
-from proto.assets import AssetRef
-from sim_server.reading import process
-from sim_server.reading.assets import AssetStore
-from sim_server.reading.messages import MeshMade, ReadRequest, TextRead
-from sim_server.reading.reader import DEADLINE_S, NICENESS, Reader
 from tests.integration.processes import eventually
 from tests.sim_server.description.robots import a_link, a_robot
 from tests.sim_server.description.test_meshes import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.reading.test_assets import put
+from zensim.proto.assets import AssetRef
+from zensim.sim_server.reading import process
+from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.reading.messages import MeshMade, ReadRequest, TextRead
+from zensim.sim_server.reading.reader import DEADLINE_S, NICENESS, Reader
 
 WITHIN_S = 30.0
 ROBOT = a_robot(a_link("base"))

@@ -4,9 +4,9 @@ from typing import cast
 
 import pytest
 
-from sim_server.traffic.answers import KEPT, Answer, Answers, told
-from sim_server.traffic.calls import Call
 from tests.fakes import MemoryCall
+from zensim.sim_server.traffic.answers import KEPT, Answer, Answers, told
+from zensim.sim_server.traffic.calls import Call
 
 
 def a_call(request_id: bytes, service: str = "delete_entity") -> Call:
@@ -49,7 +49,7 @@ def test_answers_forget_the_oldest_when_there_are_many() -> None:
 
 
 def test_answers_forget_the_oldest_when_they_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("sim_server.traffic.answers.KEPT_BYTES", 10)
+    monkeypatch.setattr("zensim.sim_server.traffic.answers.KEPT_BYTES", 10)
     answers = Answers()
 
     answers.keep(a_call(b"1"), an_answer("123456"))

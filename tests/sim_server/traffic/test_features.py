@@ -4,19 +4,19 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-from proto.catalog import SERVICES
-from proto.services import Feature
-from sim_server.handlers.offers import FEATURES, OFFERS
-from sim_server.traffic.inbox import BusInbox
-from sim_server.traffic.loop import Loop
-from sim_server.traffic.outlets import BusOutlet
-from spawner.client import SimClient
 from tests.fakes import MemoryBus
 from tests.features import PROOFS
 from tests.sim_server.fakes import WallTime, a_desk, a_world
+from zensim.proto.catalog import SERVICES
+from zensim.proto.services import Feature
+from zensim.sim_server.handlers.offers import FEATURES, OFFERS
+from zensim.sim_server.traffic.inbox import BusInbox
+from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.traffic.outlets import BusOutlet
+from zensim.spawner.client import SimClient
 
 if TYPE_CHECKING:
-    from proto.bus import Bus
+    from zensim.proto.bus import Bus
 
 
 def a_client() -> SimClient:

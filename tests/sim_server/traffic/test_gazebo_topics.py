@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from proto.gazebo import LinkStates, ModelStates
-from proto.services import GetEntitiesRequest
 from tests.sim_server.fakes import a_stage, answer_of
+from zensim.proto.gazebo import LinkStates, ModelStates
+from zensim.proto.services import GetEntitiesRequest
 
 TOPICS = [("model_states", ModelStates), ("link_states", LinkStates)]
 

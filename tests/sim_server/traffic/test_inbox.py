@@ -2,13 +2,13 @@
 
 from typing import TYPE_CHECKING, cast
 
-from proto import keys
-from sim_server.traffic.calls import Call
-from sim_server.traffic.inbox import COMMAND_DEPTH, BusInbox
 from tests.fakes import MemoryBus, MemoryCall
+from zensim.proto import keys
+from zensim.sim_server.traffic.calls import Call
+from zensim.sim_server.traffic.inbox import COMMAND_DEPTH, BusInbox
 
 if TYPE_CHECKING:
-    from proto.bus import Bus
+    from zensim.proto.bus import Bus
 
 
 class AskingBus(MemoryBus):

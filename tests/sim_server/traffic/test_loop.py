@@ -2,9 +2,12 @@
 
 import pytest
 
-from proto.claims import ClaimEntityRequest, ClaimEntityResponse
-from proto.result import Result, ResultCode
-from proto.services import (
+from tests.engines import STEP_NS
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import Stage, a_stage, answer_of, wheel_speeds
+from zensim.proto.claims import ClaimEntityRequest, ClaimEntityResponse
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.services import (
     ResetScope,
     ResetSimulationRequest,
     SetSimulationStateRequest,
@@ -13,11 +16,8 @@ from proto.services import (
     StepSimulationRequest,
     StepSimulationResponse,
 )
-from proto.telemetry import Info, InfoRequest, Stats
-from sim_server.traffic.loop import MAX_LAG_NS, POLL_S
-from tests.engines import STEP_NS
-from tests.fakes import MemoryCall
-from tests.sim_server.fakes import Stage, a_stage, answer_of, wheel_speeds
+from zensim.proto.telemetry import Info, InfoRequest, Stats
+from zensim.sim_server.traffic.loop import MAX_LAG_NS, POLL_S
 
 POLL_NS = round(POLL_S * 1e9)
 MILLISECOND = 1_000_000

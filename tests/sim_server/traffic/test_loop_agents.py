@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.bus import Sample
-from proto.claims import ClaimEntityRequest, ClaimEntityResponse, OnRelease
-from proto.codec import Format, encode
-from proto.keys import drive_command
-from proto.result import ResultCode
-from proto.telemetry import GetModelsRequest, Stats
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_command, a_stage, answer_of, names_in, wheel_speeds
+from zensim.proto.bus import Sample
+from zensim.proto.claims import ClaimEntityRequest, ClaimEntityResponse, OnRelease
+from zensim.proto.codec import Format, encode
+from zensim.proto.keys import drive_command
+from zensim.proto.result import ResultCode
+from zensim.proto.telemetry import GetModelsRequest, Stats
 
 
 def a_driven_stage(*names: str, on_release: OnRelease = "stop") -> Stage:

@@ -4,18 +4,18 @@ import struct
 
 import pytest
 
-from proto.bus import Sample
-from proto.claims import ClaimEntityRequest, DriveCommand
-from proto.codec import Format, decode, encode
-from proto.keys import drive_command
-from proto.result import Result, ResultCode
-from proto.services import ResetScope, State, StepSimulationRequest, StepSimulationResponse
-from proto.telemetry import Event, InfoRequest, Stats
-from sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
-from sim_server.traffic.loop import POLL_S, Loop
 from tests.fakes import MemoryCall
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, Stage, a_birth, a_stage, wheel_speeds
+from zensim.proto.bus import Sample
+from zensim.proto.claims import ClaimEntityRequest, DriveCommand
+from zensim.proto.codec import Format, decode, encode
+from zensim.proto.keys import drive_command
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.services import ResetScope, State, StepSimulationRequest, StepSimulationResponse
+from zensim.proto.telemetry import Event, InfoRequest, Stats
+from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
+from zensim.sim_server.traffic.loop import POLL_S, Loop
 
 TIMEOUT_S = 0.5
 

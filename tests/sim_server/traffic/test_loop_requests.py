@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.catalog import SERVICES
-from proto.codec import Format, encode, encoding_of, format_of
-from proto.result import ResultCode, SpawnCode
-from proto.services import (
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import Stage, a_stage, answer_of, names_in
+from zensim.proto.catalog import SERVICES
+from zensim.proto.codec import Format, encode, encoding_of, format_of
+from zensim.proto.result import ResultCode, SpawnCode
+from zensim.proto.services import (
     MAX_REQUEST_BYTES,
     DeleteEntityRequest,
     DeleteEntityResponse,
@@ -17,7 +19,7 @@ from proto.services import (
     State,
     StepSimulationRequest,
 )
-from proto.telemetry import (
+from zensim.proto.telemetry import (
     GetModelsRequest,
     GetModelsResponse,
     Info,
@@ -26,8 +28,6 @@ from proto.telemetry import (
     Stats,
     WorldClock,
 )
-from tests.fakes import MemoryCall
-from tests.sim_server.fakes import Stage, a_stage, answer_of, names_in
 
 FORMATS = list(Format)
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from proto.result import ResultCode, SpawnCode
-from proto.services import SpawnEntityReport
-from proto.telemetry import InfoRequest
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import ReadHere, Stage, a_stage, answer_of, names_in
 from tests.sim_server.orders import an_order
+from zensim.proto.result import ResultCode, SpawnCode
+from zensim.proto.services import SpawnEntityReport
+from zensim.proto.telemetry import InfoRequest
 
 
 def a_slow_stage(*names: str) -> Stage:

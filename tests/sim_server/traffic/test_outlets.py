@@ -5,13 +5,13 @@ from typing import cast
 import msgspec
 import pytest
 
-from proto import keys
-from proto.bus import Bus, Publisher
-from proto.claims import DriveState
-from proto.codec import decode
-from proto.telemetry import Event, Snapshot, Stats, WorldClock
-from sim_server.traffic.outlets import BusOutlet
 from tests.fakes import MemoryBus, MemoryPublisher
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Publisher
+from zensim.proto.claims import DriveState
+from zensim.proto.codec import decode
+from zensim.proto.telemetry import Event, Snapshot, Stats, WorldClock
+from zensim.sim_server.traffic.outlets import BusOutlet
 
 STATE = DriveState(1, 2, 3, b"", b"", b"", b"")
 MESSAGES: dict[str, msgspec.Struct] = {

@@ -2,12 +2,12 @@
 
 from typing import TYPE_CHECKING, cast
 
-from sim_server.traffic.answers import Answer
-from sim_server.traffic.replies import Replies, Waiting
 from tests.fakes import MemoryCall
+from zensim.sim_server.traffic.answers import Answer
+from zensim.sim_server.traffic.replies import Replies, Waiting
 
 if TYPE_CHECKING:
-    from sim_server.traffic.calls import Call
+    from zensim.sim_server.traffic.calls import Call
 
 
 def a_reply(number: int, position: int) -> tuple[MemoryCall, Waiting]:

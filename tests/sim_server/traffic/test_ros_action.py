@@ -6,15 +6,15 @@ from typing import TypeVar
 
 import msgspec
 
-from proto import ros_actions as action
-from proto.codec import Format, decode, encode
-from proto.header import Time, ns_from_time
-from proto.result import ResultCode
-from proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
-from sim_server.traffic.ros_action import CDR, KEPT, MAX_WAITING, StepsAction
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_stage
+from zensim.proto import ros_actions as action
+from zensim.proto.codec import Format, decode, encode
+from zensim.proto.header import Time, ns_from_time
+from zensim.proto.result import ResultCode
+from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
+from zensim.sim_server.traffic.ros_action import CDR, KEPT, MAX_WAITING, StepsAction
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 FIRST = action.GoalId(tuple(range(1, 17)))

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.header import Time
-from proto.services import ResetScope
-from proto.telemetry import Snapshot, Stats, WorldClock
-from sim_server.pacing.meter import Meter
-from sim_server.traffic.telemetry import TOPICS, Telemetry, Timer
-from sim_server.world.world import World
 from tests.models import on_ground
 from tests.sim_server.fakes import a_birth, a_desk, a_stage, a_world, names_in
+from zensim.proto.header import Time
+from zensim.proto.services import ResetScope
+from zensim.proto.telemetry import Snapshot, Stats, WorldClock
+from zensim.sim_server.pacing.meter import Meter
+from zensim.sim_server.traffic.telemetry import TOPICS, Telemetry, Timer
+from zensim.sim_server.world.world import World
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import Model
-from sim_server.world.entity import Entity, Hold, fleet_of, roster_of
 from tests.models import a_box, a_cart, a_state, an_arm
+from zensim.proto.model import Model
+from zensim.sim_server.world.entity import Entity, Hold, fleet_of, roster_of
 
 BOX, CART, ARM = a_box(), a_cart(), an_arm("continuous")
 models = st.lists(st.sampled_from([BOX, CART, ARM]), max_size=12)

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from proto.model import Model, Origin
-from sim_server.physics.engine import Reading
-from sim_server.world.entity import Entity, roster_of
-from sim_server.world.frozen import FARTHEST_M, PROBATION_NS, Watch, can_move, still
 from tests.models import a_box, a_cart, an_arm, on_ground
+from zensim.proto.model import Model, Origin
+from zensim.sim_server.physics.engine import Reading
+from zensim.sim_server.world.entity import Entity, roster_of
+from zensim.sim_server.world.frozen import FARTHEST_M, PROBATION_NS, Watch, can_move, still
 
 CART, BOX = a_cart(), a_box()
 

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import pytest
 
-from proto.services import ResetScope
-from sim_server.errors import NameNotUnique, NamespaceRefused
-from sim_server.physics.engine import EngineConfig
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import on_ground
 from tests.sim_server.fakes import a_birth, a_world, names_in
+from zensim.proto.services import ResetScope
+from zensim.sim_server.errors import NameNotUnique, NamespaceRefused
+from zensim.sim_server.physics.engine import EngineConfig
 
 
 def test_expected_entity_is_not_there_but_its_names_are() -> None:

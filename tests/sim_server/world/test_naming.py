@@ -2,10 +2,10 @@
 
 import pytest
 
-from sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
-from sim_server.world.entity import Entity
-from sim_server.world.naming import MAX_RENAMES, Names, free_name, free_namespace
 from tests.models import a_box, a_state
+from zensim.sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.naming import MAX_RENAMES, Names, free_name, free_namespace
 
 
 def an_entity(name: str, namespace: str = "", body: int = 1) -> Entity:

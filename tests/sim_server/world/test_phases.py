@@ -2,12 +2,12 @@
 
 import pytest
 
-from proto.result import SetSimulationStateCode
-from proto.services import SetSimulationStateRequest, SimulationState, State
-from sim_server.errors import Refused
-from sim_server.handlers.table import handle
-from sim_server.world.phases import ENTERED, LEADS_TO, NAMES
 from tests.sim_server.fakes import a_desk, a_world, kinds_of_events, names_in
+from zensim.proto.result import SetSimulationStateCode
+from zensim.proto.services import SetSimulationStateRequest, SimulationState, State
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.handlers.table import handle
+from zensim.sim_server.world.phases import ENTERED, LEADS_TO, NAMES
 
 STANDING = {State.STOPPED, State.PAUSED}
 

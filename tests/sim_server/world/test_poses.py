@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.geometry import Point, Pose, Quaternion, Twist, Vector3
-from proto.rotation import FloatArray, from_rpy, rotate
-from sim_server.errors import PoseRefused
-from sim_server.world.poses import (
+from tests.models import a_state
+from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3
+from zensim.proto.rotation import FloatArray, from_rpy, rotate
+from zensim.sim_server.errors import PoseRefused
+from zensim.sim_server.world.poses import (
     MAX_POSITION_M,
     MAX_SPEED,
     compose,
@@ -20,7 +21,6 @@ from sim_server.world.poses import (
     twist_of,
     twist_row,
 )
-from tests.models import a_state
 
 any_float = st.floats()
 metres = st.floats(-MAX_POSITION_M, MAX_POSITION_M)

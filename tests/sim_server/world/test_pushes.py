@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.errors import Refused
-from sim_server.world.pushes import MOST, JointPush, LinkPush, Pushes, Span, span_of
-from sim_server.world.world import World
 from tests.engines import STEP_NS
 from tests.models import a_box, a_state
 from tests.sim_server.fakes import a_birth, a_world
+from zensim.sim_server.errors import Refused
+from zensim.sim_server.world.pushes import MOST, JointPush, LinkPush, Pushes, Span, span_of
+from zensim.sim_server.world.world import World
 
 FOREVER = Span(0, None)
 PULL = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])

@@ -2,11 +2,11 @@
 
 import pytest
 
-from sim_server.errors import EntityNotFound
-from sim_server.world.world import RECENT_NS, World
 from tests.engines import STEP_NS
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_command, a_world
+from zensim.sim_server.errors import EntityNotFound
+from zensim.sim_server.world.world import RECENT_NS, World
 
 
 def moving() -> World:

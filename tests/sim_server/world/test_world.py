@@ -6,17 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from proto.services import ResetScope, State
-from sim_server.errors import (
-    EntityNotFound,
-    IncorrectState,
-    NameNotUnique,
-    NameRefused,
-    NamespaceRefused,
-)
-from sim_server.physics.engine import EngineConfig, EngineRefused, Reading
-from sim_server.world.birth import Birth
-from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_state, an_arm, on_ground
 from tests.sim_server.fakes import (
@@ -27,6 +16,17 @@ from tests.sim_server.fakes import (
     names_in,
     wheel_speeds,
 )
+from zensim.proto.services import ResetScope, State
+from zensim.sim_server.errors import (
+    EntityNotFound,
+    IncorrectState,
+    NameNotUnique,
+    NameRefused,
+    NamespaceRefused,
+)
+from zensim.sim_server.physics.engine import EngineConfig, EngineRefused, Reading
+from zensim.sim_server.world.birth import Birth
+from zensim.sim_server.world.world import World
 
 
 def test_world_refuses_spawn_when_name_is_taken() -> None:

@@ -4,12 +4,12 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.services import State
-from sim_server.physics.engine import EngineConfig
-from sim_server.world.pushes import LinkPush, Span
-from sim_server.world.world import World
 from tests.engines import STEP_NS, ObedientEngine
 from tests.sim_server.fakes import a_command, a_world, kinds_of_events, names_in
+from zensim.proto.services import State
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.world.pushes import LinkPush, Span
+from zensim.sim_server.world.world import World
 
 names = st.lists(st.sampled_from(["a", "b", "c", "d"]), unique=True)
 

@@ -3,14 +3,6 @@
 import numpy as np
 import pytest
 
-from proto.claims import DriveCommand
-from proto.result import ClaimCode
-from proto.services import ResetScope
-from sim_server.errors import (
-    EntityNotFound,
-    Refused,
-)
-from sim_server.world.world import World
 from tests.models import on_ground
 from tests.sim_server.fakes import (
     a_command,
@@ -20,6 +12,11 @@ from tests.sim_server.fakes import (
     names_in,
     wheel_speeds,
 )
+from zensim.proto.claims import DriveCommand
+from zensim.proto.result import ClaimCode
+from zensim.proto.services import ResetScope
+from zensim.sim_server.errors import EntityNotFound, Refused
+from zensim.sim_server.world.world import World
 
 
 def told_agents(world: World) -> list[str]:

@@ -5,13 +5,13 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from proto.claims import DriveCommand, OnRelease
-from proto.services import ResetScope
-from sim_server.errors import SimError
-from sim_server.physics.engine import EngineConfig
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import a_birth, a_command, a_world, names_in
+from zensim.proto.claims import DriveCommand, OnRelease
+from zensim.proto.services import ResetScope
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.physics.engine import EngineConfig
 
 NAMES = st.sampled_from(["r0", "r1", "r2", "r0_1", "sim", "no name"])
 NAMESPACES = st.sampled_from(["", "r0", "r1", "/team/r2", "world"])

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from proto.services import Resource
-from sim_server.worlds.atlas import Atlas, start_file
+from zensim.proto.services import Resource
+from zensim.sim_server.worlds.atlas import Atlas, start_file
 
 YARD = "<sdf version='1.6'><world name='yard'/></sdf>"
 

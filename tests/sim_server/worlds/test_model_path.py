@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim_server.worlds.model_path import files_in, models_in
+from zensim.sim_server.worlds.model_path import files_in, models_in
 
 CRATE = '<sdf version="1.6"><model name="crate"/></sdf>'
 

@@ -6,8 +6,8 @@ from typing import Any
 import typer
 from typer.testing import CliRunner
 
-from proto.exits import Exit
 from tests.integration.processes import Server
+from zensim.proto.exits import Exit
 
 NOWHERE = "tcp/127.0.0.1:1"
 RUNNER = CliRunner()

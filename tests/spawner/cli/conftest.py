@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 
-from proto.services import ResetScope, State
-from spawner.cli.spawn import app as spawn_app
 from tests.integration.processes import Server, serving
 from tests.spawner.cli.commands import run_at
+from zensim.proto.services import ResetScope, State
+from zensim.spawner.cli.spawn import app as spawn_app
 
 
 @pytest.fixture(scope="session")

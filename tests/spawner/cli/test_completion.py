@@ -17,7 +17,7 @@ def offered(line: str, endpoint: str) -> list[str]:
         "ZENSIM_CONNECT": endpoint,
     }
     done = subprocess.run(
-        [sys.executable, "-m", "deploy"],
+        [sys.executable, "-m", "zensim"],
         capture_output=True,
         text=True,
         timeout=30,

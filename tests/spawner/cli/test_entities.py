@@ -2,10 +2,10 @@
 
 import pytest
 
-from proto.exits import Exit
-from spawner.cli.entities import app
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
+from zensim.proto.exits import Exit
+from zensim.spawner.cli.entities import app
 
 
 def test_delete_takes_entities_out(two: Server) -> None:

@@ -2,10 +2,10 @@
 
 import pytest
 
-from proto.exits import Exit
-from spawner.cli.info import app
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
+from zensim.proto.exits import Exit
+from zensim.spawner.cli.info import app
 
 
 def test_info_is_told_to_people(two: Server) -> None:

@@ -5,11 +5,11 @@ import signal
 
 import pytest
 
-from proto.exits import Exit
-from proto.info import Category, EntityCategory, EntityInfo
-from spawner.cli.listing import app
 from tests.integration.processes import Server, eventually, running, serving
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
+from zensim.proto.exits import Exit
+from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.spawner.cli.listing import app
 
 
 def test_list_shows_a_line_for_each_entity(two: Server) -> None:

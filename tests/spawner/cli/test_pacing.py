@@ -4,11 +4,11 @@ import signal
 
 import pytest
 
-from proto.exits import Exit
-from proto.services import State
-from spawner.cli.pacing import app
 from tests.integration.processes import Server, eventually, running
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
+from zensim.proto.exits import Exit
+from zensim.proto.services import State
+from zensim.spawner.cli.pacing import app
 
 
 def test_step_makes_so_many_steps(server: Server) -> None:

@@ -5,8 +5,8 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from proto.model import ReportEntry
-from spawner.cli.report_table import print_report
+from zensim.proto.model import ReportEntry
+from zensim.spawner.cli.report_table import print_report
 
 ENTRIES = (
     ReportEntry("suspicious", "joint 'a'", "no such joint"),

@@ -2,11 +2,11 @@
 
 import pytest
 
-from proto.exits import Exit
-from proto.services import State
-from spawner.cli.simulation import app
 from tests.integration.processes import Server, eventually
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
+from zensim.proto.exits import Exit
+from zensim.proto.services import State
+from zensim.spawner.cli.simulation import app
 
 
 def test_time_runs_after_play_and_stands_after_pause(server: Server) -> None:

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from proto.exits import Exit
-from proto.geometry import Point
-from proto.services import EntityState
-from spawner.cli.spawn import app
-from spawner.launch import pose_at
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
+from zensim.proto.exits import Exit
+from zensim.proto.geometry import Point
+from zensim.proto.services import EntityState
+from zensim.spawner.cli.spawn import app
+from zensim.spawner.launch import pose_at
 
 BALL = (
     '<robot name="ball"><link name="base"><collision><geometry><sphere radius="0.5"/></geometry>'

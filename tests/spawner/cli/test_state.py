@@ -2,11 +2,11 @@
 
 import pytest
 
-from proto.exits import Exit
-from spawner.angles import roll_pitch_yaw
-from spawner.cli.state import app
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
+from zensim.proto.exits import Exit
+from zensim.spawner.angles import roll_pitch_yaw
+from zensim.spawner.cli.state import app
 
 
 def test_state_is_told_to_people(two: Server) -> None:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from deploy.parent import PARENT
-from proto.exits import Exit
 from tests.integration.processes import Server, command_line, end, eventually
+from zensim.deploy.parent import PARENT
+from zensim.proto.exits import Exit
 
 WITHIN_S = 20.0
 

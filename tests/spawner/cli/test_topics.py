@@ -4,14 +4,14 @@ import json
 
 import pytest
 
-from proto.codec import Format, decode, encode, encoding_of
-from proto.exits import Exit
-from proto.geometry import Twist, Vector3
-from proto.services import State
-from proto.topics import String
-from spawner.cli.topics import app
 from tests.integration.processes import Server, eventually, running
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
+from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.exits import Exit
+from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.services import State
+from zensim.proto.topics import String
+from zensim.spawner.cli.topics import app
 
 FORWARD = Twist(Vector3(x=0.2), Vector3(z=-0.5))
 

@@ -5,7 +5,7 @@ WITHOUT_VISER = """
 import sys
 sys.modules["viser"] = None
 sys.argv = ["zensim", "view"]
-from deploy.cli import main
+from zensim.deploy.cli import main
 main()
 """
 

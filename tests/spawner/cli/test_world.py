@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from proto.exits import Exit
-from proto.services import State
-from spawner.cli.world import app
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
+from zensim.proto.exits import Exit
+from zensim.proto.services import State
+from zensim.spawner.cli.world import app
 
 SDF = """<sdf version="1.7"><world name="mine"><model name="block"><static>true</static>
 <link name="l"><collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>

@@ -5,12 +5,12 @@ from collections.abc import Mapping
 import msgspec
 import numpy as np
 
-from proto import keys
-from proto.catalog import SERVICES
-from proto.codec import Format, decode, encode
-from proto.model import DiffDrive, Joint, Link, Model, Origin, Shape
-from proto.telemetry import EntityModel, GetModelsResponse, Snapshot
 from tests.fakes import MemoryBus
+from zensim.proto import keys
+from zensim.proto.catalog import SERVICES
+from zensim.proto.codec import Format, decode, encode
+from zensim.proto.model import DiffDrive, Joint, Link, Model, Origin, Shape
+from zensim.proto.telemetry import EntityModel, GetModelsResponse, Snapshot
 
 BLUE = (0.1, 0.3, 0.9, 1.0)
 CUBE = Shape("box", (0.1, 0.1, 0.1), rgba=BLUE)

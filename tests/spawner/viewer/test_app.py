@@ -2,9 +2,11 @@ from collections.abc import Mapping
 
 import pytest
 
-from proto import keys
-from proto.result import Result, ResultCode, SetSimulationStateCode
-from proto.services import (
+from tests.fakes import ManualClock, MemoryBus
+from tests.spawner.viewer.builders import World, a_robot, a_snapshot, models_of
+from zensim.proto import keys
+from zensim.proto.result import Result, ResultCode, SetSimulationStateCode
+from zensim.proto.services import (
     ResetSimulationRequest,
     SetSimulationStateRequest,
     SetSimulationStateResponse,
@@ -12,12 +14,10 @@ from proto.services import (
     State,
     StepSimulationRequest,
 )
-from proto.telemetry import GetModelsRequest
-from spawner.viewer.app import Viewer
-from spawner.viewer.buttons import BUTTONS, Button
-from spawner.viewer.scene import Fleet, Frame, LastCommand, Status
-from tests.fakes import ManualClock, MemoryBus
-from tests.spawner.viewer.builders import World, a_robot, a_snapshot, models_of
+from zensim.proto.telemetry import GetModelsRequest
+from zensim.spawner.viewer.app import Viewer
+from zensim.spawner.viewer.buttons import BUTTONS, Button
+from zensim.spawner.viewer.scene import Fleet, Frame, LastCommand, Status
 
 SNAPSHOT = keys.snapshot("default")
 

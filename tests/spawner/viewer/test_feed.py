@@ -5,19 +5,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto import keys
-from proto.assets import GetAssetRequest, GetAssetResponse
-from proto.geometry import Twist, TwistStamped, Vector3
-from proto.model import Shape
-from proto.result import Result, ResultCode
-from proto.scene import Scene
-from proto.stl import write_corners
-from proto.telemetry import GetModelsRequest, GetModelsResponse
-from spawner.viewer.feed import ASK_AGAIN_S, FRAME_S, SILENCE_S, Feed, View
-from spawner.viewer.fetching import MeshFetcher
-from spawner.viewer.scene import LastCommand
 from tests.fakes import ManualClock, MemoryBus
 from tests.spawner.viewer.builders import World, a_robot, a_snapshot, a_wall, models_of
+from zensim.proto import keys
+from zensim.proto.assets import GetAssetRequest, GetAssetResponse
+from zensim.proto.geometry import Twist, TwistStamped, Vector3
+from zensim.proto.model import Shape
+from zensim.proto.result import Result, ResultCode
+from zensim.proto.scene import Scene
+from zensim.proto.stl import write_corners
+from zensim.proto.telemetry import GetModelsRequest, GetModelsResponse
+from zensim.spawner.viewer.feed import ASK_AGAIN_S, FRAME_S, SILENCE_S, Feed, View
+from zensim.spawner.viewer.fetching import MeshFetcher
+from zensim.spawner.viewer.scene import LastCommand
 
 SNAPSHOT: Final = keys.snapshot("default")
 NOBODY: Final[frozenset[str]] = frozenset()

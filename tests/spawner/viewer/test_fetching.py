@@ -6,14 +6,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.assets import GetAssetRequest, GetAssetResponse
-from proto.bus import NoServer
-from proto.catalog import Request, Response, Service
-from proto.model import Link, Model, Shape
-from proto.result import ServiceError
-from proto.stl import write_corners
-from spawner.viewer.fetching import ASK_AGAIN_S, MAX_BYTES, MeshFetcher
 from tests.fakes import ManualClock
+from zensim.proto.assets import GetAssetRequest, GetAssetResponse
+from zensim.proto.bus import NoServer
+from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.model import Link, Model, Shape
+from zensim.proto.result import ServiceError
+from zensim.proto.stl import write_corners
+from zensim.spawner.viewer.fetching import ASK_AGAIN_S, MAX_BYTES, MeshFetcher
 
 
 def a_mesh(size: float = 1.0) -> bytes:

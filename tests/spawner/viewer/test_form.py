@@ -1,9 +1,9 @@
 import msgspec
 import pytest
 
-from proto.model import Joint, Link, Model, Shape
-from spawner.viewer.form import NotATree, form_of
 from tests.spawner.viewer.builders import CUBE, a_robot
+from zensim.proto.model import Joint, Link, Model, Shape
+from zensim.spawner.viewer.form import NotATree, form_of
 
 
 def test_robots_have_one_form_when_only_their_names_differ() -> None:

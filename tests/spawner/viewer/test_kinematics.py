@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import JointKind, Origin
-from proto.rotation import from_rpy
-from spawner.viewer.kinematics import Hinge, link_poses
+from zensim.proto.model import JointKind, Origin
+from zensim.proto.rotation import from_rpy
+from zensim.spawner.viewer.kinematics import Hinge, link_poses
 
 METRES = st.floats(-3.0, 3.0)
 RADIANS = st.floats(-3.0, 3.0)

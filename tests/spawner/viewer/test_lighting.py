@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from proto.model import Origin
-from proto.scene import Light, Scene
-from spawner.viewer.lighting import FAR_M, MAX_LIGHTS, Lighting, against, sky
+from zensim.proto.model import Origin
+from zensim.proto.scene import Light, Scene
+from zensim.spawner.viewer.lighting import FAR_M, MAX_LIGHTS, Lighting, against, sky
 
 LAMP = Light("l", "point", Origin((1.0, 2.0, 3.0)), rgba=(1.0, 0.5, 2.0, 1.0))
 OWN = ["/light/ambient", "/light/sun"]

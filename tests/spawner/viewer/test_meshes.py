@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import Origin, Shape
-from proto.rotation import from_rpy
-from spawner.viewer.form import Form, form_of
-from spawner.viewer.meshes import (
+from tests.spawner.viewer.builders import BLUE, CUBE, a_robot
+from zensim.proto.model import Origin, Shape
+from zensim.proto.rotation import from_rpy
+from zensim.spawner.viewer.form import Form, form_of
+from zensim.spawner.viewer.meshes import (
     UNCOLOURED,
     box,
     capsule,
@@ -18,8 +19,7 @@ from spawner.viewer.meshes import (
     shape_mesh,
     top_of,
 )
-from spawner.viewer.triangles import Mesh
-from tests.spawner.viewer.builders import BLUE, CUBE, a_robot
+from zensim.spawner.viewer.triangles import Mesh
 
 LENGTHS = st.floats(0.01, 5.0)
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from proto.telemetry import EntityModel
-from spawner.viewer.panel import clock_text, command_text, robot_html, status_html
-from spawner.viewer.scene import LastCommand, Status
+from zensim.proto.telemetry import EntityModel
+from zensim.spawner.viewer.panel import clock_text, command_text, robot_html, status_html
+from zensim.spawner.viewer.scene import LastCommand, Status
 
 REST = np.array((1.0, 2.0, 0.06, 0.0, 0.0, 0.0, 1.0, 0, 0, 0, 0, 0, 0))
 

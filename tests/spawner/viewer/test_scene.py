@@ -4,8 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from proto.model import Link, Model
-from spawner.viewer.scene import (
+from tests.spawner.viewer.builders import a_robot, a_snapshot, a_wall, models_of
+from zensim.proto.model import Link, Model
+from zensim.spawner.viewer.scene import (
     MismatchedSnapshot,
     UnknownEntity,
     arrange,
@@ -13,7 +14,6 @@ from spawner.viewer.scene import (
     framing,
     pose_lines,
 )
-from tests.spawner.viewer.builders import a_robot, a_snapshot, a_wall, models_of
 
 COORDINATES = st.floats(-50.0, 50.0)
 POINTS = st.lists(st.tuples(COORDINATES, COORDINATES, st.floats(0.0, 5.0)), min_size=1, max_size=20)

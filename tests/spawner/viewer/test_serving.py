@@ -2,7 +2,7 @@ import socket
 
 import pytest
 
-from spawner.viewer.serving import is_own_origin
+from zensim.spawner.viewer.serving import is_own_origin
 
 OWN = socket.gethostname().lower()
 

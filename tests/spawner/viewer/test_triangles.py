@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from spawner.viewer.triangles import welded
+from zensim.spawner.viewer.triangles import welded
 
 SQUARE = np.array(
     [[0, 0, 0], [1, 0, 0], [1, 1, 0], [-0.0, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_server.physics.casting.contact import grip, sliding
+from zensim.sim_server.physics.casting.contact import grip, sliding
 
 
 @pytest.mark.parametrize(("one", "other"), [(0.3, 1.0), (0.0, 0.2), (0.5, 0.6), (1.0, 2.0)])

@@ -4,12 +4,12 @@ from threading import Event, get_ident
 
 import pytest
 
-from sim_server.physics.casting.foundry import Foundry
-from sim_server.physics.casting.make import Make
-from sim_server.physics.casting.slots import Cast
-from sim_server.physics.engine import EngineConfig
 from tests.engines import STEP_NS
 from tests.integration.processes import eventually
+from zensim.sim_server.physics.casting.foundry import Foundry
+from zensim.sim_server.physics.casting.make import Make
+from zensim.sim_server.physics.casting.slots import Cast
+from zensim.sim_server.physics.engine import EngineConfig
 
 CONFIG = EngineConfig(STEP_NS)
 MAKE = Make((), (), is_static=False)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_server.physics.casting.hulls import SHEET_M, Points, pieces_of, solid
+from zensim.sim_server.physics.casting.hulls import SHEET_M, Points, pieces_of, solid
 
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_server.physics.casting.nearness import nearby
+from zensim.sim_server.physics.casting.nearness import nearby
 
 
 @pytest.mark.parametrize(("x", "is_near"), [(2.9, True), (3.1, False), (-1.9, True), (-2.1, False)])

@@ -2,10 +2,10 @@
 
 import pytest
 
-from sim_server.physics.blueprint import blueprint_of
-from sim_server.physics.casting.make import make_of
-from sim_server.physics.casting.slots import Slots, room_for
 from tests.models import a_box, a_cart
+from zensim.sim_server.physics.blueprint import blueprint_of
+from zensim.sim_server.physics.casting.make import make_of
+from zensim.sim_server.physics.casting.slots import Slots, room_for
 
 BOX, CART = make_of(blueprint_of(a_box())), make_of(blueprint_of(a_cart()))
 

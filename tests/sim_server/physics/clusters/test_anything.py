@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim_server.physics.clusters.cells import CellsHere
-from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.engine import EngineConfig
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_cart, a_fork, a_lopsided_box, a_puck, an_arm, on_ground
+from zensim.sim_server.physics.clusters.cells import CellsHere
+from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 if TYPE_CHECKING:
-    from proto.model import Model
-    from sim_server.physics.engine import Engine, FloatArray
+    from zensim.proto.model import Model
+    from zensim.sim_server.physics.engine import Engine, FloatArray
 
 MODELS = (
     *(a_cart(), a_box(), a_puck(), a_fork(), a_box(is_static=True)),

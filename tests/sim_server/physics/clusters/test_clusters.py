@@ -7,12 +7,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from sim_server.physics.clusters.cells import CellsHere
-from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.engine import Engine, EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
 from tests.engines import STEP_NS, advance, running
 from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_ground
+from zensim.sim_server.physics.clusters.cells import CellsHere
+from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 LONELY = Settings(alone=1, most=1, period_steps=3)
 """Each body has a cell of its own unless it may touch another."""

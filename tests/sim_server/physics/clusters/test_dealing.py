@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.physics.clusters.dealing import Room, deal
-from sim_server.physics.clusters.discs import IntArray
+from zensim.sim_server.physics.clusters.dealing import Room, deal
+from zensim.sim_server.physics.clusters.discs import IntArray
 
 ROOM = Room(most=4, at_once=100)
 

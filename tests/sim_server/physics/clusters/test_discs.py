@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.physics.clusters.discs import labels_of, touching
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.clusters.discs import labels_of, touching
+from zensim.sim_server.physics.engine import FloatArray
 
 places = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0))
 discs = st.lists(

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim_server.physics.clusters.parting import MARGIN_M, SPARE_MPS, part
-from sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.clusters.parting import MARGIN_M, SPARE_MPS, part
+from zensim.sim_server.physics.engine import FloatArray
 
 PERIOD_S = 0.01
 

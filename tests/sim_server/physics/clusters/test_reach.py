@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from proto.model import Link, Model, Origin, Shape
-from proto.stl import write_corners
-from sim_server.physics.clusters.reach import BEYOND, FARTHEST_M, Measure, moves
 from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
+from zensim.proto.model import Link, Model, Origin, Shape
+from zensim.proto.stl import write_corners
+from zensim.sim_server.physics.clusters.reach import BEYOND, FARTHEST_M, Measure, moves
 
 
 def radius(model: Model, folder: str = "") -> float:

@@ -10,14 +10,14 @@ import numpy as np
 import psutil
 import pytest
 
-from sim_server.physics.clusters.cells import CellsHere
-from sim_server.physics.clusters.clusters import Clusters, Settings
-from sim_server.physics.clusters.worker import RemoteCell, WorkerEnded
-from sim_server.physics.clusters.workers import CellsOfWorkers
-from sim_server.physics.engine import Engine, EngineConfig, EngineRefused
-from sim_server.physics.making import CellOrders
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
+from zensim.sim_server.physics.clusters.cells import CellsHere
+from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.clusters.worker import RemoteCell, WorkerEnded
+from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
+from zensim.sim_server.physics.engine import Engine, EngineConfig, EngineRefused
+from zensim.sim_server.physics.making import CellOrders
 
 SETTINGS = Settings(alone=2, most=3, period_steps=3)
 ORDERS = CellOrders("pybullet", EngineConfig(STEP_NS))

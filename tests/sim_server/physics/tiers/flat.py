@@ -6,13 +6,13 @@ from contextlib import contextmanager
 import msgspec
 import numpy as np
 
-from proto.model import Dynamics, Model
-from proto.rotation import yaw_of
-from sim_server.description.library import model_text
-from sim_server.description.urdf import read_urdf
-from sim_server.physics.engine import EngineConfig, FloatArray
-from sim_server.physics.pybullet_engine import PyBulletEngine
-from sim_server.physics.tiers.tiers import Tiers
+from zensim.proto.model import Dynamics, Model
+from zensim.proto.rotation import yaw_of
+from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.physics.engine import EngineConfig, FloatArray
+from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 10_000_000
 DT_S = 0.01

@@ -5,15 +5,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.blocking import (
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.blocking import (
     GAP_M,
     Moves,
     from_edges,
     shares_by_each_other,
     shares_by_edges,
 )
-from sim_server.physics.tiers.grid import cells_of, close_pairs, near_points
+from zensim.sim_server.physics.tiers.grid import cells_of, close_pairs, near_points
 
 MANY = 30
 places = arrays(np.float64, (MANY, 2), elements=st.floats(-3.0, 3.0))

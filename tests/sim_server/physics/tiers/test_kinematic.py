@@ -7,9 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from proto.drives import DiffDrive
-from proto.model import Link, Model, Shape
-from sim_server.physics.engine import EngineRefused
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.physics.tiers.flat import (
     heading,
@@ -19,6 +16,9 @@ from tests.sim_server.physics.tiers.flat import (
     two_tiers,
     with_dynamics,
 )
+from zensim.proto.drives import DiffDrive
+from zensim.proto.model import Link, Model, Shape
+from zensim.sim_server.physics.engine import EngineRefused
 
 RADIUS_M = 0.09
 """Of the disc that a box_bot takes as it turns on the spot."""

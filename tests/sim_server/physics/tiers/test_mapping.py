@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim_server.physics.tiers.mapping import Mappings, mapping_of
-from sim_server.physics.tiers.rows import Rows, Tier
+from zensim.sim_server.physics.tiers.mapping import Mappings, mapping_of
+from zensim.sim_server.physics.tiers.rows import Rows, Tier
 
 
 def three_rows() -> Rows:

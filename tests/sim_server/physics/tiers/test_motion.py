@@ -7,15 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim_server.physics.tiers.footprint import corners_in
-from sim_server.physics.tiers.motion import (
-    arcs,
-    rolling_speeds,
-    twists_by_steering,
-)
-from sim_server.physics.tiers.vehicle import NotFlat, Vehicle, vehicle_of
 from tests.models import a_box, a_cart, a_fork
 from tests.sim_server.physics.tiers.flat import shipped
+from zensim.sim_server.physics.tiers.footprint import corners_in
+from zensim.sim_server.physics.tiers.motion import arcs, rolling_speeds, twists_by_steering
+from zensim.sim_server.physics.tiers.vehicle import NotFlat, Vehicle, vehicle_of
 
 speeds = st.floats(-3.0, 3.0)
 turns = st.floats(-40.0, 40.0)

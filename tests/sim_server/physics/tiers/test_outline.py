@@ -6,11 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from proto.model import Link, Model, Origin, Shape
-from sim_server.physics.engine import FloatArray
-from sim_server.physics.tiers.footprint import corners_in
-from sim_server.physics.tiers.outline import hull_edges, outline_of
 from tests.models import a_state
+from zensim.proto.model import Link, Model, Origin, Shape
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.tiers.footprint import corners_in
+from zensim.sim_server.physics.tiers.outline import hull_edges, outline_of
 
 NOWHERE = corners_in("")
 
