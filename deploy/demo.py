@@ -10,10 +10,10 @@ import msgspec
 from zensim.deploy.local import READY, Program, Supervisor
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
-from zensim.proto.model import Dynamics
-from zensim.proto.result import ResultCode
-from zensim.proto.ros2.settings import RosSettings, arguments_of
-from zensim.proto.telemetry import Info
+from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.telemetry_messages import Info
+from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
 from zensim.robot_agent.config import AgentConfig, AgentStart
 from zensim.robot_agent.rates import Rates
 from zensim.spawner.client import SimClient
@@ -124,7 +124,7 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
         *(("--clusters", config.clusters) if config.clusters != "auto" else ()),
         *_workers(config.engine_workers),
         *(("--dynamics", config.dynamics) if config.dynamics != "full" else ()),
-        *arguments_of(config.ros),
+        *to_cli_arguments(config.ros),
     )
 
 

@@ -9,7 +9,7 @@ import sys
 import msgspec
 
 from zensim.deploy.parent import die_with_parent
-from zensim.proto.exits import one_line_failures
+from zensim.proto.exit_codes import exit_on_failure
 from zensim.robot_agent.config import AgentStart
 from zensim.robot_agent.process import run
 
@@ -23,7 +23,7 @@ def main(verb: str, settings: str) -> None:
         SystemExit: As that of `zensim VERB`.
     """
     die_with_parent(os.environ)
-    with one_line_failures(verb):
+    with exit_on_failure(verb):
         if verb != AGENT:
             raise ValueError(f"verb {verb!r} is unknown here; use '{AGENT}'")
         run(msgspec.json.decode(settings, type=AgentStart))

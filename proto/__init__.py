@@ -1,1 +1,1 @@
-"""The wire: what every program, in any language, must agree on."""
+"""The wire protocol: messages, codecs, keys and services that every program, in any language, must agree on."""

@@ -1,34 +1,266 @@
-"""The Zenoh boundary: open, advertise, subscribe, serve, call. One door with `channels`.
-
-Everything arrives through channels that Zenoh's own threads fill and the caller drains, so that no
-Python callback runs on a network thread and no open session can hang the interpreter's exit.
-"""
+"""The Zenoh boundary, and the only module that imports zenoh: endpoints, sessions, publishers, subscriptions, queries, liveliness tokens and service calls."""
 
 import json
+import re
+import socket
 import time
 import uuid
-from typing import Final, Literal
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from itertools import cycle
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias, TypeVar
 
 import msgspec
 import zenoh
 from zenoh.handlers import FifoChannel, RingChannel
 
 from zensim.proto import keys
-from zensim.proto.catalog import Request, Response, Service
-from zensim.proto.channels import (
-    Call,
-    CallQueue,
-    Publisher,
-    Sample,
-    Stamp,
-    Subscription,
-    Token,
-    TokenWatch,
-    sample_of,
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.service_catalog import Request, Response, Service
+
+if TYPE_CHECKING:
+    from zenoh.handlers import Handler
+
+DEFAULT_ENDPOINT: Final = "tcp/127.0.0.1:7447"
+ENDPOINT_PATTERN = re.compile(
+    r"(tcp|tls|quic|ws|udp)/(?P<host>\[[^\]]+\]|[^\s:/#?]+):(?P<port>\d{1,5})\S*"
 )
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.endpoint import DEFAULT_ENDPOINT, check_endpoint, with_free_port
-from zensim.proto.result import Result, ResultCode, ServiceError
+MAX_PORT: Final = 65535
+
+
+def check_endpoint(endpoint: str) -> str:
+    """Return the endpoint if Zenoh can use it.
+
+    Raises:
+        ValueError: Not `protocol/host:port`.
+    """
+    match = ENDPOINT_PATTERN.fullmatch(endpoint)
+    if match and int(match["port"]) <= MAX_PORT:
+        return endpoint
+    raise ValueError(
+        f"endpoint {endpoint[:80]!r} is not valid; use protocol/host:port, as {DEFAULT_ENDPOINT}"
+    )
+
+
+def with_free_port(endpoint: str) -> str:
+    """Replace port 0 by one that is free on that host now."""
+    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
+    if match is None or int(match["port"]) != 0:
+        return endpoint
+    host = match["host"].strip("[]")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.bind((host, 0))
+        port = probe.getsockname()[1]
+    return endpoint[: match.start("port")] + str(port) + endpoint[match.end("port") :]
+
+
+MAX_REQUEST_BYTES = 3 << 20
+"""Of any request as it is sent: decoding a longer one would make physics late."""
+
+
+Message = TypeVar("Message", bound=msgspec.Struct)
+
+MAX_TAKEN_BYTES: Final = 1 << 20
+"""Of requests at once, so that who takes them can do something else in between."""
+QUERY_OVERHEAD_BYTES: Final = MAX_TAKEN_BYTES // 32
+"""What a request counts for beside its payload."""
+Stamp: TypeAlias = zenoh.Timestamp
+"""When a sample was made, by the clock of its session."""
+EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
+
+
+class Sample(msgspec.Struct, frozen=True):
+    """One message as it came."""
+
+    key: str
+    payload: bytes
+    encoding: str
+    attachment: bytes = b""
+
+
+class BusPublisher:
+    """One key to put on. Never blocks: what a slow network cannot take is dropped."""
+
+    def __init__(self, publisher: zenoh.Publisher) -> None:
+        self._publisher = publisher
+        self._put = publisher.put
+        self._changes: zenoh.MatchingListener[Handler[zenoh.MatchingStatus]] | None = None
+        self._was_matched = False
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens."""
+        if self._changes is None:
+            # To ask each time costs ten times as much as to be told of changes.
+            self._changes = self._publisher.declare_matching_listener(RingChannel(1))
+            # The stub says bool; it is a MatchingStatus.
+            self._was_matched = self._publisher.matching_status.matching  # type: ignore[attr-defined]
+        while (change := self._changes.try_recv()) is not None:
+            self._was_matched = change.matching
+        return self._was_matched
+
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        """Put one message; who hears two of one stamp takes them for one."""
+        # Each argument costs as much as a tenth of the put.
+        if stamp is not None:
+            self._put(payload, attachment=attachment or None, timestamp=stamp)
+        elif attachment:
+            self._put(payload, attachment=attachment)
+        else:
+            self._put(payload)
+
+    def close(self) -> None:
+        """Withdraw the publisher."""
+        if self._changes is not None:
+            self._changes.undeclare()
+        self._publisher.undeclare()
+
+
+class BusSubscription:
+    """Messages on a key expression; when nobody takes them the oldest are dropped."""
+
+    def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
+        self._subscriber = subscriber
+
+    def take(self) -> list[Sample]:
+        """Take all that have come, oldest first."""
+        return list(self._drain())
+
+    def newest(self) -> Sample | None:
+        """Take all and keep the last."""
+        found = None
+        for found in self._drain():  # noqa: B007  the last one is the result
+            pass
+        return found
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._subscriber.undeclare()
+
+    def _drain(self) -> Iterator[Sample]:
+        while (sample := self._subscriber.try_recv()) is not None:
+            yield to_sample(sample)
+
+
+class BusQuery:
+    """A request that waits for its answer; reply once, or the caller gets nothing."""
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+        self.key = str(query.key_expr)
+        payload = query.payload or EMPTY_PAYLOAD
+        self.size = len(payload)
+        # Of one that is too large nobody wants the copy.
+        self.payload = payload.to_bytes() if self.size <= MAX_REQUEST_BYTES else b""
+        self.encoding = str(query.encoding) if query.encoding else ""
+        self.request_id = query.attachment.to_bytes() if query.attachment else b""
+
+    @property
+    def name(self) -> str:
+        """The service asked for: the last chunk of the key."""
+        return keys.last_chunk(self.key)
+
+    def read(self, kind: type[Message]) -> Message:
+        """Decode the request.
+
+        Raises:
+            MalformedPayload: The bytes are not that message.
+        """
+        return decode(kind, self.payload, self.encoding)
+
+    def covers(self, key: str) -> bool:
+        """Whether this asks for that key, perhaps among others."""
+        return bool(zenoh.KeyExpr(self.key).intersects(key))
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        """Answer, and let the caller go; `key` when the request's is a pattern."""
+        with self._query as query:
+            query.reply(key or self.key, payload, encoding=encoding, attachment=attachment or None)
+
+    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        """Answer with many values, each on a key of its own, and let the caller go."""
+        with self._query as query:
+            for key, payload in answers:
+                query.reply(key, payload, encoding=encoding)
+
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        """Answer with one sample of several; `drop` ends the answer.
+
+        A caller who does not take samples of that key gets none.
+        """
+        with suppress(zenoh.ZError):
+            self._query.reply(
+                key, payload, encoding=encoding, attachment=attachment, timestamp=stamp
+            )
+
+    def drop(self) -> None:
+        """Let the caller go without an answer."""
+        self._query.drop()
+
+
+class BusQueryQueue:
+    """Requests on a key expression; when nobody takes them the oldest are let go unanswered."""
+
+    def __init__(self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]") -> None:
+        self._queryable = queryable
+
+    def take(self) -> list[BusQuery]:
+        """Take what has come, oldest first; of very much, the beginning."""
+        calls: list[BusQuery] = []
+        room = MAX_TAKEN_BYTES
+        while room > 0 and (query := self._queryable.try_recv()) is not None:
+            calls.append(BusQuery(query))
+            room -= QUERY_OVERHEAD_BYTES + len(calls[-1].payload)
+        return calls
+
+    def close(self) -> None:
+        """Stop serving."""
+        self._queryable.undeclare()
+
+
+class LivelinessToken:
+    """Says that this process is alive, until closed or until the process is gone."""
+
+    def __init__(self, token: zenoh.LivelinessToken) -> None:
+        self._token = token
+
+    def close(self) -> None:
+        """Withdraw the token."""
+        self._token.undeclare()
+
+
+class LivelinessWatch:
+    """Comings and goings of tokens."""
+
+    def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
+        self._subscriber = subscriber
+
+    def take(self) -> list[tuple[str, bool]]:
+        """Take all changes: key, and whether it is alive."""
+        changes = []
+        while (sample := self._subscriber.try_recv()) is not None:
+            changes.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
+        return changes
+
+    def close(self) -> None:
+        """Stop watching."""
+        self._subscriber.undeclare()
+
+
+def to_sample(sample: zenoh.Sample) -> Sample:
+    """Take over what came."""
+    attachment = sample.attachment
+    return Sample(
+        str(sample.key_expr),
+        sample.payload.to_bytes(),
+        str(sample.encoding),
+        attachment.to_bytes() if attachment else b"",
+    )
+
 
 __all__ = [
     "LATEST",
@@ -36,25 +268,25 @@ __all__ = [
     "Bus",
     "BusConfig",
     "BusError",
-    "Call",
-    "CallQueue",
+    "BusQuery",
+    "BusQueryQueue",
     "EndpointTaken",
     "NoServer",
-    "Publisher",
+    "BusPublisher",
     "Sample",
     "Stamp",
-    "Subscription",
-    "Token",
-    "TokenWatch",
+    "BusSubscription",
+    "LivelinessToken",
+    "LivelinessWatch",
     "Unreachable",
     "open_bus",
-    "settings_of",
+    "to_zenoh_json",
 ]
 
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
 """After a reconnect a query may end empty at first (zenoh#2767): ask again with the same id."""
-MAX_ANSWERS: Final = 16384
+MAX_REPLIES: Final = 16384
 """To one question, kept in a queue: a ring loses what is left in it when the last has come."""
 LATEST: Final = 1
 """Subscription depth that keeps only the newest sample: for one publisher on one key."""
@@ -130,18 +362,22 @@ class Bus:
         """End the session; tokens go, queues close."""
         self._session.close()
 
-    def advertise(self, key: str, encoding: str) -> Publisher:
+    def advertise(self, key: str, encoding: str) -> BusPublisher:
         """Declare a publisher whose payloads have this encoding."""
         declared = self._session.declare_publisher(
-            _expression(key), encoding=encoding, congestion_control=zenoh.CongestionControl.DROP
+            _to_key_expression(key),
+            encoding=encoding,
+            congestion_control=zenoh.CongestionControl.DROP,
         )
-        return Publisher(declared)
+        return BusPublisher(declared)
 
-    def subscribe(self, key: str, depth: int = LATEST) -> Subscription:
+    def subscribe(self, key: str, depth: int = LATEST) -> BusSubscription:
         """Listen to a key expression, keeping the newest `depth` messages in all."""
-        return Subscription(self._session.declare_subscriber(_expression(key), RingChannel(depth)))
+        return BusSubscription(
+            self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
+        )
 
-    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> CallQueue:
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BusQueryQueue:
         """Answer requests on a key expression.
 
         Args:
@@ -150,30 +386,33 @@ class Bus:
             is_complete: Nobody else has a part of the answer; otherwise all who serve are asked.
         """
         declared = self._session.declare_queryable(
-            _expression(key), RingChannel(depth), complete=is_complete
+            _to_key_expression(key), RingChannel(depth), complete=is_complete
         )
-        return CallQueue(declared)
+        return BusQueryQueue(declared)
 
-    def token(self, key: str) -> Token:
+    def token(self, key: str) -> LivelinessToken:
         """Declare this process alive under a key."""
-        return Token(self._session.liveliness().declare_token(key))
+        return LivelinessToken(self._session.liveliness().declare_token(key))
 
-    def watch_tokens(self, key: str, depth: int = 16384) -> TokenWatch:
+    def watch_tokens(self, key: str, depth: int = 16384) -> LivelinessWatch:
         """Watch tokens, those that are up already first."""
         liveliness = self._session.liveliness()
-        return TokenWatch(liveliness.declare_subscriber(key, RingChannel(depth), history=True))
+        return LivelinessWatch(liveliness.declare_subscriber(key, RingChannel(depth), history=True))
 
-    def alive(self, key: str, timeout_s: float = 1.0) -> list[str]:
+    def list_tokens(self, key: str, timeout_s: float = 1.0) -> list[str]:
         """List the tokens that are up now."""
-        replies = self._session.liveliness().get(key, FifoChannel(MAX_ANSWERS), timeout=timeout_s)
+        replies = self._session.liveliness().get(key, FifoChannel(MAX_REPLIES), timeout=timeout_s)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         """Ask a key expression for its values and collect the answers."""
         replies = self._session.get(
-            _expression(key), FifoChannel(MAX_ANSWERS), payload=payload or None, timeout=timeout_s
+            _to_key_expression(key),
+            FifoChannel(MAX_REPLIES),
+            payload=payload or None,
+            timeout=timeout_s,
         )
-        return [sample_of(reply.ok) for reply in replies if reply.ok]
+        return [to_sample(reply.ok) for reply in replies if reply.ok]
 
     def call(
         self,
@@ -201,7 +440,7 @@ class Bus:
                 f"request has {len(payload)} bytes; send at most {self.config.max_message_bytes}",
             )
         key = keys.service(world, service.name)
-        encoding = encoding_of(request, Format.MSGPACK)
+        encoding = make_encoding(request, Format.MSGPACK)
         answer = self._ask(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
         response = decode(service.response, answer.payload, answer.encoding)
         _raise_unless_ok(service, response)
@@ -220,7 +459,7 @@ class Bus:
                 timeout=timeout_s,
             ):
                 if reply.ok:
-                    return sample_of(reply.ok)
+                    return to_sample(reply.ok)
                 raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
             time.sleep(pause_s)
         raise NoServer(f"nothing answers {key} at {self.endpoint}; start one with 'zensim serve'")
@@ -240,17 +479,17 @@ def open_bus(config: BusConfig) -> Bus:
         connect = (DEFAULT_ENDPOINT,)
     settled = msgspec.structs.replace(config, listen=listen, connect=connect)
     try:
-        return Bus(zenoh.open(_zenoh_config(settled)), settled)
+        return Bus(zenoh.open(_make_zenoh_config(settled)), settled)
     except zenoh.ZError as error:
-        raise _open_error(settled, str(error)) from error
+        raise _make_open_error(settled, str(error)) from error
 
 
-def settings_of(config: BusConfig) -> str:
+def to_zenoh_json(config: BusConfig) -> str:
     """Write a configuration as JSON, as Zenoh's own router takes it."""
-    return str(_zenoh_config(config))
+    return str(_make_zenoh_config(config))
 
 
-def _expression(key: str) -> zenoh.KeyExpr:
+def _to_key_expression(key: str) -> zenoh.KeyExpr:
     try:
         canonical: zenoh.KeyExpr = zenoh.KeyExpr.autocanonize(key)
     except zenoh.ZError as error:
@@ -258,7 +497,7 @@ def _expression(key: str) -> zenoh.KeyExpr:
     return canonical
 
 
-def _zenoh_config(config: BusConfig) -> zenoh.Config:
+def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
     entries = {
         "mode": config.mode,
         "listen/endpoints": list(config.listen),
@@ -280,7 +519,7 @@ def _zenoh_config(config: BusConfig) -> zenoh.Config:
     return made
 
 
-def _open_error(config: BusConfig, text: str) -> BusError:
+def _make_open_error(config: BusConfig, text: str) -> BusError:
     if "in use" in text:
         return EndpointTaken(
             f"{config.listen[0]} is taken by another process; stop it, use --listen with another "
@@ -298,3 +537,25 @@ def _raise_unless_ok(service: Service[Request, Response], response: Response) ->
     if result.result != ResultCode.OK:
         name = service.code_name(result.result)
         raise ServiceError(service.name, result.result, name, result.error_message, response)
+
+
+OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
+"""Short, so that a router is found as soon as it is up; now and then long, for a far one."""
+
+
+def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
+    """Open a session as soon as somebody listens at the endpoints.
+
+    Raises:
+        Unreachable: Nobody did within the wait.
+        BusError: See `open_bus`.
+    """
+    deadline_s = time.monotonic() + wait_s
+    timeouts = cycle(OPEN_TIMEOUTS_S)
+    while True:
+        attempt = msgspec.structs.replace(config, open_timeout_s=next(timeouts))
+        try:
+            return open_bus(attempt)
+        except Unreachable:
+            if time.monotonic() >= deadline_s:
+                raise

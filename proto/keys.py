@@ -1,4 +1,4 @@
-"""Every Zenoh key expression, built and parsed. Names are checked by `proto.names` before."""
+"""Every Zenoh key expression, built and parsed; names are validated by the names module first."""
 
 CMD_VEL = "cmd_vel"
 ODOM = "odom"
@@ -103,13 +103,13 @@ def robot_topics(namespace: str) -> str:
     return f"{namespace}/*"
 
 
-def pattern_of(key: str) -> str:
+def make_pattern(key: str) -> str:
     """The pattern of all keys that are as long as a key and end as it does: `*/odom`."""
     *before, last = key.split("/")
     return "/".join([*("*" for _ in before), last])
 
 
-def agent_of(key: str) -> str:
+def parse_agent(key: str) -> str:
     """The agent that a drive or alive key belongs to; empty when it is neither."""
     match key.split("/"):
         case ["sim", _, "drive", agent, _] | ["sim", _, "alive", "agent", agent]:

@@ -1,14 +1,14 @@
-"""What a valid entity name, namespace, agent name, world name and frame_id is."""
+"""Validation of entity names, namespaces, agent names, world names and frame ids."""
 
 import re
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
-FRAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,255}")
-RESERVED = frozenset({"sim", "world"})
+NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+FRAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,255}")
+RESERVED_NAMES = frozenset({"sim", "world"})
 MAX_NAMESPACE_CHUNKS = 8
 MAX_NAMESPACE_LENGTH = 200
 """ROS 2 refuses names of topics beyond 247 characters; this leaves room for a topic."""
-SHOWN = 80
+MAX_SHOWN = 80
 """Characters of a bad name that an error repeats."""
 
 
@@ -22,10 +22,10 @@ def check_name(name: str, what: str = "name") -> str:
     Raises:
         InvalidName: Not `[A-Za-z][A-Za-z0-9_]{0,63}`.
     """
-    if NAME.fullmatch(name):
+    if NAME_PATTERN.fullmatch(name):
         return name
     raise InvalidName(
-        f"{what} {_shown(name)} is not valid; use a letter, then up to 63 letters, digits or '_'"
+        f"{what} {_abbreviate(name)} is not valid; use a letter, then up to 63 letters, digits or '_'"
     )
 
 
@@ -38,18 +38,21 @@ def check_namespace(namespace: str) -> str:
     """
     bare = namespace.removeprefix("/")
     chunks = bare.split("/")
-    if not all(NAME.fullmatch(chunk) for chunk in chunks) or len(chunks) > MAX_NAMESPACE_CHUNKS:
+    if (
+        not all(NAME_PATTERN.fullmatch(chunk) for chunk in chunks)
+        or len(chunks) > MAX_NAMESPACE_CHUNKS
+    ):
         raise InvalidName(
-            f"namespace {_shown(namespace)} is not valid; use names joined by '/', as 'team/r1'"
+            f"namespace {_abbreviate(namespace)} is not valid; use names joined by '/', as 'team/r1'"
         )
     if len(bare) > MAX_NAMESPACE_LENGTH:
         raise InvalidName(
-            f"namespace {_shown(namespace)} has {len(bare)} characters; use at most "
+            f"namespace {_abbreviate(namespace)} has {len(bare)} characters; use at most "
             f"{MAX_NAMESPACE_LENGTH}, since ROS 2 refuses longer topics"
         )
-    if chunks[0] in RESERVED:
+    if chunks[0] in RESERVED_NAMES:
         raise InvalidName(
-            f"namespace {_shown(namespace)} begins with a reserved name; use any but 'sim', 'world'"
+            f"namespace {_abbreviate(namespace)} begins with a reserved name; use any but 'sim', 'world'"
         )
     return bare
 
@@ -60,12 +63,12 @@ def check_frame(frame_id: str) -> str:
     Raises:
         InvalidName: It is not one.
     """
-    if FRAME.fullmatch(frame_id):
+    if FRAME_PATTERN.fullmatch(frame_id):
         return frame_id
     raise InvalidName(
-        f"frame_id {_shown(frame_id)} is not valid; use letters, digits, '_', '.', '-' or '/'"
+        f"frame_id {_abbreviate(frame_id)} is not valid; use letters, digits, '_', '.', '-' or '/'"
     )
 
 
-def _shown(text: str) -> str:
-    return repr(text if len(text) <= SHOWN else text[:SHOWN] + "...")
+def _abbreviate(text: str) -> str:
+    return repr(text if len(text) <= MAX_SHOWN else text[:MAX_SHOWN] + "...")

@@ -1,4 +1,4 @@
-"""Quaternion arithmetic on arrays: (..., 4), x y z w, unit length. Broadcasts over leading axes."""
+"""Quaternion arithmetic on arrays (..., 4), in the order x y z w."""
 
 import numpy as np
 import numpy.typing as npt
@@ -75,7 +75,7 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> FloatArray:
     )
 
 
-def yaw_of(turn: FloatArray) -> FloatArray:
+def to_yaw(turn: FloatArray) -> FloatArray:
     """Find the heading [rad] about z."""
     x, y, z, w = np.moveaxis(turn, -1, 0)
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))

@@ -1,7 +1,4 @@
-"""The wire for programs in other languages: schemas, services, keys, codes and golden bytes.
-
-`python -m proto.schema` writes them to `proto/schemas/`; with `--check` it only compares.
-"""
+"""Export and check of the wire description: JSON schemas, services, keys, codes and golden bytes."""
 
 import inspect
 import json
@@ -13,53 +10,47 @@ from typing import TypeVar
 
 import msgspec
 
-from zensim.proto import (
-    assets,
-    claims,
-    drives,
-    entities,
-    fleets,
-    gazebo,
-    geometry,
-    header,
-    info,
-    keys,
-    model,
-    places,
-    result,
-    scene,
-    services,
-    stepping,
-    telemetry,
-    topics,
-    worlds,
+from zensim.proto import keys
+from zensim.proto.codec.message_codec import Format, encode, make_encoding, supports_format
+from zensim.proto.messages import (
+    agent_messages,
+    asset_messages,
+    drive_messages,
+    entity_messages,
+    gazebo_messages,
+    model_messages,
+    result_messages,
+    simulation_messages,
+    spawn_messages,
+    standard_messages,
+    telemetry_messages,
+    world_messages,
 )
-from zensim.proto.catalog import SERVICES
-from zensim.proto.codec import Format, encode, encoding_of, offers
-from zensim.proto.example import example_of
+from zensim.proto.sample_messages import make_sample_message
+from zensim.proto.service_catalog import SERVICES
 
 Kind = TypeVar("Kind")
 
 SCHEMAS = Path(__file__).parent / "schemas"
 MESSAGE_MODULES: tuple[ModuleType, ...] = (
-    assets,
-    claims,
-    drives,
-    entities,
-    fleets,
-    gazebo,
-    geometry,
-    header,
-    info,
-    model,
-    places,
-    result,
-    scene,
-    services,
-    stepping,
-    telemetry,
-    topics,
-    worlds,
+    asset_messages,
+    agent_messages,
+    drive_messages,
+    entity_messages,
+    spawn_messages,
+    gazebo_messages,
+    standard_messages,
+    standard_messages,
+    entity_messages,
+    model_messages,
+    spawn_messages,
+    result_messages,
+    world_messages,
+    entity_messages,
+    simulation_messages,
+    telemetry_messages,
+    standard_messages,
+    world_messages,
 )
 KEY_ARGUMENTS = {
     "world": "default",
@@ -69,45 +60,45 @@ KEY_ARGUMENTS = {
     "topic": "odom",
 }
 TOPICS: dict[str, tuple[type[msgspec.Struct], ...]] = {
-    keys.clock("default"): (telemetry.WorldClock,),
-    keys.stats("default"): (telemetry.Stats,),
-    keys.snapshot("default"): (telemetry.Snapshot,),
-    keys.events("default"): (telemetry.Event,),
-    keys.model_states("default"): (gazebo.ModelStates,),
-    keys.link_states("default"): (gazebo.LinkStates,),
-    keys.steps_progress("default"): (stepping.StepsProgress,),
-    keys.drive_state("default", "agent_1"): (claims.DriveState,),
-    keys.drive_command("default", "agent_1"): (claims.DriveCommand,),
-    keys.robot("r1", keys.CMD_VEL): (geometry.Twist, geometry.TwistStamped),
-    keys.robot("r1", keys.ODOM): (topics.Odometry,),
-    keys.robot("r1", keys.TF): (topics.TFMessage,),
-    keys.robot("r1", keys.TF_STATIC): (topics.TFMessage,),
-    keys.robot("r1", keys.JOINT_STATES): (topics.JointState,),
-    keys.robot("r1", keys.ROBOT_DESCRIPTION): (topics.String,),
+    keys.clock("default"): (telemetry_messages.WorldClock,),
+    keys.stats("default"): (telemetry_messages.Stats,),
+    keys.snapshot("default"): (telemetry_messages.Snapshot,),
+    keys.events("default"): (telemetry_messages.Event,),
+    keys.model_states("default"): (gazebo_messages.ModelStates,),
+    keys.link_states("default"): (gazebo_messages.LinkStates,),
+    keys.steps_progress("default"): (simulation_messages.StepsProgress,),
+    keys.drive_state("default", "agent_1"): (agent_messages.DriveState,),
+    keys.drive_command("default", "agent_1"): (agent_messages.DriveCommand,),
+    keys.robot("r1", keys.CMD_VEL): (standard_messages.Twist, standard_messages.TwistStamped),
+    keys.robot("r1", keys.ODOM): (standard_messages.Odometry,),
+    keys.robot("r1", keys.TF): (standard_messages.TFMessage,),
+    keys.robot("r1", keys.TF_STATIC): (standard_messages.TFMessage,),
+    keys.robot("r1", keys.JOINT_STATES): (standard_messages.JointState,),
+    keys.robot("r1", keys.ROBOT_DESCRIPTION): (standard_messages.String,),
 }
 """What travels on each topic."""
 
 
-def messages() -> dict[str, type[msgspec.Struct]]:
+def list_messages() -> dict[str, type[msgspec.Struct]]:
     """List the public messages by name."""
-    return {kind.__name__: kind for kind in _defined(msgspec.Struct)}
+    return {kind.__name__: kind for kind in _find_defined(msgspec.Struct)}
 
 
-def spoken_types() -> list[type[msgspec.Struct]]:
+def list_top_level_types() -> list[type[msgspec.Struct]]:
     """List the types that travel by themselves: on topics, as requests, as responses."""
     on_topics = {kind for kinds in TOPICS.values() for kind in kinds}
     in_services = {kind for one in SERVICES.values() for kind in (one.request, one.response)}
     return sorted(on_topics | in_services, key=lambda kind: kind.__name__)
 
 
-def artefacts() -> dict[str, str]:
+def make_artefacts() -> dict[str, str]:
     """Write everything as text, by file name."""
     contents = {
-        "messages.json": message_schemas(),
-        "services.json": service_list(),
-        "keys.json": key_list(),
-        "codes.json": codes(),
-        "golden.json": golden(),
+        "messages.json": make_message_schemas(),
+        "services.json": list_services(),
+        "keys.json": list_keys(),
+        "codes.json": list_codes(),
+        "golden.json": make_golden(),
     }
     return {
         name: json.dumps(content, indent=1, ensure_ascii=False) + "\n"
@@ -115,9 +106,9 @@ def artefacts() -> dict[str, str]:
     }
 
 
-def message_schemas() -> dict[str, object]:
+def make_message_schemas() -> dict[str, object]:
     """Describe every message by JSON Schema; properties stand in the order of CDR."""
-    kinds = messages()
+    kinds = list_messages()
     _, described = msgspec.json.schema_components(kinds.values())
     for name, kind in kinds.items():
         if hasattr(kind, "ros_type"):
@@ -128,7 +119,7 @@ def message_schemas() -> dict[str, object]:
     }
 
 
-def service_list() -> dict[str, object]:
+def list_services() -> dict[str, object]:
     """Name each service's key, messages, codes and formats."""
     return {
         name: {
@@ -136,15 +127,17 @@ def service_list() -> dict[str, object]:
             "request": service.request.__name__,
             "response": service.response.__name__,
             "codes": [
-                family.__name__ for family in (result.ResultCode, service.codes) if [*family]
+                family.__name__
+                for family in (result_messages.ResultCode, service.codes)
+                if [*family]
             ],
-            "formats": _formats(service.request, service.response),
+            "formats": _list_formats(service.request, service.response),
         }
         for name, service in sorted(SERVICES.items())
     }
 
 
-def key_list() -> dict[str, object]:
+def list_keys() -> dict[str, object]:
     """Write each key expression with example arguments, and what travels on each topic."""
     examples = {}
     for name, function in sorted(vars(keys).items()):
@@ -155,33 +148,37 @@ def key_list() -> dict[str, object]:
     return {"arguments": KEY_ARGUMENTS, "keys": examples, "topics": on_topics}
 
 
-def codes() -> dict[str, object]:
+def list_codes() -> dict[str, object]:
     """List every number that has a name, by enumeration."""
     return {
         family.__name__: {member.name: member.value for member in family}
-        for family in _defined(IntEnum)
+        for family in _find_defined(IntEnum)
     }
 
 
-def golden() -> dict[str, object]:
+def make_golden() -> dict[str, object]:
     """Write one example of each type that travels: CDR and MessagePack as hex, JSON as text."""
-    return {kind.__name__: _golden(kind) for kind in spoken_types()}
+    return {kind.__name__: _encode_sample(kind) for kind in list_top_level_types()}
 
 
-def _golden(kind: type[msgspec.Struct]) -> dict[str, str]:
-    example = example_of(kind)
-    written = {"encoding": encoding_of(kind, Format.CDR)} if offers(kind, Format.CDR) else {}
-    for name in _formats(kind):
+def _encode_sample(kind: type[msgspec.Struct]) -> dict[str, str]:
+    example = make_sample_message(kind)
+    written = (
+        {"encoding": make_encoding(kind, Format.CDR)} if supports_format(kind, Format.CDR) else {}
+    )
+    for name in _list_formats(kind):
         payload = encode(example, Format[name])
         written[name] = payload.decode() if name == Format.JSON.name else payload.hex()
     return written
 
 
-def _formats(*kinds: type[msgspec.Struct]) -> list[str]:
-    return [format_.name for format_ in Format if all(offers(kind, format_) for kind in kinds)]
+def _list_formats(*kinds: type[msgspec.Struct]) -> list[str]:
+    return [
+        format_.name for format_ in Format if all(supports_format(kind, format_) for kind in kinds)
+    ]
 
 
-def _defined(parent: type[Kind]) -> list[type[Kind]]:
+def _find_defined(parent: type[Kind]) -> list[type[Kind]]:
     """List the subclasses that the message modules define, by name."""
     found = [
         member
@@ -194,9 +191,9 @@ def _defined(parent: type[Kind]) -> list[type[Kind]]:
     return sorted(found, key=lambda kind: kind.__name__)
 
 
-def drifted(folder: Path = SCHEMAS) -> list[str]:
+def find_stale(folder: Path = SCHEMAS) -> list[str]:
     """Name the committed files that are not what the types say now."""
-    wanted = artefacts()
+    wanted = make_artefacts()
     present = {path.name for path in folder.glob("*.json")}
     return sorted(
         name
@@ -210,7 +207,7 @@ def drifted(folder: Path = SCHEMAS) -> list[str]:
 def write(folder: Path = SCHEMAS) -> None:
     """Write every artefact."""
     folder.mkdir(exist_ok=True)
-    for name, text in artefacts().items():
+    for name, text in make_artefacts().items():
         (folder / name).write_text(text, encoding="utf-8")
 
 
@@ -226,7 +223,7 @@ def main(arguments: list[str], folder: Path = SCHEMAS) -> int:
     if arguments != ["--check"]:
         sys.stdout.write(f"arguments are {' '.join(arguments)}; use --check or none\n")
         return 2
-    stale = drifted(folder)
+    stale = find_stale(folder)
     for name in stale:
         sys.stdout.write(f"{name} is stale; run 'python -m proto.schema'\n")
     return 1 if stale else 0

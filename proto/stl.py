@@ -1,4 +1,4 @@
-"""Binary STL, in which the server keeps and sends every mesh that it made. NumPy only."""
+"""Binary STL, the format in which the server stores and sends generated meshes; needs NumPy only."""
 
 from __future__ import annotations
 

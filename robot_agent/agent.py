@@ -8,10 +8,10 @@ from contextlib import closing
 from typing import Protocol
 
 from zensim.proto import keys
-from zensim.proto.claims import Claim, DriveCommand, DriveState
-from zensim.proto.codec import Format, MalformedPayload, decode, encode, encoding_of
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.ros_graph import RosGraph
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.robot_agent.claimer import Claimer, Wish
 from zensim.robot_agent.config import AgentConfig
 from zensim.robot_agent.fleet import Fleet
@@ -90,7 +90,7 @@ class Agent:
         self._ears = network if config.pool_limit is None else network.beside()
         self._states = self._ears.subscribe(keys.drive_state(world, agent))
         self._commands = network.advertise(
-            keys.drive_command(world, agent), encoding_of(DriveCommand, Format.MSGPACK)
+            keys.drive_command(world, agent), make_encoding(DriveCommand, Format.MSGPACK)
         )
         self._graph = RosGraph(network, config.ros)
         self._claimer = _claimer_of(network, config)

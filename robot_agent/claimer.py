@@ -7,11 +7,11 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import NoServer
-from zensim.proto.catalog import CLAIM_ENTITY
-from zensim.proto.claims import Claim, ClaimEntityRequest, OnRelease, claims_of
-from zensim.proto.codec import MalformedPayload, decode
-from zensim.proto.result import ClaimCode, ResultCode, ServiceError
-from zensim.proto.telemetry import Event
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.agent_messages import Claim, ClaimEntityRequest, OnRelease, expand_grants
+from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
+from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.service_catalog import CLAIM_ENTITY
 from zensim.robot_agent.giving_up import give_up
 from zensim.robot_agent.network import Network, Subscription
 
@@ -125,7 +125,7 @@ class Claimer:
             timeout_s = min(timeout_s, max(SHORTEST_CALL_S, self._give_up_s - now_s))
         request = ClaimEntityRequest(wish.agent, entities, wish.on_release)
         response = self._network.call(CLAIM_ENTITY, request, world=wish.world, timeout_s=timeout_s)
-        return claims_of(response)
+        return expand_grants(response)
 
     def _put_off(self, error: Exception, now_s: float, *, is_passing: bool) -> None:
         is_over = self._give_up_s is not None and now_s >= self._give_up_s

@@ -5,12 +5,11 @@ from typing import Annotated, get_args
 
 import typer
 
-from zensim.proto.claims import OnRelease
-from zensim.proto.cli import RosTfOptions
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.exits import one_line_failures
+from zensim.proto.bus import DEFAULT_ENDPOINT
+from zensim.proto.cli_options import RosTfOptions, options_from
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
-from zensim.proto.option_fields import takes
 from zensim.robot_agent.config import AgentConfig, AgentStart
 from zensim.robot_agent.process import run
 from zensim.robot_agent.rates import Rates
@@ -82,10 +81,10 @@ class AgentOptions(RosTfOptions):
 
 
 @app.command()
-@takes(AgentOptions)
+@options_from(AgentOptions)
 def agent(given: AgentOptions) -> None:
     """Drive robots: cmd_vel in, odom and tf out."""
-    with one_line_failures("agent"):
+    with exit_on_failure("agent"):
         endpoint = given.connect or DEFAULT_ENDPOINT
         run(AgentStart(endpoint=endpoint, config=_config(given), is_quiet=given.quiet))
 

@@ -1,9 +1,9 @@
 """What a robot is told to do: the newest cmd_vel, until it is too old."""
 
 from zensim.proto.bus import Sample
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.commands import decode_twist
-from zensim.proto.geometry import Twist
+from zensim.proto.cmd_vel_decoding import decode_twist
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.network import Subscription
 
 DEPTH = 8

@@ -2,8 +2,8 @@
 
 import msgspec
 
-from zensim.proto.claims import OnRelease
-from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.proto.messages.agent_messages import OnRelease
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.robot_agent.rates import Rates
 
 

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from zensim.proto.drives import DiffDrive, Drive
-from zensim.proto.geometry import Twist
-from zensim.proto.model import Model
+from zensim.proto.messages.drive_messages import DiffDrive, Drive
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.drives.choice import controller_of
 from zensim.robot_agent.drives.controller import Measured
 from zensim.robot_agent.frames import base_of

@@ -4,10 +4,10 @@ import logging
 import struct
 from collections.abc import Sequence
 
-from zensim.proto.claims import Claim, DriveCommand, DriveState
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.faces import faces_of
-from zensim.proto.ros_graph import RosGraph
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.robot_agent.network import Network
 from zensim.robot_agent.reading import Layout
 from zensim.robot_agent.robot import NODE, Robot
@@ -46,7 +46,7 @@ class Fleet:
     def take(self, claims: Sequence[Claim]) -> None:
         """Hold what was claimed."""
         for claim in claims:
-            faces = faces_of(self._network, self._graph, claim.namespace, NODE)
+            faces = make_topic_factory(self._network, self._graph, claim.namespace, NODE)
             robot = Robot(faces, claim, self._timeout_ns)
             robot.announce()
             self.hold(claim.claim, robot)

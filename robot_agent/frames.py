@@ -8,9 +8,15 @@ from collections.abc import Sequence
 
 import msgspec
 
-from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from zensim.proto.header import Header, Time
-from zensim.proto.model import Joint, JointStatePublisher, Model, Origin
+from zensim.proto.messages.model_messages import Joint, JointStatePublisher, Model, Origin
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Quaternion,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from zensim.robot_agent.odometry import Motion
 from zensim.robot_agent.transforms import add, compose, inverse, multiply, rotate, turn, unit
 

@@ -2,7 +2,7 @@
 
 from typing import NoReturn
 
-from zensim.proto.result import ServiceError
+from zensim.proto.messages.result_messages import ServiceError
 
 
 def give_up(error: Exception, wait_s: float) -> NoReturn:

@@ -2,9 +2,11 @@
 
 from random import Random
 
-from zensim.proto.claims import Claim
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import (
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.model_messages import ZERO, GroundTruth, Model, Quat, Vec3
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Odometry,
     Point,
     Pose,
     PoseWithCovariance,
@@ -12,11 +14,10 @@ from zensim.proto.geometry import (
     Twist,
     TwistWithCovariance,
     Vector3,
+    time_from_ns,
 )
-from zensim.proto.header import Header, time_from_ns
-from zensim.proto.model import ZERO, GroundTruth, Model, Quat, Vec3
-from zensim.proto.ros_graph import Topic
-from zensim.proto.topics import Odometry
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.kinematics import Chain, LinkMotion, scaled
 from zensim.robot_agent.outlet import Outlet
 from zensim.robot_agent.rate_gate import RateGate
@@ -30,7 +31,7 @@ QUIET = (ZERO, ZERO)
 class TruthTelemetry:
     """What the ground truth plug-ins of one robot tell, each at a rate of its own."""
 
-    def __init__(self, faces: Faces, claim: Claim) -> None:
+    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
         self._truths = tuple(
             Truth(claim.model, wish, f"{claim.entity}/{number}")
             for number, wish in enumerate(claim.model.ground_truths)

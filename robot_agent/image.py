@@ -6,16 +6,16 @@ from itertools import pairwise
 
 import msgspec
 
-from zensim.proto import cdr
-from zensim.proto.cdr_places import places_of
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.codec import cdr
+from zensim.proto.codec.cdr_layout import find_offsets
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 FLOAT_BYTES = 8
 STAMP = struct.Struct("<iI")
 
 
 class Image:
-    """One message, each byte as `proto.cdr.encode` writes it; made at a tenth of the cost."""
+    """One message, each byte as `zensim.proto.codec.cdr.encode` writes it; made at a tenth of the cost."""
 
     def __init__(
         self, template: msgspec.Struct, *, numbers: Sequence[str], stamps: Sequence[str]
@@ -24,11 +24,11 @@ class Image:
 
         Args:
             template: As it is but for what changes.
-            numbers: Paths of its float64 numbers that change; see `zensim.proto.cdr_places`.
+            numbers: Paths of its float64 numbers that change; see `zensim.proto.codec.cdr_layout`.
             stamps: Paths of its `Time`s.
         """
         self._buffer = bytearray(cdr.encode(template))
-        places = places_of(template)
+        places = find_offsets(template)
         self._runs = _runs([places[path] for path in numbers])
         self._stamps = tuple(places[f"{path}.sec"] for path in stamps)
 

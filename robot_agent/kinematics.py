@@ -2,7 +2,7 @@
 
 import msgspec
 
-from zensim.proto.model import IDENTITY, ZERO, Joint, Model, Origin, Quat, Vec3
+from zensim.proto.messages.model_messages import IDENTITY, ZERO, Joint, Model, Origin, Quat, Vec3
 from zensim.robot_agent.reading import Reading
 from zensim.robot_agent.transforms import add, compose, cross, multiply, rotate, turn, unit
 

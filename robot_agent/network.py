@@ -3,19 +3,19 @@
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-from zensim.proto import faces
+from zensim.proto import topic_endpoints
 from zensim.proto.bus import Sample
-from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.service_catalog import Request, Response, Service
 
 
-class Subscription(faces.Subscription, Protocol):
+class Subscription(topic_endpoints.TransportSubscription, Protocol):
     """Messages on a key expression."""
 
     def newest(self) -> Sample | None:
         """Take all and keep the last."""
 
 
-class Call(faces.Call, Protocol):
+class Call(topic_endpoints.TransportQuery, Protocol):
     """A request that waits for its answer."""
 
     @property
@@ -29,7 +29,7 @@ class Call(faces.Call, Protocol):
         """Answer with many values, each on a key of its own."""
 
 
-class CallQueue(faces.CallQueue, Protocol):
+class CallQueue(topic_endpoints.TransportQueryQueue, Protocol):
     """Requests on a key expression."""
 
     def take(self) -> Sequence[Call]:
@@ -53,7 +53,7 @@ class TokenWatch(Protocol):
         """Stop watching."""
 
 
-class Network(faces.Network, Protocol):
+class Network(topic_endpoints.TopicTransport, Protocol):
     """One session."""
 
     @property

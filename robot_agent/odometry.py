@@ -5,19 +5,20 @@ from collections.abc import Sequence
 
 import msgspec
 
-from zensim.proto.drives import DriveSettings, WheelPair
-from zensim.proto.geometry import (
+from zensim.proto.messages.drive_messages import DriveSettings, WheelPair
+from zensim.proto.messages.model_messages import IDENTITY, ZERO, Origin, Quat, Vec3
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Odometry,
     Point,
     Pose,
     PoseWithCovariance,
     Quaternion,
+    Time,
     Twist,
     TwistWithCovariance,
     Vector3,
 )
-from zensim.proto.header import Header, Time
-from zensim.proto.model import IDENTITY, ZERO, Origin, Quat, Vec3
-from zensim.proto.topics import Odometry
 from zensim.robot_agent.transforms import add, cross, multiply, rotate, turn, yaw_of
 
 UNKNOWN = 1e12
@@ -38,7 +39,7 @@ def world_motion(state: Sequence[float], base_in_root: Origin) -> Motion:
     """Read the true motion: the pose is in the world, the velocity turned by its yaw.
 
     Args:
-        state: Of the root link, in the order of `zensim.proto.claims.STATE_COLUMNS`.
+        state: Of the root link, in the order of `zensim.proto.messages.agent_messages.STATE_COLUMNS`.
         base_in_root: Where the robot's base is fixed on its root link.
     """
     px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = state

@@ -5,9 +5,9 @@ from typing import TypeAlias
 
 import msgspec
 
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.faces import Faces
-from zensim.proto.ros_graph import Topic
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
 
 QUERY_DEPTH = 64
 Value: TypeAlias = Callable[[], msgspec.Struct | bytes | None]
@@ -19,7 +19,7 @@ class Outlet:
 
     def __init__(
         self,
-        faces: Faces,
+        faces: TopicFactory,
         topic: Topic,
         value: Value,
         *,
@@ -34,7 +34,7 @@ class Outlet:
             is_shared: Whether others tell this topic too, so that who asks has to ask all.
         """
         self._key = topic.key
-        self._encoding = encoding_of(topic.kind, Format.CDR)
+        self._encoding = make_encoding(topic.kind, Format.CDR)
         self._value = value
         self._publisher = faces.publisher(topic)
         self._queries = faces.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
@@ -45,7 +45,7 @@ class Outlet:
 
     def announce(self) -> None:
         """Put the value now, and later each time that somebody begins to listen."""
-        self._publisher.greet(self._payload)
+        self._publisher.publish_to_new(self._payload)
 
     def answer(self) -> None:
         """Tell the value to everybody who has asked."""

@@ -8,8 +8,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from zensim.proto.claims import DriveState
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.messages.agent_messages import DriveState
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 NICENESS = 19
 """Weighs a seventieth of what is ordinary: with a tenth, agents that wake up push physics aside."""

@@ -9,9 +9,8 @@ from contextlib import suppress
 
 import msgspec
 
-from zensim.proto.bus import BusConfig
-from zensim.proto.joining import join
-from zensim.proto.stop import STOP_SIGNALS, StopFlag
+from zensim.proto.bus import BusConfig, open_bus_with_retry
+from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.robot_agent.agent import run_agent
 from zensim.robot_agent.config import AgentConfig, AgentStart
 
@@ -36,7 +35,7 @@ def run(start: AgentStart) -> None:
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
     deadline_s = time.monotonic() + config.wait_s
-    with join(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
+    with open_bus_with_retry(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
         left_s = max(0.0, deadline_s - time.monotonic())
         name = config.agent or _made_up_name(config)
         # An interrupt in what Python calls by itself is lost: the flag is looked at, too.

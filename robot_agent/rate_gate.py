@@ -1,6 +1,6 @@
 """Lets something happen at most so often, in simulation time."""
 
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 SLACK_NS = 1000
 """A step is a whole number of nanoseconds, so 3/240 s can fall short of 1/80 s by a few."""

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import msgspec
 
-from zensim.proto.claims import Claim
-from zensim.proto.model import Model
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.model_messages import Model
 
 
 class Rates(msgspec.Struct, frozen=True):

@@ -7,8 +7,8 @@ from typing import Literal
 
 import msgspec
 
-from zensim.proto.claims import STATE_COLUMNS, DriveState
-from zensim.proto.codec import MalformedPayload
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
 
 
 class Reading(msgspec.Struct, frozen=True, gc=False):

@@ -1,7 +1,7 @@
 """Where a topic is, once the description's remappings have had their say."""
 
 from zensim.proto import keys
-from zensim.proto.drives import DriveSettings, RosBlock
+from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 
 ABSOLUTE = frozenset({keys.TF})

@@ -2,7 +2,7 @@
 
 import math
 
-from zensim.proto.claims import DriveState
+from zensim.proto.messages.agent_messages import DriveState
 
 BEATS = 2.0
 """So long after a state a new command is heeded, in times between two; later, time stands."""

@@ -1,8 +1,8 @@
 """One claimed robot: what it hears, how it is driven, what it tells."""
 
-from zensim.proto.claims import Claim
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import Twist, TwistStamped
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.standard_messages import Twist, TwistStamped
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.cmd_vel import DEPTH, STILL, CommandedTwist
 from zensim.robot_agent.driven_base import DrivenBase, drive_of
 from zensim.robot_agent.ground_truth import TruthTelemetry
@@ -18,7 +18,7 @@ NODE = "agent"
 class Robot:
     """Turns readings into targets, then into telemetry; without a drive, only the latter."""
 
-    def __init__(self, faces: Faces, claim: Claim, cmd_vel_timeout_ns: int) -> None:
+    def __init__(self, faces: TopicFactory, claim: Claim, cmd_vel_timeout_ns: int) -> None:
         self.entity = claim.entity
         self._faces = faces
         self.joint_count = len(claim.model.joints)

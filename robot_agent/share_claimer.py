@@ -7,11 +7,11 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import NoServer
-from zensim.proto.catalog import CLAIM_SHARE
-from zensim.proto.claims import Claim, ClaimShareRequest, OnRelease, claims_of
-from zensim.proto.codec import MalformedPayload, decode
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.telemetry import Event
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.agent_messages import Claim, ClaimShareRequest, OnRelease, expand_grants
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.service_catalog import CLAIM_SHARE
 from zensim.robot_agent.giving_up import give_up
 from zensim.robot_agent.network import Network
 
@@ -98,7 +98,7 @@ class ShareClaimer:
         self._has_asked, self._reason, self._retry_s = True, "", SOONEST_S
         if response.is_more:
             self._next_s = -math.inf
-        return claims_of(response)
+        return expand_grants(response)
 
     def _put_off(self, error: Exception, now_s: float) -> None:
         is_passing = isinstance(error, NoServer | TimeoutError) or (

@@ -3,12 +3,11 @@
 from collections.abc import Callable, Sequence
 
 from zensim.proto import keys
-from zensim.proto.claims import Claim
-from zensim.proto.faces import Faces
-from zensim.proto.header import Time
-from zensim.proto.model import Model
-from zensim.proto.ros_graph import Topic
-from zensim.proto.topics import JointState, Odometry, String, TFMessage
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import JointState, Odometry, String, TFMessage, Time
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent import templates
 from zensim.robot_agent.driven_base import drive_of, gate_of, motion_rates
 from zensim.robot_agent.frames import (
@@ -31,7 +30,7 @@ from zensim.robot_agent.tf_static import tf_static_outlets
 class MotionTelemetry:
     """Odometry and tf of one robot, at the rate of its drive."""
 
-    def __init__(self, faces: Faces, claim: Claim) -> None:
+    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
         model, drive = claim.model, drive_of(claim.model)
         self._reading: Reading | None = None
         self._motion = Motion()
@@ -108,7 +107,7 @@ class MotionTelemetry:
 class JointTelemetry:
     """Joint states of one robot, at a rate of their own."""
 
-    def __init__(self, faces: Faces, claim: Claim) -> None:
+    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
         publisher = claim.model.joint_state or ALL_JOINTS
         self._reading: Reading | None = None
         self._gate = RateGate(publisher.update_rate_hz)
@@ -148,7 +147,7 @@ class JointTelemetry:
         return image.payload(reading.time_ns, positions + velocities)
 
 
-def constant_outlets(faces: Faces, claim: Claim) -> list[Outlet]:
+def constant_outlets(faces: TopicFactory, claim: Claim) -> list[Outlet]:
     """Declare what never changes: fixed transforms, and the description."""
     # Stamped 0: it holds from the beginning of time.
     edges = fixed_edges(claim.model, base_of(claim.model))

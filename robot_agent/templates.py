@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 
-from zensim.proto.drives import Drive
-from zensim.proto.header import Header, Time
-from zensim.proto.model import Model
-from zensim.proto.topics import JointState, Odometry, TFMessage
+from zensim.proto.messages.drive_messages import Drive
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import Header, JointState, Odometry, TFMessage, Time
 from zensim.robot_agent.driven_base import drive_of
 from zensim.robot_agent.frames import base_of, moving_joints, moving_transforms, odometry_edge
 from zensim.robot_agent.odometry import Motion, OdometryFrames, covariance_of

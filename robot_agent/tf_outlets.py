@@ -9,17 +9,16 @@ from typing import TypeAlias
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import TransformStamped
-from zensim.proto.ros_graph import Topic
-from zensim.proto.topics import TFMessage
+from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.outlet import Outlet, Value
 
 ValueOf: TypeAlias = Callable[[TFMessage], Value]
 
 
 def tf_outlets(
-    faces: Faces, namespace: str, own_key: str, *, template: TFMessage, value_of: ValueOf
+    faces: TopicFactory, namespace: str, own_key: str, *, template: TFMessage, value_of: ValueOf
 ) -> list[Outlet]:
     """Declare a robot's transforms that move.
 
@@ -31,7 +30,7 @@ def tf_outlets(
         value_of: Makes what is told of a template: of that one, or with other names of frames.
     """
     outlets = []
-    if faces.settings.has_own_tf:
+    if faces.settings.has_namespaced_tf:
         outlets.append(Outlet(faces, Topic(own_key, TFMessage), value_of(template)))
     if faces.settings.has_global_tf:
         shared = value_of(with_namespace(template, namespace))

@@ -8,14 +8,12 @@ from collections.abc import Iterator
 from functools import partial
 
 from zensim.proto import keys
-from zensim.proto.claims import Claim
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import TransformStamped
-from zensim.proto.header import Time
-from zensim.proto.model import Origin
-from zensim.proto.ros2.settings import RosSettings
-from zensim.proto.ros_graph import Topic
-from zensim.proto.topics import TFMessage
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.model_messages import Origin
+from zensim.proto.messages.standard_messages import TFMessage, Time, TransformStamped
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.driven_base import drive_of
 from zensim.robot_agent.frames import Edge, base_of
 from zensim.robot_agent.odometry import world_motion
@@ -24,7 +22,7 @@ from zensim.robot_agent.tf_outlets import with_namespace
 from zensim.robot_agent.transforms import turn, yaw_of
 
 
-def tf_static_outlets(faces: Faces, claim: Claim, fixed: TFMessage) -> list[Outlet]:
+def tf_static_outlets(faces: TopicFactory, claim: Claim, fixed: TFMessage) -> list[Outlet]:
     """Declare a robot's transforms that never change."""
     outlets = []
     for key, message in tf_static_of(claim, fixed, faces.settings):
@@ -39,7 +37,7 @@ def tf_static_of(
     claim: Claim, fixed: TFMessage, ros: RosSettings
 ) -> Iterator[tuple[str, TFMessage]]:
     """Find which topics tell of a robot's fixed transforms, and what."""
-    if ros.has_own_tf and fixed.transforms:
+    if ros.has_namespaced_tf and fixed.transforms:
         yield keys.robot(claim.namespace, keys.TF_STATIC), fixed
     shared = with_namespace(fixed, claim.namespace).transforms + _rooted(claim, ros.tf_root)
     if ros.has_global_tf and shared:

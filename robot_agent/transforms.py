@@ -2,7 +2,7 @@
 
 import math
 
-from zensim.proto.model import Origin, Quat, Vec3
+from zensim.proto.messages.model_messages import Origin, Quat, Vec3
 
 
 def rotate(orientation: Quat, vector: Vec3) -> Vec3:

@@ -11,11 +11,10 @@ from typing import Annotated, get_args
 import typer
 
 from zensim.proto.bus import Bus
-from zensim.proto.cli import RosOptions
-from zensim.proto.exits import one_line_failures
-from zensim.proto.model import Dynamics
-from zensim.proto.option_fields import takes
-from zensim.proto.stop import StopFlag
+from zensim.proto.cli_options import RosOptions, options_from
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.stop_signal import StopFlag
 from zensim.sim_server.config import (
     CONTROL_HZ,
     AlreadyServed,
@@ -198,12 +197,12 @@ class ServeOptions(RosOptions):
 
 
 @app.command()
-@takes(ServeOptions)
+@options_from(ServeOptions)
 def serve(given: ServeOptions) -> None:
     """Run a world and serve it on the network."""
     _log(is_verbose=given.verbose)
     stop = StopFlag()
-    with one_line_failures("serve"):
+    with exit_on_failure("serve"):
         config = _config(given)
     _serve(config, stop)
 
@@ -253,7 +252,7 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
             err=True,
         )
 
-    with one_line_failures("serve", ConfigError, AlreadyServed, JournalError, MissingExtra):
+    with exit_on_failure("serve", ConfigError, AlreadyServed, JournalError, MissingExtra):
         _import_server()(config, stop, announce)
 
 

@@ -2,11 +2,10 @@
 
 import msgspec
 
-from zensim.proto.bus import BusConfig
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
-from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.sim_server.pacing.lockstep import LockstepSettings
 from zensim.sim_server.physics.choice import EngineChoice, EngineMissing, engine_of, engines_here
 

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from zensim.proto.result import ResultCode
-from zensim.proto.services import State
-from zensim.proto.worlds import WorldResource
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.sdf import WorldModel
 from zensim.sim_server.durable import Durable, Told
 from zensim.sim_server.errors import Refused

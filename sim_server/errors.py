@@ -1,6 +1,6 @@
 """Why the server refuses: one root, one class for each kind of refusal."""
 
-from zensim.proto.result import ResultCode, SpawnCode
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 
 
 class SimError(Exception):

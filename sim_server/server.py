@@ -12,11 +12,10 @@ import msgspec
 import numpy.ma  # noqa: F401  # numpy would look for it in the loop, in the first np.unique: 60 ms
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus, NoServer
-from zensim.proto.catalog import INFO
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.joining import join
-from zensim.proto.telemetry import InfoRequest
+from zensim.proto.bus import Bus, NoServer, open_bus_with_retry
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.messages.telemetry_messages import InfoRequest
+from zensim.proto.service_catalog import INFO
 from zensim.sim_server.config import AlreadyServed, ServerConfig, checked
 from zensim.sim_server.description.sdf import WorldModel
 from zensim.sim_server.desk import Desk
@@ -82,7 +81,7 @@ def serve(
         loaded, config = begin(config, journal)
         if journal is not None:
             journal.leave_out_deadly(partial(_engine, config, loaded.model, str(journal.files)))
-        bus = ending.enter_context(join(config.bus, config.wait_s))
+        bus = ending.enter_context(open_bus_with_retry(config.bus, config.wait_s))
         if _is_served(bus, config.world):
             raise AlreadyServed(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
@@ -100,7 +99,7 @@ def _is_served(bus: Bus, world: str) -> bool:
     try:
         bus.call(INFO, InfoRequest(), world=world, timeout_s=ASK_TIMEOUT_S)
     except NoServer:
-        return bool(bus.alive(keys.alive_server(world)))
+        return bool(bus.list_tokens(keys.alive_server(world)))
     except TimeoutError:
         return True
     return True

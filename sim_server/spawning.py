@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.model import Model, ReportEntry
-from zensim.proto.result import Result, SpawnCode
-from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.messages.model_messages import Model, ReportEntry
+from zensim.proto.messages.result_messages import Result, SpawnCode
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
 from zensim.sim_server.description.clearance import ground_clearance
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState, ModelError

@@ -2,7 +2,7 @@
 
 import math
 
-from zensim.proto.geometry import Quaternion
+from zensim.proto.messages.standard_messages import Quaternion
 
 
 def roll_pitch_yaw(turn: Quaternion) -> tuple[float, float, float]:

@@ -8,9 +8,15 @@ from pathlib import Path
 
 import msgspec
 
-from zensim.proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef, joined
-from zensim.proto.model import ReportEntry
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.asset_messages import (
+    MAX_BUNDLE_BYTES,
+    MAX_BUNDLE_FILES,
+    MAX_FILE_BYTES,
+    AssetRef,
+    resolve_include_uri,
+)
+from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.spawner.markup import MAX_TEXT_BYTES, DescriptionError, parsed, refused
 from zensim.spawner.search_paths import Place, SearchPaths
 
@@ -93,11 +99,11 @@ class _Named:
 
     def _add(self, root: ET.Element, paths: SearchPaths, *, include: str) -> None:
         for mesh in _meshes_in(root):
-            whole = Mesh(joined(include, mesh.uri), mesh.is_collision)
+            whole = Mesh(resolve_include_uri(include, mesh.uri), mesh.is_collision)
             self.meshes.setdefault(whole, _place(mesh, paths))
         for tag in root.iter("include"):
             uri = (tag.findtext("uri") or "").strip()
-            whole_uri = joined(include, uri)
+            whole_uri = resolve_include_uri(include, uri)
             if whole_uri in self.models or (file := paths.find_model(uri)) is None:
                 continue
             self.models[whole_uri] = file

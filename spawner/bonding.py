@@ -5,8 +5,8 @@ import uuid
 from collections.abc import Callable
 
 from zensim.proto.bus import NoServer
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
 from zensim.spawner.client import SimClient
 
 SEEN_WITHIN_S = 2.0

@@ -4,66 +4,68 @@ import time
 import uuid
 from collections.abc import Callable
 
-from zensim.proto import catalog
-from zensim.proto.assets import MissingAssetsRequest, MissingAssetsResponse, PutAssetRequest
+from zensim.proto import service_catalog
 from zensim.proto.bus import Bus, NoServer
-from zensim.proto.catalog import Request, Response, Service
-from zensim.proto.entities import (
+from zensim.proto.messages.asset_messages import (
+    MissingAssetsRequest,
+    MissingAssetsResponse,
+    PutAssetRequest,
+)
+from zensim.proto.messages.entity_messages import (
     ANY_BOUNDS,
+    Bounds,
+    EntityFilters,
+    EntityInfo,
+    EntityState,
+    GetEntitiesRequest,
     GetEntitiesStatesOrder,
     GetEntityBoundsOrder,
     GetEntityInfoRequest,
     GetEntityStateOrder,
     SetEntityInfoRequest,
+    SetEntityStateRequest,
+    TagsFilter,
 )
-from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse
-from zensim.proto.header import NANOSECONDS, time_from_ns
-from zensim.proto.info import EntityInfo
-from zensim.proto.places import (
-    GetNamedPoseBoundsRequest,
-    GetNamedPosesRequest,
-    GetSpawnablesRequest,
-    NamedPose,
-    Spawnable,
-)
-from zensim.proto.result import ServiceError
-from zensim.proto.services import (
-    Bounds,
-    DeleteEntityRequest,
-    EntityFilters,
-    EntityState,
-    GetEntitiesRequest,
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import (
+    CancelStepsRequest,
     GetSimulationStateRequest,
     GetSimulatorFeaturesRequest,
     ResetScope,
     ResetSimulationRequest,
-    Resource,
-    SetEntityStateRequest,
-    SetSimulationStateRequest,
-    SimulationState,
-    SimulatorFeatures,
-    SpawnEntityOrder,
-    SpawnEntityReport,
-    State,
-    StepSimulationRequest,
-    TagsFilter,
-)
-from zensim.proto.stepping import (
-    CancelStepsRequest,
     RunToRequest,
     RunToResponse,
+    SetSimulationStateRequest,
     SetSpeedRequest,
     SimulateStepsRequest,
     SimulateStepsResponse,
+    SimulationState,
+    SimulatorFeatures,
+    State,
+    StepSimulationRequest,
 )
-from zensim.proto.telemetry import (
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    GetNamedPoseBoundsRequest,
+    GetNamedPosesRequest,
+    GetSpawnablesRequest,
+    NamedPose,
+    Resource,
+    Spawnable,
+    SpawnEntitiesOrder,
+    SpawnEntitiesResponse,
+    SpawnEntityOrder,
+    SpawnEntityReport,
+)
+from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
+from zensim.proto.messages.telemetry_messages import (
     EntityModel,
     GetModelsRequest,
     GetModelsResponse,
     Info,
     InfoRequest,
 )
-from zensim.proto.worlds import (
+from zensim.proto.messages.world_messages import (
     GetAvailableWorldsRequest,
     GetCurrentWorldRequest,
     LoadWorldReport,
@@ -71,6 +73,7 @@ from zensim.proto.worlds import (
     UnloadWorldRequest,
     WorldResource,
 )
+from zensim.proto.service_catalog import Request, Response, Service
 from zensim.spawner.goals import OnProgress, reach_goal
 
 CALL_TIMEOUT_S = 10.0
@@ -116,20 +119,25 @@ class SimClient:
     def info(self) -> Info:
         """Ask who is there."""
         return self.bus.call(
-            catalog.INFO, InfoRequest(), world=self.world, timeout_s=min(self._timeout_s, 2.0)
+            service_catalog.INFO,
+            InfoRequest(),
+            world=self.world,
+            timeout_s=min(self._timeout_s, 2.0),
         )
 
     def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
         """Put one entity into the world."""
         timeout_s = max(self._timeout_s, SPAWN_TIMEOUT_S)
-        return self.bus.call(catalog.SPAWN_ENTITY, order, world=self.world, timeout_s=timeout_s)
+        return self.bus.call(
+            service_catalog.SPAWN_ENTITY, order, world=self.world, timeout_s=timeout_s
+        )
 
     def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
         """Put many entities into the world; a result each, refused or not."""
         patience_s = max(self._timeout_s, len(order.spawn_requests) * SPAWN_S)
         try:
             return self.bus.call(
-                catalog.SPAWN_ENTITIES, order, world=self.world, timeout_s=patience_s
+                service_catalog.SPAWN_ENTITIES, order, world=self.world, timeout_s=patience_s
             )
         except ServiceError as error:
             if isinstance(error.response, SpawnEntitiesResponse) and error.response.results:
@@ -138,71 +146,73 @@ class SimClient:
 
     def missing_assets(self, sha256s: tuple[str, ...]) -> MissingAssetsResponse:
         """Ask which files the server does not have."""
-        return self._call(catalog.MISSING_ASSETS, MissingAssetsRequest(sha256s))
+        return self._call(service_catalog.MISSING_ASSETS, MissingAssetsRequest(sha256s))
 
     def put_asset(self, sha256: str, *, offset: int, total: int, data: bytes) -> int:
         """Send a piece of a file, and return how many bytes of it are there."""
         request = PutAssetRequest(sha256, offset, total, data)
-        return self._call(catalog.PUT_ASSET, request).received
+        return self._call(service_catalog.PUT_ASSET, request).received
 
     def delete(self, entity: str) -> None:
         """Take one entity out."""
-        self._call(catalog.DELETE_ENTITY, DeleteEntityRequest(entity))
+        self._call(service_catalog.DELETE_ENTITY, DeleteEntityRequest(entity))
 
     def entities(self, filters: EntityFilters | None = None) -> tuple[str, ...]:
         """Name all entities, or those that pass filters."""
         request = GetEntitiesRequest(filters or EntityFilters())
-        return self._call(catalog.GET_ENTITIES, request).entities
+        return self._call(service_catalog.GET_ENTITIES, request).entities
 
     def entity_states(
         self, filters: EntityFilters | None = None, reference_frame: str = ""
     ) -> dict[str, EntityState]:
         """Ask where entities are, in the world or another frame, all at one step."""
         request = GetEntitiesStatesOrder(filters or EntityFilters(), reference_frame)
-        found = self._call(catalog.GET_ENTITIES_STATES, request)
+        found = self._call(service_catalog.GET_ENTITIES_STATES, request)
         return dict(zip(found.entities, found.states, strict=True))
 
     def entity_state(self, entity: str, reference_frame: str = "") -> EntityState:
         """Ask where one entity is, in the world or another frame."""
         request = GetEntityStateOrder(entity, reference_frame)
-        return self._call(catalog.GET_ENTITY_STATE, request).state
+        return self._call(service_catalog.GET_ENTITY_STATE, request).state
 
     def entity_info(self, entity: str) -> EntityInfo:
         """Ask for category, description and tags of one entity."""
-        return self._call(catalog.GET_ENTITY_INFO, GetEntityInfoRequest(entity)).info
+        return self._call(service_catalog.GET_ENTITY_INFO, GetEntityInfoRequest(entity)).info
 
     def set_entity_info(self, entity: str, info: EntityInfo) -> None:
         """Say what an entity is, all of it anew."""
-        self._call(catalog.SET_ENTITY_INFO, SetEntityInfoRequest(entity, info))
+        self._call(service_catalog.SET_ENTITY_INFO, SetEntityInfoRequest(entity, info))
 
     def entity_bounds(self, entity: str, kind: int = ANY_BOUNDS) -> Bounds:
         """Ask how much room an entity takes, in the frame of its base link; see `BoundsType`."""
-        return self._call(catalog.GET_ENTITY_BOUNDS, GetEntityBoundsOrder(entity, kind)).bounds
+        return self._call(
+            service_catalog.GET_ENTITY_BOUNDS, GetEntityBoundsOrder(entity, kind)
+        ).bounds
 
     def spawnables(self) -> tuple[Spawnable, ...]:
         """Ask what can be spawned by uri."""
-        return self._call(catalog.GET_SPAWNABLES, GetSpawnablesRequest()).spawnables
+        return self._call(service_catalog.GET_SPAWNABLES, GetSpawnablesRequest()).spawnables
 
     def named_poses(self, tags: TagsFilter | None = None) -> tuple[NamedPose, ...]:
         """Ask for the named poses of the world, or those that have tags."""
         request = GetNamedPosesRequest(tags or TagsFilter())
-        return self._call(catalog.GET_NAMED_POSES, request).poses
+        return self._call(service_catalog.GET_NAMED_POSES, request).poses
 
     def named_pose_bounds(self, name: str) -> Bounds:
         """Ask how much room a named pose has, in its own frame; empty = unbounded."""
         request = GetNamedPoseBoundsRequest(name)
-        return self._call(catalog.GET_NAMED_POSE_BOUNDS, request).bounds
+        return self._call(service_catalog.GET_NAMED_POSE_BOUNDS, request).bounds
 
     def set_entity_state(
         self, entity: str, state: EntityState, *, has_pose: bool = True, has_twist: bool = True
     ) -> None:
         """Put an entity at a pose, with a twist, or one of both; in the frame of the header."""
         request = SetEntityStateRequest(entity, state, set_pose=has_pose, set_twist=has_twist)
-        self._call(catalog.SET_ENTITY_STATE, request)
+        self._call(service_catalog.SET_ENTITY_STATE, request)
 
     def models(self, entities: tuple[str, ...] = ()) -> GetModelsResponse:
         """Ask how entities look; all of them unless named."""
-        return self._call(catalog.GET_MODELS, GetModelsRequest(entities))
+        return self._call(service_catalog.GET_MODELS, GetModelsRequest(entities))
 
     def entity_model(self, entity: str) -> EntityModel:
         """Ask for the namespace, agent and model number of one entity."""
@@ -210,17 +220,19 @@ class SimClient:
 
     def simulation_state(self) -> State:
         """Ask whether it plays."""
-        response = self._call(catalog.GET_SIMULATION_STATE, GetSimulationStateRequest())
+        response = self._call(service_catalog.GET_SIMULATION_STATE, GetSimulationStateRequest())
         return State(response.state.state)
 
     def set_simulation_state(self, state: State) -> None:
         """Play or pause."""
-        self._call(catalog.SET_SIMULATION_STATE, SetSimulationStateRequest(SimulationState(state)))
+        self._call(
+            service_catalog.SET_SIMULATION_STATE, SetSimulationStateRequest(SimulationState(state))
+        )
 
     def step(self, steps: int) -> None:
         """Advance a paused world, and return when it is done."""
         self.bus.call(
-            catalog.STEP_SIMULATION,
+            service_catalog.STEP_SIMULATION,
             StepSimulationRequest(steps),
             world=self.world,
             timeout_s=self._patience_s(steps),
@@ -254,14 +266,14 @@ class SimClient:
 
     def cancel_steps(self, goal_id: str = "") -> tuple[str, ...]:
         """End a goal before its last step, or all goals; return the ids of those ended."""
-        return self._call(catalog.CANCEL_STEPS, CancelStepsRequest(goal_id)).goal_ids
+        return self._call(service_catalog.CANCEL_STEPS, CancelStepsRequest(goal_id)).goal_ids
 
     def run_to(self, time_ns: int, timeout_s: float | None = None) -> RunToResponse:
         """Advance a paused world to the first step at or after a simulation time [ns]."""
         if timeout_s is None:
             timeout_s = self._patience_s(self.steps_until(time_ns))
         request = RunToRequest(time_from_ns(time_ns))
-        return self.bus.call(catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
+        return self.bus.call(service_catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
 
     def steps_until(self, time_ns: int) -> int:
         """Count the steps up to the first at or after a time [ns]; negative when it is past."""
@@ -271,14 +283,14 @@ class SimClient:
 
     def set_speed(self, real_time_factor: float) -> None:
         """Choose the real-time factor to hold; 0 = as fast as it can."""
-        self._call(catalog.SET_SPEED, SetSpeedRequest(real_time_factor))
+        self._call(service_catalog.SET_SPEED, SetSpeedRequest(real_time_factor))
 
     def _patience_s(self, steps: int) -> float:
         return max(self._timeout_s, steps * PATIENCE_PER_STEP_S)
 
     def reset(self, scope: int = ResetScope.DEFAULT) -> None:
         """Go back to the start."""
-        self._call(catalog.RESET_SIMULATION, ResetSimulationRequest(scope))
+        self._call(service_catalog.RESET_SIMULATION, ResetSimulationRequest(scope))
 
     def load_world(
         self,
@@ -291,7 +303,7 @@ class SimClient:
         """Put another world in the place of this one: by name, or SDF text; it stands stopped."""
         request = LoadWorldRequest(Resource(uri, text), is_strict, may_lack_assets)
         return self.bus.call(
-            catalog.LOAD_WORLD,
+            service_catalog.LOAD_WORLD,
             request,
             world=self.world,
             timeout_s=max(self._timeout_s, LOAD_TIMEOUT_S),
@@ -299,19 +311,21 @@ class SimClient:
 
     def unload_world(self) -> None:
         """Take the world away with everything in it."""
-        self._call(catalog.UNLOAD_WORLD, UnloadWorldRequest())
+        self._call(service_catalog.UNLOAD_WORLD, UnloadWorldRequest())
 
     def current_world(self) -> WorldResource:
         """Ask which world is there."""
-        return self._call(catalog.GET_CURRENT_WORLD, GetCurrentWorldRequest()).world
+        return self._call(service_catalog.GET_CURRENT_WORLD, GetCurrentWorldRequest()).world
 
     def available_worlds(
         self, tags: TagsFilter | None = None, sources: tuple[str, ...] = ()
     ) -> tuple[WorldResource, ...]:
         """Ask which worlds can be loaded, or those that have tags."""
         request = GetAvailableWorldsRequest(sources, tags or TagsFilter())
-        return self._call(catalog.GET_AVAILABLE_WORLDS, request).worlds
+        return self._call(service_catalog.GET_AVAILABLE_WORLDS, request).worlds
 
     def features(self) -> SimulatorFeatures:
         """Ask what the server can do."""
-        return self._call(catalog.GET_SIMULATOR_FEATURES, GetSimulatorFeaturesRequest()).features
+        return self._call(
+            service_catalog.GET_SIMULATOR_FEATURES, GetSimulatorFeaturesRequest()
+        ).features

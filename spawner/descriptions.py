@@ -10,10 +10,10 @@ from typing import BinaryIO
 import msgspec
 
 from zensim.proto.bus import Bus, Sample
-from zensim.proto.codec import MalformedPayload, decode
-from zensim.proto.names import NAME
-from zensim.proto.result import ServiceError, SpawnCode
-from zensim.proto.topics import String
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.result_messages import ServiceError, SpawnCode
+from zensim.proto.messages.standard_messages import String
+from zensim.proto.names import NAME_PATTERN
 from zensim.spawner.expansion import expanded, needs_expansion
 from zensim.spawner.markup import MAX_TEXT_BYTES, DescriptionError, refused, without_comments
 from zensim.spawner.search_paths import SearchPaths, model_file
@@ -48,7 +48,7 @@ def from_word(model: str, arguments: Mapping[str, str], paths: SearchPaths) -> D
     """
     if Path(model).is_file():
         return from_file(Path(model), arguments, paths)
-    if not NAME.fullmatch(model):
+    if not NAME_PATTERN.fullmatch(model):
         raise FileNotFoundError(2, "no such file, nor a shipped model", model)
     return _shipped(model) or Description(uri=model)
 
@@ -126,7 +126,7 @@ def from_database(name: str, arguments: Mapping[str, str], paths: SearchPaths) -
     for folder in paths.package_folders(name):
         if (file := model_file(folder)) is not None:
             return from_file(file, arguments, paths)
-    if NAME.fullmatch(name) and (found := _shipped(name)):
+    if NAME_PATTERN.fullmatch(name) and (found := _shipped(name)):
         return found
     raise FileNotFoundError(2, "no such model in GAZEBO_MODEL_PATH or shipped", name)
 

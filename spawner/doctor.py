@@ -7,11 +7,23 @@ from typing import Literal
 
 import msgspec
 
-from zensim.proto import catalog, keys
-from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
-from zensim.proto.endpoint import ENDPOINT, check_endpoint
-from zensim.proto.exits import Exit
-from zensim.proto.telemetry import EntityModel, GetModelsRequest, Info, InfoRequest
+from zensim.proto import keys, service_catalog
+from zensim.proto.bus import (
+    ENDPOINT_PATTERN,
+    Bus,
+    BusConfig,
+    BusError,
+    NoServer,
+    check_endpoint,
+    open_bus,
+)
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.telemetry_messages import (
+    EntityModel,
+    GetModelsRequest,
+    Info,
+    InfoRequest,
+)
 
 Mark = Literal["ok", "note", "wrong"]
 REACH_S = 2.0
@@ -30,7 +42,7 @@ class Finding(msgspec.Struct, frozen=True):
     """What was looked at."""
     found: str
     advice: str = ""
-    status: Exit = Exit.OK
+    status: ExitCode = ExitCode.OK
     """How a command ends because of it."""
 
 
@@ -56,13 +68,13 @@ def examine(endpoint: str, world: str, version: str) -> Iterator[Finding]:
         yield from _server(bus, world, version)
 
 
-def worst(findings: list[Finding]) -> Exit:
+def worst(findings: list[Finding]) -> ExitCode:
     """Choose the exit status of an examination."""
-    return next((one.status for one in findings if one.mark == "wrong"), Exit.OK)
+    return next((one.status for one in findings if one.mark == "wrong"), ExitCode.OK)
 
 
 def _listener(endpoint: str) -> Finding:
-    match = ENDPOINT.fullmatch(check_endpoint(endpoint))
+    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
     if match is None or match[1] not in STREAMS:
         return Finding("note", "endpoint", f"{endpoint} cannot be looked at before joining")
     host, port = match["host"].strip("[]"), int(match["port"])
@@ -77,13 +89,13 @@ def _listener(endpoint: str) -> Finding:
     except OSError as error:
         advice = f"start 'zensim serve' or 'zensim router' there, with --listen {endpoint}"
         found = f"nobody listens at {endpoint} ({error.strerror})"
-        return Finding("wrong", "endpoint", found, advice, Exit.UNREACHABLE)
+        return Finding("wrong", "endpoint", found, advice, ExitCode.UNREACHABLE)
     return Finding("ok", "endpoint", f"somebody listens at {endpoint}")
 
 
 def _unreached(endpoint: str, found: str, check: str) -> Finding:
     advice = f"check {check} in --connect {endpoint}"
-    return Finding("wrong", "endpoint", found, advice, Exit.UNREACHABLE)
+    return Finding("wrong", "endpoint", found, advice, ExitCode.UNREACHABLE)
 
 
 def _no_session(endpoint: str) -> Finding:
@@ -92,19 +104,19 @@ def _no_session(endpoint: str) -> Finding:
         "session",
         f"what listens at {endpoint} does not let us in: it is no Zenoh router, or refuses us",
         "check the port, and the router's credentials and certificates",
-        Exit.UNREACHABLE,
+        ExitCode.UNREACHABLE,
     )
 
 
 def _server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
-    worlds = sorted(filter(None, map(_world_of, bus.alive(keys.alive_server("*")))))
+    worlds = sorted(filter(None, map(_world_of, bus.list_tokens(keys.alive_server("*")))))
     try:
-        info = bus.call(catalog.INFO, InfoRequest(), world=world, timeout_s=ANSWER_S)
+        info = bus.call(service_catalog.INFO, InfoRequest(), world=world, timeout_s=ANSWER_S)
     except TimeoutError:
         yield _silent(world)
         return
     except NoServer:
-        has_gone = world in worlds and not bus.alive(keys.alive_server(world))
+        has_gone = world in worlds and not bus.list_tokens(keys.alive_server(world))
         yield _silent(world) if has_gone else _no_server(world, worlds)
         return
     yield Finding(
@@ -126,7 +138,7 @@ def _silent(world: str) -> Finding:
         "server",
         f"the server of world '{world}' is there and does not answer within {ANSWER_S:g} s",
         "it is stopped or overloaded: look at its process, or start it again",
-        Exit.TIMEOUT,
+        ExitCode.TIMEOUT,
     )
 
 
@@ -137,18 +149,20 @@ def _no_server(world: str, worlds: list[str]) -> Finding:
             "server",
             f"the server of world '{world}' is alive, and asking it is denied",
             "let the router's access control permit queries on sim/*",
-            Exit.UNREACHABLE,
+            ExitCode.UNREACHABLE,
         )
     if worlds:
         named = ", ".join(f"'{name}'" for name in worlds[:SHOWN])
         found = f"no server of world '{world}'; there is {named}"
-        return Finding("wrong", "server", found, f"use --world-name {worlds[0]}", Exit.UNREACHABLE)
+        return Finding(
+            "wrong", "server", found, f"use --world-name {worlds[0]}", ExitCode.UNREACHABLE
+        )
     return Finding(
         "wrong",
         "server",
         "a router is there, and no server has joined it",
         "start one with 'zensim serve --connect' and the router's endpoint",
-        Exit.UNREACHABLE,
+        ExitCode.UNREACHABLE,
     )
 
 
@@ -159,7 +173,7 @@ def _versions(info: Info, version: str) -> Finding:
     found = f"the server is {info.version}, this command {version}"
     if ours == theirs:
         return Finding("note", "version", found)
-    return Finding("wrong", "version", found, f"install zensim {info.version}", Exit.FAILED)
+    return Finding("wrong", "version", found, f"install zensim {info.version}", ExitCode.FAILED)
 
 
 def _time(info: Info) -> Finding:
@@ -176,7 +190,7 @@ def _time(info: Info) -> Finding:
 
 
 def _robots(bus: Bus, world: str) -> Finding:
-    models = bus.call(catalog.GET_MODELS, GetModelsRequest(), world=world)
+    models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
 
     def is_driven_by_nobody(one: EntityModel) -> bool:
         return models.models[one.model].drive is not None and not one.agent

@@ -7,15 +7,15 @@ from concurrent.futures import TimeoutError as FutureTimeout
 
 from zensim.proto import keys
 from zensim.proto.bus import Bus, NoServer, Subscription
-from zensim.proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
-from zensim.proto.codec import MalformedPayload, decode
-from zensim.proto.result import ServiceError
-from zensim.proto.stepping import (
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
     SimulateStepsRequest,
     SimulateStepsResponse,
     StepsProgress,
 )
+from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 
 POLL_S = 0.005
 DEPTH = 64

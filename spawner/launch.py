@@ -6,11 +6,16 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from zensim.proto import catalog
-from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntity, SpawnResult
-from zensim.proto.geometry import Point, Pose, PoseStamped, Quaternion
-from zensim.proto.result import ResultCode
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto import service_catalog
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.spawn_messages import (
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntity,
+    SpawnEntityOrder,
+    SpawnResult,
+)
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Quaternion
 from zensim.spawner.assets import Bundle, bundle_of, check_collisions
 from zensim.spawner.client import SimClient
 from zensim.spawner.descriptions import Description, from_word
@@ -209,5 +214,5 @@ def _outcome(place: Place, spawned: SpawnResult) -> Outcome:
     code = spawned.result.result
     if code == ResultCode.OK:
         return Outcome(spawned.entity_name, code)
-    name = catalog.SPAWN_ENTITY.code_name(code)
+    name = service_catalog.SPAWN_ENTITY.code_name(code)
     return Outcome(place.name, code, f"{name} ({code}): {spawned.result.error_message}")

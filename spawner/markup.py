@@ -4,7 +4,7 @@ import xml.etree.ElementTree as ET
 from typing import NamedTuple
 from xml.parsers import expat
 
-from zensim.proto.result import ServiceError, SpawnCode
+from zensim.proto.messages.result_messages import ServiceError, SpawnCode
 
 MAX_DEPTH = 64
 MAX_TEXT_BYTES = 2 << 20

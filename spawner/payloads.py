@@ -6,31 +6,37 @@ from collections.abc import Iterator
 import msgspec
 import numpy as np
 
-from zensim.proto import claims, geometry, telemetry, topics
 from zensim.proto.bus import Sample
-from zensim.proto.codec import Format, MalformedPayload, decode, format_of, schema_of
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    detect_format,
+    parse_schema_name,
+)
 from zensim.proto.keys import last_chunk
+from zensim.proto.messages import agent_messages, standard_messages, telemetry_messages
 
 TOPIC_TYPES: dict[str, type[msgspec.Struct]] = {
     kind.ros_type: kind
     for kind in (
-        topics.Odometry,
-        topics.TFMessage,
-        topics.JointState,
-        topics.String,
-        topics.Clock,
-        geometry.Twist,
-        geometry.TwistStamped,
-        geometry.PoseStamped,
+        standard_messages.Odometry,
+        standard_messages.TFMessage,
+        standard_messages.JointState,
+        standard_messages.String,
+        standard_messages.Clock,
+        standard_messages.Twist,
+        standard_messages.TwistStamped,
+        standard_messages.PoseStamped,
     )
 }
 TELEMETRY_TYPES: dict[str, type[msgspec.Struct]] = {
-    "clock": telemetry.WorldClock,
-    "stats": telemetry.Stats,
-    "snapshot": telemetry.Snapshot,
-    "events": telemetry.Event,
-    "state": claims.DriveState,
-    "command": claims.DriveCommand,
+    "clock": telemetry_messages.WorldClock,
+    "stats": telemetry_messages.Stats,
+    "snapshot": telemetry_messages.Snapshot,
+    "events": telemetry_messages.Event,
+    "state": agent_messages.DriveState,
+    "command": agent_messages.DriveCommand,
 }
 ARRAYS = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
 CLAIMS = "<u4"
@@ -46,15 +52,15 @@ def as_plain(sample: Sample) -> object:
 
 
 def _plain(sample: Sample) -> object:
-    kind = TOPIC_TYPES.get(schema_of(sample.encoding))
+    kind = TOPIC_TYPES.get(parse_schema_name(sample.encoding))
     if sample.key.startswith("sim/"):
         kind = TELEMETRY_TYPES.get(last_chunk(sample.key))
     if kind is not None:
         message = decode(kind, sample.payload, sample.encoding)
         return {name: _value(name, getattr(message, name)) for name in message.__struct_fields__}
-    if format_of(sample.payload, sample.encoding) is Format.JSON:
+    if detect_format(sample.payload, sample.encoding) is Format.JSON:
         return _readable(msgspec.json.decode(sample.payload))
-    if format_of(sample.payload, sample.encoding) is Format.MSGPACK:
+    if detect_format(sample.payload, sample.encoding) is Format.MSGPACK:
         return _readable(msgspec.msgpack.decode(sample.payload))
     raise MalformedPayload(f"CDR of unknown type; the Encoding is {sample.encoding[:80]!r}")
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 import msgspec
 
-from zensim.proto.assets import MAX_CHUNK_BYTES
+from zensim.proto.messages.asset_messages import MAX_CHUNK_BYTES
 from zensim.spawner.assets import AssetFile
 from zensim.spawner.client import SimClient
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.engines import STEP_NS
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.model import Model
-from zensim.proto.rotation import yaw_of
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.rotation import to_yaw
 from zensim.robot_agent.driven_base import DrivenBase
 from zensim.robot_agent.odometry import Motion
 from zensim.robot_agent.reading import Reading
@@ -60,10 +60,10 @@ class Track:
             self._control(twist)
             row = self._row()
             length += float(np.hypot(*(row[:2] - before[:2])))
-            change = float(yaw_of(row[3:7]) - yaw_of(before[3:7]))
+            change = float(to_yaw(row[3:7]) - to_yaw(before[3:7]))
             turned += (change + math.pi) % (2.0 * math.pi) - math.pi
             before = row
-        heading = float(yaw_of(start[3:7]))
+        heading = float(to_yaw(start[3:7]))
         dx, dy = (before - start)[:2].tolist()
         return Course(
             dx * math.cos(heading) + dy * math.sin(heading),

@@ -8,9 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from zensim.proto.drives import DiffDrive
-from zensim.proto.model import Model
-from zensim.proto.rotation import multiply, yaw_of
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.rotation import multiply, to_yaw
 from zensim.sim_server.physics.actuation import actuation_of, imposed
 from zensim.sim_server.physics.clusters.cells import CellsHere
 from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
@@ -163,7 +163,7 @@ def _twist_of_wheels(body: _Body, drive: DiffDrive) -> FloatArray:
         for name in (pair.left_joint, pair.right_joint)
     )
     forward = (left + right) / 2.0
-    heading = float(yaw_of(body.base[3:7]))
+    heading = float(to_yaw(body.base[3:7]))
     return np.array(
         [
             forward * math.cos(heading),

@@ -8,9 +8,9 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import LATEST, NoServer, Sample, Stamp
-from zensim.proto.catalog import Request, Response, Service
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.result import Result, ResultCode, ServiceError
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.service_catalog import Request, Response, Service
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -85,11 +85,11 @@ class MemoryBus:
 
     def watch_tokens(self, key: str, depth: int = 16384) -> "MemoryTokenWatch":
         watch = MemoryTokenWatch(self._watches, key, depth)
-        watch.changes.extend((token, True) for token in self.alive(key))
+        watch.changes.extend((token, True) for token in self.list_tokens(key))
         self._watches.append(watch)
         return watch
 
-    def alive(self, key: str, timeout_s: float = 1.0) -> list[str]:
+    def list_tokens(self, key: str, timeout_s: float = 1.0) -> list[str]:
         del timeout_s
         return [token.key for token in self._tokens if intersect(key, token.key)]
 
@@ -107,7 +107,7 @@ class MemoryBus:
         request_id: str = "",
     ) -> Response:
         key = keys.service(world, service.name)
-        encoding = encoding_of(request, Format.MSGPACK)
+        encoding = make_encoding(request, Format.MSGPACK)
         calls = self._ask(key, encode(request, Format.MSGPACK), encoding, request_id.encode())
         if not calls:
             raise NoServer(f"nothing answers {key}")
@@ -137,7 +137,7 @@ class MemoryBus:
 
     def put_message(self, key: str, message: msgspec.Struct, format_: Format = Format.CDR) -> None:
         """Send a message to whoever listens."""
-        self.put(key, encode(message, format_), encoding_of(message, format_))
+        self.put(key, encode(message, format_), make_encoding(message, format_))
 
     def _ask(
         self, key: str, payload: bytes, encoding: str, request_id: bytes = b""

@@ -5,21 +5,24 @@ from collections.abc import Callable
 
 import pytest
 
-from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntity
-from zensim.proto.geometry import Point, Pose, Vector3
-from zensim.proto.info import Category, EntityCategory, EntityInfo
-from zensim.proto.result import ServiceError
-from zensim.proto.services import (
+from zensim.proto.messages.entity_messages import (
     BoundsType,
+    Category,
+    EntityCategory,
     EntityFilters,
+    EntityInfo,
     EntityState,
-    Feature,
-    ResetScope,
-    Resource,
-    SpawnEntityOrder,
-    State,
     TagsFilter,
 )
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
+from zensim.proto.messages.spawn_messages import (
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntity,
+    SpawnEntityOrder,
+)
+from zensim.proto.messages.standard_messages import Point, Pose, Vector3
 from zensim.spawner.client import SimClient
 
 PROBE = "probe"

@@ -5,8 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from zensim.proto.drives import DiffDrive, PlanarMove, TricycleDrive, WheelPair
-from zensim.proto.model import Inertial, Joint, JointKind, Link, Model, Origin, Shape
+from zensim.proto.messages.drive_messages import DiffDrive, PlanarMove, TricycleDrive, WheelPair
+from zensim.proto.messages.model_messages import (
+    Inertial,
+    Joint,
+    JointKind,
+    Link,
+    Model,
+    Origin,
+    Shape,
+)
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.urdf import read_urdf

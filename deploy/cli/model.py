@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.exits import one_line_failures
-from zensim.proto.model import Model
-from zensim.proto.option_fields import takes
+from zensim.proto.cli_options import options_from
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.cli import MissingExtra, server_extra
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.spawner.cli.options import Reading
@@ -31,10 +31,10 @@ class ModelOptions(Reading):
 
 
 @app.command()
-@takes(ModelOptions)
+@options_from(ModelOptions)
 def model(given: ModelOptions) -> None:
     """Show what a description says, without any server."""
-    with one_line_failures("model", SimError, MissingExtra):
+    with exit_on_failure("model", SimError, MissingExtra):
         text, found = _read(given)
         if given.strict:
             _refuse_suspicious(found)

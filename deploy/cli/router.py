@@ -5,10 +5,9 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus, settings_of
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.exits import one_line_failures
-from zensim.proto.stop import StopFlag
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus, to_zenoh_json
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.stop_signal import StopFlag
 
 POLL_S = 0.05
 
@@ -32,9 +31,9 @@ def router(
     config = BusConfig(
         mode="router", listen=tuple(listen or (DEFAULT_ENDPOINT,)), connect=tuple(connect or ())
     )
-    with one_line_failures("router"):
+    with exit_on_failure("router"):
         if print_config:
-            typer.echo(settings_of(config))
+            typer.echo(to_zenoh_json(config))
             return
         stop = StopFlag()
         with open_bus(config) as bus:

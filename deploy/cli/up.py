@@ -28,12 +28,11 @@ from zensim.deploy.demo import (
     summary,
 )
 from zensim.deploy.local import Program, ProgramDied, Supervisor
-from zensim.proto.cli import RosTfOptions
-from zensim.proto.endpoint import DEFAULT_ENDPOINT, with_free_port
-from zensim.proto.exits import one_line_failures
+from zensim.proto.bus import DEFAULT_ENDPOINT, with_free_port
+from zensim.proto.cli_options import RosTfOptions, options_from
+from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
-from zensim.proto.option_fields import takes
-from zensim.proto.stop import StopFlag
+from zensim.proto.stop_signal import StopFlag
 from zensim.spawner.cli.wishes import dynamics_of
 from zensim.spawner.placement import LAYOUTS, Place, fleet_places, name_stem
 
@@ -159,11 +158,11 @@ class UpOptions(RosTfOptions):
 
 
 @app.command()
-@takes(UpOptions)
+@options_from(UpOptions)
 def up(given: UpOptions) -> None:
     """Run a world, its robots, their agents and the page, all on this machine."""
     began_s = time.monotonic()
-    with one_line_failures("up", DemoFailed, ProgramDied):
+    with exit_on_failure("up", DemoFailed, ProgramDied):
         _run(_config(given), began_s, given.duration, given.open_page, as_json=given.as_json)
 
 

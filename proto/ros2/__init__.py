@@ -1,1 +1,1 @@
-"""ROS 2 as rmw_zenoh and zenoh-bridge-ros2dds speak it over Zenoh: keys, hashes, tokens. Pure."""
+"""The ROS 2 wire protocol over Zenoh, as rmw_zenoh and zenoh-bridge-ros2dds use it."""

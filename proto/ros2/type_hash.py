@@ -1,7 +1,4 @@
-"""Hashes of ROS 2 types, from our Structs: RIHS01, the SHA-256 of a type's description.
-
-Source: REP-2011 and REP-2016; the description is JSON whose spelling is part of the hash.
-"""
+"""RIHS01 type hashes of messages and services, computed from struct types."""
 
 import hashlib
 import json
@@ -11,10 +8,10 @@ from typing import Final, TypedDict, cast
 import msgspec
 from msgspec import inspect
 
-from zensim.proto.cdr_layout import ros_class
-from zensim.proto.header import Time
+from zensim.proto.codec.cdr_layout import find_ros_class
+from zensim.proto.messages.standard_messages import Time
 
-PREFIX: Final = "RIHS01_"
+RIHS_PREFIX: Final = "RIHS01_"
 NESTED: Final = 1
 NUMBER_OF_CODE: Final = {
     "b": 2,
@@ -33,12 +30,12 @@ NUMBER_OF_CODE: Final = {
 TEXT: Final = 17
 ARRAY, BOUNDED, SEQUENCE = 48, 96, 144
 """Added to a type's number."""
-DUMMY: Final = "structure_needs_at_least_one_member"
+DUMMY_MEMBER: Final = "structure_needs_at_least_one_member"
 GID_LENGTH: Final = 16
 EVENT_INFO: Final = "service_msgs/msg/ServiceEventInfo"
 
 
-class TypeOfField(TypedDict):
+class FieldType(TypedDict):
     """A field's type; a name only where it is nested."""
 
     type_id: int
@@ -47,106 +44,110 @@ class TypeOfField(TypedDict):
     nested_type_name: str
 
 
-class Field(TypedDict):
+class FieldDescription(TypedDict):
     """A field."""
 
     name: str
-    type: TypeOfField
+    type: FieldType
 
 
-class Description(TypedDict):
+class TypeDescription(TypedDict):
     """A type by itself."""
 
     type_name: str
-    fields: list[Field]
+    fields: list[FieldDescription]
 
 
 @cache
-def type_hash(message_type: type[msgspec.Struct]) -> str:
+def hash_type(message_type: type[msgspec.Struct]) -> str:
     """Find the hash of a message's type: of the class that names the ROS interface.
 
     Raises:
         TypeError: The type is not expressible in CDR.
     """
-    known: dict[str, Description] = {}
-    return _hash_of(_describe(message_type, known), known)
+    known: dict[str, TypeDescription] = {}
+    return _hash_description(_describe(message_type, known), known)
 
 
 @cache
-def service_hash(request: type[msgspec.Struct], response: type[msgspec.Struct]) -> str:
+def hash_service(request: type[msgspec.Struct], response: type[msgspec.Struct]) -> str:
     """Find the hash of a service, or of one service of an action.
 
     Raises:
         TypeError: A type is not expressible in CDR.
     """
-    known: dict[str, Description] = {}
+    known: dict[str, TypeDescription] = {}
     asked, answered = _describe(request, known), _describe(response, known)
-    name = service_type(request)
+    name = find_service_type(request)
     event = _describe_event(name, known, asked, answered)
     halves = {"request_message": asked, "response_message": answered, "event_message": event}
-    fields = [_field(half, NESTED, nested) for half, nested in halves.items()]
-    known[name] = Description(type_name=name, fields=fields)
-    return _hash_of(name, known)
+    fields = [_make_field(half, NESTED, nested) for half, nested in halves.items()]
+    known[name] = TypeDescription(type_name=name, fields=fields)
+    return _hash_description(name, known)
 
 
-def service_type(request: type[msgspec.Struct]) -> str:
+def find_service_type(request: type[msgspec.Struct]) -> str:
     """Name the ROS type of a service by that of its request: `pkg/srv/Name`."""
-    return str(vars(ros_class(request))["ros_type"]).removesuffix("_Request")
+    return str(vars(find_ros_class(request))["ros_type"]).removesuffix("_Request")
 
 
-def _hash_of(name: str, known: dict[str, Description]) -> str:
+def _hash_description(name: str, known: dict[str, TypeDescription]) -> str:
     others = [description for other, description in sorted(known.items()) if other != name]
     whole = {"type_description": known[name], "referenced_type_descriptions": others}
-    return PREFIX + hashlib.sha256(json.dumps(whole).encode()).hexdigest()
+    return RIHS_PREFIX + hashlib.sha256(json.dumps(whole).encode()).hexdigest()
 
 
-def _describe(message_type: type[msgspec.Struct], known: dict[str, Description]) -> str:
+def _describe(message_type: type[msgspec.Struct], known: dict[str, TypeDescription]) -> str:
     """Describe a type and all within it; return its name."""
-    named = ros_class(message_type)
+    named = find_ros_class(message_type)
     name = str(vars(named)["ros_type"])
     if name not in known:
         info = cast("inspect.StructType", inspect.type_info(named))
-        fields = [_described(field.name, field.type, known) for field in info.fields]
-        dummy = [_field(DUMMY, NUMBER_OF_CODE["B"])]
-        known[name] = Description(type_name=name, fields=fields or dummy)
+        fields = [_describe_field(field.name, field.type, known) for field in info.fields]
+        dummy = [_make_field(DUMMY_MEMBER, NUMBER_OF_CODE["B"])]
+        known[name] = TypeDescription(type_name=name, fields=fields or dummy)
     return name
 
 
-def _describe_event(service: str, known: dict[str, Description], asked: str, answered: str) -> str:
+def _describe_event(
+    service: str, known: dict[str, TypeDescription], asked: str, answered: str
+) -> str:
     code = NUMBER_OF_CODE
     info = [
-        _field("event_type", code["B"]),
-        _field("stamp", NESTED, _describe(Time, known)),
+        _make_field("event_type", code["B"]),
+        _make_field("stamp", NESTED, _describe(Time, known)),
         # An array of char, which is uint8 to rosidl.
-        _field("client_gid", ARRAY + code["B"], capacity=GID_LENGTH),
-        _field("sequence_number", code["q"]),
+        _make_field("client_gid", ARRAY + code["B"], capacity=GID_LENGTH),
+        _make_field("sequence_number", code["q"]),
     ]
     name = f"{service}_Event"
-    known[EVENT_INFO] = Description(type_name=EVENT_INFO, fields=info)
+    known[EVENT_INFO] = TypeDescription(type_name=EVENT_INFO, fields=info)
     fields = [
-        _field("info", NESTED, EVENT_INFO),
-        _field("request", BOUNDED + NESTED, asked, capacity=1),
-        _field("response", BOUNDED + NESTED, answered, capacity=1),
+        _make_field("info", NESTED, EVENT_INFO),
+        _make_field("request", BOUNDED + NESTED, asked, capacity=1),
+        _make_field("response", BOUNDED + NESTED, answered, capacity=1),
     ]
-    known[name] = Description(type_name=name, fields=fields)
+    known[name] = TypeDescription(type_name=name, fields=fields)
     return name
 
 
-def _described(name: str, info: inspect.Type, known: dict[str, Description]) -> Field:
-    bare, extra = _unwrapped(info)
+def _describe_field(
+    name: str, info: inspect.Type, known: dict[str, TypeDescription]
+) -> FieldDescription:
+    bare, extra = _unwrap_type(info)
     if isinstance(bare, inspect.BytesType):
-        return _field(name, SEQUENCE + NUMBER_OF_CODE["B"])
+        return _make_field(name, SEQUENCE + NUMBER_OF_CODE["B"])
     if not isinstance(bare, inspect.VarTupleType):
-        return _field(name, *_number(name, bare, extra, known))
-    item, item_extra = _unwrapped(bare.item_type)
-    number, nested = _number(name, item, extra | item_extra, known)
+        return _make_field(name, *_find_type_number(name, bare, extra, known))
+    item, item_extra = _unwrap_type(bare.item_type)
+    number, nested = _find_type_number(name, item, extra | item_extra, known)
     if isinstance(length := extra.get("length"), int):
-        return _field(name, ARRAY + number, nested, capacity=length)
-    return _field(name, SEQUENCE + number, nested)
+        return _make_field(name, ARRAY + number, nested, capacity=length)
+    return _make_field(name, SEQUENCE + number, nested)
 
 
-def _number(
-    name: str, info: inspect.Type, extra: dict[str, object], known: dict[str, Description]
+def _find_type_number(
+    name: str, info: inspect.Type, extra: dict[str, object], known: dict[str, TypeDescription]
 ) -> tuple[int, str]:
     if isinstance(info, inspect.StructType):
         return NESTED, _describe(info.cls, known)
@@ -160,14 +161,12 @@ def _number(
     return NUMBER_OF_CODE[str(code)], ""
 
 
-def _unwrapped(info: inspect.Type) -> tuple[inspect.Type, dict[str, object]]:
+def _unwrap_type(info: inspect.Type) -> tuple[inspect.Type, dict[str, object]]:
     if isinstance(info, inspect.Metadata):
         return info.type, info.extra or {}
     return info, {}
 
 
-def _field(name: str, number: int, nested: str = "", *, capacity: int = 0) -> Field:
-    kind = TypeOfField(
-        type_id=number, capacity=capacity, string_capacity=0, nested_type_name=nested
-    )
-    return Field(name=name, type=kind)
+def _make_field(name: str, number: int, nested: str = "", *, capacity: int = 0) -> FieldDescription:
+    kind = FieldType(type_id=number, capacity=capacity, string_capacity=0, nested_type_name=nested)
+    return FieldDescription(name=name, type=kind)

@@ -7,8 +7,8 @@ circle.
 
 import math
 
-from zensim.proto.drives import AckermannDrive
-from zensim.proto.geometry import Twist
+from zensim.proto.messages.drive_messages import AckermannDrive
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.drives.controller import Measured, clamped
 
 LARGEST_STEER_RAD = 1.5

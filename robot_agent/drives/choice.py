@@ -1,6 +1,12 @@
 """Which controller a drive has."""
 
-from zensim.proto.drives import AckermannDrive, DiffDrive, Drive, PlanarMove, TricycleDrive
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    DiffDrive,
+    Drive,
+    PlanarMove,
+    TricycleDrive,
+)
 from zensim.robot_agent.drives.ackermann import AckermannSteering
 from zensim.robot_agent.drives.controller import Controller
 from zensim.robot_agent.drives.diff_drive import DifferentialDrive

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import msgspec
 
-from zensim.proto.geometry import Twist
+from zensim.proto.messages.standard_messages import Twist
 
 
 class Measured(msgspec.Struct, frozen=True, gc=False):

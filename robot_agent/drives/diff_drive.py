@@ -5,8 +5,8 @@ Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch.
 
 from collections.abc import Sequence
 
-from zensim.proto.drives import DiffDrive
-from zensim.proto.geometry import Twist
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.drives.controller import Measured, clamped
 from zensim.robot_agent.drives.twist_limits import LimitedVelocity
 

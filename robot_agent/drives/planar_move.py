@@ -3,7 +3,7 @@
 Source: gazebo_ros_planar_move of gazebo_ros_pkgs, ROS 2 branch.
 """
 
-from zensim.proto.geometry import Twist
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.drives.controller import Measured, clamped
 
 MAX_SPEED = 1e6

@@ -7,8 +7,8 @@ nearly reached its speed never gets there.
 
 import math
 
-from zensim.proto.drives import TricycleDrive
-from zensim.proto.geometry import Twist
+from zensim.proto.messages.drive_messages import TricycleDrive
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.drives.controller import Measured, clamped
 
 MAX_WHEEL_SPEED = 1e6

@@ -3,7 +3,7 @@
 Source: the DiffDrive system of gz-sim, jerk aside.
 """
 
-from zensim.proto.drives import Limits
+from zensim.proto.messages.drive_messages import Limits
 
 UNLIMITED = Limits()
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from zensim.proto.ros2.attachment import FORM, GID_BYTES
+from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
 
 COLUMNS: Final = np.dtype(
     [
@@ -15,7 +15,7 @@ COLUMNS: Final = np.dtype(
         ("gid", "u1", GID_BYTES),
     ]
 )
-"""See `zensim.proto.ros2.attachment`."""
+"""See `zensim.proto.ros2.rmw_attachment`."""
 
 
 class Attachments:
@@ -45,4 +45,7 @@ class Attachments:
         self._rows["sequence_number"][at] += 1
         self._rows["source_time_ns"][at] = time_ns
         raw = self._rows[at].tobytes()
-        return [raw[start : start + FORM.size] for start in range(0, len(raw), FORM.size)]
+        return [
+            raw[start : start + ATTACHMENT_STRUCT.size]
+            for start in range(0, len(raw), ATTACHMENT_STRUCT.size)
+        ]

@@ -5,7 +5,7 @@ To ask takes longer than to put what nobody hears: who is new counts as heard un
 
 from typing import Generic, TypeVar
 
-from zensim.proto.faces import Publisher
+from zensim.proto.topic_endpoints import TransportPublisher
 
 AT_ONCE = 32
 """Publishers that are asked about in one go: a tenth of a millisecond."""
@@ -16,12 +16,12 @@ class Audience(Generic[Whose]):
     """Publishers by whose they are."""
 
     def __init__(self) -> None:
-        self.heard: dict[Whose, Publisher] = {}
+        self.heard: dict[Whose, TransportPublisher] = {}
         """Those to put on."""
-        self._all: dict[Whose, Publisher] = {}
+        self._all: dict[Whose, TransportPublisher] = {}
         self._unasked: list[Whose] = []
 
-    def add(self, whose: Whose, publisher: Publisher) -> None:
+    def add(self, whose: Whose, publisher: TransportPublisher) -> None:
         """Take a publisher in."""
         self._all[whose] = self.heard[whose] = publisher
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from zensim.proto import keys
 from zensim.proto.bus import Sample
-from zensim.proto.codec import Format, MalformedPayload, encoding_of
-from zensim.proto.commands import decode_twist
-from zensim.proto.faces import TopicSubscription
-from zensim.proto.geometry import Twist, TwistStamped
-from zensim.proto.ros2.keys import ANY_HASH, data_key
+from zensim.proto.cmd_vel_decoding import decode_twist
+from zensim.proto.codec.message_codec import Format, MalformedPayload, make_encoding
+from zensim.proto.messages.standard_messages import Twist, TwistStamped
+from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
+from zensim.proto.topic_endpoints import TopicSubscription
 from zensim.robot_agent.network import Network
 from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried, carried_ints
 
@@ -22,7 +22,7 @@ TWIST_COLUMNS = 6
 TWIST_BYTES = 52
 TWIST_IMAGE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
 LITTLE_ENDIAN = b"\x00\x01"
-PLAIN_ENCODINGS = frozenset({encoding_of(Twist, Format.CDR), Format.CDR.value, "zenoh/bytes", ""})
+PLAIN_ENCODINGS = frozenset({make_encoding(Twist, Format.CDR), Format.CDR.value, "zenoh/bytes", ""})
 """With these, 52 bytes of CDR are a Twist."""
 
 
@@ -48,7 +48,7 @@ class FleetCommands:
 
     def listen(self, key: str) -> None:
         """Hear a key from now on; its robot gets a row later."""
-        pattern = keys.pattern_of(key)
+        pattern = keys.make_pattern(key)
         if pattern not in self._subscriptions:
             self._subscriptions[pattern] = self._hear(pattern)
 
@@ -57,7 +57,7 @@ class FleetCommands:
         if self._domain is None:
             return TopicSubscription(plain, ())
         forms = [
-            data_key(self._domain, pattern, kind.ros_type, ANY_HASH)
+            make_data_key(self._domain, pattern, kind.ros_type, ANY_HASH)
             for kind in (Twist, TwistStamped)
         ]
         return TopicSubscription(plain, [self._network.subscribe(one, DEPTH) for one in forms])
@@ -77,7 +77,7 @@ class FleetCommands:
                 continue
             self._rows[key] = (*self._rows.get(key, ()), row)
             self.listen(key)
-        patterns = {keys.pattern_of(key) for key in self._rows}
+        patterns = {keys.make_pattern(key) for key in self._rows}
         for pattern in [one for one in self._subscriptions if one not in patterns]:
             self._subscriptions.pop(pattern).close()
 

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 
 import msgspec
 
-from zensim.proto import cdr, keys
-from zensim.proto.claims import Claim
-from zensim.proto.header import Time
-from zensim.proto.model import Model
-from zensim.proto.ros2.settings import NO_ROS, RosSettings
-from zensim.proto.ros_graph import RosNode
-from zensim.proto.topics import String, TFMessage
+from zensim.proto import keys
+from zensim.proto.codec import cdr
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import String, TFMessage, Time
+from zensim.proto.ros2.ros_graph import RosNode
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.robot_agent.frames import base_of, fixed_edges
 from zensim.robot_agent.pool.outlet import FleetOutlet, Line
 from zensim.robot_agent.pool.telling import OutletOf
@@ -72,7 +72,7 @@ class Constants:
     def _outlet(self, line: Line) -> FleetOutlet:
         topic = keys.last_chunk(line.key)
         kind = TFMessage if topic == keys.TF_STATIC else String
-        return self._outlet_of(keys.pattern_of(line.key), kind)
+        return self._outlet_of(keys.make_pattern(line.key), kind)
 
 
 class _Fixed:

@@ -5,7 +5,14 @@ from typing import Protocol
 
 import numpy as np
 
-from zensim.proto.drives import AckermannDrive, DiffDrive, Drive, Limits, PlanarMove, TricycleDrive
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    DiffDrive,
+    Drive,
+    Limits,
+    PlanarMove,
+    TricycleDrive,
+)
 from zensim.robot_agent.drives.ackermann import LARGEST_STEER_RAD
 from zensim.robot_agent.drives.diff_drive import MAX_LEAD_M_S, MAX_RIM_SPEED_M_S, REACHED_M_S
 from zensim.robot_agent.drives.planar_move import MAX_SPEED

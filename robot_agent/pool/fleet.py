@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.claims import Claim, DriveCommand, DriveState
-from zensim.proto.faces import faces_of
-from zensim.proto.geometry import Twist, TwistStamped
-from zensim.proto.ros2.settings import NO_ROS
-from zensim.proto.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.standard_messages import Twist, TwistStamped
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.robot_agent.network import Network
 from zensim.robot_agent.pool.commands import FleetCommands
 from zensim.robot_agent.pool.constants import Constants
@@ -87,7 +87,7 @@ class PoolFleet:
                 member.constants = self._constants.add(claim, member.node)
                 self._members[claim.claim] = member
             else:
-                faces = faces_of(self._network, self._graph, claim.namespace, NODE)
+                faces = make_topic_factory(self._network, self._graph, claim.namespace, NODE)
                 robot = Robot(faces, claim, self._timeout_ns)
                 robot.announce()
                 self._robots[claim.claim] = robot
@@ -255,7 +255,7 @@ class PoolFleet:
         node = self._graph.node(namespace, NODE) if self._graph else None
         if node is not None:
             for kind in (Twist, TwistStamped):
-                node.join_topic("MS", Topic(cmd_vel, kind))
+                node.add_topic_endpoint("MS", Topic(cmd_vel, kind))
         return node
 
 

@@ -3,7 +3,7 @@
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Joint
+from zensim.proto.messages.model_messages import Joint
 from zensim.robot_agent.driven_base import motion_rates
 from zensim.robot_agent.pool.driven import DrivenBases
 from zensim.robot_agent.pool.joint_frames import POSE_COLUMNS, JointFrames

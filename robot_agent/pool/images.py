@@ -6,9 +6,9 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 
-from zensim.proto import cdr
-from zensim.proto.cdr_places import HEADER_BYTES, places_of
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.codec import cdr
+from zensim.proto.codec.cdr_layout import HEADER_BYTES, find_offsets
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.robot_agent.pool.rows import FloatArray, IntArray
 
 WORD = 8
@@ -17,7 +17,7 @@ KEPT_IMAGES = 8192
 
 
 class Images:
-    """A message a row, each byte as `zensim.proto.cdr.encode` writes it."""
+    """A message a row, each byte as `zensim.proto.codec.cdr.encode` writes it."""
 
     def __init__(
         self, templates: Sequence[msgspec.Struct], numbers: Sequence[str], stamps: Sequence[str]
@@ -26,7 +26,7 @@ class Images:
 
         Args:
             templates: One a row, of one type, with sequences of the same lengths.
-            numbers: Paths of their float64 numbers that change; see `zensim.proto.cdr_places`.
+            numbers: Paths of their float64 numbers that change; see `zensim.proto.codec.cdr_layout`.
             stamps: Paths of their `Time`s.
         """
         paths = tuple(numbers), tuple(stamps)
@@ -75,7 +75,7 @@ class _Image:
         self, template: msgspec.Struct, numbers: Sequence[str], stamps: Sequence[str]
     ) -> None:
         self.payload = cdr.encode(template)
-        places = places_of(template)
+        places = find_offsets(template)
         self.numbers = [places[path] for path in numbers]
         self.stamps = [places[f"{path}.sec"] for path in stamps]
 

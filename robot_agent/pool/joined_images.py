@@ -7,10 +7,9 @@ message does not. So each robot has an image for either place, and a message is 
 import struct
 from collections.abc import Sequence
 
-from zensim.proto.cdr import encode
-from zensim.proto.cdr_places import HEADER_BYTES
-from zensim.proto.geometry import TransformStamped
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec.cdr import encode
+from zensim.proto.codec.cdr_layout import HEADER_BYTES
+from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
 from zensim.robot_agent.pool.images import Images
 from zensim.robot_agent.pool.rows import FloatArray, IntArray
 from zensim.robot_agent.templates import tf_paths, tf_stamps

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zensim.proto.model import Joint
+from zensim.proto.messages.model_messages import Joint
 from zensim.proto.rotation import multiply, rotate
 from zensim.robot_agent.pool.rows import FloatArray
 from zensim.robot_agent.transforms import unit

@@ -3,10 +3,10 @@
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.claims import Claim
-from zensim.proto.drives import Drive, RosBlock
-from zensim.proto.model import Model, Origin
-from zensim.proto.ros2.settings import NO_ROS, RosSettings
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.drive_messages import Drive, RosBlock
+from zensim.proto.messages.model_messages import Model, Origin
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.robot_agent.driven_base import drive_of
 from zensim.robot_agent.frames import ALL_JOINTS, base_of, moving_joints, published_joints
 from zensim.robot_agent.remapping import command_key, odometry_key, topic_key
@@ -54,7 +54,7 @@ def topics_of(claim: Claim, ros: RosSettings = NO_ROS) -> Topics:
     return Topics(
         command_key(namespace, drive),
         odometry_key(namespace, drive) if drive.publish_odom else "",
-        topic_key(namespace, keys.TF, drive.ros) if has_tf and ros.has_own_tf else "",
+        topic_key(namespace, keys.TF, drive.ros) if has_tf and ros.has_namespaced_tf else "",
         topic_key(namespace, keys.JOINT_STATES, publisher.ros) if published_joints(model) else "",
         keys.TF if has_tf and ros.has_global_tf else "",
     )
@@ -79,7 +79,7 @@ def kind_of(model: Model, topics: Topics) -> Kind:
         joint_states_hz=publisher.update_rate_hz,
         geometry=msgspec.msgpack.encode([model.joints[joint] for joint in moving]),
         patterns=Topics(
-            *(keys.pattern_of(key) if key else "" for key in msgspec.structs.astuple(topics))
+            *(keys.make_pattern(key) if key else "" for key in msgspec.structs.astuple(topics))
         ),
     )
 

@@ -6,9 +6,9 @@ base, linear x and y [m/s] and angular z [rad/s].
 
 import numpy as np
 
-from zensim.proto.drives import WheelPair
-from zensim.proto.model import IDENTITY, Origin
-from zensim.proto.rotation import multiply, rotate, yaw_of
+from zensim.proto.messages.drive_messages import WheelPair
+from zensim.proto.messages.model_messages import IDENTITY, Origin
+from zensim.proto.rotation import multiply, rotate, to_yaw
 from zensim.robot_agent.pool.rows import BoolArray, FloatArray, IntArray, carried, carried_flags
 
 MOTION_COLUMNS = 10
@@ -28,7 +28,7 @@ def world_motions(base: FloatArray, base_in_root: Origin) -> FloatArray:
     # A point that is off the root link moves also because the link turns.
     vx = base[:, 7] + (base[:, 11] * arm[:, 2] - base[:, 12] * arm[:, 1])
     vy = base[:, 8] + (base[:, 12] * arm[:, 0] - base[:, 10] * arm[:, 2])
-    yaw = yaw_of(orientation)
+    yaw = to_yaw(orientation)
     cos, sin = np.cos(yaw), np.sin(yaw)
     found = np.empty((len(base), MOTION_COLUMNS))
     found[:, :3] = base[:, :3] + arm

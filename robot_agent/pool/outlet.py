@@ -11,9 +11,9 @@ from typing import Protocol
 
 import msgspec
 
-from zensim.proto.codec import Format, encoding_of
-from zensim.proto.faces import Publisher
-from zensim.proto.ros_graph import RosNode
+from zensim.proto.codec.message_codec import Format, make_encoding
+from zensim.proto.ros2.ros_graph import RosNode
+from zensim.proto.topic_endpoints import TransportPublisher
 from zensim.robot_agent.network import Call, Network
 from zensim.robot_agent.pool.audience import Audience
 from zensim.robot_agent.pool.ros_face import RosFace
@@ -38,7 +38,7 @@ class Line:
     values: Values
     row: int = 0
     node: RosNode | None = None
-    publisher: Publisher | None = None
+    publisher: TransportPublisher | None = None
     was_matched: bool = False
 
 
@@ -56,13 +56,13 @@ class FleetOutlet:
 
         Args:
             network: Where.
-            pattern: Of the keys that lines have; see `zensim.proto.keys.pattern_of`.
+            pattern: Of the keys that lines have; see `zensim.proto.keys.make_pattern`.
             message_type: What payloads are; they travel as CDR.
             ros: The same on ROS 2's keys.
         """
         self._ros = ros
         self._network = network
-        self._encoding = encoding_of(message_type, Format.CDR)
+        self._encoding = make_encoding(message_type, Format.CDR)
         self._lines: dict[str, list[Line]] = {}
         self._undeclared: list[Line] = []
         self._unannounced: list[Line] = []

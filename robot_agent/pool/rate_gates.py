@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.robot_agent.pool.rows import FloatArray, IntArray, carried_flags, carried_ints
 from zensim.robot_agent.rate_gate import SLACK_NS
 

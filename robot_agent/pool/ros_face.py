@@ -10,10 +10,10 @@ from typing import Protocol
 
 import msgspec
 
-from zensim.proto.codec import Format, encoding_of
-from zensim.proto.faces import CACHE, Face
-from zensim.proto.ros2.tokens import Endpoint
-from zensim.proto.ros_graph import RosGraph, RosNode, Topic, gid_of_endpoint
+from zensim.proto.codec.message_codec import Format, make_encoding
+from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic, gid_from_endpoint
+from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher
 from zensim.robot_agent.network import Call, Network
 from zensim.robot_agent.pool.attachments import Attachments
 from zensim.robot_agent.pool.audience import Audience
@@ -63,10 +63,10 @@ class RosFace:
         """
         self._network = network
         self._topic = topic
-        self._encoding = encoding_of(topic.kind, Format.CDR)
+        self._encoding = make_encoding(topic.kind, Format.CDR)
         self._unjoined: list[Line] = []
-        self._joined: dict[Line, Endpoint] = {}
-        self._faces: dict[Line, Face] = {}
+        self._joined: dict[Line, GraphEndpoint] = {}
+        self._faces: dict[Line, KeyPublisher] = {}
         """Of a latched topic: what each says does not change."""
         self._audience = Audience[Line]()
         self._attachments = Attachments()
@@ -76,7 +76,7 @@ class RosFace:
         self._graph = graph
         key = graph.data_key(topic)
         self._probe = network.advertise(key, self._encoding)
-        cache = f"{key}/{CACHE}/{graph.zid}/*/_"
+        cache = f"{key}/{CACHE_SUFFIX}/{graph.zid}/*/_"
         self._queries = network.serve(cache, QUERY_DEPTH) if topic.is_latched else None
 
     @property
@@ -146,11 +146,11 @@ class RosFace:
     def _of(self, line: Line) -> Topic:
         return msgspec.structs.replace(self._topic, key=line.key)
 
-    def _join(self, line: Line) -> Endpoint | None:
+    def _join(self, line: Line) -> GraphEndpoint | None:
         if line.node is None or line not in self._ros_keys:
             return None
         if line not in self._joined:
-            self._joined[line] = line.node.join_topic("MP", self._of(line))
+            self._joined[line] = line.node.add_topic_endpoint("MP", self._of(line))
         return self._joined[line]
 
     def _declare(self, line: Line) -> None:
@@ -158,10 +158,10 @@ class RosFace:
             return
         publisher = self._network.advertise(self._ros_keys[line], self._encoding)
         if not self._topic.is_latched:
-            self._rows[line] = self._attachments.add(gid_of_endpoint(endpoint))
+            self._rows[line] = self._attachments.add(gid_from_endpoint(endpoint))
             self._audience.add(line, publisher)
             return
-        face = self._faces[line] = Face(publisher, endpoint, self._network.stamp)
+        face = self._faces[line] = KeyPublisher(publisher, endpoint, self._network.stamp)
         if publisher.is_matched and (payload := line.values.payload(line.row)) is not None:
             face.send(payload)
 
@@ -178,4 +178,4 @@ class RosFace:
                 yield line
 
     def _place(self, key: str) -> str:
-        return f"{key}/{CACHE}/{self._graph.zid}/0/_"
+        return f"{key}/{CACHE_SUFFIX}/{self._graph.zid}/0/_"

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zensim.proto.claims import STATE_COLUMNS, DriveState
-from zensim.proto.codec import MalformedPayload
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
 from zensim.robot_agent.pool.rows import FloatArray
 from zensim.robot_agent.pool.squad import PoolState, Seats
 

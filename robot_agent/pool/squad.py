@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from zensim.proto.claims import Claim
-from zensim.proto.ros_graph import RosNode
-from zensim.proto.topics import TFMessage
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.standard_messages import TFMessage
+from zensim.proto.ros2.ros_graph import RosNode
 from zensim.robot_agent.pool.driven import DrivenBases
 from zensim.robot_agent.pool.kinds import Kind, Topics
 from zensim.robot_agent.pool.outlet import Line

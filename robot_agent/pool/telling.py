@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Model
-from zensim.proto.ros_graph import RosNode
-from zensim.proto.topics import JointState, Odometry, TFMessage
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import JointState, Odometry, TFMessage
+from zensim.proto.ros2.ros_graph import RosNode
 from zensim.robot_agent import templates
 from zensim.robot_agent.driven_base import motion_rates
 from zensim.robot_agent.pool.driven import DrivenBases

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.ros_graph import RosNode
-from zensim.proto.topics import TFMessage
+from zensim.proto.messages.standard_messages import TFMessage
+from zensim.proto.ros2.ros_graph import RosNode
 from zensim.robot_agent import templates
 from zensim.robot_agent.pool.frame_poses import FramePoses
 from zensim.robot_agent.pool.joined_images import JoinedImages

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.drives import AckermannDrive
+from zensim.proto.messages.drive_messages import AckermannDrive
 from zensim.sim_server.description import drive_tags
 from zensim.sim_server.description.drive_geometry import wheels_of
 from zensim.sim_server.description.drive_tags import grip_nm, joint_fault, with_settings
@@ -15,7 +15,7 @@ from zensim.sim_server.description.drive_tags import grip_nm, joint_fault, with_
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from zensim.proto.model import Vec3
+    from zensim.proto.messages.model_messages import Vec3
     from zensim.sim_server.description.lumping import Lumped
     from zensim.sim_server.description.plugin_tags import PluginTags
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.drives import DiffDrive, WheelPair
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.sim_server.description.drive_geometry import apart_m, wheels_of
 from zensim.sim_server.description.drive_tags import base_of, joint_fault
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.model import IDENTITY, Model, Origin, Quat, Shape, Vec3
+from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, Quat, Shape, Vec3
 from zensim.sim_server.description.transforms import link_poses
 
 Corners = Callable[[str], npt.NDArray[np.floating]]

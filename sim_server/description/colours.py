@@ -9,7 +9,7 @@ from zensim.sim_server.description.decimals import read_numbers
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Quat
+    from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.report import Report
 
 GAZEBO_COLOURS: dict[str, Quat] = {

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import trimesh
 
-from zensim.proto.model import ReportEntry
+from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.formats import read_robot
 from zensim.sim_server.description.library import model_text, world_text
 from zensim.sim_server.description.meshes import Conversions, Files, mesh_uris, with_meshes
@@ -21,8 +21,8 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.proto.model import Model
-    from zensim.proto.services import Compat
+    from zensim.proto.messages.model_messages import Model
+    from zensim.proto.messages.spawn_messages import Compat
     from zensim.sim_server.description.sdf_includes import Resolve
 
     FindMesh = Callable[[str], tuple[str, bytes] | None]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.drives import DiffDrive, WheelPair
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.sim_server.description import drive_tags
 from zensim.sim_server.description.drive_tags import check_lengths, joint_fault, with_settings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from zensim.proto.model import Joint
+    from zensim.proto.messages.model_messages import Joint
     from zensim.sim_server.description.lumping import Lumped
     from zensim.sim_server.description.plugin_tags import PluginTags
 

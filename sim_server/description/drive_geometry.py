@@ -4,8 +4,8 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from zensim.proto.drives import DiffDrive, Drive, WheelPair
-from zensim.proto.model import Joint, Link, Origin, Shape, Vec3
+from zensim.proto.messages.drive_messages import DiffDrive, Drive, WheelPair
+from zensim.proto.messages.model_messages import Joint, Link, Origin, Shape, Vec3
 from zensim.sim_server.description.lumping import Lumped
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.transforms import link_poses, placed, turned

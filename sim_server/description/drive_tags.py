@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
 
-from zensim.proto.drives import DriveSettings, OdometrySource
+from zensim.proto.messages.drive_messages import DriveSettings, OdometrySource
 from zensim.proto.names import InvalidName, check_frame, check_namespace
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from zensim.proto.model import Joint
+    from zensim.proto.messages.model_messages import Joint
     from zensim.sim_server.description.lumping import Lumped
     from zensim.sim_server.description.plugin_tags import PluginTags
 

@@ -1,6 +1,6 @@
 """What a drive comes to, in a line."""
 
-from zensim.proto.drives import AckermannDrive, DiffDrive, Drive, TricycleDrive
+from zensim.proto.messages.drive_messages import AckermannDrive, DiffDrive, Drive, TricycleDrive
 
 
 def in_words(drive: Drive) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import msgspec
 
-from zensim.proto.model import Joint
+from zensim.proto.messages.model_messages import Joint
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.wording import shown
 

@@ -2,7 +2,7 @@
 
 import re
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.assets import HasMesh, no_meshes
 from zensim.sim_server.description.sdf_includes import Resolve, no_includes
 from zensim.sim_server.description.sdf_model import read_sdf_model

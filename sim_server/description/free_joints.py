@@ -10,7 +10,7 @@ from math import copysign
 
 import msgspec
 
-from zensim.proto.model import Joint, JointKind, Link, Origin, Vec3
+from zensim.proto.messages.model_messages import Joint, JointKind, Link, Origin, Vec3
 from zensim.sim_server.description.lumping import Lumped
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.wording import shown

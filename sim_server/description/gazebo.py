@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Link, Quat
+    from zensim.proto.messages.model_messages import Link, Quat
     from zensim.sim_server.description.part_list import Parts
     from zensim.sim_server.description.report import Report
 

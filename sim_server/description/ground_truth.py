@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.model import GroundTruth, Origin
+from zensim.proto.messages.model_messages import GroundTruth, Origin
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.drive_tags import read_frame, read_topic
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.drives import PlanarMove
+from zensim.proto.messages.drive_messages import PlanarMove
 from zensim.sim_server.description.drive_tags import (
     base_of,
     read_frame,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.model import JointStatePublisher
+from zensim.proto.messages.model_messages import JointStatePublisher
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from zensim.proto.model import Joint
+    from zensim.proto.messages.model_messages import Joint
     from zensim.sim_server.description.plugin_tags import PluginTags
 
 GZ = "joint-state-publisher-system"

@@ -2,7 +2,7 @@
 
 from importlib.resources import files
 
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.errors import ModelError
 
 MODELS = ("models", ".urdf")

@@ -6,7 +6,16 @@ from math import fsum
 import msgspec
 import numpy as np
 
-from zensim.proto.model import ZERO, Decay, Frame, Inertial, Joint, Link, Origin, Shape
+from zensim.proto.messages.model_messages import (
+    ZERO,
+    Decay,
+    Frame,
+    Inertial,
+    Joint,
+    Link,
+    Origin,
+    Shape,
+)
 from zensim.sim_server.description.transforms import compose, matrix_of, placed, turned
 
 

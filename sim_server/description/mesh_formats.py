@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 from lxml import etree
 
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.stl import STL_HEAD, STL_RECORD, read_corners, write_corners
 from zensim.sim_server.description.collada import MAX_DRAWN, DrawnTooOften, check_drawn
 from zensim.sim_server.description.gltf import BadGltf, check_promises

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from zensim.proto.model import ReportEntry
+from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.merging import fewer
 from zensim.sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
 from zensim.sim_server.description.wording import shown
@@ -25,7 +25,7 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.proto.model import Link, Model, Shape
+    from zensim.proto.messages.model_messages import Link, Model, Shape
 
 Points = NDArray[np.float64]
 Files = dict[str, tuple[str, bytes | None]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from zensim.proto.model import Joint, Link
+from zensim.proto.messages.model_messages import Joint, Link
 
 
 class Parts(msgspec.Struct, frozen=True):

@@ -10,7 +10,7 @@ import numpy as np
 import yourdfpy
 from lxml import etree
 
-from zensim.proto.model import Inertial, Joint, JointKind, Link, Mimic, Origin
+from zensim.proto.messages.model_messages import Inertial, Joint, JointKind, Link, Mimic, Origin
 from zensim.proto.rotation import FloatArray, from_matrix
 from zensim.sim_server.description.colours import named_colours
 from zensim.sim_server.description.grammar import INERTIAL, JOINT, LINK, Tag

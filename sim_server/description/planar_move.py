@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.drives import PlanarMove
+from zensim.proto.messages.drive_messages import PlanarMove
 from zensim.sim_server.description import drive_tags
 from zensim.sim_server.description.drive_tags import with_settings
 

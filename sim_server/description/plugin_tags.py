@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.model import RosBlock
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import RosBlock
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.decimals import read_number, read_numbers
 from zensim.sim_server.description.ros_block import read_ros_block
 from zensim.sim_server.errors import ModelError
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Vec3
+    from zensim.proto.messages.model_messages import Vec3
     from zensim.sim_server.description.report import Report
 
 FLAGS = {"true": True, "1": True, "false": False, "0": False}

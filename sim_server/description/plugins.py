@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from zensim.proto.drives import Drive
-from zensim.proto.model import GroundTruth, JointStatePublisher
+from zensim.proto.messages.drive_messages import Drive
+from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher
 from zensim.sim_server.description import (
     ackermann,
     classic_drive,

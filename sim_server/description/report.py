@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-from zensim.proto.model import ReportEntry, ReportStatus
+from zensim.proto.messages.model_messages import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
 """Of what is not suspicious."""

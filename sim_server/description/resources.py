@@ -1,7 +1,7 @@
 """A spawn request's resource to the text that it stands for. Reads no XML."""
 
-from zensim.proto.result import ResultCode, SpawnCode
-from zensim.proto.services import Resource
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.messages.spawn_messages import Resource
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.errors import ModelError
 

@@ -10,8 +10,8 @@ from collections.abc import Iterable
 import msgspec
 import numpy as np
 
-from zensim.proto.drives import Drive
-from zensim.proto.model import ZERO, Joint, Link, Model, Origin, Shape
+from zensim.proto.messages.drive_messages import Drive
+from zensim.proto.messages.model_messages import ZERO, Joint, Link, Model, Origin, Shape
 from zensim.sim_server.description.transforms import matrix_of
 
 MAX_OFFSET = 0.01

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.model import RosBlock
+from zensim.proto.messages.model_messages import RosBlock
 from zensim.proto.names import InvalidName, check_namespace
 
 if TYPE_CHECKING:

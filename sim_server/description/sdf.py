@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.model import IDENTITY, Model, Origin, ReportEntry, Vec3
-from zensim.proto.result import SpawnCode
-from zensim.proto.scene import Scene
+from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, ReportEntry, Vec3
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.world_messages import Scene
 from zensim.sim_server.description.assets import HasMesh, no_meshes
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.report import Report

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, get_args
 
-from zensim.proto.model import Dynamics
+from zensim.proto.messages.model_messages import Dynamics
 from zensim.sim_server.description.sdf_places import own_word
 from zensim.sim_server.description.wording import shown
 

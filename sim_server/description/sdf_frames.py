@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.model import Origin
+from zensim.proto.messages.model_messages import Origin
 from zensim.proto.rotation import conjugate, rotate
 from zensim.sim_server.description.transforms import compose
 from zensim.sim_server.description.wording import shown

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from copy import deepcopy
 from typing import TYPE_CHECKING
 
-from zensim.proto.assets import joined
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.asset_messages import resolve_include_uri
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.sdf_values import read_text
 from zensim.sim_server.description.strict_xml import parse_xml
 from zensim.sim_server.description.wording import shown
@@ -142,7 +142,7 @@ class Includes:
             written = tag.find("uri")
             if written is None:
                 continue
-            whole = joined(uri, (written.text or "").strip())
+            whole = resolve_include_uri(uri, (written.text or "").strip())
             # Includes have always been looked for below every folder, too.
             if tag.tag == "mesh" or self._resolve(whole) is not None:
                 written.text = whole

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Joint, JointKind, Link, Mimic, Origin, Vec3
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import Joint, JointKind, Link, Mimic, Origin, Vec3
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.sdf_frames import MODEL, Frames, inverse
 from zensim.sim_server.description.sdf_includes import VERSION_MARK
 from zensim.sim_server.description.sdf_values import (

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Decay, Inertial, Link, Origin, Shape
+from zensim.proto.messages.model_messages import Decay, Inertial, Link, Origin, Shape
 from zensim.sim_server.description.sdf_frames import Frames, inverse
 from zensim.sim_server.description.sdf_shapes import (
     colour_of,

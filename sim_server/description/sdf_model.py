@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
-from zensim.proto.model import Inertial, Joint, Link, Model, Origin
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import Inertial, Joint, Link, Model, Origin
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.assets import HasMesh, no_meshes
 from zensim.sim_server.description.following import with_true_mimics
 from zensim.sim_server.description.free_joints import with_chains

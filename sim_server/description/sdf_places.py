@@ -16,10 +16,15 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.geometry import Point, Pose, Quaternion, Vector3
-from zensim.proto.info import MAX_DESCRIPTION, MAX_TAG, MAX_TAGS
-from zensim.proto.places import NamedPose
-from zensim.proto.services import Bounds, BoundsType
+from zensim.proto.messages.entity_messages import (
+    MAX_DESCRIPTION_LENGTH,
+    MAX_TAG_LENGTH,
+    MAX_TAGS,
+    Bounds,
+    BoundsType,
+)
+from zensim.proto.messages.spawn_messages import NamedPose
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.wording import shown
 from zensim.sim_server.errors import ModelError
@@ -27,7 +32,7 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Origin
+    from zensim.proto.messages.model_messages import Origin
 
 PREFIX = "zensim:"
 WORDS_OF_WORLDS = ("description", "tags")
@@ -49,11 +54,13 @@ def read_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
     words = {own_word(child): (child.text or "").strip() for child in frame}
     tags = tuple(dict.fromkeys(words.get("tags", "").replace(",", " ").split()))
     description = words.get("description", "")
-    is_long = len(description) > MAX_DESCRIPTION or any(len(tag) > MAX_TAG for tag in tags)
+    is_long = len(description) > MAX_DESCRIPTION_LENGTH or any(
+        len(tag) > MAX_TAG_LENGTH for tag in tags
+    )
     if is_long or len(tags) > MAX_TAGS:
         raise ModelError(
             f"frame {shown(name)} has {len(tags)} tags and {len(description)} characters of "
-            f"description; use at most {MAX_TAGS} of {MAX_TAG}, and {MAX_DESCRIPTION}",
+            f"description; use at most {MAX_TAGS} of {MAX_TAG_LENGTH}, and {MAX_DESCRIPTION_LENGTH}",
             slug="sdf.named_pose",
         )
     pose = Pose(Point(*origin.position), Quaternion(*origin.orientation))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.scene import DOWN, Light, LightKind, Scene
+from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.sdf_values import read_pose, read_scalar, read_text, read_vector
 from zensim.sim_server.description.wording import shown
@@ -15,7 +15,7 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Quat
+    from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.report import Report
 
 LIGHT_KINDS: dict[str, LightKind] = {
@@ -84,7 +84,7 @@ def read_light(light: Element, report: Report) -> Light | None:
         name=name,
         kind=kind,
         origin=read_pose(light, where).origin,
-        direction=read_vector(light, "direction", DOWN, where),
+        direction=read_vector(light, "direction", DOWNWARD, where),
         rgba=_colour(light, "diffuse") or (1.0, 1.0, 1.0, 1.0),
     )
 

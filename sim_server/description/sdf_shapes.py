@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.model import IDENTITY, Origin, Shape, Vec3
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import IDENTITY, Origin, Shape, Vec3
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.colours import gazebo_colour
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.sdf_values import read_scalar, read_text, read_vector
@@ -21,7 +21,7 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Quat
+    from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.report import Report
     from zensim.sim_server.description.shapes import MeshRule
 

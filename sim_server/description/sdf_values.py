@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Origin, Vec3
+from zensim.proto.messages.model_messages import Origin, Vec3
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.wording import shown

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from zensim.proto.model import Origin, Parameter, RosBlock, Sensor
+from zensim.proto.messages.model_messages import Origin, Parameter, RosBlock, Sensor
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.ros_block import read_ros_block

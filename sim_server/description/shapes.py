@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Origin, Shape, Vec3
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import Origin, Shape, Vec3
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.colours import colour_of
 from zensim.sim_server.description.decimals import read_numbers
@@ -19,7 +19,7 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from lxml.etree import _Element as Element
 
-    from zensim.proto.model import Quat
+    from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.assets import HasMesh
     from zensim.sim_server.description.report import Report
 

@@ -4,8 +4,8 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto.drives import DiffDrive
-from zensim.proto.model import Joint, Model
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import Joint, Model
 from zensim.sim_server.description.drive_words import in_words
 
 

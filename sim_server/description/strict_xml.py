@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from lxml import etree
 
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.wording import in_line
 from zensim.sim_server.errors import ModelError
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.model import ZERO, Contact, Decay, Inertial, Shape, Vec3
+from zensim.proto.messages.model_messages import ZERO, Contact, Decay, Inertial, Shape, Vec3
 from zensim.sim_server.description.decimals import read_numbers
 from zensim.sim_server.description.transforms import turned
 from zensim.sim_server.errors import ModelError
@@ -15,7 +15,7 @@ from zensim.sim_server.errors import ModelError
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from zensim.proto.model import Link
+    from zensim.proto.messages.model_messages import Link
     from zensim.sim_server.description.report import Report
 
 FRICTION = 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from zensim.proto.model import IDENTITY, Joint, Origin, Vec3
+from zensim.proto.messages.model_messages import IDENTITY, Joint, Origin, Vec3
 from zensim.proto.rotation import FloatArray, multiply, rotate
 
 

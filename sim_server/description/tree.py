@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from zensim.proto.model import Joint, Link
+from zensim.proto.messages.model_messages import Joint, Link
 from zensim.sim_server.description.part_list import Parts
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.wording import listed

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.drives import TricycleDrive
+from zensim.proto.messages.drive_messages import TricycleDrive
 from zensim.sim_server.description import drive_tags
 from zensim.sim_server.description.drive_tags import grip_nm, joint_fault, with_settings
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.model import Joint, Model
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import Joint, Model
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.assets import HasMesh, no_meshes
 from zensim.sim_server.description.following import with_true_mimics
 from zensim.sim_server.description.free_joints import with_chains

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Inertial, Joint, Link, Shape, Vec3
+from zensim.proto.messages.model_messages import Inertial, Joint, Link, Shape, Vec3
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.wording import listed
 from zensim.sim_server.errors import ModelError

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from zensim.proto.model import Joint, Model, Origin
+from zensim.proto.messages.model_messages import Joint, Model, Origin
 from zensim.proto.rotation import FloatArray, multiply, rotate
 
 SLIDING = "prismatic"

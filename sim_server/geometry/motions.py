@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from zensim.proto.model import Joint, Model
+from zensim.proto.messages.model_messages import Joint, Model
 from zensim.proto.rotation import FloatArray, rotate
 from zensim.sim_server.geometry.kinematics import SLIDING, TURNING, link_poses
 

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.model import Model, Shape
+from zensim.proto.messages.model_messages import Model, Shape
 from zensim.proto.rotation import FloatArray, rotate
 from zensim.sim_server.geometry.kinematics import row_of
 

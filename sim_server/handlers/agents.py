@@ -1,8 +1,8 @@
 """Claims of agents: by name, and as a pool's share of all robots."""
 
-from zensim.proto import claims
+from zensim.proto.messages import agent_messages
+from zensim.proto.messages.result_messages import ClaimCode, Result
 from zensim.proto.names import InvalidName, check_name
-from zensim.proto.result import ClaimCode, Result
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState, Refused
 from zensim.sim_server.handlers.shares import moves_to
@@ -14,18 +14,22 @@ SHARE_TEXT = 2 << 20
 largest size, and robots that were spawned one by one have a text each."""
 
 
-def claim(desk: Desk, request: claims.ClaimEntityRequest) -> claims.ClaimEntityResponse:
+def claim(
+    desk: Desk, request: agent_messages.ClaimEntityRequest
+) -> agent_messages.ClaimEntityResponse:
     """Make an agent the driver of entities."""
     agent = _checked_agent(desk, request.agent)
     if not request.entities:
         raise Refused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
     granted = desk.world.claim(agent, request.entities, request.on_release)
-    return claims.ClaimEntityResponse(
-        Result(), *claims.granted(granted), desk.world.step_ns, desk.world.control_steps
+    return agent_messages.ClaimEntityResponse(
+        Result(), *agent_messages.make_grants(granted), desk.world.step_ns, desk.world.control_steps
     )
 
 
-def claim_share(desk: Desk, request: claims.ClaimShareRequest) -> claims.ClaimShareResponse:
+def claim_share(
+    desk: Desk, request: agent_messages.ClaimShareRequest
+) -> agent_messages.ClaimShareResponse:
     """Make a pool the driver of its share of the robots that nobody drives by name."""
     agent, world = _checked_agent(desk, request.agent), desk.world
     desk.pools[agent] = request.limit or ANY_NUMBER
@@ -35,9 +39,9 @@ def claim_share(desk: Desk, request: claims.ClaimShareRequest) -> claims.ClaimSh
         # No wheel is stopped: the pool that gets it answers the very next state.
         world.claims.drop(entity)
     granted = world.claim(agent, names, request.on_release)
-    return claims.ClaimShareResponse(
+    return agent_messages.ClaimShareResponse(
         Result(),
-        *claims.granted(granted),
+        *agent_messages.make_grants(granted),
         world.step_ns,
         world.control_steps,
         len(names) < len(moved),

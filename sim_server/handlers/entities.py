@@ -1,38 +1,41 @@
 """Entities: which there are, what they look like, and taking one out."""
 
-from zensim.proto import services, telemetry
-from zensim.proto.result import Result
+from zensim.proto.messages import entity_messages, telemetry_messages
+from zensim.proto.messages.result_messages import Result
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.later import Later
 from zensim.sim_server.lookup.filters import passing
 from zensim.sim_server.world.poses import pose_of
 
 
-def delete(desk: Desk, request: services.DeleteEntityRequest) -> services.DeleteEntityResponse:
+def delete(desk: Desk, request: DeleteEntityRequest) -> DeleteEntityResponse:
     """Take an entity out."""
     desk.world.delete(request.entity)
-    return services.DeleteEntityResponse()
+    return DeleteEntityResponse()
 
 
 def get_entities(
-    desk: Desk, request: services.GetEntitiesRequest
-) -> services.GetEntitiesResponse | Later:
+    desk: Desk, request: entity_messages.GetEntitiesRequest
+) -> entity_messages.GetEntitiesResponse | Later:
     """Name the entities that pass the filters."""
     return passing(
-        desk, request.filters, lambda names: services.GetEntitiesResponse(entities=names)
+        desk, request.filters, lambda names: entity_messages.GetEntitiesResponse(entities=names)
     )
 
 
-def get_models(desk: Desk, request: telemetry.GetModelsRequest) -> telemetry.GetModelsResponse:
+def get_models(
+    desk: Desk, request: telemetry_messages.GetModelsRequest
+) -> telemetry_messages.GetModelsResponse:
     """Tell how entities look."""
     wanted = request.entities or desk.world.roster().names
     entities = [desk.world.entity(name) for name in wanted]
     number = {model: i for i, model in enumerate(dict.fromkeys(e.model for e in entities))}
-    return telemetry.GetModelsResponse(
+    return telemetry_messages.GetModelsResponse(
         Result(),
         desk.world.roster_number,
         tuple(
-            telemetry.EntityModel(
+            telemetry_messages.EntityModel(
                 entity.name,
                 entity.namespace,
                 number[entity.model],

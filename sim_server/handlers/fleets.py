@@ -4,18 +4,19 @@ from collections.abc import Iterator
 
 import msgspec
 
-from zensim.proto.fleets import (
-    HELD_BACK,
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import Result, ResultCode, SpawnEntitiesCode
+from zensim.proto.messages.spawn_messages import (
     MAX_SPAWNS,
+    NOT_SPAWNED_PREFIX,
+    Resource,
     SpawnEntitiesOrder,
     SpawnEntitiesResponse,
     SpawnEntity,
+    SpawnEntityOrder,
     SpawnResult,
 )
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.model import Model
-from zensim.proto.result import Result, ResultCode, SpawnEntitiesCode
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused, SimError
 from zensim.sim_server.later import Later
@@ -183,7 +184,7 @@ class _Together(_Fleet):
             self._results = [_refused(error)] * failed
             return
         name = self._orders[failed].name or f"number {failed}"
-        reason = f"{HELD_BACK} '{name[:80]}': all or none were asked for"
+        reason = f"{NOT_SPAWNED_PREFIX} '{name[:80]}': all or none were asked for"
         other = SpawnResult(Result(ResultCode.OPERATION_FAILED, reason))
         self._results = [other] * len(self._orders)
         self._results[failed] = _refused(error)

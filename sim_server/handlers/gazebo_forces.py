@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 
-from zensim.proto import gazebo
-from zensim.proto.geometry import Point, Vector3
-from zensim.proto.header import Duration, Time, ns_from_time
-from zensim.proto.result import ResultCode
+from zensim.proto.messages import gazebo_messages
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.standard_messages import Duration, Point, Time, Vector3, ns_from_time
 from zensim.proto.rotation import FloatArray, rotate
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused
@@ -22,31 +21,33 @@ MOST = 1e6
 
 
 def apply_link_wrench(
-    desk: Desk, request: gazebo.ApplyLinkWrenchRequest
-) -> gazebo.ApplyLinkWrenchReport:
+    desk: Desk, request: gazebo_messages.ApplyLinkWrenchRequest
+) -> gazebo_messages.ApplyLinkWrenchReport:
     """Push a link: the wrench keeps the direction in the world that it has now."""
     target = link_of(desk.world, request.link_name)
     force, torque = _vector(request.wrench.force, "force"), _vector(request.wrench.torque, "torque")
     wrench = _at_mass(desk.world, target, request, force, torque)
     span = _span(desk.world, request.start_time, request.duration)
     if span is None:
-        return gazebo.ApplyLinkWrenchReport(success=True, status_message="duration 0: nothing done")
+        return gazebo_messages.ApplyLinkWrenchReport(
+            success=True, status_message="duration 0: nothing done"
+        )
     desk.world.pushes.add(LinkPush(target.entity.name, target.number, wrench, span))
-    return gazebo.ApplyLinkWrenchReport(success=True, status_message=_said(span))
+    return gazebo_messages.ApplyLinkWrenchReport(success=True, status_message=_said(span))
 
 
 def clear_link_wrenches(
-    desk: Desk, request: gazebo.ClearLinkWrenchesRequest
-) -> gazebo.ClearLinkWrenchesReport:
+    desk: Desk, request: gazebo_messages.ClearLinkWrenchesRequest
+) -> gazebo_messages.ClearLinkWrenchesReport:
     """Push a link no more; none to clear is fine."""
     target = link_of(desk.world, request.link_name)
     desk.world.pushes.clear_link(target.entity.name, target.number)
-    return gazebo.ClearLinkWrenchesReport()
+    return gazebo_messages.ClearLinkWrenchesReport()
 
 
 def apply_joint_effort(
-    desk: Desk, request: gazebo.ApplyJointEffortRequest
-) -> gazebo.ApplyJointEffortReport:
+    desk: Desk, request: gazebo_messages.ApplyJointEffortRequest
+) -> gazebo_messages.ApplyJointEffortReport:
     """Push a joint along its axis."""
     target = joint_of(desk.world, request.joint_name)
     if target.joint.kind == "fixed":
@@ -57,26 +58,26 @@ def apply_joint_effort(
     (effort,) = _checked((request.effort,), "effort")
     span = _span(desk.world, request.start_time, request.duration)
     if span is None:
-        return gazebo.ApplyJointEffortReport(
+        return gazebo_messages.ApplyJointEffortReport(
             success=True, status_message="duration 0: nothing done"
         )
     desk.world.pushes.add(JointPush(target.entity.name, target.number, effort, span))
-    return gazebo.ApplyJointEffortReport(success=True, status_message=_said(span))
+    return gazebo_messages.ApplyJointEffortReport(success=True, status_message=_said(span))
 
 
 def clear_joint_efforts(
-    desk: Desk, request: gazebo.ClearJointEffortsRequest
-) -> gazebo.ClearJointEffortsReport:
+    desk: Desk, request: gazebo_messages.ClearJointEffortsRequest
+) -> gazebo_messages.ClearJointEffortsReport:
     """Push a joint no more; none to clear is fine."""
     target = joint_of(desk.world, request.joint_name)
     desk.world.pushes.clear_joint(target.entity.name, target.number)
-    return gazebo.ClearJointEffortsReport()
+    return gazebo_messages.ClearJointEffortsReport()
 
 
 def _at_mass(
     world: World,
     target: ScopedLink,
-    request: gazebo.ApplyLinkWrenchRequest,
+    request: gazebo_messages.ApplyLinkWrenchRequest,
     force: FloatArray,
     torque: FloatArray,
 ) -> FloatArray:

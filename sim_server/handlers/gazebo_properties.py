@@ -8,11 +8,11 @@ import math
 import msgspec
 import numpy as np
 
-from zensim.proto import gazebo
-from zensim.proto.gazebo import JointType
-from zensim.proto.geometry import Point, Pose, Quaternion
-from zensim.proto.model import Inertial, Joint, Link
-from zensim.proto.result import ResultCode
+from zensim.proto.messages import gazebo_messages
+from zensim.proto.messages.gazebo_messages import JointType
+from zensim.proto.messages.model_messages import Inertial, Joint, Link
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion
 from zensim.proto.rotation import conjugate, rotate
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused
@@ -32,17 +32,17 @@ MOST = 1e6
 
 
 def get_joint_properties(
-    desk: Desk, request: gazebo.GetJointPropertiesRequest
-) -> gazebo.GetJointPropertiesReport:
+    desk: Desk, request: gazebo_messages.GetJointPropertiesRequest
+) -> gazebo_messages.GetJointPropertiesReport:
     """Tell how a joint moves, and where it is."""
     target = joint_of(desk.world, request.joint_name)
     joint = target.joint
     if joint.kind == "fixed":
-        return gazebo.GetJointPropertiesReport(type=JointType.FIXED, success=True)
+        return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
     reading = desk.world.reading()
     place = desk.world.roster().joints_of(target.entity.name).start + target.number
     is_limited = joint.kind in LIMITED
-    return gazebo.GetJointPropertiesReport(
+    return gazebo_messages.GetJointPropertiesReport(
         type=TYPES[joint.kind],
         damping=(joint.damping,),
         position=(float(reading.joint_positions[place]),),
@@ -55,20 +55,20 @@ def get_joint_properties(
 
 
 def set_joint_properties(
-    desk: Desk, request: gazebo.SetJointPropertiesRequest
-) -> gazebo.SetJointPropertiesReport:
+    desk: Desk, request: gazebo_messages.SetJointPropertiesRequest
+) -> gazebo_messages.SetJointPropertiesReport:
     """Change damping, friction and limits of a joint."""
     target = joint_of(desk.world, request.joint_name)
     _change_joint(desk, target, _changed(target.joint, request))
-    return gazebo.SetJointPropertiesReport(success=True)
+    return gazebo_messages.SetJointPropertiesReport(success=True)
 
 
 def get_link_properties(
-    desk: Desk, request: gazebo.GetLinkPropertiesRequest
-) -> gazebo.GetLinkPropertiesReport:
+    desk: Desk, request: gazebo_messages.GetLinkPropertiesRequest
+) -> gazebo_messages.GetLinkPropertiesReport:
     """Tell what a link weighs; the moments are about the link's own axes."""
     link = link_of(desk.world, request.link_name).link
-    return gazebo.GetLinkPropertiesReport(
+    return gazebo_messages.GetLinkPropertiesReport(
         Pose(Point(*link.inertial.com_in_link), Quaternion()),
         link.weightless == Inertial(),
         link.inertial.mass_kg,
@@ -78,8 +78,8 @@ def get_link_properties(
 
 
 def set_link_properties(
-    desk: Desk, request: gazebo.SetLinkPropertiesRequest
-) -> gazebo.SetLinkPropertiesReport:
+    desk: Desk, request: gazebo_messages.SetLinkPropertiesRequest
+) -> gazebo_messages.SetLinkPropertiesReport:
     """Change what a link weighs, and whether gravity pulls it."""
     target = link_of(desk.world, request.link_name)
     if target.entity.model.is_static and target.number == 0:
@@ -94,7 +94,7 @@ def set_link_properties(
         target,
         msgspec.structs.replace(target.link, inertial=inertial, weightless=weightless),
     )
-    return gazebo.SetLinkPropertiesReport(success=True)
+    return gazebo_messages.SetLinkPropertiesReport(success=True)
 
 
 def _change_joint(desk: Desk, target: ScopedJoint, joint: Joint) -> None:
@@ -113,7 +113,7 @@ def _change_link(desk: Desk, target: ScopedLink, link: Link) -> None:
         desk.world.remodel(target.entity.name, model)
 
 
-def _changed(joint: Joint, request: gazebo.SetJointPropertiesRequest) -> Joint:
+def _changed(joint: Joint, request: gazebo_messages.SetJointPropertiesRequest) -> Joint:
     wanted, name = request.ode_joint_config, request.joint_name[:80]
     for field in OF_ODE:
         if getattr(wanted, field):
@@ -122,7 +122,7 @@ def _changed(joint: Joint, request: gazebo.SetJointPropertiesRequest) -> Joint:
                 f"{field} of joint {name!r} is of ODE's solver; set damping, fmax, lo_stop, "
                 "hi_stop and leave the others empty",
             )
-    if joint.kind == "fixed" and wanted != gazebo.ODEJointProperties():
+    if joint.kind == "fixed" and wanted != gazebo_messages.ODEJointProperties():
         raise Refused(ResultCode.OPERATION_FAILED, f"joint {name!r} is fixed; nothing can be set")
     lower, upper = _one(wanted.lo_stop, "lo_stop"), _one(wanted.hi_stop, "hi_stop")
     damping, friction = _one(wanted.damping, "damping"), _one(wanted.fmax, "fmax")
@@ -167,7 +167,7 @@ def _one(numbers: tuple[float, ...], what: str) -> float | None:
     return numbers[0]
 
 
-def _inertial(request: gazebo.SetLinkPropertiesRequest) -> Inertial:
+def _inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
     moments = (request.ixx, request.ixy, request.ixz, request.iyy, request.iyz, request.izz)
     numbers = (request.mass, *moments)
     if not all(math.isfinite(number) and abs(number) <= MOST for number in numbers):

@@ -2,17 +2,17 @@
 
 from importlib.metadata import version
 
-from zensim.proto import telemetry
-from zensim.proto.services import State
+from zensim.proto.messages import telemetry_messages
+from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.desk import Desk
 
 VERSION = version("zensim")
 
 
-def info(desk: Desk, _: telemetry.InfoRequest) -> telemetry.Info:
+def info(desk: Desk, _: telemetry_messages.InfoRequest) -> telemetry_messages.Info:
     """Say who this is, and how it goes."""
     world, is_playing = desk.world, desk.world.state == State.PLAYING
-    return telemetry.Info(
+    return telemetry_messages.Info(
         world=world.name,
         version=VERSION,
         sim_time_s=world.time_ns * 1e-9,

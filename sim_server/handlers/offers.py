@@ -9,9 +9,14 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto import catalog, services
-from zensim.proto.catalog import Request, Response, Service
-from zensim.proto.services import Feature
+from zensim.proto import service_catalog
+from zensim.proto.messages.simulation_messages import (
+    Feature,
+    GetSimulatorFeaturesRequest,
+    GetSimulatorFeaturesResponse,
+    SimulatorFeatures,
+)
+from zensim.proto.service_catalog import Request, Response, Service
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.handlers import (
     agents,
@@ -55,65 +60,66 @@ def offer(
     return Offer(service, handler, features)
 
 
-def features(
-    _: Desk, __: services.GetSimulatorFeaturesRequest
-) -> services.GetSimulatorFeaturesResponse:
+def features(_: Desk, __: GetSimulatorFeaturesRequest) -> GetSimulatorFeaturesResponse:
     """List what this server can do."""
     numbers = tuple(int(feature) for feature in FEATURES)
-    about = services.SimulatorFeatures(numbers, SPAWN_FORMATS, f"zensim {info.VERSION}")
-    return services.GetSimulatorFeaturesResponse(about)
+    about = SimulatorFeatures(numbers, SPAWN_FORMATS, f"zensim {info.VERSION}")
+    return GetSimulatorFeaturesResponse(about)
 
 
 OFFERS = (
     offer(
-        catalog.SPAWN_ENTITY, spawn_when_read, Feature.SPAWNING, Feature.SPAWNING_RESOURCE_STRING
+        service_catalog.SPAWN_ENTITY,
+        spawn_when_read,
+        Feature.SPAWNING,
+        Feature.SPAWNING_RESOURCE_STRING,
     ),
-    offer(catalog.SPAWN_ENTITIES, fleets.spawn_entities, Feature.SPAWNING_ENTITIES),
-    offer(catalog.DELETE_ENTITY, entities.delete, Feature.DELETING),
+    offer(service_catalog.SPAWN_ENTITIES, fleets.spawn_entities, Feature.SPAWNING_ENTITIES),
+    offer(service_catalog.DELETE_ENTITY, entities.delete, Feature.DELETING),
     offer(
-        catalog.GET_ENTITIES,
+        service_catalog.GET_ENTITIES,
         entities.get_entities,
         Feature.ENTITY_TAGS,
         Feature.ENTITY_CATEGORIES,
     ),
-    offer(catalog.GET_ENTITIES_STATES, states.get_states),
-    offer(catalog.GET_ENTITY_STATE, states.get_state, Feature.ENTITY_STATE_GETTING),
-    offer(catalog.SET_ENTITY_STATE, states.set_state, Feature.ENTITY_STATE_SETTING),
-    offer(catalog.GET_ENTITY_INFO, infos.get_info, Feature.ENTITY_INFO_GETTING),
-    offer(catalog.SET_ENTITY_INFO, infos.set_info, Feature.ENTITY_INFO_SETTING),
+    offer(service_catalog.GET_ENTITIES_STATES, states.get_states),
+    offer(service_catalog.GET_ENTITY_STATE, states.get_state, Feature.ENTITY_STATE_GETTING),
+    offer(service_catalog.SET_ENTITY_STATE, states.set_state, Feature.ENTITY_STATE_SETTING),
+    offer(service_catalog.GET_ENTITY_INFO, infos.get_info, Feature.ENTITY_INFO_GETTING),
+    offer(service_catalog.SET_ENTITY_INFO, infos.set_info, Feature.ENTITY_INFO_SETTING),
     offer(
-        catalog.GET_ENTITY_BOUNDS,
+        service_catalog.GET_ENTITY_BOUNDS,
         bounds.get_bounds,
         Feature.ENTITY_BOUNDS,
         Feature.ENTITY_BOUNDS_BOX,
         Feature.ENTITY_BOUNDS_CONVEX,
     ),
-    offer(catalog.GET_SPAWNABLES, places.get_spawnables, Feature.SPAWNABLES),
-    offer(catalog.GET_NAMED_POSES, places.get_named_poses, Feature.NAMED_POSES),
-    offer(catalog.GET_NAMED_POSE_BOUNDS, places.get_named_pose_bounds, Feature.POSE_BOUNDS),
+    offer(service_catalog.GET_SPAWNABLES, places.get_spawnables, Feature.SPAWNABLES),
+    offer(service_catalog.GET_NAMED_POSES, places.get_named_poses, Feature.NAMED_POSES),
+    offer(service_catalog.GET_NAMED_POSE_BOUNDS, places.get_named_pose_bounds, Feature.POSE_BOUNDS),
     offer(
-        catalog.GET_SIMULATION_STATE,
+        service_catalog.GET_SIMULATION_STATE,
         transitions.get_simulation_state,
         Feature.SIMULATION_STATE_GETTING,
     ),
     offer(
-        catalog.SET_SIMULATION_STATE,
+        service_catalog.SET_SIMULATION_STATE,
         transitions.set_simulation_state,
         Feature.SIMULATION_STATE_SETTING,
         Feature.SIMULATION_STATE_PAUSE,
     ),
     offer(
-        catalog.STEP_SIMULATION,
+        service_catalog.STEP_SIMULATION,
         pacing.step,
         Feature.STEP_SIMULATION_SINGLE,
         Feature.STEP_SIMULATION_MULTIPLE,
     ),
-    offer(catalog.SIMULATE_STEPS, pacing.simulate_steps, Feature.STEP_SIMULATION_ACTION),
-    offer(catalog.CANCEL_STEPS, pacing.cancel_steps),
-    offer(catalog.RUN_TO, pacing.run_to),
-    offer(catalog.SET_SPEED, pacing.set_speed),
+    offer(service_catalog.SIMULATE_STEPS, pacing.simulate_steps, Feature.STEP_SIMULATION_ACTION),
+    offer(service_catalog.CANCEL_STEPS, pacing.cancel_steps),
+    offer(service_catalog.RUN_TO, pacing.run_to),
+    offer(service_catalog.SET_SPEED, pacing.set_speed),
     offer(
-        catalog.RESET_SIMULATION,
+        service_catalog.RESET_SIMULATION,
         simulation.reset,
         Feature.SIMULATION_RESET,
         Feature.SIMULATION_RESET_TIME,
@@ -121,39 +127,39 @@ OFFERS = (
         Feature.SIMULATION_RESET_SPAWNED,
     ),
     offer(
-        catalog.LOAD_WORLD,
+        service_catalog.LOAD_WORLD,
         worlds.load_world,
         Feature.WORLD_LOADING,
         Feature.WORLD_RESOURCE_STRING,
     ),
-    offer(catalog.UNLOAD_WORLD, worlds.unload_world, Feature.WORLD_UNLOADING),
-    offer(catalog.GET_CURRENT_WORLD, worlds.get_current_world, Feature.WORLD_INFO_GETTING),
+    offer(service_catalog.UNLOAD_WORLD, worlds.unload_world, Feature.WORLD_UNLOADING),
+    offer(service_catalog.GET_CURRENT_WORLD, worlds.get_current_world, Feature.WORLD_INFO_GETTING),
     offer(
-        catalog.GET_AVAILABLE_WORLDS,
+        service_catalog.GET_AVAILABLE_WORLDS,
         worlds.get_available_worlds,
         Feature.AVAILABLE_WORLDS,
         Feature.WORLD_TAGS,
     ),
-    offer(catalog.GAZEBO_GET_ENTITY_STATE, gazebo.get_entity_state),
-    offer(catalog.GAZEBO_SET_ENTITY_STATE, gazebo.set_entity_state),
-    offer(catalog.PAUSE_PHYSICS, gazebo.pause_physics),
-    offer(catalog.UNPAUSE_PHYSICS, gazebo.unpause_physics),
-    offer(catalog.RESET_WORLD, gazebo.reset_world),
-    offer(catalog.APPLY_LINK_WRENCH, gazebo_forces.apply_link_wrench),
-    offer(catalog.CLEAR_LINK_WRENCHES, gazebo_forces.clear_link_wrenches),
-    offer(catalog.APPLY_JOINT_EFFORT, gazebo_forces.apply_joint_effort),
-    offer(catalog.CLEAR_JOINT_EFFORTS, gazebo_forces.clear_joint_efforts),
-    offer(catalog.GET_JOINT_PROPERTIES, gazebo_properties.get_joint_properties),
-    offer(catalog.SET_JOINT_PROPERTIES, gazebo_properties.set_joint_properties),
-    offer(catalog.GET_LINK_PROPERTIES, gazebo_properties.get_link_properties),
-    offer(catalog.SET_LINK_PROPERTIES, gazebo_properties.set_link_properties),
-    offer(catalog.GET_SIMULATOR_FEATURES, features),
-    offer(catalog.CLAIM_ENTITY, agents.claim),
-    offer(catalog.CLAIM_SHARE, agents.claim_share),
-    offer(catalog.GET_MODELS, entities.get_models),
-    offer(catalog.MISSING_ASSETS, files.missing_assets),
-    offer(catalog.PUT_ASSET, files.put_asset),
-    offer(catalog.GET_ASSET, files.get_asset),
-    offer(catalog.INFO, info.info),
+    offer(service_catalog.GAZEBO_GET_ENTITY_STATE, gazebo.get_entity_state),
+    offer(service_catalog.GAZEBO_SET_ENTITY_STATE, gazebo.set_entity_state),
+    offer(service_catalog.PAUSE_PHYSICS, gazebo.pause_physics),
+    offer(service_catalog.UNPAUSE_PHYSICS, gazebo.unpause_physics),
+    offer(service_catalog.RESET_WORLD, gazebo.reset_world),
+    offer(service_catalog.APPLY_LINK_WRENCH, gazebo_forces.apply_link_wrench),
+    offer(service_catalog.CLEAR_LINK_WRENCHES, gazebo_forces.clear_link_wrenches),
+    offer(service_catalog.APPLY_JOINT_EFFORT, gazebo_forces.apply_joint_effort),
+    offer(service_catalog.CLEAR_JOINT_EFFORTS, gazebo_forces.clear_joint_efforts),
+    offer(service_catalog.GET_JOINT_PROPERTIES, gazebo_properties.get_joint_properties),
+    offer(service_catalog.SET_JOINT_PROPERTIES, gazebo_properties.set_joint_properties),
+    offer(service_catalog.GET_LINK_PROPERTIES, gazebo_properties.get_link_properties),
+    offer(service_catalog.SET_LINK_PROPERTIES, gazebo_properties.set_link_properties),
+    offer(service_catalog.GET_SIMULATOR_FEATURES, features),
+    offer(service_catalog.CLAIM_ENTITY, agents.claim),
+    offer(service_catalog.CLAIM_SHARE, agents.claim_share),
+    offer(service_catalog.GET_MODELS, entities.get_models),
+    offer(service_catalog.MISSING_ASSETS, files.missing_assets),
+    offer(service_catalog.PUT_ASSET, files.put_asset),
+    offer(service_catalog.GET_ASSET, files.get_asset),
+    offer(service_catalog.INFO, info.info),
 )
 FEATURES = tuple(sorted(feature for one in OFFERS for feature in one.features))

@@ -1,8 +1,9 @@
 """How time is made to pass: steps that are asked for, runs to a time, speed."""
 
-from zensim.proto import services, stepping
-from zensim.proto.header import NANOSECONDS, ns_from_time, time_from_ns
-from zensim.proto.result import Result, ResultCode
+from zensim.proto.messages import simulation_messages
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import StepSimulationRequest, StepSimulationResponse
+from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time, time_from_ns
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState, Refused
 from zensim.sim_server.later import Later
@@ -14,13 +15,13 @@ MAX_GOALS = 64
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 
-def step(desk: Desk, request: services.StepSimulationRequest) -> Later:
+def step(desk: Desk, request: StepSimulationRequest) -> Later:
     """Make steps of a paused world, and answer when the agents have answered the last."""
     goal = _add_goal(desk, request.steps)
-    return Later(lambda: goal.is_over, lambda: services.StepSimulationResponse(_result_of(goal)))
+    return Later(lambda: goal.is_over, lambda: StepSimulationResponse(_result_of(goal)))
 
 
-def simulate_steps(desk: Desk, request: stepping.SimulateStepsRequest) -> Later:
+def simulate_steps(desk: Desk, request: simulation_messages.SimulateStepsRequest) -> Later:
     """Make steps of a paused world, tell of their progress, and answer at the end."""
     goal_id = _checked_goal_id(request.goal_id)
     goal = desk.stepping.known(goal_id)
@@ -34,7 +35,9 @@ def simulate_steps(desk: Desk, request: stepping.SimulateStepsRequest) -> Later:
     return Later(lambda: goal.is_over, lambda: _simulated(goal))
 
 
-def cancel_steps(desk: Desk, request: stepping.CancelStepsRequest) -> stepping.CancelStepsResponse:
+def cancel_steps(
+    desk: Desk, request: simulation_messages.CancelStepsRequest
+) -> simulation_messages.CancelStepsResponse:
     """End a goal, or all, before the last step."""
     canceled = desk.stepping.cancel(request.goal_id)
     if not canceled and request.goal_id:
@@ -44,10 +47,12 @@ def cancel_steps(desk: Desk, request: stepping.CancelStepsRequest) -> stepping.C
             f"goal {request.goal_id[:80]!r} {'is unknown' if known is None else 'is over'}; "
             "nothing was canceled",
         )
-    return stepping.CancelStepsResponse(goal_ids=tuple(goal.goal_id for goal in canceled))
+    return simulation_messages.CancelStepsResponse(
+        goal_ids=tuple(goal.goal_id for goal in canceled)
+    )
 
 
-def run_to(desk: Desk, request: stepping.RunToRequest) -> Later:
+def run_to(desk: Desk, request: simulation_messages.RunToRequest) -> Later:
     """Make steps of a paused world until a time is reached; a reset meanwhile ends the run."""
     world = desk.world
     if desk.stepping:
@@ -69,11 +74,15 @@ def run_to(desk: Desk, request: stepping.RunToRequest) -> Later:
 
     return Later(
         is_over,
-        lambda: stepping.RunToResponse(_result_of(goal), time_from_ns(world.time_ns), goal.made),
+        lambda: simulation_messages.RunToResponse(
+            _result_of(goal), time_from_ns(world.time_ns), goal.made
+        ),
     )
 
 
-def set_speed(desk: Desk, request: stepping.SetSpeedRequest) -> stepping.SetSpeedResponse:
+def set_speed(
+    desk: Desk, request: simulation_messages.SetSpeedRequest
+) -> simulation_messages.SetSpeedResponse:
     """Choose the real-time factor to hold."""
     factor = request.real_time_factor
     if not (factor == 0.0 or MIN_SPEED <= factor <= MAX_SPEED):
@@ -83,7 +92,7 @@ def set_speed(desk: Desk, request: stepping.SetSpeedRequest) -> stepping.SetSpee
             f"to {MAX_SPEED:g}",
         )
     desk.target_real_time_factor = factor
-    return stepping.SetSpeedResponse()
+    return simulation_messages.SetSpeedResponse()
 
 
 def _add_goal(desk: Desk, steps: int, goal_id: str = "", *, least: int = 1) -> Goal:
@@ -99,17 +108,17 @@ def _add_goal(desk: Desk, steps: int, goal_id: str = "", *, least: int = 1) -> G
 
 
 def _checked_goal_id(goal_id: str) -> str:
-    if len(goal_id) <= stepping.MAX_GOAL_ID and goal_id.isprintable():
+    if len(goal_id) <= simulation_messages.MAX_GOAL_ID_LENGTH and goal_id.isprintable():
         return goal_id
     raise Refused(
         ResultCode.OPERATION_FAILED,
-        f"goal_id {goal_id[:80]!r} is not valid; use at most {stepping.MAX_GOAL_ID} printable "
+        f"goal_id {goal_id[:80]!r} is not valid; use at most {simulation_messages.MAX_GOAL_ID_LENGTH} printable "
         "characters",
     )
 
 
-def _simulated(goal: Goal) -> stepping.SimulateStepsResponse:
-    return stepping.SimulateStepsResponse(
+def _simulated(goal: Goal) -> simulation_messages.SimulateStepsResponse:
+    return simulation_messages.SimulateStepsResponse(
         _result_of(goal), goal.goal_id, goal.status, goal.made, goal.left
     )
 

@@ -1,9 +1,10 @@
 """What can be spawned, and where: shipped robots, named poses of the world."""
 
-from zensim.proto import places
-from zensim.proto.model import Model
-from zensim.proto.result import ResultCode
-from zensim.proto.services import BoundsType, Resource, SpawnEntityOrder
+from zensim.proto.messages import spawn_messages
+from zensim.proto.messages.entity_messages import BoundsType
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.description.library import shipped_models
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused
@@ -16,8 +17,8 @@ SHIPPED = "zensim://"
 
 
 def get_spawnables(
-    desk: Desk, request: places.GetSpawnablesRequest
-) -> places.GetSpawnablesResponse | Later:
+    desk: Desk, request: spawn_messages.GetSpawnablesRequest
+) -> spawn_messages.GetSpawnablesResponse | Later:
     """List the robots that come with the server, once all of them are read."""
     if unknown := [source for source in request.sources if source != SHIPPED]:
         raise Refused(
@@ -28,9 +29,9 @@ def get_spawnables(
         SpawnEntityOrder(entity_resource=Resource(SHIPPED + name)) for name in shipped_models()
     ]
 
-    def answer() -> places.GetSpawnablesResponse:
+    def answer() -> spawn_messages.GetSpawnablesResponse:
         found = tuple(_spawnable(desk, order) for order in orders)
-        return places.GetSpawnablesResponse(spawnables=found)
+        return spawn_messages.GetSpawnablesResponse(spawnables=found)
 
     def is_read() -> bool:
         # Not by all(): each has to be asked for, so that all are read meanwhile.
@@ -39,11 +40,11 @@ def get_spawnables(
     return answer() if is_read() else Later(lambda: desk.has_read and is_read(), answer)
 
 
-def _spawnable(desk: Desk, order: SpawnEntityOrder) -> places.Spawnable:
+def _spawnable(desk: Desk, order: SpawnEntityOrder) -> spawn_messages.Spawnable:
     model, _ = desk.descriptions.model(order)
     solids = list(solids_at(model, links_at_zero(model), desk.store.corners))
     bounds = bounds_of(solids, BoundsType.BOX)
-    return places.Spawnable(order.entity_resource, _in_words(model), bounds)
+    return spawn_messages.Spawnable(order.entity_resource, _in_words(model), bounds)
 
 
 def _in_words(model: Model) -> str:
@@ -52,21 +53,21 @@ def _in_words(model: Model) -> str:
 
 
 def get_named_poses(
-    desk: Desk, request: places.GetNamedPosesRequest
-) -> places.GetNamedPosesResponse:
+    desk: Desk, request: spawn_messages.GetNamedPosesRequest
+) -> spawn_messages.GetNamedPosesResponse:
     """List the named poses of the world whose tags pass."""
     passes = tags_test(request.tags)
     found = (place.pose for place in desk.source.places if passes(place.pose.tags))
-    return places.GetNamedPosesResponse(poses=tuple(found))
+    return spawn_messages.GetNamedPosesResponse(poses=tuple(found))
 
 
 def get_named_pose_bounds(
-    desk: Desk, request: places.GetNamedPoseBoundsRequest
-) -> places.GetNamedPoseBoundsResponse:
+    desk: Desk, request: spawn_messages.GetNamedPoseBoundsRequest
+) -> spawn_messages.GetNamedPoseBoundsResponse:
     """Tell how much room a named pose has."""
     for place in desk.source.places:
         if place.pose.name == request.name:
-            return places.GetNamedPoseBoundsResponse(bounds=place.bounds)
+            return spawn_messages.GetNamedPoseBoundsResponse(bounds=place.bounds)
     raise Refused(
         ResultCode.NOT_FOUND,
         f"no pose {request.name[:80]!r} in this world; 'get_named_poses' lists those there are",

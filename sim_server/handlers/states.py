@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from zensim.proto import entities, services
-from zensim.proto.header import Header, time_from_ns
-from zensim.proto.result import SetEntityStateCode
+from zensim.proto.messages import entity_messages
+from zensim.proto.messages.result_messages import SetEntityStateCode
+from zensim.proto.messages.standard_messages import Header, time_from_ns
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import PoseRefused, Refused, Unsupported
@@ -17,7 +17,9 @@ from zensim.sim_server.world.poses import WORLD_FRAMES, pose_of, pose_row, twist
 from zensim.sim_server.world.world import World
 
 
-def get_state(desk: Desk, request: entities.GetEntityStateOrder) -> services.GetEntityStateResponse:
+def get_state(
+    desk: Desk, request: entity_messages.GetEntityStateOrder
+) -> entity_messages.GetEntityStateResponse:
     """Tell where an entity is; accelerations are not measured and told as 0.
 
     In the world's frame it is where agents were told that it is, at their last control step.
@@ -26,22 +28,22 @@ def get_state(desk: Desk, request: entities.GetEntityStateOrder) -> services.Get
     if request.reference_frame in WORLD_FRAMES:
         row, time_ns = world.told_of(request.entity)
         header = Header(time_from_ns(time_ns), "world")
-        return services.GetEntityStateResponse(state=_state(header, row))
+        return entity_messages.GetEntityStateResponse(state=_state(header, row))
     row = world.state_of(request.entity)
     (state,) = _View(world, request.reference_frame).states(row[None])
-    return services.GetEntityStateResponse(state=state)
+    return entity_messages.GetEntityStateResponse(state=state)
 
 
 def get_states(
-    desk: Desk, request: entities.GetEntitiesStatesOrder
-) -> entities.GetEntitiesStatesResponse | Later:
+    desk: Desk, request: entity_messages.GetEntitiesStatesOrder
+) -> entity_messages.GetEntitiesStatesResponse | Later:
     """Tell where the entities are that pass the filters, all at one step."""
     view = _View(desk.world, request.reference_frame)
     base, row = desk.world.reading().base, desk.world.roster().row
 
-    def answer(names: tuple[str, ...]) -> entities.GetEntitiesStatesResponse:
+    def answer(names: tuple[str, ...]) -> entity_messages.GetEntitiesStatesResponse:
         states = view.states(base[[row[name] for name in names]]) if names else []
-        return entities.GetEntitiesStatesResponse(entities=names, states=tuple(states))
+        return entity_messages.GetEntitiesStatesResponse(entities=names, states=tuple(states))
 
     return passing(desk, request.filters, answer)
 
@@ -54,20 +56,20 @@ class _View:
         name = "world" if self._frame is None else frame_id
         self._header = Header(time_from_ns(world.time_ns), name)
 
-    def states(self, rows: FloatArray) -> Sequence[services.EntityState]:
+    def states(self, rows: FloatArray) -> Sequence[entity_messages.EntityState]:
         """Write state rows (n, 13) of the world down."""
         if self._frame is not None:
             rows = seen_from(self._frame, rows)
         return [_state(self._header, row) for row in rows]
 
 
-def _state(header: Header, row: FloatArray) -> services.EntityState:
-    return services.EntityState(header, pose_of(row), twist_of(row))
+def _state(header: Header, row: FloatArray) -> entity_messages.EntityState:
+    return entity_messages.EntityState(header, pose_of(row), twist_of(row))
 
 
 def set_state(
-    desk: Desk, request: services.SetEntityStateRequest
-) -> services.SetEntityStateResponse:
+    desk: Desk, request: entity_messages.SetEntityStateRequest
+) -> entity_messages.SetEntityStateResponse:
     """Put an entity somewhere."""
     row = desk.world.state_of(request.entity).copy()
     # A request of version 1 has no flags and means both.
@@ -85,4 +87,4 @@ def set_state(
     except PoseRefused as error:
         raise Refused(SetEntityStateCode.INVALID_POSE, str(error)) from error
     desk.world.place(request.entity, np.asarray(row))
-    return services.SetEntityStateResponse()
+    return entity_messages.SetEntityStateResponse()

@@ -2,10 +2,10 @@
 
 import msgspec
 
-from zensim.proto import services
-from zensim.proto.catalog import SERVICES
-from zensim.proto.result import Result
-from zensim.proto.services import State
+from zensim.proto.messages.result_messages import Result
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import DeleteEntityResponse
+from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.handlers.offers import OFFERS
@@ -26,9 +26,9 @@ def handle(desk: Desk, request: msgspec.Struct) -> msgspec.Struct | Later:
 def refusal(name: str, code: int, message: str) -> msgspec.Struct:
     """Make a service's response that says no."""
     service = SERVICES.get(name)
-    response = service.response if service else services.DeleteEntityResponse
+    response = service.response if service else DeleteEntityResponse
     if "result" not in response.__struct_fields__:
-        response = services.DeleteEntityResponse
+        response = DeleteEntityResponse
     told = {"status_message": message} if "status_message" in response.__struct_fields__ else {}
     return response(result=Result(int(code), message), **told)
 

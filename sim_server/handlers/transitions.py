@@ -1,23 +1,28 @@
 """The state of the simulation: telling it, and going from one to another."""
 
-from zensim.proto import services
-from zensim.proto.result import SetSimulationStateCode
-from zensim.proto.services import State
+from zensim.proto.messages.result_messages import SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import (
+    GetSimulationStateRequest,
+    GetSimulationStateResponse,
+    ResetScope,
+    SetSimulationStateRequest,
+    SetSimulationStateResponse,
+    SimulationState,
+    State,
+)
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused, SimError
 from zensim.sim_server.world.phases import LEADS_TO, NAMES, why_not
 
 
-def get_simulation_state(
-    desk: Desk, _: services.GetSimulationStateRequest
-) -> services.GetSimulationStateResponse:
+def get_simulation_state(desk: Desk, _: GetSimulationStateRequest) -> GetSimulationStateResponse:
     """Tell whether time runs."""
-    return services.GetSimulationStateResponse(services.SimulationState(desk.world.state))
+    return GetSimulationStateResponse(SimulationState(desk.world.state))
 
 
 def set_simulation_state(
-    desk: Desk, request: services.SetSimulationStateRequest
-) -> services.SetSimulationStateResponse:
+    desk: Desk, request: SetSimulationStateRequest
+) -> SetSimulationStateResponse:
     """Play, pause, stop or quit."""
     wanted, present = request.state.state, desk.world.state
     if wanted == present:
@@ -32,11 +37,11 @@ def set_simulation_state(
     if wanted == State.STOPPED:
         _go_to_start(desk)
     desk.world.enter(State(wanted))
-    return services.SetSimulationStateResponse()
+    return SetSimulationStateResponse()
 
 
 def _go_to_start(desk: Desk) -> None:
     try:
-        desk.world.reset(services.ResetScope.ALL)
+        desk.world.reset(ResetScope.ALL)
     except SimError as error:
         raise Refused(SetSimulationStateCode.STATE_TRANSITION_ERROR, str(error)) from error

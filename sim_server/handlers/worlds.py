@@ -2,10 +2,9 @@
 
 from collections.abc import Callable, Iterator
 
-from zensim.proto import services, worlds
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.model import ReportEntry
-from zensim.proto.result import (
+from zensim.proto.messages import entity_messages, world_messages
+from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.messages.result_messages import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
@@ -14,7 +13,8 @@ from zensim.proto.result import (
     SpawnCode,
     UnloadWorldCode,
 )
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.description.sdf import WorldModel
 from zensim.sim_server.desk import Desk, Founded
 from zensim.sim_server.errors import IncorrectState, ModelError, Refused, SimError
@@ -31,7 +31,7 @@ MAX_SOURCES = 64
 MISSING = "is not on the server"
 
 
-def load_world(desk: Desk, request: worlds.LoadWorldRequest) -> Later:
+def load_world(desk: Desk, request: world_messages.LoadWorldRequest) -> Later:
     """Read a world while time stands, then put it in the place of this one; or leave this one."""
     former = desk.world.state
     if former in (State.LOADING_WORLD, State.QUITTING):
@@ -45,7 +45,7 @@ def load_world(desk: Desk, request: worlds.LoadWorldRequest) -> Later:
     desk.world.enter(State.LOADING_WORLD)
     building = _Building(desk, lambda answer: _checked(answer, request))
 
-    def put() -> worlds.LoadWorldReport:
+    def put() -> world_messages.LoadWorldReport:
         try:
             model, founded = building.outcome()
         except SimError:
@@ -53,7 +53,7 @@ def load_world(desk: Desk, request: worlds.LoadWorldRequest) -> Later:
                 desk.world.enter(former)
             raise
         desk.replace_world(founded, model, found.resource)
-        return worlds.LoadWorldReport(Result(), desk.resource, model.report)
+        return world_messages.LoadWorldReport(Result(), desk.resource, model.report)
 
     return Later(lambda: building.go_on(reading.answer), put)
 
@@ -93,7 +93,9 @@ class _Building:
         return self._model, self._outcome
 
 
-def unload_world(desk: Desk, _: worlds.UnloadWorldRequest) -> worlds.UnloadWorldResponse:
+def unload_world(
+    desk: Desk, _: world_messages.UnloadWorldRequest
+) -> world_messages.UnloadWorldResponse:
     """Leave nothing: no entities, no ground, no time."""
     if desk.world.state == State.NO_WORLD:
         raise Refused(UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to do")
@@ -102,22 +104,22 @@ def unload_world(desk: Desk, _: worlds.UnloadWorldRequest) -> worlds.UnloadWorld
     desk.stepping.abort("the world was unloaded")
     nothing = list(desk.founding(NOTHING))[-1]
     assert nothing is not None
-    desk.replace_world(nothing, NOTHING, worlds.WorldResource())
-    return worlds.UnloadWorldResponse()
+    desk.replace_world(nothing, NOTHING, world_messages.WorldResource())
+    return world_messages.UnloadWorldResponse()
 
 
 def get_current_world(
-    desk: Desk, _: worlds.GetCurrentWorldRequest
-) -> worlds.GetCurrentWorldResponse:
+    desk: Desk, _: world_messages.GetCurrentWorldRequest
+) -> world_messages.GetCurrentWorldResponse:
     """Tell which world is there."""
     if desk.world.state == State.NO_WORLD:
         raise Refused(
             GetCurrentWorldCode.NO_WORLD_LOADED, "no world is loaded; load one with load_world"
         )
-    return worlds.GetCurrentWorldResponse(world=desk.resource)
+    return world_messages.GetCurrentWorldResponse(world=desk.resource)
 
 
-def get_available_worlds(desk: Desk, request: worlds.GetAvailableWorldsRequest) -> Later:
+def get_available_worlds(desk: Desk, request: world_messages.GetAvailableWorldsRequest) -> Later:
     """List the worlds that can be loaded, those of the server first; a few files at each turn."""
     sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
     if len(sources) > MAX_SOURCES:
@@ -129,13 +131,13 @@ def get_available_worlds(desk: Desk, request: worlds.GetAvailableWorldsRequest) 
     return Later(lambda: search.is_over or search.go_on(), lambda: _listed(search, request))
 
 
-def _is_skipped(source: str, request: worlds.GetAvailableWorldsRequest) -> bool:
+def _is_skipped(source: str, request: world_messages.GetAvailableWorldsRequest) -> bool:
     return request.offline_only and source.startswith(ONLINE)
 
 
 def _listed(
-    search: Search, request: worlds.GetAvailableWorldsRequest
-) -> worlds.GetAvailableWorldsResponse:
+    search: Search, request: world_messages.GetAvailableWorldsRequest
+) -> world_messages.GetAvailableWorldsResponse:
     reasons = "; ".join(failure.reason for failure in search.failures[:SHOWN])
     if search.failures and not request.continue_on_error:
         is_own = any(failure.is_own for failure in search.failures)
@@ -145,15 +147,15 @@ def _listed(
         )
     found = {world.world_resource.uri: world for world in search.worlds}
     wanted = tuple(world for world in found.values() if _passes(world, request.filter))
-    return worlds.GetAvailableWorldsResponse(Result(ResultCode.OK, reasons), wanted)
+    return world_messages.GetAvailableWorldsResponse(Result(ResultCode.OK, reasons), wanted)
 
 
-def _passes(world: worlds.WorldResource, wanted: services.TagsFilter) -> bool:
+def _passes(world: world_messages.WorldResource, wanted: entity_messages.TagsFilter) -> bool:
     asks = all if wanted.filter_mode else any
     return not wanted.tags or asks(tag in world.tags for tag in wanted.tags)
 
 
-def _checked(answer: TextRead, request: worlds.LoadWorldRequest) -> WorldModel:
+def _checked(answer: TextRead, request: world_messages.LoadWorldRequest) -> WorldModel:
     """Take what was read, unless the request is stricter.
 
     Raises:

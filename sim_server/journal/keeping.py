@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.journal.ledger import FILES, sync_folder
 from zensim.sim_server.journal.rows import (
     ENCODER,

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal.records import Change, Kept, Motion, Record
 from zensim.sim_server.journal.rows import AnswerRow, ClockRow, WorldRow

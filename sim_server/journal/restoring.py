@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, TypeVar
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Model
-from zensim.proto.services import State
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal.keeping import CLOCK, MOTION, WORLD
 from zensim.sim_server.journal.ledger import JournalError, Ledger

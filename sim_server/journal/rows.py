@@ -7,11 +7,11 @@ import hashlib
 
 import msgspec
 
-from zensim.proto.assets import AssetRef
-from zensim.proto.info import EntityInfo
-from zensim.proto.model import Dynamics, Model
-from zensim.proto.services import Compat
-from zensim.proto.worlds import WorldResource
+from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.entity_messages import EntityInfo
+from zensim.proto.messages.model_messages import Dynamics, Model
+from zensim.proto.messages.spawn_messages import Compat
+from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.sdf import WorldModel
 
 ENCODER = msgspec.msgpack.Encoder()

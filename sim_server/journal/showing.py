@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 if TYPE_CHECKING:
     from zensim.sim_server.journal.ledger import Ledger

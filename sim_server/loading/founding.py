@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.config import ConfigError, paced
 from zensim.sim_server.desk import Founded
 from zensim.sim_server.errors import Refused

@@ -18,7 +18,7 @@ from zensim.sim_server.world.birth import Birth
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from zensim.proto.model import ReportEntry
+    from zensim.proto.messages.model_messages import ReportEntry
     from zensim.sim_server.world.world import World
 
 COMMAND = (sys.executable, "-m", "zensim.sim_server.loading.world_loading")

@@ -5,9 +5,8 @@ from typing import TypeVar
 
 import msgspec
 
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.info import MAX_TAGS
-from zensim.proto.services import EntityFilters, FilterMode, TagsFilter
+from zensim.proto.messages.entity_messages import MAX_TAGS, EntityFilters, FilterMode, TagsFilter
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.later import Later

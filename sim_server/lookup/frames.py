@@ -6,7 +6,7 @@ the same as tf writes it under namespace r1. Links that were merged into others 
 
 import numpy as np
 
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.rotation import FloatArray, conjugate, multiply, rotate
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.geometry.kinematics import link_poses

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.geometry import Vector3
-from zensim.proto.model import Model
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.entity_messages import Bounds, BoundsType
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.standard_messages import Vector3
 from zensim.proto.rotation import FloatArray
-from zensim.proto.services import Bounds, BoundsType
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.geometry.kinematics import link_poses
 from zensim.sim_server.geometry.solids import (

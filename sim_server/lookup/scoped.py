@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.model import Joint, Link
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.model_messages import Joint, Link
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.errors import Refused
 from zensim.sim_server.geometry.motions import link_states

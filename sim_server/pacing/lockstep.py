@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from zensim.proto.claims import DriveCommand, DriveState
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 OnMiss = Literal["wait", "hold", "fail"]
 TIMEOUT_S = 1.0

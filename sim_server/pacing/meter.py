@@ -1,6 +1,6 @@
 """How the loop is doing: real-time factor, step times, lateness. Wall times come from outside."""
 
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 STEP_SHARE = 4
 

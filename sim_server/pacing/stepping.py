@@ -4,8 +4,8 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.stepping import GoalStatus, StepsProgress
+from zensim.proto.messages.simulation_messages import StepsGoalStatus, StepsProgress
+from zensim.proto.messages.standard_messages import NANOSECONDS
 
 PROGRESS_HZ = 10
 KEPT = 256
@@ -25,7 +25,7 @@ class Goal:
     steps: int
     goal_id: str = ""
     made: int = 0
-    status: GoalStatus = "executing"
+    status: StepsGoalStatus = "executing"
     late: set[str] = field(default_factory=set)
     reason: str = ""
     told_ns: int | None = None
@@ -123,7 +123,7 @@ class Stepping:
             first.told_ns = now_ns
             yield first.progress
 
-    def _end(self, goal: Goal, status: GoalStatus) -> None:
+    def _end(self, goal: Goal, status: StepsGoalStatus) -> None:
         goal.status = status
         self._goals.remove(goal)
         self._ended.append(goal)

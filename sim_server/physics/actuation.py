@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.drives import Actuator
-from zensim.proto.model import Model
-from zensim.proto.rotation import yaw_of
+from zensim.proto.messages.drive_messages import Actuator
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.rotation import to_yaw
 from zensim.sim_server.physics.engine import FloatArray
 
 
@@ -90,7 +90,7 @@ def imposed(
         twists: (n, 3) vx, vy, wz of the root links along their headings.
     """
     found: FloatArray = velocities.copy()
-    yaw = yaw_of(turns)
+    yaw = to_yaw(turns)
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead, left, spin = twists.T
     found[:, 0] = cos * ahead - sin * left - spin * arms[:, 1]

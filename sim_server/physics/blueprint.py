@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from zensim.proto.model import (
+from zensim.proto.messages.model_messages import (
     IDENTITY,
     ZERO,
     Contact,

@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.model import Decay, Inertial, Model
+from zensim.proto.messages.model_messages import Decay, Inertial, Model
 from zensim.sim_server.physics.actuation import actuation_of
 from zensim.sim_server.physics.engine import FloatArray, Reading
 

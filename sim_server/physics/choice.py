@@ -6,7 +6,7 @@ from typing import Literal, get_args
 
 import msgspec
 
-from zensim.proto.model import Dynamics
+from zensim.proto.messages.model_messages import Dynamics
 
 Clustering = Literal["auto", "on", "off"]
 EngineName = Literal["pybullet", "mujoco"]

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypedDict
 
-from zensim.proto.model import Shape
+from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.physics.blueprint import Blueprint, Part
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
 from zensim.sim_server.physics.touch import Dynamics, touch_of

@@ -8,8 +8,8 @@ from typing import Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.model import Model, TierName
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.model_messages import Model, TierName
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.errors import SimError
 
 FloatArray = npt.NDArray[np.float64]

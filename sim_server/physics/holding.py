@@ -4,7 +4,7 @@ Without it a braked robot on two wheels goes on rocking between its casters: not
 contacts takes that motion away. Wheels that are driven roll freely, and cost no more than before.
 """
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 RESISTANCE = 0.01

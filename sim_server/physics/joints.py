@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zensim.proto.model import Joint, Model, Vec3
+from zensim.proto.messages.model_messages import Joint, Model, Vec3
 from zensim.sim_server.physics.blueprint import Blueprint
 from zensim.sim_server.physics.engine import FloatArray
 

@@ -10,7 +10,7 @@ from itertools import count
 import mujoco
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.rotation import conjugate, rotate
 from zensim.sim_server.physics.acceptance import check_meshes
 from zensim.sim_server.physics.actuation import actuation_of

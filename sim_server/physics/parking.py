@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zensim.proto.model import Joint, Link, Model
+from zensim.proto.messages.model_messages import Joint, Link, Model
 from zensim.sim_server.physics.actuation import Actuation, actuation_of
 from zensim.sim_server.physics.blueprint import Blueprint
 from zensim.sim_server.physics.engine import FloatArray

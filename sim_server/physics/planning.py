@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.acceptance import check_blueprint
 from zensim.sim_server.physics.blueprint import Blueprint, blueprint_of
 from zensim.sim_server.physics.spreading import spread

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from zensim.proto.model import ZERO, Model
+from zensim.proto.messages.model_messages import ZERO, Model
 from zensim.sim_server.physics.actuation import imposed
 from zensim.sim_server.physics.blueprint import Blueprint
 from zensim.sim_server.physics.creation import SOLID_KINDS, creation_of, dynamics_of

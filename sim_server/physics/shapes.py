@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 
-from zensim.proto.model import Shape
+from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.physics.acceptance import check_meshes
 from zensim.sim_server.physics.blueprint import Blueprint, Part
 from zensim.sim_server.physics.creation import solids_of

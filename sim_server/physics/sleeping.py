@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.actuation import Actuation, actuation_of
 from zensim.sim_server.physics.calm import CALM_S, GAP_M, Calm, IntArray, State, reached
 from zensim.sim_server.physics.clusters.reach import FARTHEST_M, Measure

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from zensim.proto.model import Origin, Shape, Vec3
+from zensim.proto.messages.model_messages import Origin, Shape, Vec3
 from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 ShapeKey = tuple[tuple[str, Vec3, Origin, str, bool], ...]

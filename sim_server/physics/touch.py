@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 from itertools import combinations
 from typing import TypedDict
 
-from zensim.proto.model import ZERO, Link
+from zensim.proto.messages.model_messages import ZERO, Link
 from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 SOFTEST_STEPS = 4.0

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from typing import Any
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.blank_pages import give_back_blank_pages, map_large_blocks
 from zensim.sim_server.physics.clusters.sharing import Board
 from zensim.sim_server.physics.clusters.worker import Answer, CellTold

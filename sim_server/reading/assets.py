@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.asset_messages import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.stl import read_corners
 from zensim.sim_server.errors import AssetRefused
 

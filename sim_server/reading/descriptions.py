@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import msgspec
 
-from zensim.proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
+from zensim.proto.messages.asset_messages import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
 from zensim.sim_server.description.resources import text_of
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.reading.messages import MeshMade, ReadRequest, TextRead
@@ -16,8 +16,8 @@ from zensim.sim_server.reading.messages import MeshMade, ReadRequest, TextRead
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.proto.model import Dynamics, Model
-    from zensim.proto.services import Compat, SpawnEntityOrder
+    from zensim.proto.messages.model_messages import Dynamics, Model
+    from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
     from zensim.sim_server.reading.assets import AssetStore
     from zensim.sim_server.reading.reader import Reader
 

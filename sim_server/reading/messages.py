@@ -6,9 +6,9 @@ import struct
 
 import msgspec
 
-from zensim.proto.assets import AssetRef
-from zensim.proto.model import Dynamics, Model
-from zensim.proto.services import Compat
+from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.model_messages import Dynamics, Model
+from zensim.proto.messages.spawn_messages import Compat
 from zensim.sim_server.description.sdf import WorldModel
 
 LENGTH = struct.Struct("<Q")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.result_messages import SpawnCode
 
 UNNEEDED = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "shapely")
 """What trimesh imports where it is there, and uses for nothing that is read here."""
@@ -24,7 +24,7 @@ if __name__ == "__main__":
 
 from zensim.sim_server.description.describing import describe, describe_world, warm_up  # noqa: E402
 from zensim.sim_server.errors import ModelError  # noqa: E402
-from zensim.sim_server.reading.messages import (  # noqa: E402
+from zensim.sim_server.reading.messages import (
     LENGTH,
     MeshMade,
     ReaderReady,

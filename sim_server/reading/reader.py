@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.reading.messages import (
     LENGTH,
     MeshMade,

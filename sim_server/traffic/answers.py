@@ -4,7 +4,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from zensim.proto.catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES
+from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES
 from zensim.sim_server.durable import Told
 from zensim.sim_server.traffic.calls import Call
 

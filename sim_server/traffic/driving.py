@@ -5,11 +5,11 @@ import logging
 import msgspec
 
 from zensim.proto.bus import Sample
-from zensim.proto.claims import DriveCommand, DriveState
-from zensim.proto.codec import MalformedPayload, decode
-from zensim.proto.keys import agent_of
-from zensim.proto.services import State
-from zensim.proto.telemetry import Event
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.keys import parse_agent
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.telemetry_messages import Event
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.traffic.inbox import Inbox
 from zensim.sim_server.traffic.outlets import Outlet
@@ -160,7 +160,7 @@ class Driving:
             self._desk.end_bond(bond)
 
     def _command(self, sample: Sample) -> None:
-        agent = agent_of(sample.key)
+        agent = parse_agent(sample.key)
         self._asked_ns.pop(agent, None)
         try:
             command = decode(DriveCommand, sample.payload, sample.encoding)

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from zensim.proto.gazebo import LinkStates, ModelStates
-from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3
+from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Twist, Vector3
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.geometry.motions import link_states as motion_of
 from zensim.sim_server.lookup.frames import SCOPE

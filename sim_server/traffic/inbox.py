@@ -49,7 +49,7 @@ class BusInbox:
 
     def take_agents(self) -> list[tuple[str, bool]]:
         """See `Inbox`."""
-        return [(keys.agent_of(key), alive) for key, alive in self._agents.take()]
+        return [(keys.parse_agent(key), alive) for key, alive in self._agents.take()]
 
     def take_bonds(self) -> list[tuple[str, bool]]:
         """See `Inbox`."""

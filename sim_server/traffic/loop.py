@@ -8,7 +8,7 @@ import logging
 from collections.abc import Callable
 from typing import Protocol
 
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.traffic.driving import Driving
 from zensim.sim_server.traffic.inbox import Inbox

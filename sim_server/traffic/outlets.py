@@ -7,14 +7,14 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import Bus, Publisher
-from zensim.proto.claims import DriveState
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.faces import Faces
-from zensim.proto.gazebo import LinkStates, ModelStates
-from zensim.proto.ros_graph import Topic
-from zensim.proto.stepping import StepsProgress
-from zensim.proto.telemetry import Event, Snapshot, Stats, WorldClock
-from zensim.proto.topics import Clock
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.agent_messages import DriveState
+from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
+from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.messages.standard_messages import Clock
+from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
 
 FACED: dict[str, type[msgspec.Struct]] = {
     "clock": Clock,
@@ -47,7 +47,7 @@ class BusOutlet:
         self,
         bus: Bus,
         world: str,
-        faces: Faces | None = None,
+        faces: TopicFactory | None = None,
         heed: Callable[[StepsProgress], None] | None = None,
     ) -> None:
         """Declare the topics.
@@ -71,7 +71,7 @@ class BusOutlet:
         self._bus = bus
         self._world = world
         self._topics = {
-            topic: bus.advertise(key, encoding_of(kind, Format.MSGPACK))
+            topic: bus.advertise(key, make_encoding(kind, Format.MSGPACK))
             for topic, (key, kind) in topics.items()
         }
         self._faced = {
@@ -98,7 +98,7 @@ class BusOutlet:
         """See `Outlet`."""
         if (publisher := self._agents.get(agent)) is None:
             key = keys.drive_state(self._world, agent)
-            publisher = self._bus.advertise(key, encoding_of(DriveState, Format.MSGPACK))
+            publisher = self._bus.advertise(key, make_encoding(DriveState, Format.MSGPACK))
             self._agents[agent] = publisher
         publisher.send(encode(state, Format.MSGPACK))
 

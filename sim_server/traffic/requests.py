@@ -7,11 +7,17 @@ from dataclasses import dataclass
 
 import msgspec
 
-from zensim.proto.catalog import SERVICES, SPAWN_ENTITY
-from zensim.proto.codec import Format, MalformedPayload, encode, encoding_of, format_of
+from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    detect_format,
+    encode,
+    make_encoding,
+)
 from zensim.proto.keys import service as service_key
-from zensim.proto.result import ResultCode, SpawnCode
-from zensim.proto.services import MAX_REQUEST_BYTES
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.service_catalog import SERVICES, SPAWN_ENTITY
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.table import handle, refusal
@@ -189,7 +195,7 @@ def _encoded(call: Call, response: msgspec.Struct) -> Answer:
         # A response that CDR cannot express, such as a claim with its model.
         wanted = Format.MSGPACK
         payload = encode(response, wanted)
-    return Answer(payload, encoding_of(response, wanted))
+    return Answer(payload, make_encoding(response, wanted))
 
 
 def _request_type(name: str) -> type[msgspec.Struct]:
@@ -227,6 +233,6 @@ class SimUnknown(SimError):
 
 def _reply_format(call: Call) -> Format:
     try:
-        return format_of(call.payload, call.encoding)
+        return detect_format(call.payload, call.encoding)
     except MalformedPayload:
         return Format.JSON if "json" in call.encoding else Format.MSGPACK

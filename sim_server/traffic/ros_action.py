@@ -12,19 +12,19 @@ from typing import Final, Protocol, TypeVar
 
 import msgspec
 
-from zensim.proto import ros_actions as action
-from zensim.proto.catalog import CANCEL_STEPS, SIMULATE_STEPS
-from zensim.proto.codec import Format, MalformedPayload, decode, encode
-from zensim.proto.header import Time, ns_from_time, time_from_ns
-from zensim.proto.result import Result, ResultCode
-from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.stepping import (
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
     CancelStepsResponse,
     SimulateStepsRequest,
     SimulateStepsResponse,
     StepsProgress,
 )
+from zensim.proto.messages.standard_messages import Time, ns_from_time, time_from_ns
+from zensim.proto.ros2 import action_messages as action
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 from zensim.sim_server.traffic.calls import Call
 
 CDR: Final = str(Format.CDR.value)
@@ -34,9 +34,9 @@ KEPT: Final = 256
 MAX_WAITING: Final = 64
 """Who wait for the result of one goal."""
 ENDS: Final = {
-    "succeeded": action.GoalStatus.SUCCEEDED,
-    "canceled": action.GoalStatus.CANCELED,
-    "aborted": action.GoalStatus.ABORTED,
+    "succeeded": action.GoalStatusCode.SUCCEEDED,
+    "canceled": action.GoalStatusCode.CANCELED,
+    "aborted": action.GoalStatusCode.ABORTED,
 }
 CANCEL_CODES: Final = {
     int(ResultCode.OK): action.CancelCode.NONE,
@@ -85,7 +85,7 @@ class Goal:
     stamp: Time
     asked: Query | None
     """Who waits to hear whether it is accepted."""
-    status: action.GoalStatus = action.GoalStatus.ACCEPTED
+    status: action.GoalStatusCode = action.GoalStatusCode.ACCEPTED
     result: Result = field(default_factory=Result)
     waiting: list[Query] = field(default_factory=list)
     """Who waits for its result."""
@@ -153,15 +153,15 @@ class StepsAction:
 
     def take(self) -> list[Call]:
         """Take what has come, as requests of the server's own; results are told at once."""
-        self._tellers[action.STATUS].answer(self.statuses)
+        self._tellers[action.STATUS_TOPIC].answer(self.statuses)
         while self._new:
             self._accept(self._new.pop())  # what was refused was so before this turn
         calls: list[Call] = []
-        for query in self._queues[action.SEND_GOAL].take():
+        for query in self._queues[action.SEND_GOAL_SERVICE].take():
             calls += self._begin(query)
-        for query in self._queues[action.CANCEL_GOAL].take():
+        for query in self._queues[action.CANCEL_GOAL_SERVICE].take():
             calls += self._cancel(query)
-        for query in self._queues[action.GET_RESULT].take():
+        for query in self._queues[action.GET_RESULT_SERVICE].take():
             self._ask_result(query)
         return calls
 
@@ -171,7 +171,7 @@ class StepsAction:
         if goal is None:
             return
         self._accept(goal)
-        if (teller := self._tellers[action.FEEDBACK]).is_matched:
+        if (teller := self._tellers[action.FEEDBACK_TOPIC]).is_matched:
             steps = action.StepsFeedback(progress.completed_steps, progress.remaining_steps)
             teller.send(encode(action.FeedbackMessage(goal.goal_id, steps), Format.CDR))
 
@@ -250,7 +250,7 @@ class StepsAction:
         request = _read(action.GetResultRequest, query)
         goal = None if request is None else self._goals.get(word_of(request.goal_id))
         if goal is None or len(goal.waiting) >= MAX_WAITING:
-            self._answer(query, action.GetResultResponse(action.GoalStatus.UNKNOWN))
+            self._answer(query, action.GetResultResponse(action.GoalStatusCode.UNKNOWN))
         elif goal.is_over:
             self._tell_result(query, goal)
         else:
@@ -259,7 +259,7 @@ class StepsAction:
     def _accept(self, goal: Goal) -> None:
         if (asked := goal.asked) is None:
             return
-        goal.asked, goal.status = None, action.GoalStatus.EXECUTING
+        goal.asked, goal.status = None, action.GoalStatusCode.EXECUTING
         self._answer(asked, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
         self._tell_status()
 
@@ -268,13 +268,13 @@ class StepsAction:
         self._answer(query, action.GetResultResponse(goal.status, result))
 
     def _tell_status(self) -> None:
-        if (teller := self._tellers[action.STATUS]).is_matched:
+        if (teller := self._tellers[action.STATUS_TOPIC]).is_matched:
             teller.send(self.statuses())
 
     def statuses(self) -> bytes:
         """Write how far all goals are, as the status topic tells it."""
         goals = [one for one in self._goals.values() if one.asked is None]
-        told = tuple(action.StatusOfGoal(goal.info, goal.status) for goal in goals)
+        told = tuple(action.GoalStatusMessage(goal.info, goal.status) for goal in goals)
         return encode(action.GoalStatusArray(told), Format.CDR)
 
     def _answer(self, query: Query, response: msgspec.Struct) -> None:
@@ -290,7 +290,7 @@ class StepsAction:
 
 def word_of(goal_id: action.GoalId) -> str:
     """Write a goal's id as our services know it; empty for none."""
-    return "" if goal_id.uuid == action.NO_ID else bytes(goal_id.uuid).hex()
+    return "" if goal_id.uuid == action.NO_GOAL_ID else bytes(goal_id.uuid).hex()
 
 
 def _read(kind: type[Message], query: Query) -> Message | None:

@@ -12,17 +12,17 @@ from typing import Final, TypeVar
 import msgspec
 
 from zensim.proto import bus as network
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.ros2.keys import NO_HASH
-from zensim.proto.ros_graph import RosNode
-from zensim.proto.ros_services import (
-    CDR,
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.rmw_keys import NO_HASH
+from zensim.proto.ros2.ros_graph import RosNode
+from zensim.proto.ros2.ros_service_catalog import (
+    CDR_ENCODING_NAME,
     ROS_SERVICES,
     RosService,
-    by_bridge_key,
-    by_key,
-    served_keys,
+    find_served_keys,
+    index_by_bridge_key,
+    index_by_key,
 )
 from zensim.sim_server.traffic.calls import Call
 
@@ -42,7 +42,7 @@ class RosCall:
         self._form = forms[0]
         self._attachment = attachment
         self.name = forms[0].service
-        self.payload, self.size, self.encoding = call.payload, call.size, CDR
+        self.payload, self.size, self.encoding = call.payload, call.size, CDR_ENCODING_NAME
         self.request_id = NOT_ASKED if attachment is None else _id_of(attachment)
 
     def read(self, kind: type[Message]) -> Message:
@@ -57,7 +57,7 @@ class RosCall:
         del key
         answer = self._form.answer(payload, encoding)
         back = b"" if self._attachment is None else write_attachment(_of_now(self._attachment))
-        self._call.reply(answer, CDR, attachment=back)
+        self._call.reply(answer, CDR_ENCODING_NAME, attachment=back)
 
     def drop(self) -> None:
         """See `Call`."""
@@ -94,12 +94,12 @@ class RosCalls:
 
 def rmw_calls(bus: network.Bus, domain: int) -> RosCalls:
     """Serve what rmw_zenoh asks for in a domain."""
-    return RosCalls(tuple(bus.serve(key) for key in served_keys(domain)), by_key(domain))
+    return RosCalls(tuple(bus.serve(key) for key in find_served_keys(domain)), index_by_key(domain))
 
 
 def bridge_calls(bus: network.Bus) -> RosCalls:
     """Serve what zenoh-bridge-ros2dds asks for."""
-    forms = by_bridge_key()
+    forms = index_by_bridge_key()
     return RosCalls(tuple(bus.serve(key) for key in forms), forms)
 
 
@@ -107,7 +107,7 @@ def announce_services(node: RosNode) -> None:
     """Say that a node offers every service, in each form that its distribution has."""
     has_hashes = node.graph.settings.has_hashes
     for form in ROS_SERVICES:
-        if has_hashes or form.is_of_humble:
+        if has_hashes or form.is_humble_form:
             type_hash = form.type_hash if has_hashes else NO_HASH
             node.join(
                 "SS", form.name, form.ros_type, type_hash=type_hash, bridge_key=form.bridge_key

@@ -4,14 +4,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from zensim.proto import ros_actions as action
 from zensim.proto.bus import Bus
-from zensim.proto.faces import Faces, TopicPublisher
-from zensim.proto.ros2.keys import ANY_HASH, NO_HASH, data_key
-from zensim.proto.ros2.settings import RosSettings
-from zensim.proto.ros2.type_hash import service_hash, service_type
-from zensim.proto.ros_graph import RosGraph, RosNode, Topic
-from zensim.proto.stepping import StepsProgress
+from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.ros2 import action_messages as action
+from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.ros2.type_hash import find_service_type, hash_service
+from zensim.proto.topic_endpoints import TopicFactory, TopicPublisher
 from zensim.sim_server.traffic.calls import Call
 from zensim.sim_server.traffic.ros_action import Query, StepsAction
 from zensim.sim_server.traffic.ros_calls import announce_services, bridge_calls, rmw_calls
@@ -55,7 +55,7 @@ class RosSide:
     """
 
     sources: tuple[Source, ...]
-    faces: Faces
+    faces: TopicFactory
     heed: Callable[[StepsProgress], None]
     close: Callable[[], None]
 
@@ -64,7 +64,7 @@ def ros_side(bus: Bus, settings: RosSettings) -> RosSide:
     """Show the server to ROS 2, as far as the settings want it."""
     graph = RosGraph(bus, settings)
     node = graph.node("", NODE)
-    faces = Faces(bus, node, settings)
+    faces = TopicFactory(bus, node, settings)
     if node is None:
         return RosSide((), faces, lambda _: None, graph.close)
     announce_services(node)
@@ -75,20 +75,20 @@ def ros_side(bus: Bus, settings: RosSettings) -> RosSide:
     return RosSide(sources, faces, steps.note, graph.close)
 
 
-def _steps_action(bus: Bus, node: RosNode, faces: Faces) -> StepsAction:
+def _steps_action(bus: Bus, node: RosNode, faces: TopicFactory) -> StepsAction:
     settings = node.graph.settings
-    node.offer_action(action.NAME, action.TYPE)
+    node.announce_action(action.ACTION_NAME, action.ACTION_TYPE)
     queues = {}
-    for name, (request, response) in action.SERVICES.items():
-        kind = service_type(request)
-        type_hash = service_hash(request, response) if settings.has_hashes else NO_HASH
+    for name, (request, response) in action.ACTION_SERVICES.items():
+        kind = find_service_type(request)
+        type_hash = hash_service(request, response) if settings.has_hashes else NO_HASH
         node.join("SS", name, kind, type_hash=type_hash)
-        keys = [data_key(node.domain, name, kind, ANY_HASH)]
+        keys = [make_data_key(node.domain, name, kind, ANY_HASH)]
         if settings.is_bridged:
             keys.append(name.strip("/"))
         queues[name] = Queues(tuple(bus.serve(key) for key in keys))
     tellers: dict[str, TopicPublisher] = {
-        name: faces.publisher(Topic(name.strip("/"), kind, is_latched=name == action.STATUS))
-        for name, kind in action.TOPICS.items()
+        name: faces.publisher(Topic(name.strip("/"), kind, is_latched=name == action.STATUS_TOPIC))
+        for name, kind in action.ACTION_TOPICS.items()
     }
     return StepsAction(queues, tellers)

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import msgspec
 
-from zensim.proto.header import NANOSECONDS, time_from_ns
-from zensim.proto.services import State
-from zensim.proto.telemetry import Stats, WorldClock
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
+from zensim.proto.messages.telemetry_messages import Stats, WorldClock
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.physics.engine import Tiered
 from zensim.sim_server.traffic.gazebo_states import link_states, model_states

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from zensim.proto.info import EntityInfo
-from zensim.proto.model import Model
+from zensim.proto.messages.entity_messages import EntityInfo
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.world.naming import Names, free_name, free_namespace
 

@@ -1,7 +1,7 @@
 """A world's time and state, and what everybody is told of it."""
 
-from zensim.proto.services import State
-from zensim.proto.telemetry import Event, EventKind, StateName
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.telemetry_messages import Event, EventKind, StateName
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.world.phases import ENTERED, NAMES
 

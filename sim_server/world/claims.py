@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from zensim.proto.claims import DriveCommand, OnRelease
-from zensim.proto.result import ClaimCode
+from zensim.proto.messages.agent_messages import DriveCommand, OnRelease
+from zensim.proto.messages.result_messages import ClaimCode
 from zensim.sim_server.errors import Refused
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.world.entity import Entity, Fleet, Hold, Roster, fleet_of

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.claims import DriveState, OnRelease
-from zensim.proto.info import Category, EntityCategory, EntityInfo
-from zensim.proto.model import Model
+from zensim.proto.messages.agent_messages import DriveState, OnRelease
+from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.engine import FloatArray, Reading
 
 IntArray = npt.NDArray[np.intp]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Joint, Model, Origin
+from zensim.proto.messages.model_messages import Joint, Model, Origin
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.geometry.kinematics import joint_motion, placed, row_of
 from zensim.sim_server.physics.engine import FloatArray, Reading

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from zensim.proto.info import EntityInfo
-from zensim.proto.model import Model
+from zensim.proto.messages.entity_messages import EntityInfo
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.errors import EntityNotFound
 from zensim.sim_server.physics.engine import Engine, concealing, patient
 from zensim.sim_server.world.birth import Birth

@@ -1,7 +1,7 @@
 """What the simulation does: in words, as events, and what may follow what."""
 
-from zensim.proto.services import State
-from zensim.proto.telemetry import EventKind, StateName
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.telemetry_messages import EventKind, StateName
 
 NAMES: dict[State, StateName] = {
     State.STOPPED: "stopped",

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Twist, Vector3
 from zensim.proto.rotation import multiply, rotate
 from zensim.sim_server.errors import PoseRefused
 from zensim.sim_server.physics.engine import FloatArray

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.errors import Refused
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.entity import Entity

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from zensim.proto.claims import Claim, DriveCommand, DriveState, OnRelease
-from zensim.proto.model import Model
-from zensim.proto.services import ResetScope, State
-from zensim.proto.telemetry import Snapshot
+from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState, OnRelease
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.simulation_messages import ResetScope, State
+from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.sim_server.physics.actuation import standing
 from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
 from zensim.sim_server.world.claims import Claims

@@ -12,9 +12,9 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zensim.proto.result import LoadWorldCode, ResultCode
-from zensim.proto.services import Resource
-from zensim.proto.worlds import WorldResource
+from zensim.proto.messages.result_messages import LoadWorldCode, ResultCode
+from zensim.proto.messages.spawn_messages import Resource
+from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.library import shipped_worlds, world_text
 from zensim.sim_server.description.strict_xml import MAX_BYTES
 from zensim.sim_server.errors import Refused

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zensim.proto.assets import MAX_FILE_BYTES
+from zensim.proto.messages.asset_messages import MAX_FILE_BYTES
 from zensim.sim_server.description.strict_xml import MAX_BYTES, parse_xml
 from zensim.sim_server.errors import ModelError
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
-from zensim.proto.assets import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.asset_messages import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.reading.messages import ReadRequest, TextRead
 from zensim.sim_server.worlds.model_path import bytes_in, models_in
 

@@ -5,9 +5,8 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.exits import FAILURES
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from zensim.proto.exit_codes import EXPECTED_FAILURES
 from zensim.spawner.client import SimClient
 
 Found = TypeVar("Found")
@@ -36,7 +35,7 @@ def _asked(ctx: typer.Context, ask: Callable[[SimClient], Sequence[Found]]) -> S
     try:
         with open_bus(BusConfig(connect=(endpoint,), open_timeout_s=PATIENCE_S)) as bus:
             return ask(SimClient(bus, world, PATIENCE_S))
-    except FAILURES:
+    except EXPECTED_FAILURES:
         return ()
 
 

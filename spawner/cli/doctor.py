@@ -8,8 +8,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.exits import Exit, one_line_failures
+from zensim.proto.bus import DEFAULT_ENDPOINT
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.names import check_name
 from zensim.spawner.cli.session import AsJson, Connect, WorldName, data_console
 from zensim.spawner.doctor import Finding, Mark, examine, worst
@@ -28,7 +28,7 @@ def doctor(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what is wrong.")] = False,
 ) -> None:
     """Say what is wrong when nothing answers, from the endpoint up to the robots."""
-    with one_line_failures("doctor"):
+    with exit_on_failure("doctor"):
         check_name(world_name, "world name")
         found = list(examine(connect or DEFAULT_ENDPOINT, world_name, version("zensim")))
     shown = [one for one in found if one.mark == "wrong"] if quiet else found
@@ -36,7 +36,7 @@ def doctor(
         typer.echo(msgspec.json.encode(shown).decode())
     elif shown:
         data_console.print(_table(shown))
-    if (status := worst(found)) is not Exit.OK:
+    if (status := worst(found)) is not ExitCode.OK:
         raise typer.Exit(int(status))
 
 

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
-from zensim.proto.exits import Exit, line_of, one_line_failures, status_of
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.services import Bounds, BoundsType, EntityFilters
+from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
+from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.spawner.angles import yaw_of
 from zensim.spawner.cli.completion import Name, entity_names
 from zensim.spawner.cli.kinds import category_word
@@ -46,7 +46,7 @@ def delete(
     world_name: WorldName = "default",
 ) -> None:
     """Take entities out of the world: by name, by a pattern, or all of them."""
-    with one_line_failures("delete"):
+    with exit_on_failure("delete"):
         _check_one_way(names or (), everything=everything, pattern=pattern)
     with client_for("delete", connect, world_name, timeout) as client:
         names = list(dict.fromkeys(names or ()))
@@ -57,17 +57,17 @@ def delete(
         failures = _deleted(client, names, as_json=as_json)
     if pattern and not names:
         typer.echo(f"zensim delete: NOT_FOUND (3): no name has {pattern!r} in it", err=True)
-        raise typer.Exit(Exit.NOT_FOUND)
+        raise typer.Exit(ExitCode.NOT_FOUND)
     if failures:
         raise typer.Exit(_status(failures, len(names)))
 
 
-def _status(failures: Sequence[ServiceError], count: int) -> Exit:
+def _status(failures: Sequence[ServiceError], count: int) -> ExitCode:
     """Choose the exit status: partial, or the one that all failures share."""
     if len(failures) < count:
-        return Exit.PARTIAL
-    statuses = {status_of(error) for error in failures}
-    return statuses.pop() if len(statuses) == 1 else Exit.FAILED
+        return ExitCode.PARTIAL
+    statuses = {choose_exit_code(error) for error in failures}
+    return statuses.pop() if len(statuses) == 1 else ExitCode.FAILED
 
 
 def _check_one_way(names: Sequence[str], *, everything: bool, pattern: str) -> None:
@@ -85,7 +85,7 @@ def _confirm(count: int) -> None:
         raise KeyboardInterrupt from None
     if not is_meant:
         typer.echo("nothing was deleted", err=True)
-        raise typer.Exit(Exit.FAILED)
+        raise typer.Exit(ExitCode.FAILED)
 
 
 def _deleted(client: SimClient, names: Sequence[str], *, as_json: bool) -> list[ServiceError]:
@@ -95,7 +95,7 @@ def _deleted(client: SimClient, names: Sequence[str], *, as_json: bool) -> list[
         if (error := _refusal(client, name)) is not None:
             failures.append(error)
             outcomes.append(Deletion(name, error.code, error.message))
-            typer.echo(f"zensim delete: {line_of(error)}", err=True)
+            typer.echo(f"zensim delete: {format_failure(error)}", err=True)
         else:
             outcomes.append(Deletion(name))
             if not as_json:

@@ -5,8 +5,8 @@ from typing import Annotated
 import msgspec
 import typer
 
-from zensim.proto.exits import one_line_failures
-from zensim.proto.info import EntityInfo
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.entity_messages import EntityInfo
 from zensim.spawner.cli.completion import Name
 from zensim.spawner.cli.kinds import category_of, category_word
 from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
@@ -48,7 +48,7 @@ def set_info(
     world_name: WorldName = "default",
 ) -> None:
     """Say what an entity is; what is not given stays as it is."""
-    with one_line_failures("info set"):
+    with exit_on_failure("info set"):
         if tag and no_tags:
             raise ValueError("--tag and --no-tags exclude one another; give one")
         if not (category or tag or no_tags) and description is None:

@@ -2,8 +2,12 @@
 
 from collections.abc import Sequence
 
-from zensim.proto.info import Category, EntityCategory
-from zensim.proto.services import EntityFilters, TagsFilter
+from zensim.proto.messages.entity_messages import (
+    Category,
+    EntityCategory,
+    EntityFilters,
+    TagsFilter,
+)
 
 
 def category_of(word: str) -> EntityCategory:

@@ -13,9 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from zensim.proto.bus import NoServer
-from zensim.proto.exits import one_line_failures
-from zensim.proto.header import NANOSECONDS, ns_from_time
-from zensim.proto.services import EntityFilters
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.entity_messages import EntityFilters
+from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.spawner.angles import yaw_of
 from zensim.spawner.cli.kinds import filters_of
 from zensim.spawner.cli.session import (
@@ -79,7 +79,7 @@ def list_entities(
     world_name: WorldName = "default",
 ) -> None:
     """List the entities of the world, all of them or those that pass every filter."""
-    with one_line_failures("list"):
+    with exit_on_failure("list"):
         filters = filters_of(pattern, category or (), tag or ())
     timeout = min(timeout, WATCH_TIMEOUT_S) if watch else timeout
     with client_for("list", connect, world_name, timeout) as client:

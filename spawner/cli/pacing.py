@@ -6,9 +6,9 @@ from typing import Annotated
 import msgspec
 import typer
 
-from zensim.proto.exits import one_line_failures
-from zensim.proto.header import NANOSECONDS
-from zensim.proto.stepping import SimulateStepsResponse
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.simulation_messages import SimulateStepsResponse
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.spawner.cli.progress import step_progress
 from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
 from zensim.spawner.client import SimClient
@@ -45,7 +45,7 @@ def run_to(
     world_name: WorldName = "default",
 ) -> None:
     """Make steps of a paused world until a simulation time is reached; Ctrl-C ends them."""
-    with one_line_failures("run-to"):
+    with exit_on_failure("run-to"):
         time_ns = _nanoseconds(time)
     with client_for("run-to", connect, world_name, timeout) as client:
         steps = client.steps_until(time_ns)

@@ -13,7 +13,7 @@ from rich.progress import (
     TimeElapsedColumn,
 )
 
-from zensim.proto.stepping import StepsProgress
+from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.spawner.cli.session import progress_console
 
 

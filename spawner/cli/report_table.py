@@ -6,7 +6,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from zensim.proto.model import ReportEntry
+from zensim.proto.messages.model_messages import ReportEntry
 
 COLOURS = {"applied": "green", "ignored": "dim", "unknown": "cyan", "suspicious": "bold yellow"}
 """In the order of the table: what needs a look comes last, next to the prompt."""

@@ -8,9 +8,8 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from zensim.proto.bus import BusConfig, open_bus
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.exits import one_line_failures
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.spawner.client import SimClient
 
@@ -54,7 +53,7 @@ def client_for(
         timeout_s: How long a call may take.
         wait_s: How long to wait for somebody to listen at the endpoint.
     """
-    with one_line_failures(command):
+    with exit_on_failure(command):
         check_name(world, "world name")
         _check_seconds("--timeout", timeout_s, SHORTEST_S)
         _check_seconds("--wait", wait_s, 0.0)

@@ -6,7 +6,7 @@ from typing import Annotated
 import msgspec
 import typer
 
-from zensim.proto.services import Feature, ResetScope, State
+from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

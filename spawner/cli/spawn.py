@@ -6,14 +6,18 @@ import msgspec
 import typer
 
 from zensim.proto import keys
-from zensim.proto.exits import Exit, one_line_failures
-from zensim.proto.fleets import HELD_BACK
-from zensim.proto.model import ReportEntry
+from zensim.proto.cli_options import options_from
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.messages.result_messages import ResultCode, ServiceError, SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import (
+    NOT_SPAWNED_PREFIX,
+    SpawnEntityOrder,
+    SpawnEntityReport,
+)
 from zensim.proto.names import check_name
-from zensim.proto.option_fields import takes
-from zensim.proto.result import ResultCode, ServiceError, SetSimulationStateCode
-from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport, State
-from zensim.proto.stop import StopFlag
+from zensim.proto.stop_signal import StopFlag
 from zensim.spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
 from zensim.spawner.cli.options import FleetOptions, SpawnOptions
 from zensim.spawner.cli.progress import upload_progress
@@ -48,10 +52,10 @@ class Wish(msgspec.Struct, frozen=True):
 
 
 @app.command()
-@takes(SpawnOptions)
+@options_from(SpawnOptions)
 def spawn(given: SpawnOptions) -> None:
     """Put one robot into the world."""
-    with one_line_failures("spawn"):
+    with exit_on_failure("spawn"):
         wish = _wish(given)
     if given.gazebo_namespace:
         note = "-gazebo_namespace has no effect; --world-name chooses the world"
@@ -145,10 +149,10 @@ def _stay(client: SimClient, entity: str) -> None:
 
 
 @app.command()
-@takes(FleetOptions)
+@options_from(FleetOptions)
 def fleet(given: FleetOptions) -> None:
     """Put many robots into the world."""
-    with one_line_failures("fleet"):
+    with exit_on_failure("fleet"):
         places = _places(given)
         paths = paths_of(given)
         wishes = SpawnEntityOrder(
@@ -182,8 +186,8 @@ def _print_outcomes(outcomes: list[Outcome], *, as_json: bool) -> None:
     else:
         typer.echo(f"spawned {len(outcomes) - len(refused)} of {len(outcomes)}")
     # Those that only another held back have nothing to say.
-    telling = [outcome for outcome in refused if HELD_BACK not in outcome.message]
+    telling = [outcome for outcome in refused if NOT_SPAWNED_PREFIX not in outcome.message]
     for outcome in telling:
         typer.echo(f"zensim fleet: {outcome.name}: {outcome.message}", err=True)
     if refused:
-        raise typer.Exit(Exit.FAILED if len(refused) == len(outcomes) else Exit.PARTIAL)
+        raise typer.Exit(ExitCode.FAILED if len(refused) == len(outcomes) else ExitCode.PARTIAL)

@@ -5,10 +5,17 @@ from typing import Annotated, TypeVar
 import msgspec
 import typer
 
-from zensim.proto.exits import one_line_failures
-from zensim.proto.geometry import Point, Pose, Twist, Vector3
-from zensim.proto.header import NANOSECONDS, Header, ns_from_time
-from zensim.proto.services import EntityState
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.standard_messages import (
+    NANOSECONDS,
+    Header,
+    Point,
+    Pose,
+    Twist,
+    Vector3,
+    ns_from_time,
+)
 from zensim.spawner.angles import roll_pitch_yaw
 from zensim.spawner.cli.completion import Name
 from zensim.spawner.cli.session import AsJson, Connect, Timeout, WorldName, client_for
@@ -68,7 +75,7 @@ def set_state(
     place, turn = (x, y, z), (roll, pitch, yaw)
     has_pose = any(number is not None for number in (*place, *turn))
     has_twist = linear is not None or angular is not None
-    with one_line_failures("state set"):
+    with exit_on_failure("state set"):
         if not (has_pose or has_twist):
             raise ValueError("nothing to set; give -x -y -z -R -P -Y, --linear or --angular")
     with client_for("state set", connect, world_name, timeout) as client:

@@ -11,8 +11,8 @@ import typer
 
 from zensim.proto import keys
 from zensim.proto.bus import BusError, Publisher, Sample, Subscription
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.spawner.cli.session import AsJson, Connect, WorldName, client_for
 from zensim.spawner.payloads import as_lines, as_plain
 
@@ -45,7 +45,7 @@ def drive(
         if not rate > 0:
             raise ValueError(f"--rate {rate:g} is no rate; use more than 0")
         key = keys.robot(robot.strip("/"), keys.CMD_VEL)
-        publisher = client.bus.advertise(key, encoding_of(Twist, Format.CDR))
+        publisher = client.bus.advertise(key, make_encoding(Twist, Format.CDR))
         _wait_for_listener(publisher, key)
         typer.echo(f"zensim drive: {key} at {linear:g} m/s, {angular:g} rad/s", err=True)
         count = 1 if once else math.ceil(duration * rate) if duration > 0 else 0

@@ -7,11 +7,10 @@ from typing import Annotated
 
 import typer
 
-from zensim.proto.bus import BusConfig, open_bus
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.exits import one_line_failures
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
-from zensim.proto.stop import StopFlag
+from zensim.proto.stop_signal import StopFlag
 from zensim.spawner.cli.session import Connect, WorldName
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -46,7 +45,7 @@ def view(
             webbrowser.open(url)
 
     stop = StopFlag()
-    with one_line_failures("view", MissingExtra):
+    with exit_on_failure("view", MissingExtra):
         check_name(world_name, "world")
         config = BusConfig(connect=(connect or DEFAULT_ENDPOINT,))
         _serve(config, world_name, host=host, port=port, announce=announce, stop=stop)

@@ -8,11 +8,10 @@ from typing import get_args
 import msgspec
 
 from zensim.proto.bus import Bus
-from zensim.proto.geometry import PoseStamped
-from zensim.proto.header import Header
-from zensim.proto.model import Dynamics
+from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Header, PoseStamped
 from zensim.proto.names import check_name, check_namespace
-from zensim.proto.services import Compat, SpawnEntityOrder
 from zensim.spawner.cli.options import Reading, SpawnOptions
 from zensim.spawner.descriptions import (
     Description,

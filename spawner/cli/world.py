@@ -9,9 +9,9 @@ import msgspec
 import typer
 from rich.table import Table
 
-from zensim.proto.exits import one_line_failures
-from zensim.proto.services import TagsFilter
-from zensim.proto.worlds import WorldResource
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.messages.entity_messages import TagsFilter
+from zensim.proto.messages.world_messages import WorldResource
 from zensim.spawner.angles import yaw_of
 from zensim.spawner.cli.completion import world_names
 from zensim.spawner.cli.report_table import print_report
@@ -57,7 +57,7 @@ def load_world(
     world_name: WorldName = "default",
 ) -> None:
     """Put another world in the place of this one, which goes with everything in it."""
-    with one_line_failures("world load"):
+    with exit_on_failure("world load"):
         text = _text_of(world)
     with client_for("world load", connect, world_name, timeout) as client:
         loaded = client.load_world(

@@ -5,23 +5,23 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 from zensim.proto.bus import BusError
-from zensim.proto.catalog import (
-    RESET_SIMULATION,
-    SET_SIMULATION_STATE,
-    STEP_SIMULATION,
-    Request,
-    Response,
-    Service,
-)
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.result import ServiceError, SetSimulationStateCode
-from zensim.proto.services import (
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.result_messages import ServiceError, SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import (
     ResetScope,
     ResetSimulationRequest,
     SetSimulationStateRequest,
     SimulationState,
     State,
     StepSimulationRequest,
+)
+from zensim.proto.service_catalog import (
+    RESET_SIMULATION,
+    SET_SIMULATION_STATE,
+    STEP_SIMULATION,
+    Request,
+    Response,
+    Service,
 )
 from zensim.spawner.viewer.buttons import Button
 from zensim.spawner.viewer.feed import CALL_TIMEOUT_S, Clock, Feed, Network

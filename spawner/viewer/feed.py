@@ -7,11 +7,11 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import BusError, Sample
-from zensim.proto.catalog import GET_MODELS, Request, Response, Service
-from zensim.proto.codec import MalformedPayload, decode
-from zensim.proto.commands import decode_twist
-from zensim.proto.result import ServiceError
-from zensim.proto.telemetry import GetModelsRequest, GetModelsResponse, Snapshot
+from zensim.proto.cmd_vel_decoding import decode_twist
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
+from zensim.proto.service_catalog import GET_MODELS, Request, Response, Service
 from zensim.spawner.viewer.fetching import MeshFetcher
 from zensim.spawner.viewer.scene import (
     Fleet,

@@ -6,12 +6,12 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from zensim.proto.assets import GetAssetRequest
 from zensim.proto.bus import BusError
-from zensim.proto.catalog import GET_ASSET, Request, Response, Service
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.model import Model
-from zensim.proto.result import ServiceError
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.asset_messages import GetAssetRequest
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.service_catalog import GET_ASSET, Request, Response, Service
 from zensim.proto.stl import read_corners, stl_size
 from zensim.spawner.viewer.triangles import NO_MESHES, Mesh, Meshes, welded
 

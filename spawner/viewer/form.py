@@ -4,7 +4,7 @@ from collections.abc import Container
 
 import msgspec
 
-from zensim.proto.model import Link, Model, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.spawner.viewer.kinematics import Hinge
 
 

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from zensim.proto.model import JointKind, Origin, Quat, Vec3
+from zensim.proto.messages.model_messages import JointKind, Origin, Quat, Vec3
 from zensim.proto.rotation import multiply, rotate
 
 Array = NDArray[np.float64]

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 import viser
 
-from zensim.proto.model import Quat
-from zensim.proto.scene import Light, Scene
+from zensim.proto.messages.model_messages import Quat
+from zensim.proto.messages.world_messages import Light, Scene
 
 SKY_TOP: Final = (24, 27, 33)
 SKY_LOW: Final = (52, 57, 66)

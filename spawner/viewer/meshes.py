@@ -6,7 +6,7 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Quat, Shape, Vec3
+from zensim.proto.messages.model_messages import Quat, Shape, Vec3
 from zensim.proto.rotation import rotate
 from zensim.spawner.viewer.form import Form
 from zensim.spawner.viewer.kinematics import link_poses, unit

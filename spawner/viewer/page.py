@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import viser
 
-from zensim.proto.scene import Scene
+from zensim.proto.messages.world_messages import Scene
 from zensim.spawner.viewer import stage
 from zensim.spawner.viewer.buttons import BUTTONS, Button
 from zensim.spawner.viewer.drawn import LABEL_GAP_M, MAX_LABELS, DrawnFleet

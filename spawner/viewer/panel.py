@@ -3,7 +3,7 @@
 from html import escape
 from typing import Final
 
-from zensim.proto.telemetry import EntityModel
+from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.spawner.viewer.kinematics import Array
 from zensim.spawner.viewer.scene import LastCommand, Status, pose_lines
 

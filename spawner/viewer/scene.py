@@ -5,10 +5,10 @@ from typing import Final
 import msgspec
 import numpy as np
 
-from zensim.proto.claims import STATE_COLUMNS
-from zensim.proto.rotation import yaw_of
-from zensim.proto.scene import Scene
-from zensim.proto.telemetry import EntityModel, GetModelsResponse, Snapshot
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
+from zensim.proto.messages.world_messages import Scene
+from zensim.proto.rotation import to_yaw
 from zensim.spawner.viewer.form import Form, NotATree, form_of
 from zensim.spawner.viewer.kinematics import Array, Poses, link_poses
 from zensim.spawner.viewer.triangles import NO_MESHES, Meshes
@@ -160,7 +160,7 @@ def framing(points: Array, *, aspect: float, fov_rad: float) -> tuple[Array, Arr
 def pose_lines(state: Array) -> tuple[str, str]:
     """Write a base state (STATE_COLUMNS,) as position and heading, and as speed."""
     x, y, z = state[:3]
-    yaw = np.degrees(yaw_of(state[3:7]))
+    yaw = np.degrees(to_yaw(state[3:7]))
     speed, turn = np.linalg.norm(state[7:9]), state[12]
     return (
         f"x {x:.2f}  y {y:.2f}  z {z:.2f} m  yaw {yaw:.0f}°",

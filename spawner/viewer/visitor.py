@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 import viser
 
-from zensim.proto.telemetry import EntityModel
+from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.spawner.viewer.kinematics import Array
 from zensim.spawner.viewer.panel import robot_html
 from zensim.spawner.viewer.scene import LastCommand, framing

@@ -16,14 +16,14 @@ from tests.benchmark import huge
 from tests.benchmark.echo import Echo, echo
 from tests.benchmark.figures import Figure, table
 from tests.benchmark.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
-from zensim.proto.assets import (
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.asset_messages import (
     MAX_CHUNK_BYTES,
     MissingAssetsRequest,
     MissingAssetsResponse,
     PutAssetRequest,
     PutAssetResponse,
 )
-from zensim.proto.codec import Format, encode
 from zensim.spawner.assets import AssetFile, bundle_of
 from zensim.spawner.launch import send_files
 from zensim.spawner.search_paths import SearchPaths

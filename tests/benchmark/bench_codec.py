@@ -11,21 +11,24 @@ import msgspec
 
 from tests.benchmark.timing import Timing, measure
 from tests.proto.ros_oracle import HUMBLE, as_ros, message_name
-from zensim.proto.claims import STATE_COLUMNS, DriveState
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.geometry import (
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
+from zensim.proto.messages.standard_messages import (
+    Header,
+    JointState,
+    Odometry,
     Point,
     Pose,
     PoseWithCovariance,
     Quaternion,
+    TFMessage,
+    Time,
     Transform,
     TransformStamped,
     Twist,
     TwistWithCovariance,
     Vector3,
 )
-from zensim.proto.header import Header, Time
-from zensim.proto.topics import JointState, Odometry, TFMessage
 
 REPEATS = 501
 REPEATS_WHEN_SHORT = 11
@@ -96,7 +99,7 @@ def table(rows: Iterable[Row]) -> str:
 
 
 def _ours(name: str, message: msgspec.Struct, format_: Format, repeats: int) -> Row:
-    payload, encoding = encode(message, format_), encoding_of(message, format_)
+    payload, encoding = encode(message, format_), make_encoding(message, format_)
     return Row(
         name,
         format_.name,
@@ -108,7 +111,7 @@ def _ours(name: str, message: msgspec.Struct, format_: Format, repeats: int) -> 
 
 def _rosbags(name: str, message: msgspec.Struct, repeats: int) -> Row:
     payload = encode(message, Format.CDR)
-    ros_name = message_name(encoding_of(message, Format.CDR).partition(";")[2])
+    ros_name = message_name(make_encoding(message, Format.CDR).partition(";")[2])
     built = as_ros(message, ros_name)
     return Row(
         name,

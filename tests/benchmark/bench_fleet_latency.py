@@ -13,7 +13,7 @@ from tests.benchmark.echo import echo
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import milliseconds
 from tests.benchmark.served import Served, served
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
 
 __all__ = ["rows", "table"]
 

@@ -28,7 +28,7 @@ from tests.benchmark.served import Served, served, spawn
 from tests.benchmark.staffed import crowd, staffed
 from tests.integration.processes import zensim
 from zensim.proto.bus import Subscription
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
 
 __all__ = ["rows", "table"]
 

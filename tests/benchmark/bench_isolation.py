@@ -35,16 +35,16 @@ from tests.benchmark.fleet import (
 from tests.hostile.case import Case, alone, solid
 from tests.hostile.corpus import corpus
 from tests.hostile.meshes import BadMesh, bad_meshes
-from zensim.proto.geometry import Point, Pose, PoseStamped
-from zensim.proto.result import ServiceError
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.spawner.client import SimClient
 from zensim.spawner.descriptions import from_word
 from zensim.spawner.launch import Cargo, cargo_of, order_for, send_files
 from zensim.spawner.search_paths import SearchPaths
 
 if TYPE_CHECKING:
-    from zensim.proto.telemetry import Stats
+    from zensim.proto.messages.telemetry_messages import Stats
 
 __all__ = ["rows", "table"]
 

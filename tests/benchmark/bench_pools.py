@@ -16,10 +16,9 @@ from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import MILLISECONDS
 from tests.integration.processes import free_endpoint, joined, running
 from zensim.proto.bus import Bus
-from zensim.proto.claims import STATE_COLUMNS, Claim, DriveState
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.robot_agent.fleet import Fleet
 from zensim.robot_agent.pool.fleet import PoolFleet
 from zensim.robot_agent.rates import Rates, with_rates
@@ -57,7 +56,7 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
     pool, states = PoolFleet(bus, 0), _states(robots)
     pool.take(_claims(robots))
     commands = [
-        bus.advertise(f"r{number}/cmd_vel", encoding_of(Twist, Format.CDR))
+        bus.advertise(f"r{number}/cmd_vel", make_encoding(Twist, Format.CDR))
         for number in range(robots)
     ]
     twist = encode(Twist(Vector3(0.2), Vector3(z=0.5)), Format.CDR)
@@ -93,7 +92,7 @@ def _interleaved(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Tell, and put bare payloads, turn by turn."""
     payload = encode(Odometry(), Format.CDR)
-    encoding = encoding_of(Odometry, Format.CDR)
+    encoding = make_encoding(Odometry, Format.CDR)
     puts = [bus.advertise(f"f{number}/odom", encoding) for number in range(robots)]
 
     def put_all() -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from tests.benchmark import huge
 from tests.benchmark.figures import Asked, Figure, table
-from zensim.proto.model import Model, ReportStatus
+from zensim.proto.messages.model_messages import Model, ReportStatus
 from zensim.sim_server.description import urdf
 from zensim.sim_server.description.describing import describe
 from zensim.sim_server.description.library import model_text

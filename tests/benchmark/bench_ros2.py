@@ -25,10 +25,10 @@ from tests.benchmark.motion import MOVES
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
 from zensim.proto import keys
 from zensim.proto.bus import Bus, Sample
-from zensim.proto.claims import STATE_COLUMNS
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.telemetry import Snapshot
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.spawner.launch import spawn_fleet
 from zensim.spawner.placement import fleet_places
 
@@ -124,7 +124,7 @@ def _driven(robots: int, domain: str) -> Iterator[Driven]:
 
 def _circle(bus: Bus, names: Sequence[str]) -> None:
     """Let all drive circles until told otherwise: robots that stand sleep, and cost nothing."""
-    encoding = encoding_of(Twist, Format.CDR)
+    encoding = make_encoding(Twist, Format.CDR)
     outlets = [bus.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names]
     snapshots = bus.subscribe(keys.snapshot("default"))
     linear, angular = CIRCLE

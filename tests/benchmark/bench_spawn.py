@@ -25,9 +25,9 @@ from tests.benchmark.fleet import (
     observed,
     stats_of,
 )
-from zensim.proto.geometry import Point, Pose, PoseStamped
-from zensim.proto.services import SpawnEntityOrder
-from zensim.proto.telemetry import Stats
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.proto.messages.telemetry_messages import Stats
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 from zensim.spawner.client import SimClient

@@ -15,10 +15,10 @@ from tests.benchmark.fleet import POLL_S, soon
 from zensim.deploy.parent import die_with_parent
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
-from zensim.proto.catalog import CLAIM_ENTITY
-from zensim.proto.claims import ClaimEntityRequest, DriveCommand, DriveState
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.result import ResultCode, ServiceError
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.service_catalog import CLAIM_ENTITY
 
 WORLD, AGENT = "default", "circling"
 CALL_TIMEOUT_S = 20.0
@@ -30,7 +30,7 @@ def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
     """Claim robots, then drive them until told to end."""
     states = bus.subscribe(keys.drive_state(WORLD, AGENT))
     snapshots = bus.subscribe(keys.snapshot(WORLD))
-    encoding = encoding_of(DriveCommand, Format.MSGPACK)
+    encoding = make_encoding(DriveCommand, Format.MSGPACK)
     commands = bus.advertise(keys.drive_command(WORLD, AGENT), encoding)
     count = soon(lambda: _claim(bus, names), CALL_TIMEOUT_S)
     sys.stdout.write(f"claimed {count}\n")

@@ -17,9 +17,8 @@ from tests.benchmark.motion import MOVES
 from zensim.deploy.parent import die_with_parent
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, Subscription, open_bus
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 
 TALLY = "bench/tally"
 DEPTH = 262_144
@@ -45,7 +44,7 @@ class Crowd:
         self.tally = Tally()
         self._odom = bus.subscribe(f"*/{keys.ODOM}", DEPTH)
         self._tf = bus.subscribe(f"*/{keys.TF}", DEPTH)
-        encoding = encoding_of(Twist, Format.CDR)
+        encoding = make_encoding(Twist, Format.CDR)
         self._cmd_vels = [
             mouth.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names
         ]

@@ -11,8 +11,8 @@ from tests.integration.processes import Server, running, serving, wait_for_agent
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
 from zensim.proto.bus import Subscription
-from zensim.proto.codec import decode
-from zensim.proto.telemetry import Stats
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.telemetry_messages import Stats
 
 T = TypeVar("T")
 ROBOTS = 10

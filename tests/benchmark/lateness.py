@@ -11,8 +11,8 @@ from tests.benchmark.circling import AGENT, WORLD
 from tests.benchmark.fleet import MILLISECONDS, POLL_S
 from zensim.proto import keys
 from zensim.proto.bus import Bus
-from zensim.proto.claims import DriveState
-from zensim.proto.codec import decode
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.agent_messages import DriveState
 
 DEPTH = 4096
 PERIOD_S = CONFIG.control_steps * CONFIG.step_ns * 1e-9

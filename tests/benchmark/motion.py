@@ -6,7 +6,7 @@ import time
 
 from tests.benchmark.fleet import milliseconds, soon
 from tests.integration.robots import Robot
-from zensim.proto.topics import Odometry
+from zensim.proto.messages.standard_messages import Odometry
 
 SPEED = 0.2
 MOVES = 0.01

@@ -19,7 +19,8 @@ from tests.benchmark.plain import Turn
 from tests.benchmark.watched_server import Used, mark
 from tests.integration.processes import end, free_endpoint, joined
 from zensim.deploy.parent import PARENT
-from zensim.proto.services import SpawnEntityOrder, State
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.spawner.client import SimClient
 from zensim.spawner.launch import read_cargo, spawn_all
 from zensim.spawner.placement import fleet_places

@@ -15,7 +15,7 @@ from tests.benchmark.stopwatch import Stopwatch
 from zensim.deploy.cli import main
 from zensim.deploy.parent import die_with_parent
 from zensim.proto.bus import Publisher
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.traffic import outlets
 from zensim.sim_server.traffic.driving import Driving
 from zensim.sim_server.world.world import World

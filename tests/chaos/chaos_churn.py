@@ -10,7 +10,7 @@ import psutil
 
 from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import Server, serving
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 
 ROUNDS, ROUNDS_WHEN_SHORT = 10_000, 300
 MEGABYTE = 1e6

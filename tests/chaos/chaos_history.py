@@ -18,11 +18,11 @@ from tests.benchmark.figures import Asked, Figure
 from tests.chaos.history import Answer, Kind, Operation, first_fault
 from tests.chaos.persistence import POLL_S, Mortal, ask, mortal
 from tests.integration.processes import START_S
-from zensim.proto import catalog
+from zensim.proto import service_catalog
 from zensim.proto.bus import Bus, BusConfig, open_bus
-from zensim.proto.entities import GetEntityStateOrder
-from zensim.proto.result import ResultCode, ServiceError, SpawnCode
-from zensim.proto.services import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.proto.messages.entity_messages import GetEntityStateOrder
+from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
 from zensim.spawner.client import SimClient
 
 CLIENTS, CLIENTS_WHEN_SHORT = 10, 4
@@ -123,12 +123,12 @@ def _ask(bus: Bus, kind: Kind, name: str, request_id: str) -> Answer:
     try:
         if kind == "spawn":
             order = SpawnEntityOrder(name=name, entity_resource=Resource(uri="box_bot"))
-            ask(bus, catalog.SPAWN_ENTITY, order, request_id)
+            ask(bus, service_catalog.SPAWN_ENTITY, order, request_id)
             return "done"
         if kind == "delete":
-            ask(bus, catalog.DELETE_ENTITY, DeleteEntityRequest(name), request_id)
+            ask(bus, service_catalog.DELETE_ENTITY, DeleteEntityRequest(name), request_id)
             return "done"
-        ask(bus, catalog.GET_ENTITY_STATE, GetEntityStateOrder(name), request_id)
+        ask(bus, service_catalog.GET_ENTITY_STATE, GetEntityStateOrder(name), request_id)
     except ServiceError as error:
         if error.code == SpawnCode.NAME_NOT_UNIQUE:
             return "taken"

@@ -17,16 +17,12 @@ from pathlib import Path
 from tests.benchmark.figures import Asked, Figure
 from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
 from tests.integration.processes import START_S, eventually, zensim
-from zensim.proto import catalog, keys
+from zensim.proto import keys, service_catalog
 from zensim.proto.bus import Bus, BusConfig, NoServer, Subscription, open_bus
-from zensim.proto.codec import decode
-from zensim.proto.services import (
-    DeleteEntityRequest,
-    GetEntitiesRequest,
-    Resource,
-    SpawnEntityOrder,
-)
-from zensim.proto.telemetry import WorldClock
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.entity_messages import GetEntitiesRequest
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.spawner.client import SimClient
 
 ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
@@ -65,14 +61,14 @@ class Churn:
 
     def _spawn(self, name: str, number: int) -> None:
         order = SpawnEntityOrder(name=name, entity_resource=Resource(uri="box_bot"))
-        ask(self.bus, catalog.SPAWN_ENTITY, order, f"spawn{number}")
+        ask(self.bus, service_catalog.SPAWN_ENTITY, order, f"spawn{number}")
         with self.lock:
             self.standing.add(name)
 
     def _delete(self, name: str) -> None:
         with self.lock:
             self.standing.discard(name)
-        ask(self.bus, catalog.DELETE_ENTITY, DeleteEntityRequest(name), f"delete{name}")
+        ask(self.bus, service_catalog.DELETE_ENTITY, DeleteEntityRequest(name), f"delete{name}")
         with self.lock:
             self.gone.add(name)
 
@@ -164,7 +160,10 @@ def _first_list(bus: Bus) -> tuple[str, ...]:
     while time.monotonic() < deadline_s:
         with suppress(NoServer, TimeoutError):
             return bus.call(
-                catalog.GET_ENTITIES, GetEntitiesRequest(), world="default", timeout_s=ANSWER_S
+                service_catalog.GET_ENTITIES,
+                GetEntitiesRequest(),
+                world="default",
+                timeout_s=ANSWER_S,
             ).entities
         time.sleep(POLL_S)
     raise TimeoutError("the server did not come back")

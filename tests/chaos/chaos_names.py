@@ -12,8 +12,8 @@ from concurrent.futures import ThreadPoolExecutor
 from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import serving
 from zensim.proto.bus import BusConfig, open_bus
-from zensim.proto.result import ServiceError
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.spawner.client import SimClient
 
 CLIENTS, CLIENTS_WHEN_SHORT = 100, 20

@@ -79,7 +79,7 @@ def _round() -> dict[str, tuple[float, int]]:
         processes = (waiting, found.agents[0], view, server)
         ends = {what: _end(one) for what, one in zip(LIMITS_S, processes, strict=True)}
         took_s, faults = ends["server"]
-        ends["server"] = took_s, faults + len(bus.alive(keys.alive_server("*")))
+        ends["server"] = took_s, faults + len(bus.list_tokens(keys.alive_server("*")))
         return ends
 
 
@@ -94,4 +94,4 @@ def _end(process: "subprocess.Popen[str]") -> tuple[float, int]:
 
 
 def _agents(bus: Bus) -> list[str]:
-    return [keys.agent_of(key) for key in bus.alive(keys.alive_agents("default"))]
+    return [keys.parse_agent(key) for key in bus.list_tokens(keys.alive_agents("default"))]

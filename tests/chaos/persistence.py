@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from tests.integration.processes import free_endpoint, joined, kill, running
 from zensim.proto.bus import Bus, NoServer
-from zensim.proto.catalog import Request, Response, Service
+from zensim.proto.service_catalog import Request, Response, Service
 
 if TYPE_CHECKING:
     import subprocess

@@ -10,8 +10,8 @@ from tests.integration.processes import START_S, eventually, running, zensim
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
-from zensim.proto.codec import decode
-from zensim.proto.telemetry import WorldClock
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.telemetry_messages import WorldClock
 from zensim.spawner.client import SimClient
 
 ROBOTS, ROBOTS_WHEN_SHORT = 10, 2

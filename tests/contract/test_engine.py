@@ -18,7 +18,7 @@ from tests.models import (
     assert_same_state,
     on_ground,
 )
-from zensim.proto.model import JointKind, Model
+from zensim.proto.messages.model_messages import JointKind, Model
 from zensim.sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray
 
 FLOATING = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)

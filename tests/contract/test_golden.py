@@ -6,16 +6,16 @@ from typing import TypeAlias
 import msgspec
 import pytest
 
-from zensim.proto.codec import Format, decode, encode, encoding_of, offers
-from zensim.proto.example import example_of
-from zensim.proto.schema import SCHEMAS, golden, spoken_types
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding, supports_format
+from zensim.proto.sample_messages import make_sample_message
+from zensim.proto.schema import SCHEMAS, list_top_level_types, make_golden
 
 Golden: TypeAlias = dict[str, dict[str, str]]
 
 COMMITTED: Golden = json.loads((SCHEMAS / "golden.json").read_text(encoding="utf-8"))
 SAMPLES = [
     pytest.param(kind, format_, id=f"{kind.__name__} in {format_.name}")
-    for kind in spoken_types()
+    for kind in list_top_level_types()
     for format_ in Format
     if format_.name in COMMITTED.get(kind.__name__, {})
 ]
@@ -30,19 +30,19 @@ def test_golden_encoding_is_that_of_cdr() -> None:
     named = {name: one["encoding"] for name, one in COMMITTED.items() if "encoding" in one}
 
     assert named == {
-        kind.__name__: encoding_of(kind, Format.CDR)
-        for kind in spoken_types()
-        if offers(kind, Format.CDR)
+        kind.__name__: make_encoding(kind, Format.CDR)
+        for kind in list_top_level_types()
+        if supports_format(kind, Format.CDR)
     }
 
 
 def test_golden_bytes_are_those_of_the_types_that_travel() -> None:
-    assert golden() == COMMITTED
+    assert make_golden() == COMMITTED
 
 
 @pytest.mark.parametrize(("kind", "format_"), SAMPLES)
 def test_golden_bytes_are_what_encode_writes(kind: type[msgspec.Struct], format_: Format) -> None:
-    assert encode(example_of(kind), format_) == committed_bytes(kind, format_)
+    assert encode(make_sample_message(kind), format_) == committed_bytes(kind, format_)
 
 
 @pytest.mark.parametrize(("kind", "format_"), SAMPLES)
@@ -51,6 +51,6 @@ def test_golden_bytes_are_read_and_written_again(
 ) -> None:
     payload = committed_bytes(kind, format_)
 
-    read = decode(kind, payload, encoding_of(kind, format_))
+    read = decode(kind, payload, make_encoding(kind, format_))
 
     assert encode(read, format_) == payload

@@ -4,8 +4,7 @@ from enum import IntEnum
 
 import pytest
 
-from zensim.proto.catalog import SERVICES
-from zensim.proto.result import (
+from zensim.proto.messages.result_messages import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
@@ -15,7 +14,8 @@ from zensim.proto.result import (
     SpawnCode,
     UnloadWorldCode,
 )
-from zensim.proto.services import Feature, ResetScope, State
+from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
+from zensim.proto.service_catalog import SERVICES
 
 EVERY_SERVICE = {
     "FEATURE_UNSUPPORTED": 0,

@@ -7,8 +7,8 @@ import msgspec
 import pytest
 
 from tests.contract.repository import ROOT, text_of
-from zensim.proto.catalog import SERVICES
-from zensim.proto.codec import Format, decode
+from zensim.proto.codec.message_codec import Format, decode
+from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.handlers.offers import OFFERS
 
 ROW = re.compile(r"^\| `(\w+)` \|.*$", re.MULTILINE)

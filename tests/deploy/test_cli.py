@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tests.integration.processes import zensim
 from zensim.deploy.cli import VERBS, build
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
 HEAVY = ("pybullet", "viser", "yourdfpy", "lxml", "zenoh", "numpy")
@@ -29,7 +29,7 @@ def modules_after(code: str) -> set[str]:
 def test_help_names_every_verb_with_its_line() -> None:
     done = RUNNER.invoke(build(""), ["--help"], env={"COLUMNS": "200"})
 
-    assert done.exit_code == Exit.OK
+    assert done.exit_code == ExitCode.OK
     for verb, (_, line) in VERBS.items():
         assert re.search(rf"\b{verb}\b +{re.escape(line)}", done.stdout)
 
@@ -48,7 +48,7 @@ def test_help_imports_nothing_heavy() -> None:
 def test_verb_shows_its_own_help(verb: str) -> None:
     done = RUNNER.invoke(build(verb), [verb, "--help"], env={"COLUMNS": "200"})
 
-    assert done.exit_code == Exit.OK
+    assert done.exit_code == ExitCode.OK
     assert "--" in done.stdout
 
 
@@ -61,7 +61,7 @@ def test_verbs_import_neither_engine_nor_page_before_they_run() -> None:
 def test_version_is_that_of_the_package() -> None:
     done = RUNNER.invoke(build(""), ["--version"])
 
-    assert (done.exit_code, done.stdout) == (Exit.OK, f"zensim {version('zensim')}\n")
+    assert (done.exit_code, done.stdout) == (ExitCode.OK, f"zensim {version('zensim')}\n")
 
 
 @pytest.mark.parametrize("verb", ["state", "info", "world"])
@@ -69,13 +69,13 @@ def test_group_lists_its_commands_when_none_is_named(verb: str) -> None:
     done = zensim(verb)
 
     assert f"Usage: zensim {verb} [OPTIONS] COMMAND" in done.stdout + done.stderr
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
 
 
 def test_unknown_verb_is_refused() -> None:
     done = zensim("levitate")
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     assert "No such command 'levitate'" in done.stderr
 
 
@@ -94,7 +94,7 @@ def test_up_is_refused_in_one_line_when_it_is_mistyped(
 ) -> None:
     done = zensim("up", *arguments)
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     assert done.stderr.startswith("zensim up: USAGE (2): ")
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
@@ -104,7 +104,7 @@ def test_up_is_refused_in_one_line_when_it_is_mistyped(
 def test_up_says_why_when_its_server_does_not_come_up() -> None:
     done = zensim("up", "--world", "nowhere.sdf", "--listen", "tcp/127.0.0.1:0", "--no-viewer")
 
-    assert done.returncode == Exit.FAILED
+    assert done.returncode == ExitCode.FAILED
     assert "world 'nowhere.sdf' is neither a file nor one of empty" in done.stderr
     assert "zensim up: FAILED (1): server ended with status 2" in done.stderr
 

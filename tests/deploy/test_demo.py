@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from zensim.deploy.demo import AgentsConfig, DemoConfig, agent_starts, pools_for, serve_arguments
-from zensim.proto.ros2.settings import RosSettings
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.robot_agent.config import AgentStart
 from zensim.robot_agent.rates import Rates
 from zensim.spawner.placement import Place

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from tests.spawner.packages import a_package, robot_of
 from zensim.deploy.cli.model import app
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
 BASE, GONE = "package://my_robot/meshes/base.stl", "package://my_robot/meshes/gone.stl"
@@ -27,7 +27,7 @@ def a_file(folder: Path, text: str, name: str = "r.urdf") -> str:
 def test_model_shows_a_tree_of_links() -> None:
     done = RUNNER.invoke(app, ["box_bot"])
 
-    assert done.exit_code == Exit.OK
+    assert done.exit_code == ExitCode.OK
     for name in ("base_link", "left_wheel", "right_wheel_joint"):
         assert name in done.stdout
 
@@ -57,17 +57,17 @@ def test_model_reports_a_missing_visual_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "flags", "status", "message"),
     [
-        (robot_of(GONE), (), Exit.FAILED, "mesh.missing: "),
-        (robot_of(GONE), ("--allow-missing",), Exit.OK, ""),
-        (robot_of(BASE, GONE), ("--strict",), Exit.FAILED, "report.suspicious: "),
-        (robot_of(BASE), ("--strict",), Exit.OK, ""),
-        (robot_of(BASE), ("--compat", "ignition"), Exit.USAGE, "use fixed or gazebo11"),
-        ("<robot", (), Exit.FAILED, "xml.syntax: "),
-        ('<robot name="r"/>', (), Exit.FAILED, "urdf.no_links: "),
+        (robot_of(GONE), (), ExitCode.FAILED, "mesh.missing: "),
+        (robot_of(GONE), ("--allow-missing",), ExitCode.OK, ""),
+        (robot_of(BASE, GONE), ("--strict",), ExitCode.FAILED, "report.suspicious: "),
+        (robot_of(BASE), ("--strict",), ExitCode.OK, ""),
+        (robot_of(BASE), ("--compat", "ignition"), ExitCode.USAGE, "use fixed or gazebo11"),
+        ("<robot", (), ExitCode.FAILED, "xml.syntax: "),
+        ('<robot name="r"/>', (), ExitCode.FAILED, "urdf.no_links: "),
     ],
 )
 def test_model_refuses_what_a_server_would(
-    tmp_path: Path, text: str, flags: tuple[str, ...], status: Exit, message: str
+    tmp_path: Path, text: str, flags: tuple[str, ...], status: ExitCode, message: str
 ) -> None:
     done = RUNNER.invoke(app, [a_file(tmp_path, text), *flags])
 
@@ -98,12 +98,12 @@ def test_model_says_so_when_a_file_is_no_text(tmp_path: Path) -> None:
 
     done = RUNNER.invoke(app, [str(file)])
 
-    assert done.exit_code == Exit.USAGE
+    assert done.exit_code == ExitCode.USAGE
     assert done.stderr.startswith("zensim model: USAGE (2): ")
 
 
 def test_model_says_so_when_there_is_no_such_file() -> None:
     done = RUNNER.invoke(app, ["nowhere.urdf"])
 
-    assert done.exit_code == Exit.NOT_FOUND
+    assert done.exit_code == ExitCode.NOT_FOUND
     assert done.stderr.startswith("zensim model: NOT_FOUND (3): nowhere.urdf: ")

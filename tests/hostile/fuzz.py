@@ -15,10 +15,16 @@ from tests.hostile.corpus import corpus
 from tests.hostile.sdf import sdf_cases
 from tests.hostile.test_fuzz import damaged
 from tests.sim_server.description.sdf_robots import PIONEER
-from zensim.proto import assets
-from zensim.proto.codec import Format, MalformedPayload, decode, encode, offers
-from zensim.proto.example import example_of
-from zensim.proto.schema import spoken_types
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    encode,
+    supports_format,
+)
+from zensim.proto.messages import asset_messages
+from zensim.proto.sample_messages import make_sample_message
+from zensim.proto.schema import list_top_level_types
 from zensim.sim_server.description.formats import read_robot
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.mesh_formats import read_mesh
@@ -120,21 +126,21 @@ def _bundle() -> Read:
 def _put(store: AssetStore, data: bytes, chance: random.Random) -> None:
     name = chance.choice((sha256(data).hexdigest(), "0" * 64, "../x"))
     offset, total = (chance.choice((0, 1, 40, len(data))) for _ in range(2))
-    request = assets.PutAssetRequest(sha256=name, offset=offset, total=total, data=data)
+    request = asset_messages.PutAssetRequest(sha256=name, offset=offset, total=total, data=data)
     payload = encode(request, Format.MSGPACK)
     if chance.random() < PLAIN:
         payload = _damaged_bytes(payload, chance)
-    taken = decode(assets.PutAssetRequest, payload, Format.MSGPACK.value)
+    taken = decode(asset_messages.PutAssetRequest, payload, Format.MSGPACK.value)
     store.put(taken.sha256, offset=taken.offset, total=taken.total, data=taken.data)
     store.piece(taken.sha256, taken.offset, len(data))
 
 
 def _requests() -> Read:
     samples = [
-        (kind, encode(example_of(kind), format_))
-        for kind in spoken_types()
+        (kind, encode(make_sample_message(kind), format_))
+        for kind in list_top_level_types()
         for format_ in Format
-        if offers(kind, format_)
+        if supports_format(kind, format_)
     ]
 
     def read(chance: random.Random) -> str:

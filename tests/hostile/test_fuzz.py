@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.hostile.corpus import corpus
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
 from zensim.sim_server.errors import ModelError

@@ -18,8 +18,7 @@ from typer.testing import CliRunner
 from tests.contract.repository import ROOT
 from zensim.deploy.cli import build
 from zensim.deploy.parent import PARENT
-from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
-from zensim.proto.endpoint import with_free_port
+from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus, with_free_port
 from zensim.spawner.client import SimClient
 
 T = TypeVar("T")

@@ -19,8 +19,8 @@ from tests.integration.processes import (
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
 from zensim.proto.bus import Bus, Subscription
-from zensim.proto.codec import decode
-from zensim.proto.telemetry import Snapshot
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.telemetry_messages import Snapshot
 
 if TYPE_CHECKING:
     import hashlib

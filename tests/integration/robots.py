@@ -8,11 +8,15 @@ from dataclasses import dataclass
 from tests.integration.processes import eventually
 from zensim.proto import keys
 from zensim.proto.bus import Bus, Publisher, Subscription
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.header import NANOSECONDS, ns_from_time
-from zensim.proto.services import State
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import (
+    NANOSECONDS,
+    Odometry,
+    Twist,
+    Vector3,
+    ns_from_time,
+)
 from zensim.spawner.client import SimClient
 
 SEND_EVERY_S = 0.1
@@ -71,7 +75,7 @@ def robot(bus: Bus, namespace: str) -> Robot:
     found = Robot(
         namespace,
         bus.subscribe(keys.robot(namespace, keys.ODOM), 100_000),
-        bus.advertise(keys.robot(namespace, keys.CMD_VEL), encoding_of(Twist, Format.CDR)),
+        bus.advertise(keys.robot(namespace, keys.CMD_VEL), make_encoding(Twist, Format.CDR)),
     )
     eventually(lambda: found.cmd_vel.is_matched, 20.0, f"a listener on {namespace}/cmd_vel")
     return found

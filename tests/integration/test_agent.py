@@ -21,9 +21,9 @@ from tests.integration.processes import (
 )
 from zensim.proto import keys
 from zensim.proto.bus import Bus
-from zensim.proto.codec import decode
-from zensim.proto.exits import Exit
-from zensim.proto.topics import JointState, Odometry, String, TFMessage
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.standard_messages import JointState, Odometry, String, TFMessage
 from zensim.spawner.client import SimClient
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ def server() -> Iterator[Server]:
 
 
 def agents_up(bus: Bus) -> list[str]:
-    return [keys.agent_of(key) for key in bus.alive(keys.alive_agents("default"))]
+    return [keys.parse_agent(key) for key in bus.list_tokens(keys.alive_agents("default"))]
 
 
 def status_after(process: "subprocess.Popen[str]", number: signal.Signals) -> int:
@@ -75,7 +75,7 @@ def test_agent_ends_while_it_waits_for_a_server() -> None:
         eventually(lambda: psutil.Process(waiting.pid).num_threads() > 1, 10.0, "joining")
 
         # The second where the interpreter itself has not begun to listen.
-        assert status_after(waiting, signal.SIGINT) in (Exit.INTERRUPTED, -signal.SIGINT)
+        assert status_after(waiting, signal.SIGINT) in (ExitCode.INTERRUPTED, -signal.SIGINT)
 
 
 def test_agent_names_the_entity_that_never_came(server: Server) -> None:

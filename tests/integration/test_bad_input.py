@@ -20,11 +20,11 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.robots import Robot, robot
-from zensim.proto.catalog import SERVICES
-from zensim.proto.codec import decode
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.result import ResultCode
-from zensim.proto.services import DeleteEntityResponse
+from zensim.proto.bus import DEFAULT_ENDPOINT
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.spawn_messages import DeleteEntityResponse
+from zensim.proto.service_catalog import SERVICES
 
 GARBAGE = (
     b"\x00",

@@ -8,13 +8,22 @@ import zenoh
 
 from tests.integration.processes import eventually, free_endpoint
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, EndpointTaken, NoServer, Sample, Unreachable, open_bus
-from zensim.proto.catalog import DELETE_ENTITY, INFO
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.endpoint import check_endpoint, with_free_port
-from zensim.proto.result import Result, ResultCode, ServiceError
-from zensim.proto.services import DeleteEntityRequest, DeleteEntityResponse
-from zensim.proto.telemetry import Info, InfoRequest
+from zensim.proto.bus import (
+    Bus,
+    BusConfig,
+    EndpointTaken,
+    NoServer,
+    Sample,
+    Unreachable,
+    check_endpoint,
+    open_bus,
+    with_free_port,
+)
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.messages.telemetry_messages import Info, InfoRequest
+from zensim.proto.service_catalog import DELETE_ENTITY, INFO
 
 
 @pytest.fixture
@@ -56,7 +65,7 @@ class Answering(threading.Thread):
 
 def answering(bus: Bus, response: Info | DeleteEntityResponse) -> Answering:
     form = Format.MSGPACK
-    return Answering(bus, encode(response, form), encoding_of(response, form))
+    return Answering(bus, encode(response, form), make_encoding(response, form))
 
 
 def test_samples_arrive_in_order_when_the_subscription_is_deep(router: Bus, client: Bus) -> None:
@@ -202,7 +211,7 @@ def test_token_is_seen_to_come_and_go(router: Bus, client: Bus) -> None:
     token = client.token("alive/a")
 
     assert eventually(lambda: watch.take() or None, 5.0, "coming") == [("alive/a", True)]
-    assert router.alive("alive/*") == ["alive/a"]
+    assert router.list_tokens("alive/*") == ["alive/a"]
     token.close()
     assert eventually(lambda: watch.take() or None, 5.0, "going") == [("alive/a", False)]
 

@@ -16,7 +16,7 @@ from tests.integration.processes import (
     serving,
     zensim,
 )
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 DENY_QUERIES = {
     "enabled": True,
@@ -35,14 +35,14 @@ DENY_QUERIES = {
 }
 
 
-def examined(endpoint: str, *arguments: str) -> tuple[Exit, list[dict[str, str]]]:
+def examined(endpoint: str, *arguments: str) -> tuple[ExitCode, list[dict[str, str]]]:
     """Run the doctor, and read its findings."""
     done = zensim("doctor", "--json", "--connect", endpoint, *arguments)
     assert done.stderr == ""
-    return Exit(done.returncode), json.loads(done.stdout)
+    return ExitCode(done.returncode), json.loads(done.stdout)
 
 
-def wrong(endpoint: str, *arguments: str) -> tuple[Exit, str, str]:
+def wrong(endpoint: str, *arguments: str) -> tuple[ExitCode, str, str]:
     """Run the doctor where something is wrong; that is always the last finding."""
     status, found = examined(endpoint, *arguments)
     assert [one["mark"] for one in found].count("wrong") == 1
@@ -53,14 +53,14 @@ def wrong(endpoint: str, *arguments: str) -> tuple[Exit, str, str]:
 
 def advice_of(server: Server, what: str) -> str:
     status, found = examined(server.endpoint)
-    assert status is Exit.OK
+    assert status is ExitCode.OK
     return next(one["advice"] for one in found if one["what"] == what)
 
 
 def test_doctor_finds_that_nobody_listens() -> None:
     status, what, found = wrong(free_endpoint())
 
-    assert (status, what) == (Exit.UNREACHABLE, "endpoint")
+    assert (status, what) == (ExitCode.UNREACHABLE, "endpoint")
     assert "nobody listens" in found
 
 
@@ -68,7 +68,7 @@ def test_doctor_finds_a_listener_that_is_no_router() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         status, what, found = wrong(f"tcp/127.0.0.1:{other.getsockname()[1]}")
 
-    assert (status, what) == (Exit.UNREACHABLE, "session")
+    assert (status, what) == (ExitCode.UNREACHABLE, "session")
     assert "no Zenoh router" in found
 
 
@@ -76,7 +76,7 @@ def test_doctor_finds_a_router_without_a_server_and_with_another_world() -> None
     endpoint = free_endpoint()
     with running("router", "--listen", endpoint), joined(endpoint):
         status, what, found = wrong(endpoint)
-        assert (status, what) == (Exit.UNREACHABLE, "server")
+        assert (status, what) == (ExitCode.UNREACHABLE, "server")
         assert "no server has joined" in found
 
         with running("serve", "--connect", endpoint, "--world-name", "other"):
@@ -108,4 +108,4 @@ def test_doctor_finds_what_keeps_robots_from_moving_and_a_server_that_is_stopped
             status, what, _ = wrong(server.endpoint)
         finally:
             kill(server.process.pid, signal.SIGCONT)
-        assert (status, what) == (Exit.UNREACHABLE, "session")
+        assert (status, what) == (ExitCode.UNREACHABLE, "session")

@@ -2,8 +2,8 @@
 
 from tests.integration.processes import driven, serving
 from tests.integration.robots import Robot, place, robot, stamp_s, yaw
-from zensim.proto.codec import Format, encode
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.standard_messages import Twist, Vector3
 
 HEIGHT_M = "0.05"
 STRAFE = Twist(Vector3(0.0, 0.3))

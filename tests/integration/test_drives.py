@@ -9,7 +9,7 @@ import pytest
 
 from tests.course import Track
 from tests.models import TRACK_M, WHEEL_RADIUS_M, a_cart, a_state
-from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.messages.model_messages import Model, Origin, Shape
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.urdf import read_urdf

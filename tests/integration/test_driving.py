@@ -7,8 +7,8 @@ import pytest
 
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.robots import Robot, drive_for, place, robot
-from zensim.proto.geometry import Point, Pose, Twist
-from zensim.proto.services import EntityState
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.standard_messages import Point, Pose, Twist
 
 TEN = tuple(f"box_bot{i}" for i in range(10))
 BODY_M = 0.1

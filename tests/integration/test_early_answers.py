@@ -4,7 +4,7 @@ import math
 
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.robots import Robot, robot
-from zensim.proto.header import NANOSECONDS, ns_from_time
+from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 
 NAME = "box_bot0"
 PERIOD_NS = NANOSECONDS

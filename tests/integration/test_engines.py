@@ -7,7 +7,7 @@ import pytest
 
 from tests.integration.processes import Server, driven, free_endpoint, serving, without, zensim
 from tests.integration.robots import drive_for, robot
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 TWO = ("box_bot0", "box_bot1")
 
@@ -46,7 +46,7 @@ def test_server_says_what_would_work_when_its_engine_is_not_installed(
 
     done = zensim(*asked, prefix=without(engine, tmp_path))
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     (line,) = done.stderr.splitlines()
     assert f"{engine} is not installed; use --engine {other}, which is, or pip install" in line
 
@@ -54,7 +54,7 @@ def test_server_says_what_would_work_when_its_engine_is_not_installed(
 def test_server_refuses_an_engine_that_there_is_not() -> None:
     done = zensim("serve", "--engine", "dart", "--listen", free_endpoint())
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     assert "--engine 'dart' is unknown; use pybullet or mujoco" in done.stderr
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from tests.integration.processes import driven, eventually, serving
 from tests.integration.robots import drive_for, robot
 from zensim.proto import keys
-from zensim.proto.codec import decode
-from zensim.proto.telemetry import Event, Snapshot
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.telemetry_messages import Event, Snapshot
 
 INERTIAL = """<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>
 <inertia ixx="{moment}" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="{moment}"/></inertial>"""

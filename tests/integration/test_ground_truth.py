@@ -6,8 +6,8 @@ import pytest
 
 from tests.integration.processes import driven, eventually, serving
 from tests.integration.robots import drive_for, place, robot, stamp_s
-from zensim.proto.codec import decode
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.standard_messages import Odometry
 from zensim.sim_server.description.library import model_text
 
 P3D = """<gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">

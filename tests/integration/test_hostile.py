@@ -9,8 +9,9 @@ import zenoh
 from tests.hostile.case import Case
 from tests.hostile.corpus import corpus
 from tests.integration.processes import Server, eventually, serving
-from zensim.proto.result import ServiceError
-from zensim.proto.services import MAX_REQUEST_BYTES, Resource, SpawnEntityOrder
+from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 
 EVERY = 6
 CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]

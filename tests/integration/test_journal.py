@@ -21,11 +21,13 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.integration.robots import robot
-from zensim.proto.catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
-from zensim.proto.geometry import Point, Pose
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.services import EntityState, Resource, SpawnEntityOrder, State
-from zensim.proto.worlds import GetCurrentWorldRequest, LoadWorldRequest
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose
+from zensim.proto.messages.world_messages import GetCurrentWorldRequest, LoadWorldRequest
+from zensim.proto.service_catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
 from zensim.sim_server.journal.ledger import DATABASE
 
 SMALL_BYTES = 1 << 20

@@ -11,11 +11,12 @@ import pytest
 
 from tests.integration.processes import Server, driven, eventually, serving
 from tests.integration.repeated import Said, drive, locked_fleet
-from zensim.proto.codec import decode
-from zensim.proto.endpoint import with_free_port
-from zensim.proto.geometry import Point, Pose, PoseStamped
-from zensim.proto.services import Resource, SpawnEntityOrder, State
-from zensim.proto.telemetry import Stats
+from zensim.proto.bus import with_free_port
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.proto.messages.telemetry_messages import Stats
 
 ROBOTS = 3
 STEPS = 480

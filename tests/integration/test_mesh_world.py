@@ -18,9 +18,9 @@ from tests.integration.processes import (
     serving,
 )
 from tests.integration.test_view import BATCHES, viewing
-from zensim.proto.assets import GetAssetRequest
-from zensim.proto.catalog import GET_ASSET
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.asset_messages import GetAssetRequest
+from zensim.proto.service_catalog import GET_ASSET
 from zensim.spawner.client import SimClient
 
 STEPS = 400
@@ -130,7 +130,7 @@ def test_up_finds_the_models_of_its_world_and_keeps_its_pace(folder: Path) -> No
     wish = ("up", "--robots", "0", "--no-viewer", "--listen", "tcp/127.0.0.1:0", "--strict")
 
     with running(*wish, "--world", str(folder / "slow.world"), "--json") as lost:
-        assert lost.wait(START_S) == Exit.FAILED
+        assert lost.wait(START_S) == ExitCode.FAILED
     path = ("--model-path", str(folder / "models"))
     with running(*wish, "--world", str(folder / "slow.world"), "--json", *path) as up:
         endpoint = str(read_json_line(up)["endpoint"])

@@ -18,8 +18,8 @@ from tests.integration.processes import (
     serving,
 )
 from tests.integration.robots import robot
-from zensim.proto.codec import decode
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.standard_messages import Odometry
 
 if TYPE_CHECKING:
     import subprocess

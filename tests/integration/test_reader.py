@@ -15,8 +15,8 @@ import pytest
 
 from tests.hostile.case import BODY, alone, solid
 from tests.integration.processes import Server, eventually, serving
-from zensim.proto.result import ServiceError
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.reading.reader import TOO_LONG
 from zensim.spawner.descriptions import from_word
 from zensim.spawner.launch import cargo_of, order_for, send_files

@@ -17,7 +17,7 @@ from tests.integration.ros_rules import check_bytes, check_topic, heard_of
 from tests.integration.ros_watching import SIGHT_S, TRANSIENT_LOCAL, publishers_of, subscribed
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import HUMBLE
-from zensim.proto.services import State
+from zensim.proto.messages.simulation_messages import State
 
 STEPS = "simulation_interfaces/action/SimulateSteps"
 UNDER = "/simulate_steps/_action"
@@ -175,6 +175,6 @@ def test_bridge_sends_a_goal_on_bare_keys_and_knows_of_the_action(server: Server
 
     answer: Any = HUMBLE.deserialize_cdr(sent.payload.to_bytes(), f"{name}_Response")
     assert answer.accepted
-    told = {"/".join(route.split("/")[3:]) for route in server.bus.alive("@/*/@ros2_lv/**")}
+    told = {"/".join(route.split("/")[3:]) for route in server.bus.list_tokens("@/*/@ros2_lv/**")}
     assert "AS/simulate_steps/simulation_interfaces§action§SimulateSteps" in told
     assert not [route for route in told if "_action" in route]

@@ -22,12 +22,12 @@ from tests.integration.ros_rules import BrokenRule, Heard, check_topic, heard_of
 from tests.integration.ros_watching import tokens
 from tests.proto.ros_hashes import hash_of_message
 from zensim.proto.bus import Bus, BusConfig, Publisher, open_bus
-from zensim.proto.codec import Format, encode
-from zensim.proto.example import example_of
-from zensim.proto.ros2.settings import RosSettings
-from zensim.proto.ros_graph import Topic
-from zensim.proto.services import DeleteEntityResponse
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.spawn_messages import DeleteEntityResponse
+from zensim.proto.messages.standard_messages import Odometry
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.sample_messages import make_sample_message
 from zensim.sim_server.traffic.ros_side import ros_side
 
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -159,7 +159,10 @@ def telling(ways: Ways) -> Iterator[Bus]:
         bus = cast("Bus", BrokenBus(router, ways))
         side, is_over = ros_side(bus, RosSettings()), threading.Event()
         odom = side.faces.publisher(Topic("r1/odom", Odometry))
-        response, message = encode(DeleteEntityResponse(), Format.CDR), example_of(Odometry)
+        response, message = (
+            encode(DeleteEntityResponse(), Format.CDR),
+            make_sample_message(Odometry),
+        )
 
         def go_on() -> None:
             while not is_over.wait(EVERY_S):

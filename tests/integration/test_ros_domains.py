@@ -11,7 +11,7 @@ from tests.integration.processes import START_S, Server, eventually, running, se
 from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
 from tests.integration.ros_grammar import graph_of
 from tests.integration.ros_watching import SIGHT_S, tokens
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.spawner.client import SimClient
 
 GET_ENTITIES = "simulation_interfaces/srv/GetEntities"

@@ -20,10 +20,10 @@ from tests.integration.ros_watching import (
     tokens,
 )
 from tests.proto.ros_oracle import HUMBLE
-from zensim.proto.codec import Format, encode
-from zensim.proto.geometry import Twist, TwistStamped, Vector3
-from zensim.proto.ros2.keys import data_key
-from zensim.proto.ros2.type_hash import type_hash
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
+from zensim.proto.ros2.rmw_keys import make_data_key
+from zensim.proto.ros2.type_hash import hash_type
 
 ROBOTS = ("r1", "r2", "r3")
 FASTER = Vector3(x=0.5)
@@ -90,7 +90,7 @@ def test_robot_of_a_pool_is_driven(
     server: Server, session: zenoh.Session, message: Twist | TwistStamped
 ) -> None:
     kind = type(message)
-    key = data_key(0, "/r2/cmd_vel", kind.ros_type, type_hash(kind))
+    key = make_data_key(0, "/r2/cmd_vel", kind.ros_type, hash_type(kind))
     before = [place_of(server, name) for name in ROBOTS]
 
     def has_moved() -> bool:

@@ -28,7 +28,7 @@ from tests.integration.ros_watching import (
     publishers_of,
     subscribed,
 )
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 
 ROBOTS = ("r1", "r2")
 SPAWN = "simulation_interfaces/srv/SpawnEntity"

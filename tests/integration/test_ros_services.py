@@ -10,11 +10,11 @@ from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, serving
 from tests.integration.ros_asking import Ask, replies, result_of, ros_client
 from tests.proto.ros_oracle import rewritten_by_ros
-from zensim.proto.codec import Format, decode, encode
-from zensim.proto.result import ResultCode
-from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.ros_services import CDR
-from zensim.proto.services import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.ros_service_catalog import CDR_ENCODING_NAME
 
 SPAWN = "simulation_interfaces/srv/SpawnEntity"
 DELETE = "simulation_interfaces/srv/DeleteEntity"
@@ -159,7 +159,7 @@ def test_malformed_request_gets_a_response_with_a_code(server: Server) -> None:
 
     (reply,) = replies(server, DELETE_KEY, b"\x00\x01\x00\x00\xff\xff\xff\x7f", asked)
 
-    answer = decode(DeleteEntityResponse, reply.payload.to_bytes(), CDR)
+    answer = decode(DeleteEntityResponse, reply.payload.to_bytes(), CDR_ENCODING_NAME)
     assert answer.result.result == ResultCode.OPERATION_FAILED
     assert "malformed" in answer.result.error_message
 
@@ -202,7 +202,7 @@ def test_bridge_asks_on_bare_keys_in_either_version(server: Server, ask: Ask) ->
     (deleted,) = replies(server, "delete_entity", payload, None)
     (of_gazebo,) = replies(server, "gazebo/delete_entity", payload, None)
 
-    answer = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR)
+    answer = decode(DeleteEntityResponse, deleted.payload.to_bytes(), CDR_ENCODING_NAME)
     assert answer.result.result == ResultCode.OK
     assert of_gazebo.payload.to_bytes()[4] == 0, "success is the first byte"
 

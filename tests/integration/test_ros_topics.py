@@ -21,7 +21,7 @@ from tests.integration.ros_watching import (
     publishers_of,
     tokens,
 )
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.result_messages import SpawnCode
 
 NAME = "[A-Za-z_][A-Za-z0-9_]*(?:§[A-Za-z_][A-Za-z0-9_]*)*"
 TYPE = "[a-z0-9_]+§(?:msg|srv|action)§[A-Z][A-Za-z0-9]*"
@@ -151,7 +151,7 @@ def test_tokens_go_with_the_agent_and_with_the_robot(
 
 
 def test_bridge_is_told_of_routes(server: Server) -> None:
-    routes = server.bus.alive("@/*/@ros2_lv/**")
+    routes = server.bus.list_tokens("@/*/@ros2_lv/**")
 
     told = {"/".join(route.split("/")[3:6]) for route in routes}
     assert "MP/clock/rosgraph_msgs§msg§Clock" in told

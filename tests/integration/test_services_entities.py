@@ -10,23 +10,29 @@ from tests.integration.processes import Server, agent_of, driven, eventually, se
 from tests.integration.robots import robot
 from zensim.proto import keys
 from zensim.proto.bus import Subscription
-from zensim.proto.codec import decode
-from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntity
-from zensim.proto.geometry import Point, Pose, PoseStamped, Vector3
-from zensim.proto.header import Header
-from zensim.proto.info import EntityInfo
-from zensim.proto.result import ResultCode, ServiceError, SpawnCode, SpawnEntitiesCode
-from zensim.proto.services import (
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.entity_messages import (
     Bounds,
     BoundsType,
     EntityFilters,
-    Feature,
-    Resource,
-    SpawnEntityOrder,
-    State,
+    EntityInfo,
     TagsFilter,
 )
-from zensim.proto.telemetry import Event
+from zensim.proto.messages.result_messages import (
+    ResultCode,
+    ServiceError,
+    SpawnCode,
+    SpawnEntitiesCode,
+)
+from zensim.proto.messages.simulation_messages import Feature, State
+from zensim.proto.messages.spawn_messages import (
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntity,
+    SpawnEntityOrder,
+)
+from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped, Vector3
+from zensim.proto.messages.telemetry_messages import Event
 
 
 @pytest.fixture(scope="module")

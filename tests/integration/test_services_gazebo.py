@@ -3,17 +3,17 @@
 import pytest
 
 from tests.integration.processes import Server, eventually, serving
-from zensim.proto.codec import decode
-from zensim.proto.gazebo import (
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.keys import link_states, model_states
+from zensim.proto.messages.gazebo_messages import (
     LinkStates,
     ModelStates,
     ODEJointProperties,
     SetLinkPropertiesRequest,
 )
-from zensim.proto.geometry import Point, Pose, Vector3, Wrench
-from zensim.proto.keys import link_states, model_states
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.services import State
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import Point, Pose, Vector3, Wrench
 from zensim.spawner.gazebo import GazeboClient
 
 PUSH_N = 2.0

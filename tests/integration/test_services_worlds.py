@@ -6,14 +6,15 @@ import pytest
 
 from tests.integration.processes import END_S, Server, agent_of, driven, eventually, serving
 from tests.integration.robots import robot
-from zensim.proto.result import (
+from zensim.proto.messages.entity_messages import TagsFilter
+from zensim.proto.messages.result_messages import (
     GetCurrentWorldCode,
     LoadWorldCode,
     ResultCode,
     ServiceError,
     SetSimulationStateCode,
 )
-from zensim.proto.services import State, TagsFilter
+from zensim.proto.messages.simulation_messages import State
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (

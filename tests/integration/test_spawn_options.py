@@ -23,10 +23,10 @@ from tests.integration.processes import (
 from tests.spawner.cli.commands import run_at
 from tests.spawner.packages import a_package, robot_of
 from zensim.proto import keys
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.exits import Exit
-from zensim.proto.services import ResetScope, State
-from zensim.proto.topics import String
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.simulation_messages import ResetScope, State
+from zensim.proto.messages.standard_messages import String
 from zensim.spawner.cli.spawn import app
 from zensim.spawner.launch import read_cargo
 
@@ -75,13 +75,13 @@ def box(tmp_path: Path) -> Path:
 
 def spawned(server: Server, *arguments: str) -> str:
     done = run_at(server, app, "spawn", *arguments)
-    assert done.status == Exit.OK, done.err
+    assert done.status == ExitCode.OK, done.err
     return done.out
 
 
 def refused(server: Server, *arguments: str) -> str:
     done = run_at(server, app, "spawn", *arguments)
-    assert done.status != Exit.OK, done.out
+    assert done.status != ExitCode.OK, done.out
     assert done.out == ""
     assert done.err.count("\n") == 1
     return done.err
@@ -158,7 +158,7 @@ def test_description_is_read_from_standard_input(server: Server, source: str, te
 @pytest.mark.parametrize(
     ("payload", "encoding"),
     [
-        (encode(String(BOX), Format.CDR), encoding_of(String, Format.CDR)),
+        (encode(String(BOX), Format.CDR), make_encoding(String, Format.CDR)),
         (json.dumps({"data": BOX}).encode(), "application/json"),
         (BOX.encode(), ""),
     ],
@@ -241,7 +241,7 @@ def test_bonded_entity_goes_with_its_command(server: Server, number: signal.Sign
     arguments = ("spawn", "box_bot", "-entity", "b1", "-b", "--json", "--connect", server.endpoint)
     with running(*arguments) as process:
         assert read_json_line(process)["entity_name"] == "b1"
-        assert len(server.bus.alive(keys.bonds("default"))) == 1
+        assert len(server.bus.list_tokens(keys.bonds("default"))) == 1
         os.kill(process.pid, number)
 
         eventually(lambda: server.client.entities() == (), 10.0, "going")
@@ -265,7 +265,7 @@ def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
     file.write_text(robot_of(BASE, DRAWN, name="second"))
     done = run_at(server, app, "fleet", str(file), "-c", "2", "--prefix", "m2", "--json")
 
-    assert done.status == Exit.OK, done.out
+    assert done.status == ExitCode.OK, done.out
     shapes = server.client.models(("m1",)).models[0].links[0].collisions
     assert [shape.kind for shape in shapes] == ["mesh"]
 

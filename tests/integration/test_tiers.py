@@ -7,12 +7,12 @@ import pytest
 from tests.integration.journals import kept_in, kill_hard
 from tests.integration.processes import Server, driven, eventually, free_endpoint, serving
 from tests.integration.robots import robot
-from zensim.proto.catalog import GET_ENTITY_INFO
-from zensim.proto.entities import GetEntityInfoRequest
-from zensim.proto.geometry import Point, Pose, PoseStamped
-from zensim.proto.model import Dynamics
-from zensim.proto.result import ServiceError
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.entity_messages import GetEntityInfoRequest
+from zensim.proto.messages.model_messages import Dynamics
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.proto.service_catalog import GET_ENTITY_INFO
 
 CRATE = """<robot name="crate"><link name="base"><inertial><mass value="1"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>"""

@@ -10,12 +10,11 @@ import pytest
 from tests.integration.processes import Server, agent_of, driven, eventually, serving
 from tests.integration.robots import Robot, place, robot, stamp_s
 from zensim.proto import keys
-from zensim.proto.codec import decode
-from zensim.proto.header import NANOSECONDS, ns_from_time
-from zensim.proto.result import ServiceError
-from zensim.proto.services import ResetScope, State
-from zensim.proto.stepping import StepsProgress
-from zensim.proto.telemetry import WorldClock
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import ResetScope, State, StepsProgress
+from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+from zensim.proto.messages.telemetry_messages import WorldClock
 
 PERIOD = 3
 """Steps between two drive states, at 240 Hz."""

@@ -14,8 +14,8 @@ from tests.integration.bare_page import a_camera, bare_page
 from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
 from zensim.proto import keys
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.standard_messages import Twist, Vector3
 
 if TYPE_CHECKING:
     import subprocess
@@ -151,7 +151,7 @@ def test_name_appears_when_the_pointer_is_over_a_robot(shown: Shown) -> None:
 @pytest.mark.browser
 def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
     tab, bus = shown.tab, shown.server.bus
-    cmd_vel = bus.advertise(keys.robot("box_bot1", keys.CMD_VEL), encoding_of(Twist, Format.CDR))
+    cmd_vel = bus.advertise(keys.robot("box_bot1", keys.CMD_VEL), make_encoding(Twist, Format.CDR))
 
     tab.click(*tab.evaluate(PLACE % 1))
     tab.until("document.body.innerText.includes('Stop following')")

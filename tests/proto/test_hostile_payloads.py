@@ -8,22 +8,29 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from zensim.proto.codec import Format, MalformedPayload, decode, encode, encoding_of, offers
-from zensim.proto.example import example_of
-from zensim.proto.schema import spoken_types
-from zensim.proto.services import GetEntitiesResponse
-from zensim.proto.telemetry import GetModelsResponse, Snapshot, Stats
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    encode,
+    make_encoding,
+    supports_format,
+)
+from zensim.proto.messages.entity_messages import GetEntitiesResponse
+from zensim.proto.messages.standard_messages import TFMessage
+from zensim.proto.messages.telemetry_messages import GetModelsResponse, Snapshot, Stats
+from zensim.proto.sample_messages import make_sample_message
+from zensim.proto.schema import list_top_level_types
 
 Sample: TypeAlias = tuple[type[msgspec.Struct], Format, bytes]
 
-KINDS = st.sampled_from(spoken_types())
+KINDS = st.sampled_from(list_top_level_types())
 SAMPLES = st.sampled_from(
     [
-        (kind, format_, encode(example_of(kind), format_))
-        for kind in spoken_types()
+        (kind, format_, encode(make_sample_message(kind), format_))
+        for kind in list_top_level_types()
         for format_ in Format
-        if offers(kind, format_)
+        if supports_format(kind, format_)
     ]
 )
 ENCODINGS = ["", *(format_.value for format_ in Format)]
@@ -85,7 +92,7 @@ def test_decode_refuses_a_message_that_ends_early(sample: Sample, data: st.DataO
     assume(len(payload) > 1)
     shorter = payload[: data.draw(st.integers(1, len(payload) - 1))]
 
-    refusal = refusal_of(kind, shorter, encoding_of(kind, format_))
+    refusal = refusal_of(kind, shorter, make_encoding(kind, format_))
 
     assert refusal
     assert is_one_short_line(refusal)

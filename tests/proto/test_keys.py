@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zensim.proto import keys
-from zensim.proto.names import NAME
+from zensim.proto.names import NAME_PATTERN
 
-NAMES = st.from_regex(NAME, fullmatch=True)
+NAMES = st.from_regex(NAME_PATTERN, fullmatch=True)
 
 
 @pytest.mark.parametrize(
@@ -35,9 +35,9 @@ def test_key_is_as_the_design_says(key: str, expected: str) -> None:
 
 @given(world=NAMES, agent=NAMES)
 def test_agent_is_read_from_the_keys_that_hold_one(world: str, agent: str) -> None:
-    assert keys.agent_of(keys.drive_state(world, agent)) == agent
-    assert keys.agent_of(keys.drive_command(world, agent)) == agent
-    assert keys.agent_of(keys.alive_agent(world, agent)) == agent
+    assert keys.parse_agent(keys.drive_state(world, agent)) == agent
+    assert keys.parse_agent(keys.drive_command(world, agent)) == agent
+    assert keys.parse_agent(keys.alive_agent(world, agent)) == agent
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_agent_is_read_from_the_keys_that_hold_one(world: str, agent: str) -> No
     ],
 )
 def test_agent_of_another_key_is_empty(key: str) -> None:
-    assert keys.agent_of(key) == ""
+    assert keys.parse_agent(key) == ""
 
 
 @pytest.mark.parametrize(

@@ -5,16 +5,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zensim.proto.names import (
-    FRAME,
+    FRAME_PATTERN,
     MAX_NAMESPACE_LENGTH,
-    NAME,
+    NAME_PATTERN,
     InvalidName,
     check_frame,
     check_name,
     check_namespace,
 )
 
-NAMES = st.from_regex(NAME, fullmatch=True)
+NAMES = st.from_regex(NAME_PATTERN, fullmatch=True)
 
 
 @pytest.mark.parametrize("name", ["r", "R2D2", "box_bot_0", "a" * 64])
@@ -120,7 +120,7 @@ def test_check_namespace_accepts_a_reserved_name_further_on() -> None:
 @pytest.mark.parametrize("frame_id", ["odom", "r1/base_link", "map", "a.b-c", "0", "x" * 256])
 def test_check_frame_returns_a_frame(frame_id: str) -> None:
     assert check_frame(frame_id) == frame_id
-    assert FRAME.fullmatch(frame_id)
+    assert FRAME_PATTERN.fullmatch(frame_id)
 
 
 @pytest.mark.parametrize("frame_id", ["", "/odom", "base link", "odom\n", "x" * 257])

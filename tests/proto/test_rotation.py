@@ -14,7 +14,7 @@ from zensim.proto.rotation import (
     from_rpy,
     multiply,
     rotate,
-    yaw_of,
+    to_yaw,
 )
 
 angles = st.floats(-math.pi, math.pi)
@@ -96,15 +96,15 @@ def test_from_matrix_is_exact_for_half_turns(axis: int) -> None:
 def test_yaw_of_finds_the_heading_whatever_the_sign(yaw: float) -> None:
     turn = from_rpy(0.1, -0.2, yaw)
 
-    assert yaw_of(turn) == pytest.approx(yaw, abs=1e-12)
-    assert yaw_of(-turn) == pytest.approx(yaw, abs=1e-12)
+    assert to_yaw(turn) == pytest.approx(yaw, abs=1e-12)
+    assert to_yaw(-turn) == pytest.approx(yaw, abs=1e-12)
 
 
 def test_arithmetic_broadcasts_over_leading_axes() -> None:
     many = np.array([from_rpy(0.1 * i, 0.2, 0.3) for i in range(6)]).reshape(2, 3, 4)
     one, vector = from_rpy(0.4, 0.5, 0.6), np.array([1.0, 2.0, 3.0])
 
-    products, turned, headings = multiply(many, one), rotate(many, vector), yaw_of(many)
+    products, turned, headings = multiply(many, one), rotate(many, vector), to_yaw(many)
 
     assert (products.shape, turned.shape, headings.shape) == ((2, 3, 4), (2, 3, 3), (2, 3))
     assert products[1, 2] == pytest.approx(multiply(many[1, 2], one))

@@ -6,29 +6,29 @@ from pathlib import Path
 import pytest
 
 from zensim.proto import schema
-from zensim.proto.catalog import SERVICES
-from zensim.proto.geometry import Twist, TwistStamped
-from zensim.proto.model import Model
-from zensim.proto.services import SpawnEntityReport
-from zensim.proto.telemetry import WorldClock
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.spawn_messages import SpawnEntityReport
+from zensim.proto.messages.standard_messages import Twist, TwistStamped
+from zensim.proto.messages.telemetry_messages import WorldClock
+from zensim.proto.service_catalog import SERVICES
 
 
 def test_messages_are_listed_by_name() -> None:
-    names = list(schema.messages())
+    names = list(schema.list_messages())
 
     assert names == sorted(names)
     assert {"Twist", "Model", "SpawnEntityReport"} <= set(names)
 
 
 def test_spoken_types_travel_by_themselves() -> None:
-    spoken = schema.spoken_types()
+    spoken = schema.list_top_level_types()
 
     assert {Twist, TwistStamped, WorldClock, SpawnEntityReport} <= set(spoken)
     assert Model not in spoken
 
 
 def test_message_schemas_keep_the_order_of_the_fields() -> None:
-    described = schema.message_schemas()["$defs"]
+    described = schema.make_message_schemas()["$defs"]
 
     assert isinstance(described, dict)
     assert list(described["Quaternion"]["properties"]) == ["x", "y", "z", "w"]
@@ -37,7 +37,7 @@ def test_message_schemas_keep_the_order_of_the_fields() -> None:
 
 
 def test_service_list_tells_which_formats_both_ways_can_have() -> None:
-    listed = schema.service_list()
+    listed = schema.list_services()
 
     assert list(listed) == sorted(SERVICES)
     assert listed["get_models"] == {
@@ -50,7 +50,7 @@ def test_service_list_tells_which_formats_both_ways_can_have() -> None:
 
 
 def test_key_list_holds_an_example_of_each_key() -> None:
-    listed = schema.key_list()
+    listed = schema.list_keys()
 
     assert isinstance(listed["keys"], dict)
     assert listed["keys"]["drive_state"] == "sim/default/drive/agent_1/state"
@@ -60,11 +60,11 @@ def test_key_list_holds_an_example_of_each_key() -> None:
 
 
 def test_codes_are_listed_by_enumeration() -> None:
-    assert schema.codes()["SetEntityStateCode"] == {"INVALID_POSE": 101}
+    assert schema.list_codes()["SetEntityStateCode"] == {"INVALID_POSE": 101}
 
 
 def test_golden_bytes_are_hex_and_json_is_text() -> None:
-    sample = schema.golden()["DeleteEntityRequest"]
+    sample = schema.make_golden()["DeleteEntityRequest"]
 
     assert sample == {
         "encoding": "application/cdr;simulation_interfaces/srv/DeleteEntity_Request",
@@ -77,8 +77,8 @@ def test_golden_bytes_are_hex_and_json_is_text() -> None:
 def test_written_artefacts_have_not_drifted(tmp_path: Path) -> None:
     schema.write(tmp_path / "schemas")
 
-    assert schema.drifted(tmp_path / "schemas") == []
-    assert json.loads((tmp_path / "schemas" / "keys.json").read_text()) == schema.key_list()
+    assert schema.find_stale(tmp_path / "schemas") == []
+    assert json.loads((tmp_path / "schemas" / "keys.json").read_text()) == schema.list_keys()
 
 
 def test_drifted_names_what_is_changed_missing_or_left_over(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_drifted_names_what_is_changed_missing_or_left_over(tmp_path: Path) -> N
     (tmp_path / "codes.json").unlink()
     (tmp_path / "old.json").write_text("{}")
 
-    assert schema.drifted(tmp_path) == ["codes.json", "keys.json", "old.json"]
+    assert schema.find_stale(tmp_path) == ["codes.json", "keys.json", "old.json"]
 
 
 def test_main_writes_and_then_finds_nothing_stale(

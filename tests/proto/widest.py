@@ -5,8 +5,17 @@ from typing import Annotated, ClassVar
 import msgspec
 
 from tests.proto.ros_oracle import define
-from zensim.proto.geometry import Point
-from zensim.proto.widths import Float32, Float64, Int8, Int32, UInt8, UInt16, UInt32, UInt64
+from zensim.proto.messages.scalar_types import (
+    Float32,
+    Float64,
+    Int8,
+    Int32,
+    UInt8,
+    UInt16,
+    UInt32,
+    UInt64,
+)
+from zensim.proto.messages.standard_messages import Point
 
 Int16 = Annotated[int, msgspec.Meta(ge=-0x8000, le=0x7FFF, extra={"cdr": "h"})]
 Flags3 = Annotated[tuple[bool, ...], msgspec.Meta(min_length=3, max_length=3, extra={"length": 3})]

@@ -3,9 +3,17 @@
 import struct
 from collections.abc import Sequence
 
-from zensim.proto.claims import Claim, DriveState
-from zensim.proto.drives import DiffDrive, Drive, WheelPair
-from zensim.proto.model import IDENTITY, Frame, Joint, JointStatePublisher, Link, Model, Origin
+from zensim.proto.messages.agent_messages import Claim, DriveState
+from zensim.proto.messages.drive_messages import DiffDrive, Drive, WheelPair
+from zensim.proto.messages.model_messages import (
+    IDENTITY,
+    Frame,
+    Joint,
+    JointStatePublisher,
+    Link,
+    Model,
+    Origin,
+)
 
 PAIR = WheelPair("left_joint", "right_joint", separation_m=0.4, diameter_m=0.2)
 DRIVE = DiffDrive(

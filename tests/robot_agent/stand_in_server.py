@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING
 from tests.fakes import MemoryBus, MemoryToken
 from tests.robot_agent.models import a_claim, two_wheeler
 from zensim.proto import keys
-from zensim.proto.claims import (
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import (
     ClaimEntityRequest,
     ClaimEntityResponse,
     DriveCommand,
     DriveState,
-    granted,
+    make_grants,
 )
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.result import ClaimCode, Result, ResultCode
-from zensim.proto.telemetry import Event, EventKind
+from zensim.proto.messages.result_messages import ClaimCode, Result, ResultCode
+from zensim.proto.messages.telemetry_messages import Event, EventKind
 
 if TYPE_CHECKING:
-    from zensim.proto.model import Model
+    from zensim.proto.messages.model_messages import Model
 
 WORLD = "default"
 AGENT = "a1"
@@ -52,7 +52,7 @@ class StandInServer:
             request = decode(ClaimEntityRequest, call.payload, call.encoding)
             self.requests.append(request)
             response = self._answer(request)
-            encoding = encoding_of(response, Format.MSGPACK)
+            encoding = make_encoding(response, Format.MSGPACK)
             call.reply(encode(response, Format.MSGPACK), encoding)
 
     def send(self, state: DriveState, agent: str = AGENT) -> None:
@@ -73,7 +73,7 @@ class StandInServer:
         return asked
 
     def _answer(self, request: ClaimEntityRequest) -> ClaimEntityResponse:
-        if not self._bus.alive(keys.alive_agent(WORLD, request.agent)):
+        if not self._bus.list_tokens(keys.alive_agent(WORLD, request.agent)):
             return refused(ResultCode.INCORRECT_STATE, "no token")
         if self.refusal is not None:
             return refused(self.refusal, "refused")
@@ -86,7 +86,7 @@ class StandInServer:
             a_claim(self._grant(entity, request.agent), entity, self.entities[entity])
             for entity in request.entities
         ]
-        return ClaimEntityResponse(Result(), *granted(claims))
+        return ClaimEntityResponse(Result(), *make_grants(claims))
 
     def _grant(self, entity: str, agent: str) -> int:
         self.drivers[entity] = agent

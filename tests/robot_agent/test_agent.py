@@ -12,12 +12,11 @@ from tests.fakes import ManualClock, MemoryBus
 from tests.robot_agent.models import DRIVE, a_state, two_wheeler
 from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
 from zensim.proto import keys
-from zensim.proto.codec import Format, decode
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.model import DiffDrive
-from zensim.proto.result import ServiceError
-from zensim.proto.stop import STOP_SIGNALS, StopFlag
-from zensim.proto.topics import Odometry
+from zensim.proto.codec.message_codec import Format, decode
+from zensim.proto.messages.model_messages import DiffDrive
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
+from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.robot_agent.agent import Agent, run_agent
 from zensim.robot_agent.config import AgentConfig
 
@@ -54,7 +53,7 @@ class Scene:
 def test_agent_has_its_token_up_before_it_claims() -> None:
     scene = Scene("r1")
 
-    assert scene.bus.alive(keys.alive_agents(WORLD)) == [keys.alive_agent(WORLD, AGENT)]
+    assert scene.bus.list_tokens(keys.alive_agents(WORLD)) == [keys.alive_agent(WORLD, AGENT)]
     assert scene.server.requests == []
 
 

@@ -6,8 +6,8 @@ from tests.fakes import MemoryBus
 from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
 from zensim.proto import keys
 from zensim.proto.bus import NoServer
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.result import ClaimCode, ServiceError
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.result_messages import ClaimCode, ServiceError
 from zensim.robot_agent.claimer import Claimer, Wish
 
 

@@ -1,8 +1,8 @@
 """Which twist holds when."""
 
 from tests.fakes import MemoryBus
-from zensim.proto.codec import Format
-from zensim.proto.geometry import Twist, TwistStamped, Vector3
+from zensim.proto.codec.message_codec import Format
+from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.robot_agent.cmd_vel import DEPTH, CommandedTwist
 
 TIMEOUT_NS = 500

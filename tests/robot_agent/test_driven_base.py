@@ -4,8 +4,8 @@ import msgspec
 import pytest
 
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, two_wheeler
-from zensim.proto.drives import Compat, Limits, PlanarMove
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.messages.drive_messages import Compat, Limits, PlanarMove
+from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.robot_agent.driven_base import DrivenBase
 from zensim.robot_agent.odometry import Motion
 from zensim.robot_agent.reading import Reading

@@ -6,10 +6,10 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim, a_state, two_wheeler
-from zensim.proto.claims import DriveCommand
-from zensim.proto.codec import MalformedPayload
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.agent_messages import DriveCommand
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.fleet import Fleet
 from zensim.robot_agent.robot import Robot
 
@@ -17,7 +17,7 @@ from zensim.robot_agent.robot import Robot
 def a_fleet(bus: MemoryBus, *claims: int) -> Fleet:
     fleet = Fleet(bus, 0)
     for claim in claims:
-        fleet.hold(claim, Robot(Faces(bus), a_claim(claim, f"r{claim}"), 0))
+        fleet.hold(claim, Robot(TopicFactory(bus), a_claim(claim, f"r{claim}"), 0))
     return fleet
 
 
@@ -65,7 +65,7 @@ def test_fleet_answers_for_a_robot_that_joined() -> None:
     fleet = a_fleet(bus, 1)
     fleet.advance(a_state(1, (1,)))
 
-    fleet.hold(2, Robot(Faces(bus), a_claim(2, "r2"), 0))
+    fleet.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2"), 0))
 
     assert fleet.lose_all_but(a_state(2, (1, 2)).claims) == ()
     assert len(targets_of(fleet.advance(a_state(2, (1, 2))))) == 4
@@ -74,7 +74,7 @@ def test_fleet_answers_for_a_robot_that_joined() -> None:
 def test_fleet_answers_nothing_for_a_robot_without_a_drive() -> None:
     bus = MemoryBus()
     fleet = Fleet(bus, 0)
-    fleet.hold(1, Robot(Faces(bus), a_claim(model=two_wheeler(None)), 0))
+    fleet.hold(1, Robot(TopicFactory(bus), a_claim(model=two_wheeler(None)), 0))
 
     assert fleet.advance(a_state(1)).targets == b""
 
@@ -150,7 +150,7 @@ def test_fleet_revises_nothing_when_it_holds_others_than_it_answered_for() -> No
     fleet = a_fleet(bus, 1)
     assert fleet.revise() is None
     fleet.advance(a_state(1, (1,)))
-    fleet.hold(2, Robot(Faces(bus), a_claim(2, "r2"), 0))
+    fleet.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2"), 0))
     bus.put_message("r1/cmd_vel", Twist(Vector3(0.1)))
 
     assert fleet.revise() is None

@@ -8,9 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.robot_agent.models import DRIVE, FOOTPRINT, WHEELS, two_wheeler
-from zensim.proto.geometry import Quaternion, TransformStamped, Vector3
-from zensim.proto.header import Header, Time
-from zensim.proto.model import Frame, Joint, JointStatePublisher, Link, Model, Origin
+from zensim.proto.messages.model_messages import (
+    Frame,
+    Joint,
+    JointStatePublisher,
+    Link,
+    Model,
+    Origin,
+)
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Quaternion,
+    Time,
+    TransformStamped,
+    Vector3,
+)
 from zensim.robot_agent.frames import (
     Base,
     Edge,

@@ -9,11 +9,11 @@ import pytest
 from tests.fakes import MemoryBus, MemorySubscription
 from tests.models import a_state
 from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
-from zensim.proto.codec import decode
-from zensim.proto.faces import Faces
-from zensim.proto.model import GroundTruth, Origin, RosBlock
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.model_messages import GroundTruth, Origin, RosBlock
+from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.rotation import from_rpy
-from zensim.proto.topics import Odometry
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.ground_truth import TruthTelemetry
 from zensim.robot_agent.reading import Reading
 from zensim.robot_agent.robot import Robot
@@ -30,7 +30,7 @@ def reading(time_ms: int = 0, velocities: tuple[float, ...] = (0.0, 0.0)) -> Rea
 
 def telling(bus: MemoryBus, *truths: GroundTruth) -> TruthTelemetry:
     model = msgspec.structs.replace(two_wheeler(), ground_truths=truths)
-    return TruthTelemetry(Faces(bus), a_claim(model=model))
+    return TruthTelemetry(TopicFactory(bus), a_claim(model=model))
 
 
 def messages(listener: MemorySubscription) -> list[Odometry]:
@@ -135,7 +135,7 @@ def test_velocity_has_the_noise_that_is_asked_for_the_same_on_every_run() -> Non
 def test_robot_tells_and_answers_its_ground_truth_until_it_is_closed() -> None:
     bus = MemoryBus()
     model = msgspec.structs.replace(two_wheeler(DRIVE), ground_truths=(TRUTH,))
-    robot = Robot(Faces(bus), a_claim(model=model), 500 * MS)
+    robot = Robot(TopicFactory(bus), a_claim(model=model), 500 * MS)
     listener = bus.subscribe("r1/truth")
     robot.advance(reading())
 

@@ -6,10 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto import cdr
-from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from zensim.proto.header import Header, Time
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec import cdr
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Quaternion,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
 from zensim.robot_agent.image import Image
 from zensim.robot_agent.odometry import Motion, OdometryFrames
 from zensim.robot_agent.templates import HEADER_STAMP, ODOMETRY_PATHS, tf_paths, tf_stamps

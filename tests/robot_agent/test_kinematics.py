@@ -7,7 +7,7 @@ import pytest
 from tests.engines import STEP_NS
 from tests.models import a_body, a_state, angle_between
 from tests.sim_server.physics.bullet import client_of
-from zensim.proto.model import Frame, Joint, Link, Model, Origin
+from zensim.proto.messages.model_messages import Frame, Joint, Link, Model, Origin
 from zensim.robot_agent.kinematics import Chain
 from zensim.robot_agent.reading import Reading
 from zensim.sim_server.physics.engine import EngineConfig

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.header import Header, Time
-from zensim.proto.model import IDENTITY, DiffDrive, Origin, WheelPair
+from zensim.proto.messages.model_messages import IDENTITY, DiffDrive, Origin, WheelPair
+from zensim.proto.messages.standard_messages import Header, Time
 from zensim.robot_agent.odometry import (
     EncoderOdometry,
     Motion,

@@ -1,10 +1,10 @@
 """When a topic is put, and what it answers."""
 
 from tests.fakes import MemoryBus
-from zensim.proto.codec import decode
-from zensim.proto.faces import Faces
-from zensim.proto.ros_graph import Topic
-from zensim.proto.topics import String
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.standard_messages import String
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.outlet import Outlet
 
 KEY = "r1/robot_description"
@@ -26,7 +26,7 @@ class Value:
 def test_outlet_puts_its_value_when_somebody_listens() -> None:
     bus = MemoryBus()
     listener = bus.subscribe(KEY)
-    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(String("hello")))
+    outlet = Outlet(TopicFactory(bus), Topic(KEY, String), Value(String("hello")))
 
     outlet.publish()
 
@@ -39,7 +39,7 @@ def test_outlet_puts_bytes_as_they_are() -> None:
     bus = MemoryBus()
     listener = bus.subscribe(KEY)
 
-    Outlet(Faces(bus), Topic(KEY, String), lambda: b"ready").publish()
+    Outlet(TopicFactory(bus), Topic(KEY, String), lambda: b"ready").publish()
 
     (sample,) = listener.take()
     assert (sample.payload, sample.encoding) == (b"ready", ENCODING)
@@ -48,7 +48,7 @@ def test_outlet_puts_bytes_as_they_are() -> None:
 def test_outlet_makes_no_value_when_nobody_listens() -> None:
     value = Value(String("hello"))
 
-    Outlet(Faces(MemoryBus()), Topic(KEY, String), value).publish()
+    Outlet(TopicFactory(MemoryBus()), Topic(KEY, String), value).publish()
 
     assert value.made == 0
 
@@ -57,14 +57,14 @@ def test_outlet_puts_nothing_when_there_is_no_value_yet() -> None:
     bus = MemoryBus()
     listener = bus.subscribe(KEY)
 
-    Outlet(Faces(bus), Topic(KEY, String), Value(None)).publish()
+    Outlet(TopicFactory(bus), Topic(KEY, String), Value(None)).publish()
 
     assert listener.take() == []
 
 
 def test_outlet_announces_once_to_each_first_listener() -> None:
     bus = MemoryBus()
-    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(String("hello")))
+    outlet = Outlet(TopicFactory(bus), Topic(KEY, String), Value(String("hello")))
     outlet.announce()
 
     listener = bus.subscribe(KEY, 8)
@@ -81,7 +81,7 @@ def test_outlet_announces_once_to_each_first_listener() -> None:
 
 def test_outlet_answers_a_get_with_its_value() -> None:
     bus = MemoryBus()
-    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(String("hello")))
+    outlet = Outlet(TopicFactory(bus), Topic(KEY, String), Value(String("hello")))
     bus.pumps.append(outlet.answer)
 
     (sample,) = bus.get("r1/*")
@@ -92,7 +92,7 @@ def test_outlet_answers_a_get_with_its_value() -> None:
 
 def test_outlet_lets_an_asker_go_when_there_is_no_value_yet() -> None:
     bus = MemoryBus()
-    outlet = Outlet(Faces(bus), Topic(KEY, String), Value(None))
+    outlet = Outlet(TopicFactory(bus), Topic(KEY, String), Value(None))
     bus.pumps.append(outlet.answer)
 
     assert bus.get(KEY) == []
@@ -101,6 +101,6 @@ def test_outlet_lets_an_asker_go_when_there_is_no_value_yet() -> None:
 def test_outlet_answers_nobody_when_it_is_closed() -> None:
     bus = MemoryBus()
 
-    Outlet(Faces(bus), Topic(KEY, String), Value(String("hello"))).close()
+    Outlet(TopicFactory(bus), Topic(KEY, String), Value(String("hello"))).close()
 
     assert not bus.is_served(KEY)

@@ -5,7 +5,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from zensim.proto.claims import DriveState
+from zensim.proto.messages.agent_messages import DriveState
 from zensim.robot_agent.precedence import NICENESS, Precedence
 
 MS = 1_000_000

@@ -4,8 +4,8 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, a_claim, two_wheeler
-from zensim.proto.claims import Claim
-from zensim.proto.faces import Faces
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.driven_base import motion_rates
 from zensim.robot_agent.rates import Rates, with_rates
 from zensim.robot_agent.reading import Reading
@@ -35,7 +35,7 @@ def test_robot_tells_odometry_and_tf_at_the_rates_it_is_given(
 ) -> None:
     bus = MemoryBus()
     heard = {topic: bus.subscribe(f"r1/{topic}", 1000) for topic in ("odom", "tf")}
-    robot = Robot(Faces(bus), paced(a_claim(), rates), 0)
+    robot = Robot(TopicFactory(bus), paced(a_claim(), rates), 0)
 
     for step in range(100):
         robot.advance(Reading(step * PERIOD_NS, AT_REST, (0.0, 0.0), (0.0, 0.0)))

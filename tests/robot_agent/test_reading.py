@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from tests.robot_agent.models import AT_REST, a_state
-from zensim.proto.codec import MalformedPayload
+from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.robot_agent.reading import Layout, Reading, Timeline
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from zensim.proto.drives import Compat, DiffDrive, RosBlock
+from zensim.proto.messages.drive_messages import Compat, DiffDrive, RosBlock
 from zensim.robot_agent.remapping import command_key, odometry_key, topic_key
 
 

@@ -5,9 +5,9 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, DRIVE, a_claim, two_wheeler
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.model import Model, RosBlock
+from zensim.proto.messages.model_messages import Model, RosBlock
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.reading import Reading
 from zensim.robot_agent.robot import Robot
 
@@ -21,7 +21,7 @@ def reading(time_ms: int) -> Reading:
 
 
 def a_robot(bus: MemoryBus, model: Model | None = None) -> Robot:
-    return Robot(Faces(bus), a_claim(model=model), TIMEOUT_NS)
+    return Robot(TopicFactory(bus), a_claim(model=model), TIMEOUT_NS)
 
 
 def test_robot_drives_by_what_it_hears() -> None:

@@ -6,10 +6,15 @@ from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim
 from zensim.proto import keys
 from zensim.proto.bus import NoServer
-from zensim.proto.claims import Claim, ClaimShareRequest, ClaimShareResponse, granted
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.result import Result, ResultCode, ServiceError
-from zensim.proto.telemetry import Event, EventKind
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import (
+    Claim,
+    ClaimShareRequest,
+    ClaimShareResponse,
+    make_grants,
+)
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.robot_agent.share_claimer import LATEST_S, SOONEST_S, ShareClaimer, ShareWish
 
 WORLD = "default"
@@ -40,8 +45,8 @@ class Sharer:
             self.requests.append(decode(ClaimShareRequest, call.payload, call.encoding))
             claims = self.grants.pop(0) if self.grants else ()
             result = Result(self.refusal, "no" if self.refusal != ResultCode.OK else "")
-            response = ClaimShareResponse(result, *granted(claims), is_more=self.is_more)
-            encoding = encoding_of(response, Format.MSGPACK)
+            response = ClaimShareResponse(result, *make_grants(claims), is_more=self.is_more)
+            encoding = make_encoding(response, Format.MSGPACK)
             call.reply(encode(response, Format.MSGPACK), encoding)
 
 

@@ -7,11 +7,17 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, a_claim, two_wheeler
-from zensim.proto.codec import decode
-from zensim.proto.faces import Faces
-from zensim.proto.header import Header, Time
-from zensim.proto.model import JointStatePublisher, Model, RosBlock
-from zensim.proto.topics import JointState, Odometry, String, TFMessage
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.model_messages import JointStatePublisher, Model, RosBlock
+from zensim.proto.messages.standard_messages import (
+    Header,
+    JointState,
+    Odometry,
+    String,
+    TFMessage,
+    Time,
+)
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.odometry import Motion
 from zensim.robot_agent.reading import Reading
 from zensim.robot_agent.telemetry import JointTelemetry, MotionTelemetry, constant_outlets
@@ -27,8 +33,8 @@ def reading(time_ns: int = 5 * SECOND) -> Reading:
 
 def heard(bus: MemoryBus, key: str, kind: type[Message], model: Model | None = None) -> Message:
     listener = bus.subscribe(key)
-    MotionTelemetry(Faces(bus), a_claim(model=model)).tell(reading(), MOTION)
-    JointTelemetry(Faces(bus), a_claim(model=model)).tell(reading())
+    MotionTelemetry(TopicFactory(bus), a_claim(model=model)).tell(reading(), MOTION)
+    JointTelemetry(TopicFactory(bus), a_claim(model=model)).tell(reading())
     (sample,) = listener.take()
     return decode(kind, sample.payload, sample.encoding)
 
@@ -65,7 +71,7 @@ def test_odometry_is_not_offered_when_the_drive_does_not_publish_it() -> None:
     bus = MemoryBus()
     quiet = msgspec.structs.replace(DRIVE, publish_odom=False)
 
-    MotionTelemetry(Faces(bus), a_claim(model=two_wheeler(quiet)))
+    MotionTelemetry(TopicFactory(bus), a_claim(model=two_wheeler(quiet)))
 
     assert not bus.is_served("r1/odom")
 
@@ -73,7 +79,7 @@ def test_odometry_is_not_offered_when_the_drive_does_not_publish_it() -> None:
 def test_tf_is_not_offered_when_nothing_moves() -> None:
     bus = MemoryBus()
 
-    MotionTelemetry(Faces(bus), a_claim(model=two_wheeler(None, joints=())))
+    MotionTelemetry(TopicFactory(bus), a_claim(model=two_wheeler(None, joints=())))
 
     assert not bus.is_served("r1/*")
 
@@ -98,7 +104,7 @@ def test_joint_states_are_not_offered_when_there_are_none() -> None:
     bus = MemoryBus()
 
     telemetry = JointTelemetry(
-        Faces(bus), a_claim(model=two_wheeler(joint_state=JointStatePublisher(("missing",))))
+        TopicFactory(bus), a_claim(model=two_wheeler(joint_state=JointStatePublisher(("missing",))))
     )
     telemetry.tell(reading())
 
@@ -111,7 +117,7 @@ def test_joint_states_come_at_their_own_rate(rate_hz: float | None, count: int) 
     listener = bus.subscribe("r1/joint_states", 100)
     names = ("left_joint",)
     publisher = None if rate_hz is None else JointStatePublisher(names, rate_hz)
-    telemetry = JointTelemetry(Faces(bus), a_claim(model=two_wheeler(joint_state=publisher)))
+    telemetry = JointTelemetry(TopicFactory(bus), a_claim(model=two_wheeler(joint_state=publisher)))
 
     for i in range(80):
         telemetry.tell(reading(i * SECOND // 80))
@@ -125,7 +131,7 @@ def test_topics_follow_remappings() -> None:
     publisher = JointStatePublisher(("left_joint",), ros=RosBlock("", ("joint_states:=js",)))
     claim = a_claim(model=two_wheeler(drive, joint_state=publisher))
 
-    outlets = [MotionTelemetry(Faces(bus), claim), JointTelemetry(Faces(bus), claim)]
+    outlets = [MotionTelemetry(TopicFactory(bus), claim), JointTelemetry(TopicFactory(bus), claim)]
 
     assert outlets
     assert all(bus.is_served(key) for key in ("r1/ground_truth", "all/tf", "r1/js"))
@@ -134,7 +140,10 @@ def test_topics_follow_remappings() -> None:
 
 def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None:
     bus = MemoryBus()
-    motion, joints = MotionTelemetry(Faces(bus), a_claim()), JointTelemetry(Faces(bus), a_claim())
+    motion, joints = (
+        MotionTelemetry(TopicFactory(bus), a_claim()),
+        JointTelemetry(TopicFactory(bus), a_claim()),
+    )
     bus.pumps += [outlet.answer for outlet in (*motion.outlets, *joints.outlets)]
     assert bus.get("r1/*") == []
 
@@ -154,7 +163,7 @@ def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None
 def test_joint_states_come_at_once_after_a_reset() -> None:
     bus = MemoryBus()
     listener = bus.subscribe("r1/joint_states", 8)
-    telemetry = JointTelemetry(Faces(bus), a_claim())
+    telemetry = JointTelemetry(TopicFactory(bus), a_claim())
     telemetry.tell(reading(5 * SECOND))
 
     telemetry.reset()
@@ -165,7 +174,7 @@ def test_joint_states_come_at_once_after_a_reset() -> None:
 
 def test_constants_are_the_fixed_frames_and_the_description() -> None:
     bus = MemoryBus()
-    bus.pumps += [outlet.answer for outlet in constant_outlets(Faces(bus), a_claim())]
+    bus.pumps += [outlet.answer for outlet in constant_outlets(TopicFactory(bus), a_claim())]
 
     (fixed,) = bus.get("r1/tf_static")
     (description,) = bus.get("r1/robot_description")
@@ -181,4 +190,4 @@ def test_constants_are_not_offered_when_there_are_none() -> None:
     model = two_wheeler(None, joints=WHEELS, frames=())
     claim = msgspec.structs.replace(a_claim(model=model), robot_description="")
 
-    assert constant_outlets(Faces(bus), claim) == []
+    assert constant_outlets(TopicFactory(bus), claim) == []

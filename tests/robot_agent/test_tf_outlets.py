@@ -3,12 +3,10 @@
 import pytest
 
 from tests.fakes import MemoryBus
-from zensim.proto.codec import decode
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import TransformStamped
-from zensim.proto.header import Header
-from zensim.proto.ros2.settings import RosSettings, TfScope
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.standard_messages import Header, TFMessage, TransformStamped
+from zensim.proto.ros2.ros_settings import RosSettings, TfScope
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.tf_outlets import tf_outlets, with_namespace
 
 EDGE = TFMessage((TransformStamped(Header(frame_id="odom"), "base_link"),))
@@ -21,7 +19,7 @@ def frames(message: TFMessage) -> list[tuple[str, str]]:
 def told(scope: TfScope) -> dict[str, list[tuple[str, str]]]:
     bus = MemoryBus()
     heard = bus.subscribe("**", 8)
-    faces = Faces(bus, settings=RosSettings(tf=scope))
+    faces = TopicFactory(bus, settings=RosSettings(tf=scope))
     outlets = tf_outlets(
         faces, "team/r1", "team/r1/tf", template=EDGE, value_of=lambda message: lambda: message
     )
@@ -52,7 +50,7 @@ def test_nothing_is_told_while_there_is_nothing() -> None:
     bus = MemoryBus()
     heard = bus.subscribe("**", 8)
 
-    faces = Faces(bus, settings=RosSettings())
+    faces = TopicFactory(bus, settings=RosSettings())
     outlets = tf_outlets(faces, "r1", "r1/tf", template=EDGE, value_of=lambda _: lambda: None)
     for outlet in outlets:
         outlet.publish()

@@ -7,14 +7,12 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
-from zensim.proto.claims import Claim
-from zensim.proto.codec import decode
-from zensim.proto.drives import DiffDrive
-from zensim.proto.faces import Faces
-from zensim.proto.geometry import TransformStamped
-from zensim.proto.header import Header
-from zensim.proto.ros2.settings import RosSettings, TfScope
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.standard_messages import Header, TFMessage, TransformStamped
+from zensim.proto.ros2.ros_settings import RosSettings, TfScope
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.tf_static import tf_static_of, tf_static_outlets
 
 FIXED = TFMessage((TransformStamped(Header(frame_id="base_link"), "lidar"),))
@@ -93,7 +91,7 @@ def test_encoders_of_a_robot_whose_spawn_nobody_told_begin_at_the_root() -> None
 
 def test_fixed_transforms_are_for_late_joiners_too() -> None:
     bus = MemoryBus()
-    outlets = tf_static_outlets(Faces(bus, settings=RosSettings()), a_claim(), FIXED)
+    outlets = tf_static_outlets(TopicFactory(bus, settings=RosSettings()), a_claim(), FIXED)
     bus.pumps += [outlet.answer for outlet in outlets]
 
     (own,), (shared,) = bus.get("r1/tf_static"), bus.get("tf_static")

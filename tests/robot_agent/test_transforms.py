@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.model import Origin, Quat, Vec3
+from zensim.proto.messages.model_messages import Origin, Quat, Vec3
 from zensim.robot_agent import transforms
 
 QUARTER = math.sqrt(0.5)

@@ -4,7 +4,7 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.robot_agent.models import a_claim, a_state, two_wheeler
-from zensim.proto.faces import Faces
+from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.fleet import Fleet
 from zensim.robot_agent.robot import Robot
 from zensim.robot_agent.upkeep import Upkeep
@@ -12,8 +12,8 @@ from zensim.robot_agent.upkeep import Upkeep
 
 def a_fleet(bus: MemoryBus) -> Fleet:
     fleet = Fleet(bus, 0)
-    fleet.hold(1, Robot(Faces(bus), a_claim(1, "r1"), 0))
-    fleet.hold(2, Robot(Faces(bus), a_claim(2, "r2", two_wheeler(None)), 0))
+    fleet.hold(1, Robot(TopicFactory(bus), a_claim(1, "r1"), 0))
+    fleet.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2", two_wheeler(None)), 0))
     return fleet
 
 

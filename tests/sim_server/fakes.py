@@ -10,12 +10,12 @@ from tests.engines import STEP_NS, ObedientEngine
 from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground
 from zensim.proto.bus import BusConfig, Sample
-from zensim.proto.claims import DriveCommand, DriveState
-from zensim.proto.codec import Format, decode, encode, encoding_of
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.keys import drive_command
-from zensim.proto.model import Model
-from zensim.proto.services import SpawnEntityOrder
-from zensim.proto.telemetry import Event
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.telemetry_messages import Event
 from zensim.sim_server.config import ServerConfig
 from zensim.sim_server.description.describing import describe
 from zensim.sim_server.description.resources import text_of
@@ -181,7 +181,7 @@ class Stage:
         self, service: str, request: msgspec.Struct, format_: Format = Format.MSGPACK
     ) -> MemoryCall:
         """Put a request into the inbox."""
-        return self.send(service, encode(request, format_), encoding_of(request, format_))
+        return self.send(service, encode(request, format_), make_encoding(request, format_))
 
     def send(self, service: str, payload: bytes, encoding: str = "") -> MemoryCall:
         """Put any bytes into the inbox as a request."""

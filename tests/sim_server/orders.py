@@ -2,10 +2,8 @@
 
 import math
 
-from zensim.proto import services
-from zensim.proto.geometry import Point, Pose, PoseStamped, Quaternion
-from zensim.proto.header import Header
-from zensim.proto.services import Resource
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped, Quaternion
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.handlers.table import handle
 
@@ -21,9 +19,9 @@ def an_order(
     frame_id: str = "",
     is_snapped: bool = False,
     bond: str = "",
-) -> services.SpawnEntityOrder:
+) -> SpawnEntityOrder:
     pose = Pose(Point(*place), orientation or Quaternion())
-    return services.SpawnEntityOrder(
+    return SpawnEntityOrder(
         name,
         entity_resource=BOX_BOT,
         initial_pose=PoseStamped(Header(frame_id=frame_id), pose),
@@ -32,11 +30,11 @@ def an_order(
     )
 
 
-def spawned(desk: Desk, order: services.SpawnEntityOrder) -> services.SpawnEntityReport:
+def spawned(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport:
     report = handle(desk, order)
-    assert isinstance(report, services.SpawnEntityReport)
+    assert isinstance(report, SpawnEntityReport)
     return report
 
 
-def suspicions(report: services.SpawnEntityReport) -> list[str]:
+def suspicions(report: SpawnEntityReport) -> list[str]:
     return [entry.reason for entry in report.report if entry.status == "suspicious"]

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.integration.processes import free_endpoint, zensim
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def test_serve_is_refused_in_one_line_when_it_is_mistyped(
 ) -> None:
     done = zensim("serve", *arguments)
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     assert done.stderr.startswith("zensim serve: USAGE (2): ")
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
@@ -37,7 +37,7 @@ def test_serve_is_refused_in_one_line_when_it_is_mistyped(
 def test_serve_is_refused_when_it_is_to_listen_and_to_connect() -> None:
     done = zensim("serve", "--listen", free_endpoint(), "--connect", free_endpoint())
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     assert "--listen and --connect exclude each other" in done.stderr
 
 
@@ -46,7 +46,7 @@ def test_serve_says_so_when_nobody_listens_where_it_is_to_connect() -> None:
 
     done = zensim("serve", "--connect", endpoint, "--wait", "0")
 
-    assert done.returncode == Exit.UNREACHABLE
+    assert done.returncode == ExitCode.UNREACHABLE
     assert done.stderr.startswith("zensim serve: UNREACHABLE (4): nobody listens at ")
     assert done.stderr.count("\n") == 1
 
@@ -54,5 +54,5 @@ def test_serve_says_so_when_nobody_listens_where_it_is_to_connect() -> None:
 def test_serve_names_the_policies_when_it_is_given_another() -> None:
     done = zensim("serve", "--on-miss", "panic")
 
-    assert done.returncode == Exit.USAGE
+    assert done.returncode == ExitCode.USAGE
     assert "'panic' is unknown; use wait, hold, fail" in done.stderr

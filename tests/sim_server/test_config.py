@@ -5,9 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from zensim.proto.bus import BusConfig
-from zensim.proto.endpoint import DEFAULT_ENDPOINT
-from zensim.proto.header import NANOSECONDS
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
+from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.config import (
     CONTROL_HZ,
     ConfigError,

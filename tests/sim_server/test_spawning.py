@@ -5,9 +5,9 @@ import pytest
 
 from tests.sim_server.fakes import ReadHere, a_desk, a_stage, a_world, names_in
 from tests.sim_server.orders import BOX_BOT
-from zensim.proto.geometry import Point, Pose, PoseStamped
-from zensim.proto.model import Inertial, Link, Model, Shape
-from zensim.proto.services import SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.stl import write_corners
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState, ModelError, NameNotUnique

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.geometry import Quaternion
+from zensim.proto.messages.standard_messages import Quaternion
 from zensim.spawner.angles import roll_pitch_yaw, yaw_of
 from zensim.spawner.launch import pose_at
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from tests.spawner.packages import a_package, robot_of, tetrahedron
-from zensim.proto.assets import MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
-from zensim.proto.result import ServiceError, SpawnCode
+from zensim.proto.messages.asset_messages import MAX_BUNDLE_FILES, MAX_FILE_BYTES, AssetRef
+from zensim.proto.messages.result_messages import ServiceError, SpawnCode
 from zensim.spawner.assets import Bundle, Mesh, bundle_of, check_collisions, meshes_named
 from zensim.spawner.search_paths import search_paths
 

@@ -6,8 +6,9 @@ import pytest
 
 from tests.fakes import MemoryBus
 from zensim.proto.bus import NoServer
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.services import EntityFilters, EntityState, SpawnEntityOrder, SpawnEntityReport
+from zensim.proto.messages.entity_messages import EntityFilters, EntityState
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
 from zensim.spawner import bonding
 from zensim.spawner.bonding import bond_name, spawn_bonded, stay_with, wait_for_entity
 from zensim.spawner.client import SimClient

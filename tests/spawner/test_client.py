@@ -7,16 +7,11 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.sim_server.fakes import WallTime, a_desk, a_world, names_in
 from zensim.proto.bus import Bus, NoServer
-from zensim.proto.geometry import Point, Pose, Twist, Vector3
-from zensim.proto.result import ResultCode, ServiceError
-from zensim.proto.services import (
-    EntityState,
-    Feature,
-    ResetScope,
-    Resource,
-    SpawnEntityOrder,
-    State,
-)
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
 from zensim.sim_server.traffic.inbox import BusInbox
 from zensim.sim_server.traffic.loop import Loop
 from zensim.sim_server.traffic.outlets import BusOutlet

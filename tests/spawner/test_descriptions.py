@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from tests.fakes import MemoryBus
-from zensim.proto.codec import Format
-from zensim.proto.result import ServiceError
-from zensim.proto.topics import String
+from zensim.proto.codec.message_codec import Format
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.standard_messages import String
 from zensim.spawner.descriptions import (
     Description,
     from_database,

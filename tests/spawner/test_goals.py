@@ -6,8 +6,12 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.sim_server.fakes import WallTime, a_desk, a_world
-from zensim.proto.result import ServiceError
-from zensim.proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import (
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    StepsProgress,
+)
 from zensim.sim_server.traffic.inbox import BusInbox
 from zensim.sim_server.traffic.loop import Loop
 from zensim.sim_server.traffic.outlets import BusOutlet

@@ -11,11 +11,15 @@ from hypothesis import strategies as st
 
 from tests.fakes import MemoryBus
 from zensim.proto.bus import Bus, NoServer
-from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnResult
-from zensim.proto.geometry import Pose, Quaternion
-from zensim.proto.result import Result, ResultCode, SpawnCode
+from zensim.proto.messages.result_messages import Result, ResultCode, SpawnCode
+from zensim.proto.messages.spawn_messages import (
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntitiesResponse,
+    SpawnResult,
+)
+from zensim.proto.messages.standard_messages import Pose, Quaternion
 from zensim.proto.rotation import from_rpy
-from zensim.proto.services import Resource
 from zensim.spawner.client import SimClient
 from zensim.spawner.launch import Outcome, pose_at, read_description, resource_for, spawn_fleet
 from zensim.spawner.namespacing import DescriptionError

@@ -10,11 +10,10 @@ from hypothesis import strategies as st
 
 from tests.sim_server.fakes import floats
 from zensim.proto.bus import Sample
-from zensim.proto.claims import DriveCommand
-from zensim.proto.codec import Format, encode, encoding_of
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.telemetry import Event, Snapshot, Stats, WorldClock
-from zensim.proto.topics import Odometry, String
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.agent_messages import DriveCommand
+from zensim.proto.messages.standard_messages import Odometry, String, Twist, Vector3
+from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
 from zensim.spawner.payloads import as_lines, as_plain
 
 ENCODINGS = [
@@ -29,7 +28,7 @@ KEYS = ["r1/odom", "sim/default/snapshot", "sim/default/drive/a/command", "sim/x
 
 
 def a_sample(message: msgspec.Struct, format_: Format, key: str = "r1/topic") -> Sample:
-    return Sample(key, encode(message, format_), encoding_of(message, format_))
+    return Sample(key, encode(message, format_), make_encoding(message, format_))
 
 
 def lines_of(plain: object) -> list[str]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from tests.fakes import MemoryBus
-from zensim.proto.assets import MAX_CHUNK_BYTES, MissingAssetsResponse
+from zensim.proto.messages.asset_messages import MAX_CHUNK_BYTES, MissingAssetsResponse
 from zensim.spawner.assets import AssetFile
 from zensim.spawner.client import SimClient
 from zensim.spawner.upload import Outstanding, outstanding, send

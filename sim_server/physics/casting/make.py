@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from zensim.proto.model import Shape
+from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.physics.blueprint import Blueprint, Part
 
 ROOT_POSITIONS, ROOT_VELOCITIES = 7, 6

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zensim.proto.model import Shape
+from zensim.proto.messages.model_messages import Shape
 from zensim.proto.stl import read_corners
 from zensim.sim_server.physics.casting.hulls import Points, pieces_of
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from zensim.proto.model import Origin, Shape
+from zensim.proto.messages.model_messages import Origin, Shape
 from zensim.sim_server.physics.blueprint import Part
 from zensim.sim_server.physics.casting.contact import Yield, grip, grip_of, motor, rigid
 from zensim.sim_server.physics.casting.hulls import Points

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.actuation import Actuation
 from zensim.sim_server.physics.casting.gathering import Gathering, gathering_of
 from zensim.sim_server.physics.casting.make import Make

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.clusters.cells import Asked, Cells, Told
 from zensim.sim_server.physics.clusters.dealing import Room, deal
 from zensim.sim_server.physics.clusters.homes import Homes

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.clusters.cells import Cells
 from zensim.sim_server.physics.clusters.dealing import Room
 from zensim.sim_server.physics.clusters.discs import IntArray

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.clusters.discs import IntArray
 from zensim.sim_server.physics.clusters.reach import Reach
 from zensim.sim_server.physics.engine import FloatArray

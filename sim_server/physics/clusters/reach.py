@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zensim.proto.model import Link, Model, Shape, Vec3
+from zensim.proto.messages.model_messages import Link, Model, Shape, Vec3
 from zensim.proto.stl import read_corners
 from zensim.sim_server.physics.actuation import actuation_of
 from zensim.sim_server.physics.engine import FloatArray

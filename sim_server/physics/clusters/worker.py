@@ -15,7 +15,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.clusters.sharing import new_board
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray, Reading
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.rotation import yaw_of
+from zensim.proto.rotation import to_yaw
 from zensim.sim_server.physics.tiers.footprint import Corners, reach_of
 from zensim.sim_server.physics.tiers.kinematic import Kinematic
 from zensim.sim_server.physics.tiers.mapping import Mappings
@@ -15,7 +15,7 @@ from zensim.sim_server.physics.tiers.rows import IntColumn, Rows, Tier, turned
 from zensim.sim_server.physics.tiers.surroundings import Surroundings
 
 if TYPE_CHECKING:
-    from zensim.proto.model import Model
+    from zensim.proto.messages.model_messages import Model
     from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
     from zensim.sim_server.physics.tiers.planning import FlatPlan
 
@@ -136,7 +136,7 @@ class Bodies:
 
     def see(self, rows: IntColumn, base: FloatArray) -> None:
         """Note where bodies are (n, 13)."""
-        known, yaw = self.rows, yaw_of(base[:, 3:7])
+        known, yaw = self.rows, to_yaw(base[:, 3:7])
         known.place[:, rows] = base[:, :3].T
         known.turn_to(rows, yaw)
         sin, cos = known.half[:, rows]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.messages.model_messages import Model, Origin, Shape
 from zensim.proto.rotation import rotate
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.rolling import touching_links

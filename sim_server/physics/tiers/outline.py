@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.rotation import rotate
 from zensim.sim_server.description.transforms import link_poses
 from zensim.sim_server.physics.engine import FloatArray

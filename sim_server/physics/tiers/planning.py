@@ -10,7 +10,7 @@ from zensim.sim_server.physics.tiers.footprint import Footprint, corners_in
 from zensim.sim_server.physics.tiers.vehicle import NotFlat, Vehicle, vehicle_of
 
 if TYPE_CHECKING:
-    from zensim.proto.model import Dynamics, Model
+    from zensim.proto.messages.model_messages import Dynamics, Model
 
 KEPT = 256
 

@@ -16,7 +16,7 @@ from zensim.sim_server.physics.tiers.watching import Watching
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from zensim.proto.model import Dynamics, Model, TierName
+    from zensim.proto.messages.model_messages import Dynamics, Model, TierName
     from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.physics.tiers.mapping import Mapping
 

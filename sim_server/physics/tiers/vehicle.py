@@ -6,8 +6,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.drives import AckermannDrive, DiffDrive, PlanarMove, TricycleDrive, WheelPair
-from zensim.proto.model import Joint, Link, Model, Origin, Shape
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    DiffDrive,
+    PlanarMove,
+    TricycleDrive,
+    WheelPair,
+)
+from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.sim_server.description.transforms import link_poses, placed, turned
 from zensim.sim_server.physics.actuation import actuation_of
 from zensim.sim_server.physics.tiers.footprint import Corners, Footprint, footprint_of

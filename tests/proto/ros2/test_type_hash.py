@@ -5,23 +5,25 @@ from typing import ClassVar
 import msgspec
 import pytest
 
+from tests.proto.codec.test_cdr import EXPRESSIBLE, ros_type_of
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import knows
-from tests.proto.test_cdr import EXPRESSIBLE, ros_type_of
-from zensim.proto import cdr, geometry, services, topics
-from zensim.proto.catalog import SERVICES, Service
-from zensim.proto.ros2.type_hash import service_hash, service_type, type_hash
-from zensim.proto.widths import Int64
+from zensim.proto.codec import cdr
+from zensim.proto.messages import standard_messages
+from zensim.proto.messages.scalar_types import Int64
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityRequest
+from zensim.proto.ros2.type_hash import find_service_type, hash_service, hash_type
+from zensim.proto.service_catalog import SERVICES, Service
 
 PUBLISHED = {
-    topics.Odometry: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
-    geometry.Twist: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
-    topics.String: "df668c74",
-    topics.TFMessage: "e369d0f0",
-    geometry.TwistStamped: "5f0fcd4f",
-    topics.JointState: "a13ee3a3",
-    topics.Clock: "692f7a66",
-    geometry.PoseStamped: "10f3786d",
+    standard_messages.Odometry: "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+    standard_messages.Twist: "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    standard_messages.String: "df668c74",
+    standard_messages.TFMessage: "e369d0f0",
+    standard_messages.TwistStamped: "5f0fcd4f",
+    standard_messages.JointState: "a13ee3a3",
+    standard_messages.Clock: "692f7a66",
+    standard_messages.PoseStamped: "10f3786d",
 }
 """Or how they begin."""
 PUBLISHED_SERVICES = {
@@ -95,19 +97,19 @@ def is_known(kind: type[msgspec.Struct]) -> bool:
 
 @pytest.mark.parametrize("kind", PUBLISHED, ids=lambda kind: kind.__name__)
 def test_type_hash_is_the_published_one(kind: type[msgspec.Struct]) -> None:
-    assert type_hash(kind).startswith(f"RIHS01_{PUBLISHED[kind]}")
+    assert hash_type(kind).startswith(f"RIHS01_{PUBLISHED[kind]}")
 
 
 @pytest.mark.parametrize("kind", EXPRESSIBLE)
 def test_type_hash_is_what_another_implementation_finds(kind: type[msgspec.Struct]) -> None:
-    assert type_hash(kind) == hash_of_message(ros_type_of(kind))
+    assert hash_type(kind) == hash_of_message(ros_type_of(kind))
 
 
 @pytest.mark.parametrize("name", PUBLISHED_SERVICES)
 def test_service_hash_is_the_published_one(name: str) -> None:
     service = SERVICES[name]
 
-    found = service_hash(service.request, service.response)
+    found = hash_service(service.request, service.response)
 
     assert found == f"RIHS01_{PUBLISHED_SERVICES[name]}"
 
@@ -116,27 +118,27 @@ def test_service_hash_is_the_published_one(name: str) -> None:
 def test_service_hash_is_what_another_implementation_finds(
     service: Service[msgspec.Struct, msgspec.Struct],
 ) -> None:
-    found = service_hash(service.request, service.response)
+    found = hash_service(service.request, service.response)
 
-    assert found == hash_of_service(service_type(service.request))
+    assert found == hash_of_service(find_service_type(service.request))
 
 
 def test_service_hash_is_that_of_the_design_document() -> None:
-    found = service_hash(AddTwoIntsRequest, AddTwoIntsResponse)
+    found = hash_service(AddTwoIntsRequest, AddTwoIntsResponse)
 
     assert found == "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
 
 
 def test_service_hash_counts_the_dummy_of_an_empty_half() -> None:
-    found = service_hash(TriggerRequest, TriggerResponse)
+    found = hash_service(TriggerRequest, TriggerResponse)
 
     assert found == "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 
 
 def test_type_hash_is_that_of_the_class_that_names_the_interface() -> None:
-    assert type_hash(services.SpawnEntityOrder) == type_hash(services.SpawnEntityRequest)
+    assert hash_type(SpawnEntityOrder) == hash_type(SpawnEntityRequest)
 
 
 def test_type_hash_refuses_a_number_without_a_width() -> None:
     with pytest.raises(TypeError, match="'number' is a IntType without a CDR width"):
-        type_hash(NoWidth)
+        hash_type(NoWidth)

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.drives import AckermannDrive
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.messages.drive_messages import AckermannDrive
+from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.robot_agent.drives.ackermann import AckermannSteering
 from zensim.robot_agent.drives.controller import Measured
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from zensim.proto.drives import (
+from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
     Drive,
@@ -10,7 +10,7 @@ from zensim.proto.drives import (
     TricycleDrive,
     WheelPair,
 )
-from zensim.proto.geometry import Twist
+from zensim.proto.messages.standard_messages import Twist
 from zensim.robot_agent.drives.choice import controller_of
 from zensim.robot_agent.drives.controller import Measured
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.robot_agent.drives.controller import Measured
 from zensim.robot_agent.drives.planar_move import PlanarMotion
 

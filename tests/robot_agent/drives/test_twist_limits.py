@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.drives import Limits
+from zensim.proto.messages.drive_messages import Limits
 from zensim.robot_agent.drives.twist_limits import LimitedVelocity
 
 

@@ -1,6 +1,6 @@
 """Robots of every kind of drive, and states that they may be in."""
 
-from zensim.proto.drives import (
+from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
     Drive,
@@ -9,7 +9,14 @@ from zensim.proto.drives import (
     TricycleDrive,
     WheelPair,
 )
-from zensim.proto.model import Frame, Joint, JointStatePublisher, Link, Model, Origin
+from zensim.proto.messages.model_messages import (
+    Frame,
+    Joint,
+    JointStatePublisher,
+    Link,
+    Model,
+    Origin,
+)
 
 SECOND_PAIR = WheelPair("left_rear", "right_rear", separation_m=0.5, diameter_m=0.3)
 PAIR = WheelPair("left_joint", "right_joint", separation_m=0.4, diameter_m=0.2)

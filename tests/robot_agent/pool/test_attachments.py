@@ -1,6 +1,6 @@
 """Attachments of many publishers are those of each."""
 
-from zensim.proto.ros2.attachment import Attachment, write_attachment
+from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.robot_agent.pool.attachments import Attachments
 
 GID = bytes(range(16))

@@ -13,13 +13,12 @@ from tests.fakes import MemoryBus
 from tests.robot_agent.models import DRIVE, two_wheeler
 from tests.robot_agent.pool.kinds import DRIVES, robot_of
 from zensim.proto.bus import Sample
-from zensim.proto.claims import Claim, DriveCommand, DriveState
-from zensim.proto.codec import Format, MalformedPayload, decode
-from zensim.proto.drives import Drive, RosBlock
-from zensim.proto.geometry import Twist, Vector3
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
-from zensim.proto.model import GroundTruth, Model
-from zensim.proto.topics import JointState, Odometry, TFMessage
+from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.drive_messages import Drive, RosBlock
+from zensim.proto.messages.model_messages import GroundTruth, Model
+from zensim.proto.messages.standard_messages import JointState, Odometry, TFMessage, Twist, Vector3
 from zensim.robot_agent.fleet import Fleet
 from zensim.robot_agent.pool.fleet import PoolFleet
 

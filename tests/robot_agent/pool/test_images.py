@@ -6,10 +6,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.robot_agent.models import DRIVE, two_wheeler
-from zensim.proto import cdr
-from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from zensim.proto.header import Header, time_from_ns
-from zensim.proto.topics import JointState, TFMessage
+from zensim.proto.codec import cdr
+from zensim.proto.messages.standard_messages import (
+    Header,
+    JointState,
+    Quaternion,
+    TFMessage,
+    Transform,
+    TransformStamped,
+    Vector3,
+    time_from_ns,
+)
 from zensim.robot_agent import templates
 from zensim.robot_agent.odometry import Motion, OdometryFrames, covariance_of
 from zensim.robot_agent.pool.images import Images

@@ -4,10 +4,17 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto import cdr
-from zensim.proto.geometry import Quaternion, Transform, TransformStamped, Vector3
-from zensim.proto.header import Header, Time, time_from_ns
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec import cdr
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Quaternion,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+    time_from_ns,
+)
 from zensim.robot_agent.pool.joined_images import JoinedImages
 
 NAMES = st.text(max_size=9)

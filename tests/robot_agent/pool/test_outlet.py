@@ -1,7 +1,7 @@
 """A topic of many robots on its plain keys: put where somebody listens."""
 
 from tests.fakes import MemoryBus
-from zensim.proto.topics import String
+from zensim.proto.messages.standard_messages import String
 from zensim.robot_agent.pool.outlet import FleetOutlet, Line
 
 

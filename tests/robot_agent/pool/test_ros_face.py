@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import pytest
 
 from tests.fakes import MemoryBus
-from zensim.proto.ros2.attachment import read_attachment
-from zensim.proto.ros2.settings import RosSettings
-from zensim.proto.ros_graph import RosGraph, RosNode, Topic
-from zensim.proto.topics import String
+from zensim.proto.messages.standard_messages import String
+from zensim.proto.ros2.rmw_attachment import read_attachment
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.robot_agent.pool.outlet import Line
 from zensim.robot_agent.pool.ros_face import AT_ONCE, RosFace
 
@@ -52,10 +52,10 @@ def test_robots_are_announced_a_few_at_a_time() -> None:
     face, _ = a_face(bus, *(f"r{number}" for number in range(AT_ONCE + 1)))
 
     face.declare_some()
-    first = len(bus.alive(PUBLISHERS))
+    first = len(bus.list_tokens(PUBLISHERS))
     face.declare_some()
 
-    assert (first, len(bus.alive(PUBLISHERS))) == (AT_ONCE, AT_ONCE + 1)
+    assert (first, len(bus.list_tokens(PUBLISHERS))) == (AT_ONCE, AT_ONCE + 1)
 
 
 def test_anybody_who_listens_to_one_robot_is_seen() -> None:
@@ -126,7 +126,7 @@ def test_robot_that_has_gone_is_told_of_no_more() -> None:
     face.declare_some()
 
     assert len(bus.get(f"{KEY.format('*')}/@adv/**")) == 1
-    assert len(bus.alive(PUBLISHERS)) == 1
+    assert len(bus.list_tokens(PUBLISHERS)) == 1
 
 
 def test_closed_face_answers_nobody() -> None:

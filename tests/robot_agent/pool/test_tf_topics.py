@@ -7,14 +7,13 @@ import pytest
 
 from tests.fakes import MemoryBus, MemorySubscription
 from tests.robot_agent.pool.kinds import DRIVES, robot_of
-from zensim.proto.claims import STATE_COLUMNS, Claim, DriveState
-from zensim.proto.codec import decode
-from zensim.proto.geometry import TransformStamped
-from zensim.proto.model import Model
-from zensim.proto.ros2.attachment import read_attachment
-from zensim.proto.ros2.settings import RosSettings
-from zensim.proto.ros_graph import RosGraph
-from zensim.proto.topics import TFMessage
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
+from zensim.proto.ros2.rmw_attachment import read_attachment
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.robot_agent.fleet import Fleet
 from zensim.robot_agent.pool import tf_topics
 from zensim.robot_agent.pool.fleet import PoolFleet
@@ -126,7 +125,7 @@ def test_pool_is_the_publisher_in_ros() -> None:
     told = Told(*[robot_of(DRIVES["diff"])] * 2)
     told.tell()
 
-    (token,) = told.bus.alive(ON_TF)
+    (token,) = told.bus.list_tokens(ON_TF)
 
     assert "/zensim_pool_ab12_1/" in token
 
@@ -155,9 +154,9 @@ def test_robot_that_has_gone_is_told_of_no_more() -> None:
 def test_kind_that_has_gone_has_no_topic() -> None:
     told = Told(robot_of(DRIVES["diff"]), robot_of(DRIVES["planar"]))
     told.tell()
-    assert len(told.bus.alive(ON_TF)) == 2
+    assert len(told.bus.list_tokens(ON_TF)) == 2
 
     told.pool.lose_all_but(b"")
 
-    assert told.bus.alive(ON_TF) == []
+    assert told.bus.list_tokens(ON_TF) == []
     assert not told.bus.is_served("tf")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 
-from zensim.proto.model import Model, ReportEntry
+from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.sim_server.description.urdf import read_urdf
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'

@@ -1,6 +1,6 @@
 """Small models as SDF text, for tests."""
 
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.sdf_model import read_sdf_model
 
 INERTIAL = (

@@ -13,7 +13,7 @@ from tests.sim_server.description.robots import (
     reasons,
 )
 from tests.sim_server.description.sdf_robots import PIONEER
-from zensim.proto.drives import DiffDrive, WheelPair
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.sim_server.description.sdf_model import read_sdf_model
 from zensim.sim_server.description.urdf import read_urdf
 

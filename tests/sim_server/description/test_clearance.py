@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from zensim.proto.model import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
+from zensim.proto.messages.model_messages import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
 from zensim.sim_server.description import clearance
 
 HALF = math.sqrt(0.5)

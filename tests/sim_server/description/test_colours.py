@@ -11,7 +11,7 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
-from zensim.proto.model import Quat
+from zensim.proto.messages.model_messages import Quat
 from zensim.sim_server.description.colours import GAZEBO_COLOURS, gazebo_colour
 from zensim.sim_server.description.urdf import read_urdf
 

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.sim_server.description.robots import a_cart, a_drive, a_link, a_robot, an_inertial
-from zensim.proto.drives import Compat
+from zensim.proto.messages.drive_messages import Compat
 from zensim.sim_server.description.describing import describe
 
 COMPATS: tuple[Compat, ...] = ("fixed", "gazebo11")

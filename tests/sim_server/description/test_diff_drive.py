@@ -14,8 +14,8 @@ from tests.sim_server.description.robots import (
     reasons,
     report_of,
 )
-from zensim.proto.model import DiffDrive, RosBlock, WheelPair
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import DiffDrive, RosBlock, WheelPair
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.errors import ModelError
 

@@ -16,7 +16,7 @@ from tests.sim_server.description.robots import (
     reasons,
     report_of,
 )
-from zensim.proto.model import DiffDrive
+from zensim.proto.messages.model_messages import DiffDrive
 from zensim.sim_server.description.urdf import read_urdf
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.sim_server.description.cars import a_car, a_trike
 from tests.sim_server.description.robots import WHEELS, a_cart, a_plugin, reasons, report_of
-from zensim.proto.drives import (
+from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
     Limits,

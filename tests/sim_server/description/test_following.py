@@ -3,7 +3,7 @@
 import pytest
 
 from tests.sim_server.description.robots import a_joint, a_link, a_robot, an_inertial, reasons
-from zensim.proto.model import Mimic
+from zensim.proto.messages.model_messages import Mimic
 from zensim.sim_server.description.urdf import read_urdf
 
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'

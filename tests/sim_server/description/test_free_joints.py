@@ -13,7 +13,7 @@ from tests.sim_server.description.robots import (
     link_names,
     reasons,
 )
-from zensim.proto.model import Origin
+from zensim.proto.messages.model_messages import Origin
 from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
 from zensim.sim_server.errors import ModelError
 

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
-from zensim.proto.model import GroundTruth, Model, Origin, RosBlock
+from zensim.proto.messages.model_messages import GroundTruth, Model, Origin, RosBlock
 from zensim.sim_server.description.describing import describe
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.errors import ModelError

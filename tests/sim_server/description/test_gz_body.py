@@ -3,7 +3,7 @@
 import pytest
 
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
-from zensim.proto.drives import PlanarMove
+from zensim.proto.messages.drive_messages import PlanarMove
 from zensim.sim_server.description.urdf import read_urdf
 
 MECANUM = """

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.sim_server.description.robots import a_cart, a_plugin, reasons
-from zensim.proto.model import JointStatePublisher, RosBlock
+from zensim.proto.messages.model_messages import JointStatePublisher, RosBlock
 from zensim.sim_server.description.urdf import read_urdf
 
 FILE = "libgazebo_ros_joint_state_publisher.so"

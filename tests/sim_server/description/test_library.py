@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-from zensim.proto.result import ResultCode
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.description.library import (
     model_text,
     shipped_models,

@@ -6,7 +6,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from zensim.proto.model import Frame, Inertial, Joint, Link, Origin, Quat, Shape, Vec3
+from zensim.proto.messages.model_messages import (
+    Frame,
+    Inertial,
+    Joint,
+    Link,
+    Origin,
+    Quat,
+    Shape,
+    Vec3,
+)
 from zensim.sim_server.description.lumping import combine, lump
 from zensim.sim_server.description.transforms import compose, placed
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from zensim.proto.model import Inertial, Link, Model, Shape
+from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
 from zensim.sim_server.description.mesh_formats import Triangles, read_mesh, write_stl
 from zensim.sim_server.description.meshes import (
     MAX_HULL_CORNERS,

@@ -15,8 +15,8 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
-from zensim.proto.model import Origin
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.model_messages import Origin
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.assets import no_meshes
 from zensim.sim_server.description.parts import read_parts
 from zensim.sim_server.description.report import Report

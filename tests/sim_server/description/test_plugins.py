@@ -1,7 +1,7 @@
 """Every plug-in is read, or its entry says why not."""
 
 from tests.sim_server.description.robots import a_cart, a_drive, a_plugin, reasons, report_of
-from zensim.proto.model import DiffDrive
+from zensim.proto.messages.model_messages import DiffDrive
 from zensim.sim_server.description.urdf import read_urdf
 
 JOINTS = "<joint_name>left_joint</joint_name>"

@@ -1,6 +1,6 @@
 """The report tells what became of each tag, and stays small."""
 
-from zensim.proto.model import ReportEntry
+from zensim.proto.messages.model_messages import ReportEntry
 from zensim.sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS, Report
 
 

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
-from zensim.proto.model import Model, Origin, Shape
+from zensim.proto.messages.model_messages import Model, Origin, Shape
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.description.rolling import touching_links
 

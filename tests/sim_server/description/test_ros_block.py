@@ -4,7 +4,7 @@ import pytest
 from lxml import etree
 
 from tests.sim_server.description.robots import reasons
-from zensim.proto.model import ReportEntry, RosBlock
+from zensim.proto.messages.model_messages import ReportEntry, RosBlock
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.ros_block import read_ros_block
 from zensim.sim_server.description.strict_xml import parse_xml

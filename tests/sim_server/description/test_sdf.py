@@ -4,9 +4,9 @@ import pytest
 
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_link, a_pose
-from zensim.proto.model import Origin
-from zensim.proto.result import SpawnCode
-from zensim.proto.scene import Light, Scene
+from zensim.proto.messages.model_messages import Origin
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.world_messages import Light, Scene
 from zensim.sim_server.description.library import world_text
 from zensim.sim_server.description.sdf import read_world
 from zensim.sim_server.description.sdf_scene import Pace

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.model import Origin
+from zensim.proto.messages.model_messages import Origin
 from zensim.proto.rotation import FloatArray, from_rpy
 from zensim.sim_server.description.sdf_frames import MODEL, Frames, inverse
 from zensim.sim_server.description.sdf_values import WrittenPose

@@ -4,7 +4,7 @@ import pytest
 
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_pose, an_axis
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.sdf_model import read_sdf_model
 from zensim.sim_server.errors import ModelError
 

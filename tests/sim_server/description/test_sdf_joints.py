@@ -6,7 +6,7 @@ import pytest
 
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_model, a_pose, an_axis, read
-from zensim.proto.model import Joint, Mimic
+from zensim.proto.messages.model_messages import Joint, Mimic
 from zensim.sim_server.description.sdf_model import read_sdf_model
 
 QUARTER = str(math.pi / 2)

@@ -14,9 +14,9 @@ from tests.sim_server.description.sdf_robots import (
     an_axis,
     read,
 )
-from zensim.proto.drives import DiffDrive
-from zensim.proto.model import Model, Origin, Shape
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import Model, Origin, Shape
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.sdf_model import read_sdf_model
 from zensim.sim_server.errors import ModelError
 

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from zensim.proto.geometry import Point, Vector3
-from zensim.proto.services import Bounds, BoundsType
+from zensim.proto.messages.entity_messages import Bounds, BoundsType
+from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.sim_server.description.library import shipped_worlds, world_text
 from zensim.sim_server.description.sdf import read_world
 from zensim.sim_server.description.sdf_places import NamedPlace

@@ -4,7 +4,7 @@ import pytest
 from lxml import etree
 
 from tests.sim_server.description.robots import reasons
-from zensim.proto.model import Contact, Origin, Shape
+from zensim.proto.messages.model_messages import Contact, Origin, Shape
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.sdf_shapes import (
     colour_of,

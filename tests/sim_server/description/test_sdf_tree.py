@@ -5,7 +5,7 @@ import pytest
 
 from tests.sim_server.description.robots import reasons
 from tests.sim_server.description.sdf_robots import a_joint, a_link, a_pose, an_axis, read
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.sdf_tree import as_tree
 from zensim.sim_server.description.transforms import link_poses

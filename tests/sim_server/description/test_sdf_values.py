@@ -5,7 +5,7 @@ import math
 import pytest
 from lxml import etree
 
-from zensim.proto.model import Origin
+from zensim.proto.messages.model_messages import Origin
 from zensim.sim_server.description.sdf_values import read_flag, read_name, read_pose
 from zensim.sim_server.errors import ModelError
 

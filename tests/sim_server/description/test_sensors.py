@@ -10,7 +10,7 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
-from zensim.proto.model import Model, Origin, Parameter, RosBlock
+from zensim.proto.messages.model_messages import Model, Origin, Parameter, RosBlock
 from zensim.sim_server.description.sensors import MAX_PARAMETERS, MAX_SENSORS
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.errors import ModelError

@@ -10,7 +10,7 @@ from tests.sim_server.description.robots import (
     a_visual,
     reasons,
 )
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.errors import ModelError
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from zensim.proto.result import SpawnCode
+from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.strict_xml import MAX_BYTES, MAX_DEPTH, MAX_TAGS, parse_xml
 from zensim.sim_server.errors import ModelError
 

@@ -11,7 +11,7 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
-from zensim.proto.model import Contact, Decay, Inertial, Link, Origin, Shape
+from zensim.proto.messages.model_messages import Contact, Decay, Inertial, Link, Origin, Shape
 from zensim.sim_server.description.lumping import lump
 from zensim.sim_server.description.report import Report
 from zensim.sim_server.description.surface import RIGID, Surface, SurfaceTags, decay_rate, in_bounds

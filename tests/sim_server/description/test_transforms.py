@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from zensim.proto.model import Joint, Origin
+from zensim.proto.messages.model_messages import Joint, Origin
 from zensim.sim_server.description.transforms import compose, link_poses, matrix_of, placed, turned
 
 HALF = math.sqrt(0.5)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.sim_server.description.robots import link_names
-from zensim.proto.model import DiffDrive, Frame, Model, Origin, WheelPair
+from zensim.proto.messages.model_messages import DiffDrive, Frame, Model, Origin, WheelPair
 from zensim.sim_server.description.clearance import ground_clearance
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.urdf import read_urdf

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_cart, a_state, an_arm
-from zensim.proto.model import Frame, JointKind, Model, Origin
+from zensim.proto.messages.model_messages import Frame, JointKind, Model, Origin
 from zensim.proto.rotation import FloatArray, from_rpy
 from zensim.sim_server.geometry.kinematics import link_poses, placed
 

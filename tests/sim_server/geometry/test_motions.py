@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_body, a_state
-from zensim.proto.model import Frame, Joint, Link, Model, Origin
+from zensim.proto.messages.model_messages import Frame, Joint, Link, Model, Origin
 from zensim.proto.rotation import FloatArray, multiply, rotate
 from zensim.sim_server.geometry.kinematics import link_poses
 from zensim.sim_server.geometry.motions import link_states

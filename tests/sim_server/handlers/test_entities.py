@@ -9,11 +9,19 @@ import pytest
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck, an_arm, on_ground
 from tests.sim_server.fakes import a_birth, a_desk, a_world
 from tests.sim_server.orders import an_order, spawned
-from zensim.proto import entities, services
-from zensim.proto.geometry import Point, Vector3
-from zensim.proto.info import Category, EntityCategory, EntityInfo
-from zensim.proto.model import Model
-from zensim.proto.services import Bounds, BoundsType, EntityFilters, ResetScope
+from zensim.proto.messages import entity_messages
+from zensim.proto.messages.entity_messages import (
+    Bounds,
+    BoundsType,
+    Category,
+    EntityCategory,
+    EntityFilters,
+    EntityInfo,
+)
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.simulation_messages import ResetScope, ResetSimulationRequest
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.table import handle
@@ -22,14 +30,14 @@ HUMAN = EntityInfo(EntityCategory(Category.HUMAN), "walks about", ("slow", "tall
 
 
 def info_of(desk: Desk, name: str) -> EntityInfo:
-    response = handle(desk, entities.GetEntityInfoRequest(name))
-    assert isinstance(response, entities.GetEntityInfoResponse)
+    response = handle(desk, entity_messages.GetEntityInfoRequest(name))
+    assert isinstance(response, entity_messages.GetEntityInfoResponse)
     return response.info
 
 
-def bounds_of(desk: Desk, name: str, kind: int = entities.ANY_BOUNDS) -> Bounds:
-    response = handle(desk, entities.GetEntityBoundsOrder(name, kind))
-    assert isinstance(response, entities.GetEntityBoundsResponse)
+def bounds_of(desk: Desk, name: str, kind: int = entity_messages.ANY_BOUNDS) -> Bounds:
+    response = handle(desk, entity_messages.GetEntityBoundsOrder(name, kind))
+    assert isinstance(response, entity_messages.GetEntityBoundsResponse)
     return response.bounds
 
 
@@ -60,8 +68,8 @@ def test_info_follows_from_the_model_unless_somebody_says_it(
 def test_info_is_set_and_kept_through_a_reset_of_states() -> None:
     desk = a_desk(a_world("r0"))
 
-    handle(desk, entities.SetEntityInfoRequest("r0", HUMAN))
-    handle(desk, services.ResetSimulationRequest(ResetScope.STATE))
+    handle(desk, entity_messages.SetEntityInfoRequest("r0", HUMAN))
+    handle(desk, ResetSimulationRequest(ResetScope.STATE))
 
     assert info_of(desk, "r0") == HUMAN
 
@@ -69,9 +77,7 @@ def test_info_is_set_and_kept_through_a_reset_of_states() -> None:
 def test_info_may_come_with_the_spawn() -> None:
     desk = a_desk(a_world())
 
-    spawned(
-        desk, services.SpawnEntityOrder("r", entity_resource=an_order().entity_resource, info=HUMAN)
-    )
+    spawned(desk, SpawnEntityOrder("r", entity_resource=an_order().entity_resource, info=HUMAN))
 
     assert info_of(desk, "r") == HUMAN
 
@@ -79,7 +85,7 @@ def test_info_may_come_with_the_spawn() -> None:
 def test_tags_are_kept_once_each() -> None:
     desk = a_desk(a_world("r0"))
 
-    handle(desk, entities.SetEntityInfoRequest("r0", EntityInfo(tags=("a", "b", "a"))))
+    handle(desk, entity_messages.SetEntityInfoRequest("r0", EntityInfo(tags=("a", "b", "a"))))
 
     assert info_of(desk, "r0").tags == ("a", "b")
 
@@ -98,7 +104,7 @@ def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -
     desk = a_desk(a_world("r0"))
 
     with pytest.raises(SimError, match=words):
-        handle(desk, entities.SetEntityInfoRequest("r0", info))
+        handle(desk, entity_messages.SetEntityInfoRequest("r0", info))
 
     assert info_of(desk, "r0").category.category == Category.ROBOT
 
@@ -106,12 +112,12 @@ def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -
 @pytest.mark.parametrize(
     "request_",
     [
-        entities.GetEntityInfoRequest("r9"),
-        entities.SetEntityInfoRequest("r9", HUMAN),
-        entities.GetEntityBoundsOrder("r9"),
-        entities.GetEntityStateOrder("r9"),
-        entities.GetEntityStateOrder("r0", "r9"),
-        entities.GetEntitiesStatesOrder(EntityFilters(), "r9"),
+        entity_messages.GetEntityInfoRequest("r9"),
+        entity_messages.SetEntityInfoRequest("r9", HUMAN),
+        entity_messages.GetEntityBoundsOrder("r9"),
+        entity_messages.GetEntityStateOrder("r9"),
+        entity_messages.GetEntityStateOrder("r0", "r9"),
+        entity_messages.GetEntitiesStatesOrder(EntityFilters(), "r9"),
     ],
 )
 def test_what_does_not_exist_is_not_found(request_: msgspec.Struct) -> None:
@@ -182,9 +188,9 @@ def test_state_is_told_in_the_frame_of_another_entity() -> None:
     world = a_world("r0", "r1")
     world.place("r1", on_ground(1.0, 2.0, math.pi / 2.0))
 
-    response = handle(a_desk(world), entities.GetEntityStateOrder("r0", "r1"))
+    response = handle(a_desk(world), entity_messages.GetEntityStateOrder("r0", "r1"))
 
-    assert isinstance(response, services.GetEntityStateResponse)
+    assert isinstance(response, entity_messages.GetEntityStateResponse)
     assert response.state.header.frame_id == "r1"
     place = response.state.pose.position
     assert (place.x, place.y, place.z) == pytest.approx((-2.0, 1.0, 0.0))
@@ -193,9 +199,9 @@ def test_state_is_told_in_the_frame_of_another_entity() -> None:
 def test_states_of_all_that_pass_are_told_at_once() -> None:
     desk = a_desk(a_world("r0", "r1", "x"))
 
-    response = handle(desk, entities.GetEntitiesStatesOrder(EntityFilters("^r")))
+    response = handle(desk, entity_messages.GetEntitiesStatesOrder(EntityFilters("^r")))
 
-    assert isinstance(response, entities.GetEntitiesStatesResponse)
+    assert isinstance(response, entity_messages.GetEntitiesStatesResponse)
     assert response.entities == ("r0", "r1")
     assert [state.pose.position for state in response.states] == [
         Point(0.0, 0.0, WHEEL_RADIUS_M),
@@ -204,15 +210,17 @@ def test_states_of_all_that_pass_are_told_at_once() -> None:
 
 
 def test_states_of_nobody_are_none() -> None:
-    response = handle(a_desk(a_world("r0")), entities.GetEntitiesStatesOrder(EntityFilters("x")))
+    response = handle(
+        a_desk(a_world("r0")), entity_messages.GetEntitiesStatesOrder(EntityFilters("x"))
+    )
 
-    assert response == entities.GetEntitiesStatesResponse()
+    assert response == entity_messages.GetEntitiesStatesResponse()
 
 
 def test_acceleration_cannot_be_set() -> None:
     desk = a_desk(a_world("r0"))
 
     with pytest.raises(SimError, match="acceleration cannot be set") as error:
-        handle(desk, services.SetEntityStateRequest("r0", set_acceleration=True))
+        handle(desk, entity_messages.SetEntityStateRequest("r0", set_acceleration=True))
 
     assert error.value.code == 0

@@ -8,12 +8,18 @@ from hypothesis import strategies as st
 from tests.engines import STEP_NS, ObedientEngine
 from tests.sim_server.fakes import ReadHere, WallTime, a_desk, a_world, kinds_of_events, names_in
 from tests.sim_server.orders import BOX_BOT
-from zensim.proto.fleets import SpawnEntitiesOrder, SpawnEntitiesResponse, SpawnEntity
-from zensim.proto.geometry import Point, Pose, PoseStamped
-from zensim.proto.info import EntityInfo
-from zensim.proto.model import Model
-from zensim.proto.result import ResultCode, SpawnCode, SpawnEntitiesCode
-from zensim.proto.services import ResetScope, Resource, SpawnEntityOrder
+from zensim.proto.messages.entity_messages import EntityInfo
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode, SpawnEntitiesCode
+from zensim.proto.messages.simulation_messages import ResetScope
+from zensim.proto.messages.spawn_messages import (
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntitiesResponse,
+    SpawnEntity,
+    SpawnEntityOrder,
+)
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers import fleets

@@ -9,14 +9,22 @@ import pytest
 from tests.engines import STEP_NS
 from tests.models import a_body, a_box, a_state, an_arm
 from tests.sim_server.fakes import a_birth, a_desk, a_world, names_in
-from zensim.proto import gazebo
-from zensim.proto.catalog import SERVICES
-from zensim.proto.gazebo import GazeboEntityState, JointType, ODEJointProperties
-from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3, Wrench
-from zensim.proto.header import Duration, Time
-from zensim.proto.model import Inertial
-from zensim.proto.result import ResultCode
-from zensim.proto.services import State
+from zensim.proto.messages import gazebo_messages
+from zensim.proto.messages.gazebo_messages import GazeboEntityState, JointType, ODEJointProperties
+from zensim.proto.messages.model_messages import Inertial
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import (
+    Duration,
+    Point,
+    Pose,
+    Quaternion,
+    Time,
+    Twist,
+    Vector3,
+    Wrench,
+)
+from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.table import handle, refusal
@@ -39,16 +47,16 @@ def desk() -> Desk:
     return a_desk(world)
 
 
-def a_push(link: str = "box::base", **changes: object) -> gazebo.ApplyLinkWrenchRequest:
+def a_push(link: str = "box::base", **changes: object) -> gazebo_messages.ApplyLinkWrenchRequest:
     force = Wrench(Vector3(2.0, 0.0, 0.0))
-    plain = gazebo.ApplyLinkWrenchRequest(link, wrench=force, duration=FOR_EVER)
+    plain = gazebo_messages.ApplyLinkWrenchRequest(link, wrench=force, duration=FOR_EVER)
     return msgspec.structs.replace(plain, **changes)
 
 
-def gained(desk: Desk, request: gazebo.ApplyLinkWrenchRequest) -> list[float]:
+def gained(desk: Desk, request: gazebo_messages.ApplyLinkWrenchRequest) -> list[float]:
     """Push for a step, and find by how much each velocity grew for each newton [m/s^2]."""
     report = handle(desk, request)
-    assert isinstance(report, gazebo.ApplyLinkWrenchReport)
+    assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
     assert report.success
     before = desk.world.state_of("box").copy()
     desk.world.step()
@@ -58,11 +66,11 @@ def gained(desk: Desk, request: gazebo.ApplyLinkWrenchRequest) -> list[float]:
 
 def test_time_is_paused_and_played_however_often(desk: Desk) -> None:
     for request, state in (
-        (gazebo.PausePhysicsRequest(), State.PAUSED),
-        (gazebo.UnpausePhysicsRequest(), State.PLAYING),
+        (gazebo_messages.PausePhysicsRequest(), State.PAUSED),
+        (gazebo_messages.UnpausePhysicsRequest(), State.PLAYING),
     ):
-        assert handle(desk, request) == gazebo.EmptyReport()
-        assert handle(desk, request) == gazebo.EmptyReport()
+        assert handle(desk, request) == gazebo_messages.EmptyReport()
+        assert handle(desk, request) == gazebo_messages.EmptyReport()
         assert desk.world.state == state
 
 
@@ -70,7 +78,7 @@ def test_world_is_reset_without_its_time(desk: Desk) -> None:
     desk.world.place("box", a_state((9.0, 9.0, 9.0)))
     desk.world.step()
 
-    handle(desk, gazebo.ResetWorldRequest())
+    handle(desk, gazebo_messages.ResetWorldRequest())
 
     assert desk.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
     assert (desk.world.steps, names_in(desk.world)) == (1, ["box", "arm"])
@@ -80,9 +88,9 @@ def test_state_is_told_in_the_frame_of_another_entity(desk: Desk) -> None:
     desk.world.place("box", a_state((1.0, 2.0, 0.5), turn=LEFT, linear=(1.0, 0.0, 0.0)))
     desk.world.place("arm", a_state((1.0, 3.0, 0.5), linear=(1.0, 1.0, 0.0)))
 
-    report = handle(desk, gazebo.GazeboGetEntityStateRequest("arm", "box"))
+    report = handle(desk, gazebo_messages.GazeboGetEntityStateRequest("arm", "box"))
 
-    assert isinstance(report, gazebo.GazeboGetEntityStateReport)
+    assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
     assert report.success
     assert (report.header.frame_id, report.state.reference_frame) == ("box", "box")
     at, go = report.state.pose.position, report.state.twist.linear
@@ -91,9 +99,9 @@ def test_state_is_told_in_the_frame_of_another_entity(desk: Desk) -> None:
 
 
 def test_state_of_a_link_is_told_in_the_world(desk: Desk) -> None:
-    report = handle(desk, gazebo.GazeboGetEntityStateRequest("arm::arm"))
+    report = handle(desk, gazebo_messages.GazeboGetEntityStateRequest("arm::arm"))
 
-    assert isinstance(report, gazebo.GazeboGetEntityStateReport)
+    assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
     states = link_states(desk.world)
     place = states.name.index("arm::arm")
     assert (report.state.pose, report.state.twist) == (states.pose[place], states.twist[place])
@@ -104,8 +112,8 @@ def test_entity_is_put_beside_another(desk: Desk) -> None:
     pose = Pose(Point(1.0, 0.0, 0.0), Quaternion())
     state = GazeboEntityState("arm", pose, Twist(Vector3(1.0)), "box")
 
-    assert handle(desk, gazebo.GazeboSetEntityStateRequest(state)) == (
-        gazebo.GazeboSetEntityStateReport(success=True)
+    assert handle(desk, gazebo_messages.GazeboSetEntityStateRequest(state)) == (
+        gazebo_messages.GazeboSetEntityStateReport(success=True)
     )
 
     row = desk.world.state_of("arm")
@@ -146,7 +154,7 @@ def test_wrench_at_a_point_of_a_frame_turns_the_link_by_its_arm(desk: Desk) -> N
 def test_wrench_of_no_duration_does_nothing(desk: Desk) -> None:
     report = handle(desk, a_push(duration=Duration()))
 
-    assert isinstance(report, gazebo.ApplyLinkWrenchReport)
+    assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
     assert (report.success, len(desk.world.pushes)) == (True, 0)
 
 
@@ -166,23 +174,23 @@ def test_wrench_begins_and_ends_in_simulation_time(desk: Desk) -> None:
 def test_wrenches_are_cleared_by_link(desk: Desk) -> None:
     handle(desk, a_push())
 
-    handle(desk, gazebo.ClearLinkWrenchesRequest("arm::arm"))
+    handle(desk, gazebo_messages.ClearLinkWrenchesRequest("arm::arm"))
     assert len(desk.world.pushes) == 1
-    handle(desk, gazebo.ClearLinkWrenchesRequest("box::base"))
+    handle(desk, gazebo_messages.ClearLinkWrenchesRequest("box::base"))
     assert len(desk.world.pushes) == 0
 
 
 def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(desk: Desk) -> None:
     for name in ("swing", "arm::swing"):
-        request = gazebo.ApplyJointEffortRequest(name, 0.5, duration=FOR_EVER)
+        request = gazebo_messages.ApplyJointEffortRequest(name, 0.5, duration=FOR_EVER)
         report = handle(desk, request)
-        assert isinstance(report, gazebo.ApplyJointEffortReport)
+        assert isinstance(report, gazebo_messages.ApplyJointEffortReport)
         assert report.success
         assert report.status_message.endswith("for ever of simulation time")
     desk.world.step()
 
     assert desk.world.reading().joint_velocities[0] == pytest.approx(DT_S)
-    handle(desk, gazebo.ClearJointEffortsRequest("swing"))
+    handle(desk, gazebo_messages.ClearJointEffortsRequest("swing"))
     assert len(desk.world.pushes) == 0
 
 
@@ -190,10 +198,10 @@ def test_joint_is_changed_and_tells_so(desk: Desk) -> None:
     wanted = ODEJointProperties(damping=(0.3,), lo_stop=(-0.1,), hi_stop=(0.2,), fmax=(0.05,))
     number = desk.world.roster_number
 
-    handle(desk, gazebo.SetJointPropertiesRequest("swing", wanted))
+    handle(desk, gazebo_messages.SetJointPropertiesRequest("swing", wanted))
 
-    report = handle(desk, gazebo.GetJointPropertiesRequest("arm::swing"))
-    assert report == gazebo.GetJointPropertiesReport(
+    report = handle(desk, gazebo_messages.GetJointPropertiesRequest("arm::swing"))
+    assert report == gazebo_messages.GetJointPropertiesReport(
         JointType.REVOLUTE,
         damping=(0.3,),
         position=(0.0,),
@@ -211,7 +219,9 @@ def test_entity_goes_on_where_it_was_when_it_is_changed(desk: Desk) -> None:
     desk.world.place("arm", a_state((3.0, 0.0, 0.0), linear=(1.0, 0.0, 0.0)), np.array([0.3]))
     before = desk.world.state_of("arm").copy()
 
-    handle(desk, gazebo.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.3,))))
+    handle(
+        desk, gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.3,)))
+    )
 
     assert desk.world.state_of("arm") == pytest.approx(before)
     assert desk.world.reading().joint_positions[-1] == pytest.approx(0.3)
@@ -219,18 +229,18 @@ def test_entity_goes_on_where_it_was_when_it_is_changed(desk: Desk) -> None:
 
 
 def test_link_is_weighed_and_weighed_anew(desk: Desk) -> None:
-    found = handle(desk, gazebo.GetLinkPropertiesRequest("box::base"))
-    assert isinstance(found, gazebo.GetLinkPropertiesReport)
+    found = handle(desk, gazebo_messages.GetLinkPropertiesRequest("box::base"))
+    assert isinstance(found, gazebo_messages.GetLinkPropertiesReport)
     assert (found.mass, found.izz, found.gravity_mode) == (1.0, 0.01, True)
 
     com = Pose(Point(0.1, 0.0, 0.0), Quaternion(0.0, 0.0, HALF, HALF))
-    request = gazebo.SetLinkPropertiesRequest(
+    request = gazebo_messages.SetLinkPropertiesRequest(
         "box::base", com, gravity_mode=False, mass=4.0, ixx=0.1, iyy=0.2, izz=0.25
     )
     handle(desk, request)
 
-    again = handle(desk, gazebo.GetLinkPropertiesRequest("box::base"))
-    assert isinstance(again, gazebo.GetLinkPropertiesReport)
+    again = handle(desk, gazebo_messages.GetLinkPropertiesRequest("box::base"))
+    assert isinstance(again, gazebo_messages.GetLinkPropertiesReport)
     assert (again.mass, again.gravity_mode, again.com.position.x) == (4.0, False, 0.1)
     assert (again.ixx, again.iyy, again.izz) == pytest.approx((0.2, 0.1, 0.25))
     link = desk.world.entity("box").model.links[0]
@@ -268,67 +278,67 @@ REFUSED = {
         "reference_point inf is out of range",
     ),
     "turn no joint": (
-        gazebo.ApplyJointEffortRequest("knee", 1.0),
+        gazebo_messages.ApplyJointEffortRequest("knee", 1.0),
         ResultCode.NOT_FOUND,
         "no entity has a joint 'knee'",
     ),
     "turn no joint of one": (
-        gazebo.ApplyJointEffortRequest("arm::knee", 1.0),
+        gazebo_messages.ApplyJointEffortRequest("arm::knee", 1.0),
         ResultCode.NOT_FOUND,
         "use 'arm::swing'",
     ),
     "turn what has none": (
-        gazebo.ClearJointEffortsRequest("box::knee"),
+        gazebo_messages.ClearJointEffortsRequest("box::knee"),
         ResultCode.NOT_FOUND,
         "entity 'box' has none",
     ),
     "turn by no number": (
-        gazebo.ApplyJointEffortRequest("swing", math.inf),
+        gazebo_messages.ApplyJointEffortRequest("swing", math.inf),
         ResultCode.OPERATION_FAILED,
         "effort inf is out of range",
     ),
     "tell nobody's state": (
-        gazebo.GazeboGetEntityStateRequest("nobody"),
+        gazebo_messages.GazeboGetEntityStateRequest("nobody"),
         ResultCode.NOT_FOUND,
         "'nobody' does not exist",
     ),
     "tell no link's state": (
-        gazebo.GazeboGetEntityStateRequest("arm::leg"),
+        gazebo_messages.GazeboGetEntityStateRequest("arm::leg"),
         ResultCode.NOT_FOUND,
         "frame 'arm::leg' does not exist",
     ),
     "put a hanging link": (
-        gazebo.GazeboSetEntityStateRequest(GazeboEntityState("arm::arm")),
+        gazebo_messages.GazeboSetEntityStateRequest(GazeboEntityState("arm::arm")),
         ResultCode.OPERATION_FAILED,
         "hangs on joints.*use 'arm'",
     ),
     "set ODE's solver": (
-        gazebo.SetJointPropertiesRequest("swing", ODEJointProperties(erp=(0.2,))),
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(erp=(0.2,))),
         ResultCode.FEATURE_UNSUPPORTED,
         "erp of joint 'swing' is of ODE's solver",
     ),
     "damp two axes": (
-        gazebo.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.2, 0.1))),
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.2, 0.1))),
         ResultCode.OPERATION_FAILED,
         "damping has 2 numbers",
     ),
     "damp below zero": (
-        gazebo.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(-1.0,))),
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(-1.0,))),
         ResultCode.OPERATION_FAILED,
         "damping -1 is negative",
     ),
     "cross the limits": (
-        gazebo.SetJointPropertiesRequest("swing", ODEJointProperties(lo_stop=(2.0,))),
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(lo_stop=(2.0,))),
         ResultCode.OPERATION_FAILED,
         "lo_stop 2 of joint 'swing' is above hi_stop 0.5",
     ),
     "weigh nothing": (
-        gazebo.SetLinkPropertiesRequest("box::base"),
+        gazebo_messages.SetLinkPropertiesRequest("box::base"),
         ResultCode.OPERATION_FAILED,
         "mass 0 is not positive",
     ),
     "weigh a moment below zero": (
-        gazebo.SetLinkPropertiesRequest("box::base", mass=1.0, ixx=-1.0),
+        gazebo_messages.SetLinkPropertiesRequest("box::base", mass=1.0, ixx=-1.0),
         ResultCode.OPERATION_FAILED,
         "a moment of inertia is negative",
     ),
@@ -351,10 +361,14 @@ def test_joint_that_several_entities_have_is_named_in_full(desk: Desk) -> None:
     desk.world.spawn(a_birth("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
 
     with pytest.raises(SimError, match="use 'arm::swing', 'other::swing'"):
-        handle(desk, gazebo.ApplyJointEffortRequest("swing", 1.0))
+        handle(desk, gazebo_messages.ApplyJointEffortRequest("swing", 1.0))
 
 
-GAZEBO = [name for name, one in SERVICES.items() if one.request.__module__ == "zensim.proto.gazebo"]
+GAZEBO = [
+    name
+    for name, one in SERVICES.items()
+    if one.request.__module__ == "zensim.proto.messages.gazebo_messages"
+]
 
 
 @pytest.mark.parametrize("name", GAZEBO)

@@ -12,13 +12,23 @@ from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.proto.strategies import messages_of
 from tests.sim_server.fakes import a_command, a_desk, a_world, names_in, wheel_speeds
 from tests.sim_server.orders import an_order, spawned
-from zensim.proto import claims, entities, services, telemetry
-from zensim.proto.catalog import SERVICES, Service
-from zensim.proto.codec import Format, encode, offers
-from zensim.proto.geometry import Point, Pose, Twist, Vector3
-from zensim.proto.header import Header, Time
-from zensim.proto.result import ResultCode
-from zensim.proto.services import ResetScope, State
+from zensim.proto.codec.message_codec import Format, encode, supports_format
+from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import (
+    GetSimulationStateRequest,
+    GetSimulationStateResponse,
+    GetSimulatorFeaturesRequest,
+    GetSimulatorFeaturesResponse,
+    ResetScope,
+    ResetSimulationRequest,
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest
+from zensim.proto.messages.standard_messages import Header, Point, Pose, Time, Twist, Vector3
+from zensim.proto.service_catalog import SERVICES, Service
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.offers import FEATURES
 from zensim.sim_server.handlers.table import HANDLERS, handle, refusal
@@ -30,8 +40,8 @@ def state_at(
     *,
     linear: tuple[float, float, float] = (0.0, 0.0, 0.0),
     frame_id: str = "",
-) -> services.EntityState:
-    return services.EntityState(
+) -> entity_messages.EntityState:
+    return entity_messages.EntityState(
         Header(frame_id=frame_id), Pose(Point(*place)), Twist(Vector3(*linear))
     )
 
@@ -46,9 +56,9 @@ def test_handlers_are_of_services_only() -> None:
 
 
 def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
-    response = handle(a_desk(a_world()), services.GetSimulatorFeaturesRequest())
+    response = handle(a_desk(a_world()), GetSimulatorFeaturesRequest())
 
-    assert isinstance(response, services.GetSimulatorFeaturesResponse)
+    assert isinstance(response, GetSimulatorFeaturesResponse)
     assert set(response.features.features) == {int(feature) for feature in FEATURES}
     assert response.features.spawn_formats == ("urdf", "sdf")
     assert response.features.custom_info.startswith("zensim ")
@@ -57,15 +67,15 @@ def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
 def test_delete_takes_an_entity_out() -> None:
     desk = a_desk(a_world("r0", "r1"))
 
-    handle(desk, services.DeleteEntityRequest("r0"))
+    handle(desk, DeleteEntityRequest("r0"))
 
     assert names_in(desk.world) == ["r1"]
 
 
 def test_get_entities_names_all_in_the_order_of_spawning() -> None:
-    response = handle(a_desk(a_world("r2", "r0", "r1")), services.GetEntitiesRequest())
+    response = handle(a_desk(a_world("r2", "r0", "r1")), entity_messages.GetEntitiesRequest())
 
-    assert isinstance(response, services.GetEntitiesResponse)
+    assert isinstance(response, entity_messages.GetEntitiesResponse)
     assert response.entities == ("r2", "r0", "r1")
 
 
@@ -76,9 +86,9 @@ def test_get_state_tells_pose_twist_and_time_in_the_world() -> None:
     for _ in range(240):
         world.step()
 
-    response = handle(a_desk(world), entities.GetEntityStateOrder("r0"))
+    response = handle(a_desk(world), entity_messages.GetEntityStateOrder("r0"))
 
-    assert isinstance(response, services.GetEntityStateResponse)
+    assert isinstance(response, entity_messages.GetEntityStateResponse)
     assert response.state.header == Header(Time(1, 80), "world")
     assert response.state.pose.position.x == pytest.approx(4.0 * WHEEL_RADIUS_M, abs=1e-3)
     assert response.state.twist.linear.x == pytest.approx(4.0 * WHEEL_RADIUS_M)
@@ -88,7 +98,7 @@ def test_set_state_of_version_1_sets_pose_and_twist() -> None:
     desk = a_desk(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
-    handle(desk, services.SetEntityStateRequest("r0", state))
+    handle(desk, entity_messages.SetEntityStateRequest("r0", state))
 
     row = desk.world.state_of("r0")
     assert (row[0], row[2], row[7]) == (3.0, 0.5, 1.0)
@@ -98,7 +108,7 @@ def test_set_state_sets_only_the_pose_when_only_that_is_asked_for() -> None:
     desk = a_desk(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
-    handle(desk, services.SetEntityStateRequest("r0", state, set_pose=True))
+    handle(desk, entity_messages.SetEntityStateRequest("r0", state, set_pose=True))
 
     row = desk.world.state_of("r0")
     assert (row[0], row[7]) == (3.0, 0.0)
@@ -108,7 +118,7 @@ def test_set_state_sets_only_the_twist_when_only_that_is_asked_for() -> None:
     desk = a_desk(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
-    handle(desk, services.SetEntityStateRequest("r0", state, set_twist=True))
+    handle(desk, entity_messages.SetEntityStateRequest("r0", state, set_twist=True))
 
     row = desk.world.state_of("r0")
     assert (row[0], row[7]) == (0.0, 1.0)
@@ -119,7 +129,7 @@ def test_set_state_takes_pose_and_twist_in_the_frame_of_another_entity() -> None
     world.place("r1", on_ground(5.0, 0.0, math.pi / 2.0))
     state = state_at((1.0, 0.0, 0.0), linear=(2.0, 0.0, 0.0), frame_id="r1")
 
-    handle(a_desk(world), services.SetEntityStateRequest("r0", state))
+    handle(a_desk(world), entity_messages.SetEntityStateRequest("r0", state))
 
     row = world.state_of("r0")
     assert row[:3] == pytest.approx([5.0, 1.0, WHEEL_RADIUS_M])
@@ -128,9 +138,9 @@ def test_set_state_takes_pose_and_twist_in_the_frame_of_another_entity() -> None
 
 def test_set_state_does_not_change_where_a_reset_goes_back_to() -> None:
     desk = a_desk(a_world("r0"))
-    handle(desk, services.SetEntityStateRequest("r0", state_at((3.0, 0.0, 0.5))))
+    handle(desk, entity_messages.SetEntityStateRequest("r0", state_at((3.0, 0.0, 0.5))))
 
-    handle(desk, services.ResetSimulationRequest(ResetScope.STATE))
+    handle(desk, ResetSimulationRequest(ResetScope.STATE))
 
     assert desk.world.state_of("r0") == pytest.approx(on_ground())
 
@@ -138,12 +148,12 @@ def test_set_state_does_not_change_where_a_reset_goes_back_to() -> None:
 def test_simulation_is_paused_and_played() -> None:
     desk = a_desk(a_world())
 
-    handle(desk, services.SetSimulationStateRequest(services.SimulationState(State.PAUSED)))
+    handle(desk, SetSimulationStateRequest(SimulationState(State.PAUSED)))
 
-    response = handle(desk, services.GetSimulationStateRequest())
-    assert isinstance(response, services.GetSimulationStateResponse)
+    response = handle(desk, GetSimulationStateRequest())
+    assert isinstance(response, GetSimulationStateResponse)
     assert response.state.state == State.PAUSED
-    handle(desk, services.SetSimulationStateRequest(services.SimulationState(State.PLAYING)))
+    handle(desk, SetSimulationStateRequest(SimulationState(State.PLAYING)))
     assert desk.world.state == State.PLAYING
 
 
@@ -151,7 +161,7 @@ def test_simulation_is_paused_and_played() -> None:
 def test_reset_takes_every_sum_of_known_bits(scope: int) -> None:
     desk = a_desk(a_world("r0"))
 
-    handle(desk, services.ResetSimulationRequest(scope))
+    handle(desk, ResetSimulationRequest(scope))
 
     assert desk.world.epoch == 1
     assert bool(names_in(desk.world)) == (scope in (1, 2, 3))
@@ -161,9 +171,9 @@ def test_claim_tells_model_and_clock() -> None:
     desk = a_desk(a_world("r0"))
     desk.alive_agents.add("a")
 
-    response = handle(desk, claims.ClaimEntityRequest("a", ("r0",)))
+    response = handle(desk, agent_messages.ClaimEntityRequest("a", ("r0",)))
 
-    assert isinstance(response, claims.ClaimEntityResponse)
+    assert isinstance(response, agent_messages.ClaimEntityResponse)
     assert [claim.entity for claim in response.grants] == ["r0"]
     assert (response.step_ns, response.control_steps) == (desk.world.step_ns, 3)
 
@@ -172,7 +182,7 @@ def test_claim_ends_as_it_was_asked_to() -> None:
     desk = a_desk(a_world("r0"))
     desk.alive_agents.add("a")
 
-    handle(desk, claims.ClaimEntityRequest("a", ("r0",), "delete"))
+    handle(desk, agent_messages.ClaimEntityRequest("a", ("r0",), "delete"))
     desk.world.release("a")
 
     assert names_in(desk.world) == []
@@ -182,9 +192,9 @@ def test_models_are_told_once_for_all_that_share_them() -> None:
     desk = a_desk(a_world("r0", "r1"))
     spawned(desk, an_order("r2"))
 
-    response = handle(desk, telemetry.GetModelsRequest())
+    response = handle(desk, telemetry_messages.GetModelsRequest())
 
-    assert isinstance(response, telemetry.GetModelsResponse)
+    assert isinstance(response, telemetry_messages.GetModelsResponse)
     assert [(one.entity, one.model) for one in response.entities] == [
         ("r0", 0),
         ("r1", 0),
@@ -198,9 +208,9 @@ def test_models_of_some_entities_are_told_when_they_are_named() -> None:
     desk = a_desk(a_world("r0", "r1"))
     desk.world.claim("a", ("r1",), "stop")
 
-    response = handle(desk, telemetry.GetModelsRequest(("r1",)))
+    response = handle(desk, telemetry_messages.GetModelsRequest(("r1",)))
 
-    assert isinstance(response, telemetry.GetModelsResponse)
+    assert isinstance(response, telemetry_messages.GetModelsResponse)
     (one,) = response.entities
     assert (one.entity, one.namespace, one.model, one.agent) == ("r1", "r1", 0, "a")
     assert one.initial_pose.position == Point(1.0, 0.0, WHEEL_RADIUS_M)
@@ -212,9 +222,9 @@ def test_info_tells_who_is_there() -> None:
     desk.world.step()
     desk.meter.real_time_factor = 0.9
 
-    info = handle(desk, telemetry.InfoRequest())
+    info = handle(desk, telemetry_messages.InfoRequest())
 
-    assert isinstance(info, telemetry.Info)
+    assert isinstance(info, telemetry_messages.Info)
     assert (info.entities, info.agents, info.claimed) == (2, 1, 2)
     assert (info.steps, info.state, info.seed) == (1, "playing", 7)
     assert (info.real_time_factor, info.target_real_time_factor) == (0.9, 2.0)
@@ -226,9 +236,9 @@ def test_info_tells_a_real_time_factor_of_zero_when_paused() -> None:
     desk.meter.real_time_factor = 0.9
     desk.world.pause()
 
-    info = handle(desk, telemetry.InfoRequest())
+    info = handle(desk, telemetry_messages.InfoRequest())
 
-    assert isinstance(info, telemetry.Info)
+    assert isinstance(info, telemetry_messages.Info)
     assert (info.real_time_factor, info.state) == (0.0, "paused")
 
 
@@ -258,7 +268,7 @@ def test_service_answers_any_request_or_refuses_it(
     except SimError as error:
         response = refusal(service.name, error.code, str(error))
 
-    for wanted in (one for one in Format if offers(type(response), one)):
+    for wanted in (one for one in Format if supports_format(type(response), one)):
         assert encode(response, wanted)
     assert np.isfinite(desk.world.reading().base).all()
     assert np.isfinite(wheel_speeds(desk.world)).all()

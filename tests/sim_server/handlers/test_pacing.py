@@ -10,21 +10,23 @@ from hypothesis import strategies as st
 from tests.engines import STEP_NS
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_stage, answer_of
-from zensim.proto.header import Time, ns_from_time, time_from_ns
-from zensim.proto.result import Result, ResultCode
-from zensim.proto.services import ResetScope, State, StepSimulationRequest
-from zensim.proto.stepping import (
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
     CancelStepsResponse,
+    ResetScope,
     RunToRequest,
     RunToResponse,
     SetSpeedRequest,
     SetSpeedResponse,
     SimulateStepsRequest,
     SimulateStepsResponse,
+    State,
+    StepSimulationRequest,
     StepsProgress,
 )
-from zensim.proto.telemetry import Info, InfoRequest
+from zensim.proto.messages.standard_messages import Time, ns_from_time, time_from_ns
+from zensim.proto.messages.telemetry_messages import Info, InfoRequest
 from zensim.sim_server.handlers.pacing import MAX_GOALS, MAX_STEPS
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)

@@ -5,8 +5,8 @@ import pytest
 
 from tests.models import a_box, on_ground
 from tests.sim_server.fakes import a_birth, a_desk, a_world
-from zensim.proto import claims
-from zensim.proto.codec import MalformedPayload
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages import agent_messages
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState, Refused
 from zensim.sim_server.handlers import agents
@@ -15,10 +15,10 @@ from zensim.sim_server.handlers.table import handle
 CRATE = a_box()
 
 
-def share(desk: Desk, pool: str, limit: int = 0) -> claims.ClaimShareResponse:
+def share(desk: Desk, pool: str, limit: int = 0) -> agent_messages.ClaimShareResponse:
     desk.alive_agents.add(pool)
-    response = handle(desk, claims.ClaimShareRequest(pool, limit))
-    assert isinstance(response, claims.ClaimShareResponse)
+    response = handle(desk, agent_messages.ClaimShareRequest(pool, limit))
+    assert isinstance(response, agent_messages.ClaimShareResponse)
     return response
 
 
@@ -29,7 +29,7 @@ def driven_by(desk: Desk, pool: str) -> list[str]:
 def test_first_pool_gets_all_robots_that_nobody_drives_by_name() -> None:
     desk = a_desk(a_world("r0", "r1", "r2"))
     desk.alive_agents.add("a")
-    handle(desk, claims.ClaimEntityRequest("a", ("r1",)))
+    handle(desk, agent_messages.ClaimEntityRequest("a", ("r1",)))
 
     response = share(desk, "p")
 
@@ -55,7 +55,7 @@ def test_share_says_each_model_and_text_once() -> None:
 
     assert len(response.grants) == 3
     assert len(response.models) == len(response.robot_descriptions) == 1
-    assert [one.model for one in claims.claims_of(response)] == [
+    assert [one.model for one in agent_messages.expand_grants(response)] == [
         entity.model for entity in desk.world.entities
     ]
 
@@ -106,18 +106,18 @@ def test_robots_of_a_pool_that_died_go_to_the_other() -> None:
 
 def test_pool_without_a_token_is_refused() -> None:
     with pytest.raises(IncorrectState, match="'p' has no liveliness token"):
-        handle(a_desk(a_world("r0")), claims.ClaimShareRequest("p"))
+        handle(a_desk(a_world("r0")), agent_messages.ClaimShareRequest("p"))
 
 
 def test_pool_with_a_bad_name_is_refused() -> None:
     with pytest.raises(Refused, match="'p q' is not valid"):
-        handle(a_desk(a_world("r0")), claims.ClaimShareRequest("p q"))
+        handle(a_desk(a_world("r0")), agent_messages.ClaimShareRequest("p q"))
 
 
 def test_claims_of_a_response_share_models_and_refuse_what_is_not_there() -> None:
     response = share(a_desk(a_world("r0", "r1")), "p")
-    one, other = claims.claims_of(response)
+    one, other = agent_messages.expand_grants(response)
 
     assert one.model is other.model
     with pytest.raises(MalformedPayload, match="not there"):
-        claims.claims_of(msgspec.structs.replace(response, models=()))
+        agent_messages.expand_grants(msgspec.structs.replace(response, models=()))

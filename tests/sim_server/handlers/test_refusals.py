@@ -8,17 +8,32 @@ import pytest
 from tests.sim_server.description.robots import a_joint, a_link, a_robot
 from tests.sim_server.fakes import a_desk, a_world, names_in
 from tests.sim_server.orders import BOX_BOT, an_order
-from zensim.proto import claims, entities, services, telemetry
-from zensim.proto.geometry import Point, Pose, PoseStamped, Quaternion, Twist, Vector3
-from zensim.proto.header import Header
-from zensim.proto.result import (
+from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.result_messages import (
     ClaimCode,
     ResultCode,
     SetEntityStateCode,
     SetSimulationStateCode,
     SpawnCode,
 )
-from zensim.proto.services import EntityState, Resource, State
+from zensim.proto.messages.simulation_messages import (
+    ResetSimulationRequest,
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+    StepSimulationRequest,
+)
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Twist,
+    Vector3,
+)
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.pacing import MAX_STEPS
@@ -32,24 +47,24 @@ NAN, INF = math.nan, math.inf
 HERE, STILL = Pose(), Twist()
 
 
-def a_spawn(**changes: object) -> services.SpawnEntityOrder:
+def a_spawn(**changes: object) -> SpawnEntityOrder:
     return msgspec.structs.replace(an_order("r9"), **changes)
 
 
-def a_spawn_of(text: str) -> services.SpawnEntityOrder:
+def a_spawn_of(text: str) -> SpawnEntityOrder:
     return a_spawn(entity_resource=Resource(resource_string=text))
 
 
-def a_spawn_at(pose: Pose, frame_id: str = "") -> services.SpawnEntityOrder:
+def a_spawn_at(pose: Pose, frame_id: str = "") -> SpawnEntityOrder:
     return a_spawn(initial_pose=PoseStamped(Header(frame_id=frame_id), pose))
 
 
-def a_placing(pose: Pose = HERE, twist: Twist = STILL) -> services.SetEntityStateRequest:
-    return services.SetEntityStateRequest("r0", EntityState(pose=pose, twist=twist))
+def a_placing(pose: Pose = HERE, twist: Twist = STILL) -> entity_messages.SetEntityStateRequest:
+    return entity_messages.SetEntityStateRequest("r0", EntityState(pose=pose, twist=twist))
 
 
-def in_state(state: int) -> services.SetSimulationStateRequest:
-    return services.SetSimulationStateRequest(services.SimulationState(state))
+def in_state(state: int) -> SetSimulationStateRequest:
+    return SetSimulationStateRequest(SimulationState(state))
 
 
 REFUSED = {
@@ -120,22 +135,22 @@ REFUSED = {
         "'r7' does not exist; use 'world', 'map', an entity",
     ),
     "delete nobody": (
-        services.DeleteEntityRequest("r7"),
+        DeleteEntityRequest("r7"),
         ResultCode.NOT_FOUND,
         "'r7' does not exist; 'get_entities' lists",
     ),
     "filter": (
-        services.GetEntitiesRequest(services.EntityFilters("r(")),
+        entity_messages.GetEntitiesRequest(entity_messages.EntityFilters("r(")),
         ResultCode.OPERATION_FAILED,
         r"'r\(' is no POSIX extended regular expression",
     ),
     "ask for the state of nobody": (
-        entities.GetEntityStateOrder("r7"),
+        entity_messages.GetEntityStateOrder("r7"),
         ResultCode.NOT_FOUND,
         "'r7' does not exist",
     ),
     "place nobody": (
-        services.SetEntityStateRequest("r7"),
+        entity_messages.SetEntityStateRequest("r7"),
         ResultCode.NOT_FOUND,
         "'r7' does not exist",
     ),
@@ -150,12 +165,12 @@ REFUSED = {
         "above 10000; use m/s and rad/s",
     ),
     "place beside nobody": (
-        services.SetEntityStateRequest("r0", EntityState(Header(frame_id="r7"))),
+        entity_messages.SetEntityStateRequest("r0", EntityState(Header(frame_id="r7"))),
         ResultCode.NOT_FOUND,
         "'r7' does not exist",
     ),
     "accelerate": (
-        services.SetEntityStateRequest("r0", set_acceleration=True),
+        entity_messages.SetEntityStateRequest("r0", set_acceleration=True),
         ResultCode.FEATURE_UNSUPPORTED,
         "acceleration cannot be set: it follows from forces",
     ),
@@ -170,42 +185,42 @@ REFUSED = {
         "state no_world is reached by unload_world and load_world only",
     ),
     "step while playing": (
-        services.StepSimulationRequest(1),
+        StepSimulationRequest(1),
         ResultCode.INCORRECT_STATE,
         "is playing; pause it before stepping",
     ),
     "reset unknown bits": (
-        services.ResetSimulationRequest(8),
+        ResetSimulationRequest(8),
         ResultCode.FEATURE_UNSUPPORTED,
         "scope 8 has unknown bits; use 0, 255 or a sum of 1, 2, 4",
     ),
     "claim under a bad name": (
-        claims.ClaimEntityRequest("a b", ("r0",)),
+        agent_messages.ClaimEntityRequest("a b", ("r0",)),
         ClaimCode.AGENT_INVALID,
         "agent 'a b' is not valid; use a letter",
     ),
     "claim without being alive": (
-        claims.ClaimEntityRequest("ghost", ("r0",)),
+        agent_messages.ClaimEntityRequest("ghost", ("r0",)),
         ResultCode.INCORRECT_STATE,
         "'ghost' has no liveliness token; declare it before",
     ),
     "claim nothing": (
-        claims.ClaimEntityRequest("a"),
+        agent_messages.ClaimEntityRequest("a"),
         ClaimCode.NOT_DRIVABLE,
         "no entity was named; name at least one",
     ),
     "claim nobody": (
-        claims.ClaimEntityRequest("a", ("r0", "r7")),
+        agent_messages.ClaimEntityRequest("a", ("r0", "r7")),
         ResultCode.NOT_FOUND,
         "'r7' does not exist",
     ),
     "claim what another drives": (
-        claims.ClaimEntityRequest("a", ("r1",)),
+        agent_messages.ClaimEntityRequest("a", ("r1",)),
         ClaimCode.ALREADY_CLAIMED,
         "'r1' is driven by agent 'b'; stop that agent first",
     ),
     "ask for the model of nobody": (
-        telemetry.GetModelsRequest(("r7",)),
+        telemetry_messages.GetModelsRequest(("r7",)),
         ResultCode.NOT_FOUND,
         "'r7' does not exist",
     ),
@@ -242,7 +257,7 @@ def test_steps_are_refused_when_they_are_none_or_too_many(desk: Desk, steps: int
     desk.world.pause()
 
     with pytest.raises(SimError, match=f"steps={steps} is out of range; use 1 to") as refused:
-        handle(desk, services.StepSimulationRequest(steps))
+        handle(desk, StepSimulationRequest(steps))
 
     assert refused.value.code == ResultCode.OPERATION_FAILED
 

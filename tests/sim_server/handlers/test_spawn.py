@@ -7,9 +7,8 @@ import pytest
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events
 from tests.sim_server.orders import LYING, an_order, spawned, suspicions
-from zensim.proto import services
-from zensim.proto.geometry import Quaternion
-from zensim.proto.services import Resource
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Quaternion
 from zensim.sim_server.desk import Desk
 
 
@@ -40,7 +39,7 @@ def test_spawn_takes_a_description_as_text_and_keeps_it_for_the_agent() -> None:
     desk = a_desk(a_world())
     text = '<robot name="dot"><link name="base"/></robot>'
 
-    report = spawned(desk, services.SpawnEntityOrder(entity_resource=Resource("", text)))
+    report = spawned(desk, SpawnEntityOrder(entity_resource=Resource("", text)))
 
     assert report.entity_name == "dot"
     assert desk.world.entity("dot").description == text

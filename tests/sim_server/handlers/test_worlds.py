@@ -7,15 +7,21 @@ import pytest
 
 from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events, names_in
 from tests.sim_server.orders import an_order
-from zensim.proto import services, worlds
-from zensim.proto.result import (
+from zensim.proto.messages import entity_messages, world_messages
+from zensim.proto.messages.entity_messages import TagsFilter
+from zensim.proto.messages.result_messages import (
     GetAvailableWorldsCode,
     GetCurrentWorldCode,
     LoadWorldCode,
     ResultCode,
     UnloadWorldCode,
 )
-from zensim.proto.services import Resource, State, TagsFilter
+from zensim.proto.messages.simulation_messages import (
+    ResetSimulationRequest,
+    State,
+    StepSimulationRequest,
+)
+from zensim.proto.messages.spawn_messages import Resource
 from zensim.sim_server.description.sdf import WorldModel
 from zensim.sim_server.desk import Desk, Founded
 from zensim.sim_server.errors import SimError
@@ -36,33 +42,33 @@ def sdf(inside: str = "", name: str = "w") -> str:
     return f"<sdf version='1.6'><world name='{name}'>{GROUND}{inside}</world></sdf>"
 
 
-def loading(uri: str = "", text: str = "", **wishes: bool) -> worlds.LoadWorldRequest:
-    return worlds.LoadWorldRequest(Resource(uri, text), **wishes)
+def loading(uri: str = "", text: str = "", **wishes: bool) -> world_messages.LoadWorldRequest:
+    return world_messages.LoadWorldRequest(Resource(uri, text), **wishes)
 
 
-def loaded(desk: Desk, request: worlds.LoadWorldRequest) -> worlds.LoadWorldReport:
+def loaded(desk: Desk, request: world_messages.LoadWorldRequest) -> world_messages.LoadWorldReport:
     later = handle(desk, request)
     assert isinstance(later, Later)
     while not later.is_ready():
         desk.descriptions.poll()
     report = later.outcome()
-    assert isinstance(report, worlds.LoadWorldReport)
+    assert isinstance(report, world_messages.LoadWorldReport)
     return report
 
 
-def listed(desk: Desk, request: worlds.GetAvailableWorldsRequest) -> list[str]:
+def listed(desk: Desk, request: world_messages.GetAvailableWorldsRequest) -> list[str]:
     return [world.world_resource.uri for world in available(desk, request)]
 
 
 def available(
-    desk: Desk, request: worlds.GetAvailableWorldsRequest
-) -> tuple[worlds.WorldResource, ...]:
+    desk: Desk, request: world_messages.GetAvailableWorldsRequest
+) -> tuple[world_messages.WorldResource, ...]:
     later = handle(desk, request)
     assert isinstance(later, Later)
     while not later.is_ready():
         pass
     response = later.outcome()
-    assert isinstance(response, worlds.GetAvailableWorldsResponse)
+    assert isinstance(response, world_messages.GetAvailableWorldsResponse)
     return response.worlds
 
 
@@ -101,7 +107,7 @@ def test_world_stands_while_another_is_read(desk: Desk) -> None:
 
     assert desk.world.state == State.LOADING_WORLD
     assert names_in(desk.world) == ["r0", "r1"]
-    for request in (an_order("r9"), loading("empty"), worlds.UnloadWorldRequest()):
+    for request in (an_order("r9"), loading("empty"), world_messages.UnloadWorldRequest()):
         with pytest.raises(SimError) as refused:
             handle(desk, request)
         assert refused.value.code == ResultCode.INCORRECT_STATE
@@ -200,7 +206,7 @@ REFUSED = {
 
 @pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
 def test_world_is_refused(
-    desk: Desk, folder: Path, request_: worlds.LoadWorldRequest, code: int, message: str
+    desk: Desk, folder: Path, request_: world_messages.LoadWorldRequest, code: int, message: str
 ) -> None:
     (folder / "notes.txt").write_text(sdf())
     (folder / "noise.sdf").write_bytes(b"\xff\xfe\xff")
@@ -249,20 +255,22 @@ def test_world_includes_what_lies_in_the_operators_folders(desk: Desk, folder: P
 
 
 def test_world_is_unloaded_with_everything_in_it(desk: Desk) -> None:
-    handle(desk, worlds.UnloadWorldRequest())
+    handle(desk, world_messages.UnloadWorldRequest())
 
     assert (desk.world.state, names_in(desk.world)) == (State.NO_WORLD, [])
     for request, code in (
-        (worlds.UnloadWorldRequest(), UnloadWorldCode.NO_WORLD_LOADED),
-        (worlds.GetCurrentWorldRequest(), GetCurrentWorldCode.NO_WORLD_LOADED),
+        (world_messages.UnloadWorldRequest(), UnloadWorldCode.NO_WORLD_LOADED),
+        (world_messages.GetCurrentWorldRequest(), GetCurrentWorldCode.NO_WORLD_LOADED),
         (an_order("r9"), ResultCode.INCORRECT_STATE),
-        (services.StepSimulationRequest(1), ResultCode.INCORRECT_STATE),
-        (services.ResetSimulationRequest(), ResultCode.INCORRECT_STATE),
+        (StepSimulationRequest(1), ResultCode.INCORRECT_STATE),
+        (ResetSimulationRequest(), ResultCode.INCORRECT_STATE),
     ):
         with pytest.raises(SimError) as refused:
             handle(desk, request)
         assert refused.value.code == code
-    assert handle(desk, services.GetEntitiesRequest()) == services.GetEntitiesResponse()
+    assert (
+        handle(desk, entity_messages.GetEntitiesRequest()) == entity_messages.GetEntitiesResponse()
+    )
 
     loaded(desk, loading("empty"))
 
@@ -273,10 +281,12 @@ def test_current_world_is_told_as_it_is_asked_for(desk: Desk) -> None:
     text = sdf("<zensim:tags> a b </zensim:tags>", "yard")
     loaded(desk, loading(text=text))
 
-    response = handle(desk, worlds.GetCurrentWorldRequest())
+    response = handle(desk, world_messages.GetCurrentWorldRequest())
 
-    assert isinstance(response, worlds.GetCurrentWorldResponse)
-    assert response.world == worlds.WorldResource("yard", Resource("", text), "", ("a", "b"))
+    assert isinstance(response, world_messages.GetCurrentWorldResponse)
+    assert response.world == world_messages.WorldResource(
+        "yard", Resource("", text), "", ("a", "b")
+    )
 
 
 def test_worlds_are_listed_by_folder_and_tag(desk: Desk, folder: Path) -> None:
@@ -285,7 +295,7 @@ def test_worlds_are_listed_by_folder_and_tag(desk: Desk, folder: Path) -> None:
     (folder / "b.sdf").write_text(sdf("<zensim:tags>cold</zensim:tags>"))
     (folder / "model.sdf").write_text("<sdf version='1.6'><model name='m'/></sdf>")
     (folder / "link.world").symlink_to(folder.parent / "outside.world")
-    ask = worlds.GetAvailableWorldsRequest
+    ask = world_messages.GetAvailableWorldsRequest
 
     assert listed(desk, ask()) == ["empty", "walls", "warehouse", "b.sdf", "deep/a.world"]
     assert listed(desk, ask(filter=TagsFilter(("cold", "no")))) == ["b.sdf", "deep/a.world"]
@@ -294,7 +304,7 @@ def test_worlds_are_listed_by_folder_and_tag(desk: Desk, folder: Path) -> None:
 
 
 def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(desk: Desk) -> None:
-    found = available(desk, worlds.GetAvailableWorldsRequest())
+    found = available(desk, world_messages.GetAvailableWorldsRequest())
 
     empty = next(world for world in found if world.world_resource.uri == "empty")
     assert (empty.description, empty.tags) == (
@@ -315,7 +325,7 @@ def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
 def test_many_files_are_looked_at_a_few_at_a_turn(desk: Desk, folder: Path) -> None:
     for number in range(3 * FILES_A_TURN):
         (folder / f"{number:03}.world").write_text(sdf())
-    later = handle(desk, worlds.GetAvailableWorldsRequest())
+    later = handle(desk, world_messages.GetAvailableWorldsRequest())
     assert isinstance(later, Later)
 
     turns = 1
@@ -331,16 +341,18 @@ def test_source_outside_the_operators_folders_is_not_looked_into(
     desk: Desk, folder: Path, source: str
 ) -> None:
     with pytest.raises(SimError, match="is no folder below those of --model-path") as refused:
-        listed(desk, worlds.GetAvailableWorldsRequest(additional_sources=(source,)))
+        listed(desk, world_messages.GetAvailableWorldsRequest(additional_sources=(source,)))
 
     assert refused.value.code == ResultCode.NOT_FOUND
-    lenient = worlds.GetAvailableWorldsRequest(additional_sources=(source,), continue_on_error=True)
+    lenient = world_messages.GetAvailableWorldsRequest(
+        additional_sources=(source,), continue_on_error=True
+    )
     assert listed(desk, lenient) == ["empty", "walls", "warehouse"]
     assert folder.is_dir()
 
 
 def test_online_source_is_passed_over_when_only_offline_ones_are_wanted(desk: Desk) -> None:
-    request = worlds.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
+    request = world_messages.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
 
     assert listed(desk, request) == ["empty", "walls", "warehouse"]
 
@@ -349,7 +361,7 @@ def test_worlds_are_not_listed_when_an_operators_folder_has_gone(desk: Desk, fol
     folder.rmdir()
 
     with pytest.raises(SimError, match="cannot be looked into") as refused:
-        listed(desk, worlds.GetAvailableWorldsRequest())
+        listed(desk, world_messages.GetAvailableWorldsRequest())
 
     assert refused.value.code == GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED
-    assert len(listed(desk, worlds.GetAvailableWorldsRequest(continue_on_error=True))) == 3
+    assert len(listed(desk, world_messages.GetAvailableWorldsRequest(continue_on_error=True))) == 3

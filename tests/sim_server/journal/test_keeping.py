@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_body
-from zensim.proto.model import Link, Model, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.sim_server.journal.keeping import Keeper
 from zensim.sim_server.journal.ledger import FILES, Ledger, open_ledger
 from zensim.sim_server.journal.records import Change, Kept, Record

@@ -9,19 +9,19 @@ import pytest
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import answer_of, names_in
 from tests.sim_server.journal.stage import DISK_FULL, Journalled, contents_in
-from zensim.proto.catalog import SERVICES
-from zensim.proto.result import ResultCode
-from zensim.proto.services import (
-    DeleteEntityRequest,
+from zensim.proto.messages.entity_messages import (
     GetEntitiesRequest,
     GetEntitiesResponse,
-    Resource,
     SetEntityStateRequest,
+)
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import (
     SetSimulationStateRequest,
     SimulationState,
-    SpawnEntityOrder,
     State,
 )
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.journal.recorder import BONDS_S, MOTION_S, WriterEnded
 
 

@@ -15,9 +15,9 @@ from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_birth, a_world, names_in
 from tests.sim_server.journal.stage import Journalled, contents_in
-from zensim.proto.info import Category, EntityCategory, EntityInfo
-from zensim.proto.model import Model
-from zensim.proto.services import ResetScope, State
+from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal.ledger import JournalError, open_ledger
 from zensim.sim_server.journal.opening import MARK, Journal, open_journal

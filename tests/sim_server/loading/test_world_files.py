@@ -8,7 +8,7 @@ import trimesh
 
 from tests.sim_server.description.test_meshes import exported
 from tests.sim_server.fakes import a_world
-from zensim.proto.model import Shape
+from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.config import ConfigError
 from zensim.sim_server.description.library import shipped_worlds
 from zensim.sim_server.loading import world_files

@@ -5,10 +5,18 @@ import pytest
 
 from tests.models import a_box, on_ground
 from tests.sim_server.fakes import WallTime, a_birth, a_desk, a_world
-from zensim.proto import services
-from zensim.proto.geometry import Vector3
-from zensim.proto.info import Category, EntityCategory, EntityInfo
-from zensim.proto.services import Bounds, BoundsType, EntityFilters, FilterMode, TagsFilter
+from zensim.proto.messages import entity_messages
+from zensim.proto.messages.entity_messages import (
+    Bounds,
+    BoundsType,
+    Category,
+    EntityCategory,
+    EntityFilters,
+    EntityInfo,
+    FilterMode,
+    TagsFilter,
+)
+from zensim.proto.messages.standard_messages import Vector3
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.table import handle
@@ -30,12 +38,12 @@ def a_tagged_world() -> World:
 
 
 def found(desk: Desk, filters: EntityFilters) -> tuple[str, ...]:
-    response = handle(desk, services.GetEntitiesRequest(filters))
+    response = handle(desk, entity_messages.GetEntitiesRequest(filters))
     if isinstance(response, Later):
         while not response.is_ready():
             pass
         response = response.outcome()
-    assert isinstance(response, services.GetEntitiesResponse)
+    assert isinstance(response, entity_messages.GetEntitiesResponse)
     return response.entities
 
 
@@ -142,7 +150,9 @@ class SlowWall(WallTime):
 
 def test_a_long_search_is_made_in_turns_and_tells_of_the_moment_of_asking() -> None:
     world = a_tagged_world()
-    response = handle(a_desk(world, SlowWall()), services.GetEntitiesRequest(EntityFilters(LARGE)))
+    response = handle(
+        a_desk(world, SlowWall()), entity_messages.GetEntitiesRequest(EntityFilters(LARGE))
+    )
     assert isinstance(response, Later)
     world.delete("r0")
 
@@ -157,7 +167,7 @@ def test_a_long_search_is_made_in_turns_and_tells_of_the_moment_of_asking() -> N
 def test_a_search_without_end_is_given_up() -> None:
     names = [f"r{i}" for i in range(200)]
     desk = a_desk(a_world(*names), wall := SlowWall())
-    response = handle(desk, services.GetEntitiesRequest(EntityFilters("r")))
+    response = handle(desk, entity_messages.GetEntitiesRequest(EntityFilters("r")))
     assert isinstance(response, Later)
 
     wall.pace_ns = 2 * LONGEST_NS

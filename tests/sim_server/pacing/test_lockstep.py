@@ -2,7 +2,7 @@
 
 import pytest
 
-from zensim.proto.claims import DriveCommand, DriveState
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.sim_server.pacing.lockstep import LONGEST_LOOK_NS, Lockstep, LockstepSettings, OnMiss
 
 SECOND = 1_000_000_000

@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, Stage, a_birth
 from tests.sim_server.traffic.test_loop_lockstep import TIMEOUT_S, a_locked_stage, answer_states
-from zensim.proto.claims import ClaimEntityRequest
-from zensim.proto.services import State
+from zensim.proto.messages.agent_messages import ClaimEntityRequest
+from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.pacing.lockstep import OnMiss
 
 AGENTS = ("r0", "r1", "r2")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from zensim.proto.stepping import StepsProgress
+from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.sim_server.pacing.stepping import KEPT, Stepping
 
 SECOND = 1_000_000_000

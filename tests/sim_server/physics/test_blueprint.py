@@ -6,7 +6,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import a_body, a_box_bot, a_cart
-from zensim.proto.model import IDENTITY, Contact, Inertial, Joint, Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import (
+    IDENTITY,
+    Contact,
+    Inertial,
+    Joint,
+    Link,
+    Model,
+    Origin,
+    Shape,
+)
 from zensim.proto.rotation import from_rpy, rotate
 from zensim.sim_server.physics.blueprint import DEFAULT_FRICTION, blueprint_of, principal_axes
 from zensim.sim_server.physics.engine import FloatArray

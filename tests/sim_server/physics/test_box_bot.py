@@ -10,7 +10,7 @@ import pytest
 from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box_bot, box_bot_at
 from tests.sim_server.fakes import a_birth, a_command
-from zensim.proto.rotation import yaw_of
+from zensim.proto.rotation import to_yaw
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.world import World
 
@@ -58,13 +58,13 @@ def drive(world: World, linear: float, angular: float, steps: int = STEPS_OF_10_
     """Drive all robots of a world alike."""
     targets = wheel_targets(linear, angular)
     start = world.reading().base.copy()
-    heading, turned = yaw_of(start[:, 3:7]), np.zeros(len(start))
+    heading, turned = to_yaw(start[:, 3:7]), np.zeros(len(start))
     for step in range(steps):
         if step % CONTROL_STEPS == 0:
             for agent in world.claims.agents:
                 world.command(agent, a_command(world, agent, *targets))
         world.step()
-        now = yaw_of(world.reading().base[:, 3:7])
+        now = to_yaw(world.reading().base[:, 3:7])
         turned += (now - heading + math.pi) % (2.0 * math.pi) - math.pi
         heading = now
     return Course(world.reading().base[:, :3] - start[:, :3], turned)

@@ -6,7 +6,7 @@ import pytest
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance
 from tests.models import a_state
 from tests.sim_server.description.robots import reasons
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.clearance import ground_clearance
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.urdf import read_urdf

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_box, a_box_bot, a_state, an_arm
-from zensim.proto.model import Decay, Model
+from zensim.proto.messages.model_messages import Decay, Model
 from zensim.sim_server.physics.calm import (
     BRAKED,
     LOOSE,

@@ -9,8 +9,8 @@ from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.fakes import a_birth, a_command
-from zensim.proto.model import Model
-from zensim.proto.services import ResetScope
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.engine import Engine, FloatArray

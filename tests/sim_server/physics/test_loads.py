@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_body
-from zensim.proto.model import Decay, Inertial, Joint, Link, Model, Shape, Vec3
+from zensim.proto.messages.model_messages import Decay, Inertial, Joint, Link, Model, Shape, Vec3
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.physics.blueprint import blueprint_of
 from zensim.sim_server.physics.loads import Load, loads_of, lost

@@ -10,7 +10,7 @@ import pytest
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
 from tests.sim_server.physics.casting.test_hulls import a_room
-from zensim.proto.model import Link, Model, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.engine import Engine, EngineConfig, EngineRefused
 from zensim.sim_server.physics.mujoco_engine import MujocoEngine

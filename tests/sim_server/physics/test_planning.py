@@ -3,7 +3,7 @@
 import pytest
 
 from tests.models import a_box, a_cart
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.blueprint import blueprint_of
 from zensim.sim_server.physics.engine import EngineRefused
 from zensim.sim_server.physics.planning import Planner

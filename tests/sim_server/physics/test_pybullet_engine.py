@@ -22,7 +22,15 @@ from tests.models import (
     on_ground,
 )
 from tests.sim_server.physics.bullet import bodies_in, client_of, dynamics_of, next_shape, touching
-from zensim.proto.model import Inertial, Joint, JointKind, Link, Model, RosBlock, Shape
+from zensim.proto.messages.model_messages import (
+    Inertial,
+    Joint,
+    JointKind,
+    Link,
+    Model,
+    RosBlock,
+    Shape,
+)
 from zensim.sim_server.physics.engine import EngineConfig, EngineRefused
 from zensim.sim_server.physics.pybullet_engine import MAX_PARTS, PyBulletEngine
 

@@ -6,7 +6,7 @@ import pytest
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine
 from tests.models import a_state
 from tests.sim_server.description.sdf_robots import PIONEER
-from zensim.proto.model import Inertial, Link, Model, Shape
+from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
 from zensim.sim_server.description.clearance import ground_clearance
 from zensim.sim_server.description.library import world_text
 from zensim.sim_server.description.sdf import read_world

@@ -8,7 +8,7 @@ import trimesh
 
 from tests.engines import STEP_NS
 from tests.models import a_box, a_state
-from zensim.proto.model import Link, Model, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.sim_server.physics.blueprint import blueprint_of
 from zensim.sim_server.physics.engine import EngineConfig
 from zensim.sim_server.physics.pybullet_engine import MAX_PARTS, PyBulletEngine

@@ -17,7 +17,7 @@ from tests.sim_server.description.robots import (
     an_inertial,
     reasons,
 )
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.sdf_model import read_sdf_model
 from zensim.sim_server.description.surface import decay_rate
 from zensim.sim_server.description.urdf import read_urdf

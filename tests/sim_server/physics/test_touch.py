@@ -3,7 +3,7 @@
 import pytest
 
 from tests.models import a_body
-from zensim.proto.model import Contact, Joint, Link, Model, Shape
+from zensim.proto.messages.model_messages import Contact, Joint, Link, Model, Shape
 from zensim.sim_server.physics.blueprint import Part, blueprint_of
 from zensim.sim_server.physics.touch import (
     REACH_M,

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from zensim.proto.assets import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
+from zensim.proto.messages.asset_messages import MAX_BUNDLE_FILES, MAX_CHUNK_BYTES, MAX_FILE_BYTES
 from zensim.proto.stl import write_corners
 from zensim.sim_server.errors import AssetRefused
 from zensim.sim_server.reading.assets import AssetStore

@@ -10,9 +10,9 @@ from tests.sim_server.description.test_meshes import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.reading.test_assets import put
 from tests.sim_server.reading.test_reader import MESH_ROBOT
-from zensim.proto.assets import AssetRef
-from zensim.proto.model import Model
-from zensim.proto.services import Resource, SpawnEntityOrder
+from zensim.proto.messages.asset_messages import AssetRef
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.descriptions import FEW_MESHES, ReadElsewhere

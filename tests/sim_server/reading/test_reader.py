@@ -17,7 +17,7 @@ from tests.sim_server.description.robots import a_link, a_robot
 from tests.sim_server.description.test_meshes import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.reading.test_assets import put
-from zensim.proto.assets import AssetRef
+from zensim.proto.messages.asset_messages import AssetRef
 from zensim.sim_server.reading import process
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.messages import MeshMade, ReadRequest, TextRead

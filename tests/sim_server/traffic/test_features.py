@@ -7,8 +7,8 @@ import pytest
 from tests.fakes import MemoryBus
 from tests.features import PROOFS
 from tests.sim_server.fakes import WallTime, a_desk, a_world
-from zensim.proto.catalog import SERVICES
-from zensim.proto.services import Feature
+from zensim.proto.messages.simulation_messages import Feature
+from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.handlers.offers import FEATURES, OFFERS
 from zensim.sim_server.traffic.inbox import BusInbox
 from zensim.sim_server.traffic.loop import Loop

@@ -4,8 +4,8 @@ import msgspec
 import pytest
 
 from tests.sim_server.fakes import a_stage, answer_of
-from zensim.proto.gazebo import LinkStates, ModelStates
-from zensim.proto.services import GetEntitiesRequest
+from zensim.proto.messages.entity_messages import GetEntitiesRequest
+from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 
 TOPICS = [("model_states", ModelStates), ("link_states", LinkStates)]
 

@@ -5,9 +5,9 @@ import pytest
 from tests.engines import STEP_NS
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_stage, answer_of, wheel_speeds
-from zensim.proto.claims import ClaimEntityRequest, ClaimEntityResponse
-from zensim.proto.result import Result, ResultCode
-from zensim.proto.services import (
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimEntityResponse
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
     ResetScope,
     ResetSimulationRequest,
     SetSimulationStateRequest,
@@ -16,7 +16,7 @@ from zensim.proto.services import (
     StepSimulationRequest,
     StepSimulationResponse,
 )
-from zensim.proto.telemetry import Info, InfoRequest, Stats
+from zensim.proto.messages.telemetry_messages import Info, InfoRequest, Stats
 from zensim.sim_server.traffic.loop import MAX_LAG_NS, POLL_S
 
 POLL_NS = round(POLL_S * 1e9)

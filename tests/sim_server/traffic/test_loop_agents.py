@@ -8,11 +8,11 @@ from hypothesis import strategies as st
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_command, a_stage, answer_of, names_in, wheel_speeds
 from zensim.proto.bus import Sample
-from zensim.proto.claims import ClaimEntityRequest, ClaimEntityResponse, OnRelease
-from zensim.proto.codec import Format, encode
+from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.keys import drive_command
-from zensim.proto.result import ResultCode
-from zensim.proto.telemetry import GetModelsRequest, Stats
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimEntityResponse, OnRelease
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, Stats
 
 
 def a_driven_stage(*names: str, on_release: OnRelease = "stop") -> Stage:

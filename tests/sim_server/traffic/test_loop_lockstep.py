@@ -8,12 +8,17 @@ from tests.fakes import MemoryCall
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, Stage, a_birth, a_stage, wheel_speeds
 from zensim.proto.bus import Sample
-from zensim.proto.claims import ClaimEntityRequest, DriveCommand
-from zensim.proto.codec import Format, decode, encode
+from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.keys import drive_command
-from zensim.proto.result import Result, ResultCode
-from zensim.proto.services import ResetScope, State, StepSimulationRequest, StepSimulationResponse
-from zensim.proto.telemetry import Event, InfoRequest, Stats
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
+    ResetScope,
+    State,
+    StepSimulationRequest,
+    StepSimulationResponse,
+)
+from zensim.proto.messages.telemetry_messages import Event, InfoRequest, Stats
 from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
 from zensim.sim_server.traffic.loop import POLL_S, Loop
 

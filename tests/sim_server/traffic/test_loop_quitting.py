@@ -1,7 +1,11 @@
 """A loop that is asked to quit ends by itself, once everybody has been answered."""
 
 from tests.sim_server.fakes import a_stage
-from zensim.proto.services import SetSimulationStateRequest, SimulationState, State
+from zensim.proto.messages.simulation_messages import (
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
 
 QUIT = SetSimulationStateRequest(SimulationState(State.QUITTING))
 

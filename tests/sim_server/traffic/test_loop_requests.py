@@ -7,19 +7,13 @@ from hypothesis import strategies as st
 
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_stage, answer_of, names_in
-from zensim.proto.catalog import SERVICES
-from zensim.proto.codec import Format, encode, encoding_of, format_of
-from zensim.proto.result import ResultCode, SpawnCode
-from zensim.proto.services import (
-    MAX_REQUEST_BYTES,
-    DeleteEntityRequest,
-    DeleteEntityResponse,
-    GetEntitiesRequest,
-    GetEntitiesResponse,
-    State,
-    StepSimulationRequest,
-)
-from zensim.proto.telemetry import (
+from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.codec.message_codec import Format, detect_format, encode, make_encoding
+from zensim.proto.messages.entity_messages import GetEntitiesRequest, GetEntitiesResponse
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.messages.telemetry_messages import (
     GetModelsRequest,
     GetModelsResponse,
     Info,
@@ -28,6 +22,7 @@ from zensim.proto.telemetry import (
     Stats,
     WorldClock,
 )
+from zensim.proto.service_catalog import SERVICES
 
 FORMATS = list(Format)
 
@@ -51,7 +46,7 @@ def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
 
     stage.loop.turn()
 
-    assert call.answers[0].encoding == encoding_of(GetEntitiesResponse, wanted)
+    assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
     assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0", "r1"))
 
 
@@ -59,7 +54,7 @@ def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
 def test_loop_replies_in_the_format_that_the_first_byte_tells(wanted: Format) -> None:
     call = served(a_stage("r0"), "get_entities", encode(GetEntitiesRequest(), wanted))
 
-    assert call.answers[0].encoding == encoding_of(GetEntitiesResponse, wanted)
+    assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
@@ -69,7 +64,7 @@ def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
 
     stage.loop.turn()
 
-    assert call.answers[0].encoding == encoding_of(DeleteEntityResponse, wanted)
+    assert call.answers[0].encoding == make_encoding(DeleteEntityResponse, wanted)
     assert refusal_in(call)[0] == ResultCode.NOT_FOUND
 
 
@@ -77,7 +72,7 @@ def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
 def test_loop_takes_an_empty_request_as_one_of_defaults(wanted: Format) -> None:
     call = served(a_stage("r0"), "get_entities", b"", wanted.value)
 
-    assert call.answers[0].encoding == encoding_of(GetEntitiesResponse, wanted)
+    assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
     assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0",))
 
 
@@ -231,7 +226,7 @@ def test_loop_answers_any_bytes(
     stage.loop.turn()
 
     (answer,) = call.answers
-    assert format_of(answer.payload, answer.encoding) in FORMATS
+    assert detect_format(answer.payload, answer.encoding) in FORMATS
     # An empty payload is an empty request, which rightly pauses, stops or unloads.
     assert stage.world.steps == (stage.world.state == State.PLAYING)
 

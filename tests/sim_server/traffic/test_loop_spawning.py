@@ -5,9 +5,9 @@ import pytest
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import ReadHere, Stage, a_stage, answer_of, names_in
 from tests.sim_server.orders import an_order
-from zensim.proto.result import ResultCode, SpawnCode
-from zensim.proto.services import SpawnEntityReport
-from zensim.proto.telemetry import InfoRequest
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.messages.spawn_messages import SpawnEntityReport
+from zensim.proto.messages.telemetry_messages import InfoRequest
 
 
 def a_slow_stage(*names: str) -> Stage:

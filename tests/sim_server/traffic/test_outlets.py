@@ -8,9 +8,9 @@ import pytest
 from tests.fakes import MemoryBus, MemoryPublisher
 from zensim.proto import keys
 from zensim.proto.bus import Bus, Publisher
-from zensim.proto.claims import DriveState
-from zensim.proto.codec import decode
-from zensim.proto.telemetry import Event, Snapshot, Stats, WorldClock
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.agent_messages import DriveState
+from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
 from zensim.sim_server.traffic.outlets import BusOutlet
 
 STATE = DriveState(1, 2, 3, b"", b"", b"", b"")

@@ -8,12 +8,16 @@ import msgspec
 
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import Stage, a_stage
-from zensim.proto import ros_actions as action
-from zensim.proto.codec import Format, decode, encode
-from zensim.proto.header import Time, ns_from_time
-from zensim.proto.result import ResultCode
-from zensim.proto.ros2.attachment import Attachment, read_attachment, write_attachment
-from zensim.proto.stepping import SimulateStepsRequest, SimulateStepsResponse, StepsProgress
+from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import (
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    StepsProgress,
+)
+from zensim.proto.messages.standard_messages import Time, ns_from_time
+from zensim.proto.ros2 import action_messages as action
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.sim_server.traffic.ros_action import CDR, KEPT, MAX_WAITING, StepsAction
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
@@ -51,8 +55,8 @@ class Scene:
         self.stage: Stage = a_stage()
         if is_paused:
             self.stage.world.pause()
-        self.queues = {name: ListQueue() for name in action.SERVICES}
-        self.tellers = {name: Told() for name in action.TOPICS}
+        self.queues = {name: ListQueue() for name in action.ACTION_SERVICES}
+        self.tellers = {name: Told() for name in action.ACTION_TOPICS}
         self.action = StepsAction(self.queues, self.tellers)
 
     def ask(self, name: str, request: msgspec.Struct) -> MemoryCall:
@@ -65,14 +69,16 @@ class Scene:
         return call
 
     def begin(self, goal_id: action.GoalId, steps: int) -> MemoryCall:
-        return self.ask(action.SEND_GOAL, action.SendGoalRequest(goal_id, action.StepsGoal(steps)))
+        return self.ask(
+            action.SEND_GOAL_SERVICE, action.SendGoalRequest(goal_id, action.StepsGoal(steps))
+        )
 
     def result(self, goal_id: action.GoalId) -> MemoryCall:
-        return self.ask(action.GET_RESULT, action.GetResultRequest(goal_id))
+        return self.ask(action.GET_RESULT_SERVICE, action.GetResultRequest(goal_id))
 
     def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:  # noqa: B008
         info = action.GoalInfo(goal_id, stamp)
-        return self.ask(action.CANCEL_GOAL, action.CancelGoalRequest(info))
+        return self.ask(action.CANCEL_GOAL_SERVICE, action.CancelGoalRequest(info))
 
     def turn(self, turns: int = 1) -> None:
         for _ in range(turns):
@@ -84,7 +90,7 @@ class Scene:
                     self.action.note(message)
 
     def statuses(self) -> list[int]:
-        told = decode(action.GoalStatusArray, self.tellers[action.STATUS].payloads[-1], CDR)
+        told = decode(action.GoalStatusArray, self.tellers[action.STATUS_TOPIC].payloads[-1], CDR)
         return [one.status for one in told.status_list]
 
 
@@ -101,7 +107,7 @@ def test_goal_is_accepted_before_it_is_over() -> None:
 
     assert read(sent, action.SendGoalResponse).accepted
     assert asked.answers == []
-    assert scene.statuses() == [action.GoalStatus.EXECUTING]
+    assert scene.statuses() == [action.GoalStatusCode.EXECUTING]
 
 
 def test_goal_makes_its_steps_and_tells_how_it_ended() -> None:
@@ -113,11 +119,11 @@ def test_goal_makes_its_steps_and_tells_how_it_ended() -> None:
 
     told = read(asked, action.GetResultResponse)
     assert (told.status, told.result.result.result) == (
-        action.GoalStatus.SUCCEEDED,
+        action.GoalStatusCode.SUCCEEDED,
         ResultCode.OK,
     )
     assert scene.stage.world.steps == 7
-    assert scene.statuses() == [action.GoalStatus.SUCCEEDED]
+    assert scene.statuses() == [action.GoalStatusCode.SUCCEEDED]
 
 
 def test_result_of_a_goal_that_is_over_is_told_at_once() -> None:
@@ -128,7 +134,7 @@ def test_result_of_a_goal_that_is_over_is_told_at_once() -> None:
     asked = scene.result(FIRST)
     scene.turn()
 
-    assert read(asked, action.GetResultResponse).status == action.GoalStatus.SUCCEEDED
+    assert read(asked, action.GetResultResponse).status == action.GoalStatusCode.SUCCEEDED
 
 
 def test_feedback_tells_steps_made_and_left() -> None:
@@ -137,7 +143,7 @@ def test_feedback_tells_steps_made_and_left() -> None:
 
     scene.turn(20)
 
-    payloads = scene.tellers[action.FEEDBACK].payloads
+    payloads = scene.tellers[action.FEEDBACK_TOPIC].payloads
     told = [decode(action.FeedbackMessage, payload, CDR) for payload in payloads]
     assert {one.goal_id for one in told} == {FIRST}
     assert told[-1].feedback == action.StepsFeedback(7, 0)
@@ -145,12 +151,12 @@ def test_feedback_tells_steps_made_and_left() -> None:
 
 def test_feedback_is_not_written_when_nobody_listens() -> None:
     scene = Scene()
-    scene.tellers[action.FEEDBACK].is_matched = False
+    scene.tellers[action.FEEDBACK_TOPIC].is_matched = False
     scene.begin(FIRST, 7)
 
     scene.turn(20)
 
-    assert scene.tellers[action.FEEDBACK].payloads == []
+    assert scene.tellers[action.FEEDBACK_TOPIC].payloads == []
 
 
 def test_goal_is_not_accepted_while_time_runs() -> None:
@@ -161,7 +167,7 @@ def test_goal_is_not_accepted_while_time_runs() -> None:
     scene.turn()
 
     assert not read(sent, action.SendGoalResponse).accepted
-    assert read(asked, action.GetResultResponse).status == action.GoalStatus.UNKNOWN
+    assert read(asked, action.GetResultResponse).status == action.GoalStatusCode.UNKNOWN
 
 
 def test_id_of_a_goal_is_taken_once() -> None:
@@ -191,7 +197,7 @@ def test_second_goal_is_accepted_while_the_first_goes_on() -> None:
     scene.turn(3)
 
     assert read(second, action.SendGoalResponse).accepted
-    assert scene.statuses() == [action.GoalStatus.EXECUTING] * 2
+    assert scene.statuses() == [action.GoalStatusCode.EXECUTING] * 2
 
 
 def test_who_comes_late_is_told_of_all_goals() -> None:
@@ -200,7 +206,7 @@ def test_who_comes_late_is_told_of_all_goals() -> None:
 
     scene.turn(3)
 
-    told = decode(action.GoalStatusArray, scene.tellers[action.STATUS].latched, CDR)
+    told = decode(action.GoalStatusArray, scene.tellers[action.STATUS_TOPIC].latched, CDR)
     assert [one.goal_info.goal_id for one in told.status_list] == [FIRST]
 
 
@@ -216,7 +222,7 @@ def test_canceled_goal_is_named_and_tells_that_it_was() -> None:
     told = read(canceled, action.CancelGoalResponse)
     assert told.return_code == action.CancelCode.NONE
     assert [info.goal_id for info in told.goals_canceling] == [FIRST]
-    assert read(asked, action.GetResultResponse).status == action.GoalStatus.CANCELED
+    assert read(asked, action.GetResultResponse).status == action.GoalStatusCode.CANCELED
 
 
 def test_cancel_without_an_id_ends_all_goals() -> None:
@@ -230,7 +236,7 @@ def test_cancel_without_an_id_ends_all_goals() -> None:
 
     told = read(canceled, action.CancelGoalResponse)
     assert {info.goal_id for info in told.goals_canceling} == {FIRST, SECOND}
-    assert scene.statuses() == [action.GoalStatus.CANCELED] * 2
+    assert scene.statuses() == [action.GoalStatusCode.CANCELED] * 2
 
 
 def stamp_of(sent: MemoryCall) -> Time:
@@ -256,7 +262,7 @@ def test_cancel_by_a_time_ends_the_goals_that_had_begun() -> None:
 
     told = read(canceled, action.CancelGoalResponse)
     assert (told.return_code, ids_of(told)) == (action.CancelCode.NONE, {FIRST})
-    assert scene.statuses() == [action.GoalStatus.CANCELED, action.GoalStatus.EXECUTING]
+    assert scene.statuses() == [action.GoalStatusCode.CANCELED, action.GoalStatusCode.EXECUTING]
 
 
 def test_cancel_by_id_and_time_ends_that_goal_and_the_goals_before() -> None:
@@ -315,13 +321,15 @@ def test_cancel_of_nothing_says_which_nothing() -> None:
 
 def test_malformed_requests_are_answered_with_a_no() -> None:
     scene = Scene()
-    sent, canceled, asked = (scene.send(name, b"\x00\x01\x00\x00\x07") for name in action.SERVICES)
+    sent, canceled, asked = (
+        scene.send(name, b"\x00\x01\x00\x00\x07") for name in action.ACTION_SERVICES
+    )
 
     scene.turn(2)
 
     assert not read(sent, action.SendGoalResponse).accepted
     assert read(canceled, action.CancelGoalResponse).return_code == action.CancelCode.REJECTED
-    assert read(asked, action.GetResultResponse).status == action.GoalStatus.UNKNOWN
+    assert read(asked, action.GetResultResponse).status == action.GoalStatusCode.UNKNOWN
 
 
 def test_answer_has_the_number_and_the_name_of_who_asked() -> None:
@@ -342,7 +350,7 @@ def test_result_is_awaited_by_so_many_and_no_more() -> None:
 
     scene.turn(2)
 
-    assert read(asked[-1], action.GetResultResponse).status == action.GoalStatus.UNKNOWN
+    assert read(asked[-1], action.GetResultResponse).status == action.GoalStatusCode.UNKNOWN
     assert [call for call in asked[:-1] if call.answers] == []
 
 
@@ -355,5 +363,5 @@ def test_oldest_goals_that_are_over_are_forgotten() -> None:
     asked = scene.result(action.GoalId((1, *[0] * 15)))
     scene.turn()
 
-    assert read(asked, action.GetResultResponse).status == action.GoalStatus.UNKNOWN
+    assert read(asked, action.GetResultResponse).status == action.GoalStatusCode.UNKNOWN
     assert len(scene.statuses()) == KEPT

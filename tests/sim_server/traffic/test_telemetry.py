@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from tests.models import on_ground
 from tests.sim_server.fakes import a_birth, a_desk, a_stage, a_world, names_in
-from zensim.proto.header import Time
-from zensim.proto.services import ResetScope
-from zensim.proto.telemetry import Snapshot, Stats, WorldClock
+from zensim.proto.messages.simulation_messages import ResetScope
+from zensim.proto.messages.standard_messages import Time
+from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.sim_server.pacing.meter import Meter
 from zensim.sim_server.traffic.telemetry import TOPICS, Telemetry, Timer
 from zensim.sim_server.world.world import World

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import a_box, a_cart, a_state, an_arm
-from zensim.proto.model import Model
+from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.world.entity import Entity, Hold, fleet_of, roster_of
 
 BOX, CART, ARM = a_box(), a_cart(), an_arm("continuous")

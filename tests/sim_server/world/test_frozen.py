@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.models import a_box, a_cart, an_arm, on_ground
-from zensim.proto.model import Model, Origin
+from zensim.proto.messages.model_messages import Model, Origin
 from zensim.sim_server.physics.engine import Reading
 from zensim.sim_server.world.entity import Entity, roster_of
 from zensim.sim_server.world.frozen import FARTHEST_M, PROBATION_NS, Watch, can_move, still

@@ -7,7 +7,7 @@ import pytest
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import on_ground
 from tests.sim_server.fakes import a_birth, a_world, names_in
-from zensim.proto.services import ResetScope
+from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import NameNotUnique, NamespaceRefused
 from zensim.sim_server.physics.engine import EngineConfig
 

@@ -3,8 +3,12 @@
 import pytest
 
 from tests.sim_server.fakes import a_desk, a_world, kinds_of_events, names_in
-from zensim.proto.result import SetSimulationStateCode
-from zensim.proto.services import SetSimulationStateRequest, SimulationState, State
+from zensim.proto.messages.result_messages import SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import (
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
 from zensim.sim_server.errors import Refused
 from zensim.sim_server.handlers.table import handle
 from zensim.sim_server.world.phases import ENTERED, LEADS_TO, NAMES

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import a_state
-from zensim.proto.geometry import Point, Pose, Quaternion, Twist, Vector3
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Twist, Vector3
 from zensim.proto.rotation import FloatArray, from_rpy, rotate
 from zensim.sim_server.errors import PoseRefused
 from zensim.sim_server.world.poses import (

@@ -16,7 +16,7 @@ from tests.sim_server.fakes import (
     names_in,
     wheel_speeds,
 )
-from zensim.proto.services import ResetScope, State
+from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.sim_server.errors import (
     EntityNotFound,
     IncorrectState,

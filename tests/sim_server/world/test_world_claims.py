@@ -12,9 +12,9 @@ from tests.sim_server.fakes import (
     names_in,
     wheel_speeds,
 )
-from zensim.proto.claims import DriveCommand
-from zensim.proto.result import ClaimCode
-from zensim.proto.services import ResetScope
+from zensim.proto.messages.agent_messages import DriveCommand
+from zensim.proto.messages.result_messages import ClaimCode
+from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import EntityNotFound, Refused
 from zensim.sim_server.world.world import World
 

@@ -8,8 +8,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import a_birth, a_command, a_world, names_in
-from zensim.proto.claims import DriveCommand, OnRelease
-from zensim.proto.services import ResetScope
+from zensim.proto.messages.agent_messages import DriveCommand, OnRelease
+from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.physics.engine import EngineConfig
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from zensim.proto.services import Resource
+from zensim.proto.messages.spawn_messages import Resource
 from zensim.sim_server.worlds.atlas import Atlas, start_file
 
 YARD = "<sdf version='1.6'><world name='yard'/></sdf>"

@@ -7,7 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from tests.integration.processes import Server
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 NOWHERE = "tcp/127.0.0.1:1"
 RUNNER = CliRunner()
@@ -20,7 +20,7 @@ class Done:
         result = RUNNER.invoke(app, list(arguments), env={"COLUMNS": "200"})
         if result.exception is not None and not isinstance(result.exception, SystemExit):
             raise result.exception
-        self.status = Exit(result.exit_code)
+        self.status = ExitCode(result.exit_code)
         self.out = result.stdout
         self.err = result.stderr
 
@@ -38,7 +38,7 @@ def run_at(server: Server, app: typer.Typer, *arguments: str) -> Done:
     return run(app, *arguments, "--connect", server.endpoint)
 
 
-def assert_failed(done: Done, status: Exit, line: str) -> None:
+def assert_failed(done: Done, status: ExitCode, line: str) -> None:
     """Check that a command ended with a status and one line that begins so."""
     assert (done.status, done.out) == (status, "")
     assert done.err.startswith(line), done.err

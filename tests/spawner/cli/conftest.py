@@ -6,7 +6,7 @@ import pytest
 
 from tests.integration.processes import Server, serving
 from tests.spawner.cli.commands import run_at
-from zensim.proto.services import ResetScope, State
+from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.spawner.cli.spawn import app as spawn_app
 
 

@@ -4,31 +4,31 @@ import pytest
 
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 from zensim.spawner.cli.entities import app
 
 
 def test_delete_takes_entities_out(two: Server) -> None:
     done = run_at(two, app, "delete", "r1", "r2")
 
-    assert (done.status, done.out) == (Exit.OK, "deleted r1\ndeleted r2\n")
+    assert (done.status, done.out) == (ExitCode.OK, "deleted r1\ndeleted r2\n")
     assert two.client.entities() == ()
 
 
 def test_delete_says_who_does_not_exist(two: Server) -> None:
     done = run_at(two, app, "delete", "r9")
 
-    assert_failed(done, Exit.NOT_FOUND, "zensim delete: NOT_FOUND (2): ")
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim delete: NOT_FOUND (2): ")
     assert "'r9' does not exist" in done.err
     assert two.client.entities() == ("r1", "r2")
 
 
 @pytest.mark.parametrize(
     ("names", "status", "failures"),
-    [(("r1", "r9"), Exit.PARTIAL, 1), (("r8", "r9"), Exit.NOT_FOUND, 2)],
+    [(("r1", "r9"), ExitCode.PARTIAL, 1), (("r8", "r9"), ExitCode.NOT_FOUND, 2)],
 )
 def test_delete_goes_on_after_a_failure(
-    two: Server, names: tuple[str, ...], status: Exit, failures: int
+    two: Server, names: tuple[str, ...], status: ExitCode, failures: int
 ) -> None:
     done = run_at(two, app, "delete", *names)
 
@@ -47,15 +47,15 @@ def test_delete_takes_those_that_match_a_pattern(two: Server) -> None:
 def test_delete_says_so_when_nothing_matches(two: Server) -> None:
     done = run_at(two, app, "delete", "--pattern", "x")
 
-    assert_failed(done, Exit.NOT_FOUND, "zensim delete: NOT_FOUND (3): no name has 'x' in it")
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim delete: NOT_FOUND (3): no name has 'x' in it")
     assert two.client.entities() == ("r1", "r2")
 
 
 def test_delete_takes_all_and_is_content_when_nobody_is_left(two: Server) -> None:
     first, second = (run_at(two, app, "delete", "--all") for _ in range(2))
 
-    assert (first.status, first.out) == (Exit.OK, "deleted r1\ndeleted r2\n")
-    assert (second.status, second.out) == (Exit.OK, "")
+    assert (first.status, first.out) == (ExitCode.OK, "deleted r1\ndeleted r2\n")
+    assert (second.status, second.out) == (ExitCode.OK, "")
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def test_delete_is_refused_when_it_is_not_clear_what_is_meant(
 ) -> None:
     done = run_at(two, app, "delete", *arguments)
 
-    assert_failed(done, Exit.USAGE, "zensim delete: USAGE (2): give names, or --pattern REGEX")
+    assert_failed(done, ExitCode.USAGE, "zensim delete: USAGE (2): give names, or --pattern REGEX")
     assert two.client.entities() == ("r1", "r2")
 
 
@@ -100,7 +100,7 @@ def test_inspect_tells_what_an_entity_is_and_how_large(two: Server) -> None:
 def test_inspect_says_who_does_not_exist(two: Server) -> None:
     done = run_at(two, app, "inspect", "r9")
 
-    assert_failed(done, Exit.NOT_FOUND, "zensim inspect: NOT_FOUND (2): ")
+    assert_failed(done, ExitCode.NOT_FOUND, "zensim inspect: NOT_FOUND (2): ")
 
 
 @pytest.mark.parametrize("arguments", [("delete", "r1"), ("inspect", "r1")], ids=str)
@@ -110,5 +110,5 @@ def test_command_says_so_when_nobody_serves_that_world(
     done = run_at(server, app, *arguments, "--world-name", "mars")
 
     assert_failed(
-        done, Exit.UNREACHABLE, f"zensim {arguments[0]}: UNREACHABLE (4): nothing answers"
+        done, ExitCode.UNREACHABLE, f"zensim {arguments[0]}: UNREACHABLE (4): nothing answers"
     )

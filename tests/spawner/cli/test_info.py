@@ -4,7 +4,7 @@ import pytest
 
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 from zensim.spawner.cli.info import app
 
 
@@ -37,14 +37,22 @@ def test_tags_are_taken_away(two: Server) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "line"),
     [
-        (("get", "r9"), Exit.NOT_FOUND, "zensim info get: NOT_FOUND (2): entity 'r9'"),
-        (("set", "r9", "--tag", "a"), Exit.NOT_FOUND, "zensim info set: NOT_FOUND (2): entity"),
-        (("set", "r1"), Exit.USAGE, "zensim info set: USAGE (2): nothing to set; give --cat"),
-        (("set", "r1", "--category", "x"), Exit.USAGE, "zensim info set: USAGE (2): category 'x'"),
-        (("set", "r1", "--tag", "a", "--no-tags"), Exit.USAGE, "zensim info set: USAGE (2): --t"),
+        (("get", "r9"), ExitCode.NOT_FOUND, "zensim info get: NOT_FOUND (2): entity 'r9'"),
+        (("set", "r9", "--tag", "a"), ExitCode.NOT_FOUND, "zensim info set: NOT_FOUND (2): entity"),
+        (("set", "r1"), ExitCode.USAGE, "zensim info set: USAGE (2): nothing to set; give --cat"),
+        (
+            ("set", "r1", "--category", "x"),
+            ExitCode.USAGE,
+            "zensim info set: USAGE (2): category 'x'",
+        ),
+        (
+            ("set", "r1", "--tag", "a", "--no-tags"),
+            ExitCode.USAGE,
+            "zensim info set: USAGE (2): --t",
+        ),
     ],
 )
 def test_info_says_what_is_wrong_in_one_line(
-    two: Server, arguments: tuple[str, ...], status: Exit, line: str
+    two: Server, arguments: tuple[str, ...], status: ExitCode, line: str
 ) -> None:
     assert_failed(run_at(two, app, *arguments), status, line)

@@ -7,8 +7,8 @@ import pytest
 
 from tests.integration.processes import Server, eventually, running, serving
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
-from zensim.proto.exits import Exit
-from zensim.proto.info import Category, EntityCategory, EntityInfo
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
 from zensim.spawner.cli.listing import app
 
 
@@ -16,7 +16,7 @@ def test_list_shows_a_line_for_each_entity(two: Server) -> None:
     done = run_at(two, app)
 
     head, first, second = done.out.splitlines()
-    assert done.status == Exit.OK
+    assert done.status == ExitCode.OK
     assert head.split() == ["name", "namespace", "agent", "x", "[m]", "y", "[m]", "yaw", "[rad]"]
     assert first.split() == ["r1", "r1", "-", "1.000", "0.000", "0.500"]
     assert second.split() == ["r2", "team/r2", "-", "0.000", "-3.000", "0.000"]
@@ -65,14 +65,26 @@ def test_list_keeps_long_names_on_one_line(two: Server) -> None:
 @pytest.mark.parametrize(
     ("options", "status", "line"),
     [
-        (("--category", "rbot"), Exit.USAGE, "zensim list: USAGE (2): category 'rbot' is unknown"),
-        (("--filter", "("), Exit.FAILED, "zensim list: OPERATION_FAILED (4): filter.pattern: "),
-        (("--world-name", "mars"), Exit.UNREACHABLE, "zensim list: UNREACHABLE (4): nothing answ"),
-        (("-w", "--world-name", "mars"), Exit.UNREACHABLE, "zensim list: UNREACHABLE (4): noth"),
+        (
+            ("--category", "rbot"),
+            ExitCode.USAGE,
+            "zensim list: USAGE (2): category 'rbot' is unknown",
+        ),
+        (("--filter", "("), ExitCode.FAILED, "zensim list: OPERATION_FAILED (4): filter.pattern: "),
+        (
+            ("--world-name", "mars"),
+            ExitCode.UNREACHABLE,
+            "zensim list: UNREACHABLE (4): nothing answ",
+        ),
+        (
+            ("-w", "--world-name", "mars"),
+            ExitCode.UNREACHABLE,
+            "zensim list: UNREACHABLE (4): noth",
+        ),
     ],
 )
 def test_list_says_what_is_wrong_in_one_line(
-    server: Server, options: tuple[str, ...], status: Exit, line: str
+    server: Server, options: tuple[str, ...], status: ExitCode, line: str
 ) -> None:
     assert_failed(run_at(server, app, *options), status, line)
 
@@ -80,7 +92,7 @@ def test_list_says_what_is_wrong_in_one_line(
 def test_list_says_so_when_nobody_listens() -> None:
     done = run(app, "--connect", NOWHERE)
 
-    assert_failed(done, Exit.UNREACHABLE, "zensim list: UNREACHABLE (4): nobody listens at")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim list: UNREACHABLE (4): nobody listens at")
 
 
 def test_watch_goes_on_through_a_restart_until_it_is_interrupted() -> None:
@@ -98,5 +110,5 @@ def test_watch_goes_on_through_a_restart_until_it_is_interrupted() -> None:
                 watch.send_signal(signal.SIGINT)
                 _, said = watch.communicate(timeout=20.0)
 
-    assert watch.returncode == Exit.INTERRUPTED
+    assert watch.returncode == ExitCode.INTERRUPTED
     assert said == "zensim list: note: no server answers; waiting for it\n"

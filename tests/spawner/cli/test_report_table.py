@@ -5,7 +5,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from zensim.proto.model import ReportEntry
+from zensim.proto.messages.model_messages import ReportEntry
 from zensim.spawner.cli.report_table import print_report
 
 ENTRIES = (

@@ -7,9 +7,9 @@ import pytest
 
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
-from zensim.proto.exits import Exit
-from zensim.proto.geometry import Point
-from zensim.proto.services import EntityState
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.standard_messages import Point
 from zensim.spawner.cli.spawn import app
 from zensim.spawner.launch import pose_at
 
@@ -38,7 +38,7 @@ def namespace_of(server: Server, name: str) -> str:
 def test_spawn_puts_a_shipped_model_on_the_ground(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1", "-y", "-2.5")
 
-    assert (done.status, done.err) == (Exit.OK, "")
+    assert (done.status, done.err) == (ExitCode.OK, "")
     assert done.out.startswith("spawned r1 under r1/\n")
     place = place_of(server, "r1")
     assert (place.x, place.y, place.z) == pytest.approx((1.0, -2.5, 0.06))
@@ -111,7 +111,7 @@ def test_spawn_refuses_a_taken_name_unless_it_may_be_changed(server: Server) -> 
     refused = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1")
     renamed = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1", "--allow-renaming")
 
-    assert_failed(refused, Exit.FAILED, "zensim spawn: NAME_NOT_UNIQUE (101): ")
+    assert_failed(refused, ExitCode.FAILED, "zensim spawn: NAME_NOT_UNIQUE (101): ")
     assert "'r1' already exists" in refused.err
     assert renamed.out.startswith("spawned r1_1 ")
 
@@ -121,7 +121,7 @@ def test_spawn_puts_a_robot_beside_another(server: Server) -> None:
 
     done = run_at(server, app, "spawn", "box_bot", "-n", "r2", "-x", "1", "--reference-frame", "r1")
 
-    assert done.status == Exit.OK
+    assert done.status == ExitCode.OK
     place = place_of(server, "r2")
     assert (place.x, place.y) == pytest.approx((5.0, 1.0))
 
@@ -137,26 +137,26 @@ def test_spawn_prints_its_report_as_json(server: Server) -> None:
 def test_spawn_warns_of_what_is_suspicious(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-z", "0.01")
 
-    assert done.status == Exit.OK
+    assert done.status == ExitCode.OK
     assert "zensim spawn: warning: initial_pose: lowest point is 5.0 cm below ground" in done.err
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        ((), Exit.USAGE, "no model was given; use 'zensim spawn box_bot'"),
-        (("nowhere.urdf",), Exit.NOT_FOUND, "nowhere.urdf: no such file"),
-        (("box_bot", "-n", "9 lives"), Exit.USAGE, "name '9 lives' is not valid; use a letter"),
-        (("box_bot", "-ns", "a b"), Exit.USAGE, "namespace 'a b' is not valid; use names"),
-        (("box_bot", "-ns", "sim/a"), Exit.USAGE, "begins with a reserved name; use any but"),
-        (("box_bot", "--timeout", "0"), Exit.USAGE, "--timeout 0 is out of range; use"),
-        (("box_bot", "--wait", "nan"), Exit.USAGE, "--wait nan is out of range; use"),
-        (("box_bot", "--world-name", "a b"), Exit.USAGE, "world name 'a b' is not valid; use"),
+        ((), ExitCode.USAGE, "no model was given; use 'zensim spawn box_bot'"),
+        (("nowhere.urdf",), ExitCode.NOT_FOUND, "nowhere.urdf: no such file"),
+        (("box_bot", "-n", "9 lives"), ExitCode.USAGE, "name '9 lives' is not valid; use a letter"),
+        (("box_bot", "-ns", "a b"), ExitCode.USAGE, "namespace 'a b' is not valid; use names"),
+        (("box_bot", "-ns", "sim/a"), ExitCode.USAGE, "begins with a reserved name; use any but"),
+        (("box_bot", "--timeout", "0"), ExitCode.USAGE, "--timeout 0 is out of range; use"),
+        (("box_bot", "--wait", "nan"), ExitCode.USAGE, "--wait nan is out of range; use"),
+        (("box_bot", "--world-name", "a b"), ExitCode.USAGE, "world name 'a b' is not valid; use"),
     ],
     ids=str,
 )
 def test_spawn_is_refused_in_one_line_before_anything_is_sent(
-    arguments: tuple[str, ...], status: Exit, message: str
+    arguments: tuple[str, ...], status: ExitCode, message: str
 ) -> None:
     done = run(app, "spawn", *arguments, "--connect", NOWHERE)
 
@@ -167,21 +167,23 @@ def test_spawn_is_refused_in_one_line_before_anything_is_sent(
 def test_spawn_refuses_an_endpoint_that_is_none() -> None:
     done = run(app, "spawn", "box_bot", "--connect", "there")
 
-    assert_failed(done, Exit.USAGE, "zensim spawn: USAGE (2): endpoint 'there' is not valid; use")
+    assert_failed(
+        done, ExitCode.USAGE, "zensim spawn: USAGE (2): endpoint 'there' is not valid; use"
+    )
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (("tank",), Exit.NOT_FOUND, "there is box_bot"),
-        (("box_bot", "-x", "nan"), Exit.FAILED, "INVALID_POSE (109): "),
-        (("box_bot", "-x", "1e9"), Exit.FAILED, "INVALID_POSE (109): "),
-        (("box_bot", "--reference-frame", "r7"), Exit.NOT_FOUND, "'r7' does not exist"),
+        (("tank",), ExitCode.NOT_FOUND, "there is box_bot"),
+        (("box_bot", "-x", "nan"), ExitCode.FAILED, "INVALID_POSE (109): "),
+        (("box_bot", "-x", "1e9"), ExitCode.FAILED, "INVALID_POSE (109): "),
+        (("box_bot", "--reference-frame", "r7"), ExitCode.NOT_FOUND, "'r7' does not exist"),
     ],
     ids=str,
 )
 def test_spawn_says_what_the_server_refused(
-    server: Server, arguments: tuple[str, ...], status: Exit, message: str
+    server: Server, arguments: tuple[str, ...], status: ExitCode, message: str
 ) -> None:
     done = run_at(server, app, "spawn", *arguments)
 
@@ -194,7 +196,7 @@ def test_spawn_says_so_when_nobody_listens() -> None:
     done = run(app, "spawn", "box_bot", "--connect", NOWHERE, "--wait", "0.1")
 
     assert_failed(
-        done, Exit.UNREACHABLE, f"zensim spawn: UNREACHABLE (4): nobody listens at {NOWHERE}"
+        done, ExitCode.UNREACHABLE, f"zensim spawn: UNREACHABLE (4): nobody listens at {NOWHERE}"
     )
 
 
@@ -202,14 +204,14 @@ def test_spawn_says_so_when_nobody_serves_that_world(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "--world-name", "mars", "--wait", "0.1")
 
     assert_failed(
-        done, Exit.UNREACHABLE, "zensim spawn: UNREACHABLE (4): nothing answers sim/mars/"
+        done, ExitCode.UNREACHABLE, "zensim spawn: UNREACHABLE (4): nothing answers sim/mars/"
     )
 
 
 def test_fleet_puts_robots_in_a_row(server: Server) -> None:
     done = run_at(server, app, "fleet", "box_bot", "--count", "3", "--spacing", "2")
 
-    assert (done.status, done.out) == (Exit.OK, "spawned 3 of 3\n")
+    assert (done.status, done.out) == (ExitCode.OK, "spawned 3 of 3\n")
     assert server.client.entities() == ("box_bot0", "box_bot1", "box_bot2")
     assert place_of(server, "box_bot2").x == pytest.approx(4.0)
     assert namespace_of(server, "box_bot2") == "box_bot2"
@@ -229,7 +231,7 @@ def test_fleet_is_spawned_whole_or_not_at_all(server: Server) -> None:
 
     done = run_at(server, app, "fleet", "box_bot", "-c", "3", "--prefix", "r", "--spacing", "3")
 
-    assert (done.status, done.out) == (Exit.FAILED, "spawned 0 of 3\n")
+    assert (done.status, done.out) == (ExitCode.FAILED, "spawned 0 of 3\n")
     assert done.err.startswith("zensim fleet: r1: NAME_NOT_UNIQUE (101): ")
     assert done.err.count("\n") == 1
     assert server.client.entities() == ("r1",)
@@ -240,7 +242,7 @@ def test_fleet_goes_on_when_told_to_and_says_so_when_some_are_refused(server: Se
 
     done = run_at(server, app, "fleet", "box_bot", "-c", "3", "--prefix", "r", "--partial")
 
-    assert (done.status, done.out) == (Exit.PARTIAL, "spawned 2 of 3\n")
+    assert (done.status, done.out) == (ExitCode.PARTIAL, "spawned 2 of 3\n")
     assert done.err.startswith("zensim fleet: r1: NAME_NOT_UNIQUE (101): ")
     assert server.client.entities() == ("r1", "r0", "r2")
 
@@ -248,21 +250,21 @@ def test_fleet_goes_on_when_told_to_and_says_so_when_some_are_refused(server: Se
 def test_fleet_fails_when_all_are_refused(server: Server) -> None:
     done = run_at(server, app, "fleet", "tank", "-c", "2")
 
-    assert (done.status, done.out) == (Exit.FAILED, "spawned 0 of 2\n")
+    assert (done.status, done.out) == (ExitCode.FAILED, "spawned 0 of 2\n")
     assert done.err.startswith("zensim fleet: tank0: NOT_FOUND (2): library.model: ")
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (("box_bot", "--layout", "spiral"), Exit.USAGE, "use row, grid, circle"),
-        (("box_bot", "--spacing", "-1"), Exit.USAGE, "use at least 1 robot and more than 0 m"),
-        (("a b.urdf",), Exit.USAGE, "prefix 'a b' is not valid"),
+        (("box_bot", "--layout", "spiral"), ExitCode.USAGE, "use row, grid, circle"),
+        (("box_bot", "--spacing", "-1"), ExitCode.USAGE, "use at least 1 robot and more than 0 m"),
+        (("a b.urdf",), ExitCode.USAGE, "prefix 'a b' is not valid"),
     ],
     ids=str,
 )
 def test_fleet_is_refused_in_one_line_before_anything_is_sent(
-    arguments: tuple[str, ...], status: Exit, message: str
+    arguments: tuple[str, ...], status: ExitCode, message: str
 ) -> None:
     done = run(app, "fleet", *arguments, "--connect", NOWHERE)
 

@@ -4,7 +4,7 @@ import pytest
 
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 from zensim.spawner.angles import roll_pitch_yaw
 from zensim.spawner.cli.state import app
 
@@ -31,7 +31,7 @@ def test_state_that_is_not_given_stays(two: Server) -> None:
 
     state = two.client.entity_state("r1")
     place, moving = state.pose.position, state.twist.linear
-    assert done.status == Exit.OK
+    assert done.status == ExitCode.OK
     assert (place.x, place.y, place.z) == pytest.approx((1.0, -2.0, 0.06))
     assert roll_pitch_yaw(state.pose.orientation) == pytest.approx((0.0, 0.0, 0.5))
     assert (moving.x, moving.y, moving.z) == pytest.approx((0.1, 0.0, -0.2))
@@ -58,14 +58,18 @@ def test_turning_is_set_without_the_velocity(two: Server) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "line"),
     [
-        (("get", "r9"), Exit.NOT_FOUND, "zensim state get: NOT_FOUND (2): entity 'r9' does not"),
-        (("get", "r1", "--frame", "r9"), Exit.NOT_FOUND, "zensim state get: NOT_FOUND (2): fr"),
-        (("set", "r9", "-x", "1"), Exit.NOT_FOUND, "zensim state set: NOT_FOUND (2): entity"),
-        (("set", "r1"), Exit.USAGE, "zensim state set: USAGE (2): nothing to set; give -x"),
-        (("set", "r1", "-x", "nan"), Exit.FAILED, "zensim state set: INVALID_POSE (101): "),
+        (
+            ("get", "r9"),
+            ExitCode.NOT_FOUND,
+            "zensim state get: NOT_FOUND (2): entity 'r9' does not",
+        ),
+        (("get", "r1", "--frame", "r9"), ExitCode.NOT_FOUND, "zensim state get: NOT_FOUND (2): fr"),
+        (("set", "r9", "-x", "1"), ExitCode.NOT_FOUND, "zensim state set: NOT_FOUND (2): entity"),
+        (("set", "r1"), ExitCode.USAGE, "zensim state set: USAGE (2): nothing to set; give -x"),
+        (("set", "r1", "-x", "nan"), ExitCode.FAILED, "zensim state set: INVALID_POSE (101): "),
     ],
 )
 def test_state_says_what_is_wrong_in_one_line(
-    two: Server, arguments: tuple[str, ...], status: Exit, line: str
+    two: Server, arguments: tuple[str, ...], status: ExitCode, line: str
 ) -> None:
     assert_failed(run_at(two, app, *arguments), status, line)

@@ -13,7 +13,7 @@ import pytest
 
 from tests.integration.processes import Server, command_line, end, eventually
 from zensim.deploy.parent import PARENT
-from zensim.proto.exits import Exit
+from zensim.proto.exit_codes import ExitCode
 
 WITHIN_S = 20.0
 
@@ -70,10 +70,10 @@ def on_terminal(server: Server, *arguments: str) -> Iterator[Terminal]:
 
 
 @pytest.mark.parametrize(
-    ("answer", "status", "left"), [("n\n", Exit.FAILED, ("r1", "r2")), ("y\n", Exit.OK, ())]
+    ("answer", "status", "left"), [("n\n", ExitCode.FAILED, ("r1", "r2")), ("y\n", ExitCode.OK, ())]
 )
 def test_delete_asks_a_person_before_it_takes_all(
-    two: Server, answer: str, status: Exit, left: tuple[str, ...]
+    two: Server, answer: str, status: ExitCode, left: tuple[str, ...]
 ) -> None:
     with on_terminal(two, "delete", "--all") as terminal:
         terminal.shows("Delete all 2 entities? [y/N]")
@@ -88,13 +88,13 @@ def test_delete_that_is_interrupted_at_its_question_takes_nothing(two: Server) -
         terminal.shows("[y/N]")
         terminal.process.send_signal(signal.SIGINT)
 
-        assert terminal.status() == Exit.INTERRUPTED
+        assert terminal.status() == ExitCode.INTERRUPTED
     assert two.client.entities() == ("r1", "r2")
 
 
 def test_delete_does_not_ask_who_has_said_yes(two: Server) -> None:
     with on_terminal(two, "delete", "--all", "--yes") as terminal:
-        assert terminal.status() == Exit.OK
+        assert terminal.status() == ExitCode.OK
     assert two.client.entities() == ()
 
 
@@ -105,7 +105,7 @@ def test_watch_redraws_until_it_is_interrupted(two: Server) -> None:
         terminal.shows("1 entity at 0.00 s")
         terminal.process.send_signal(signal.SIGINT)
 
-        assert terminal.status() == Exit.INTERRUPTED
+        assert terminal.status() == ExitCode.INTERRUPTED
 
 
 def test_watch_keeps_what_it_saw_while_no_server_answers(two: Server) -> None:
@@ -125,5 +125,5 @@ def test_steps_show_their_progress(server: Server) -> None:
         terminal.shows("/9999999")
         terminal.process.send_signal(signal.SIGINT)
 
-        assert terminal.status() == Exit.INTERRUPTED
+        assert terminal.status() == ExitCode.INTERRUPTED
     assert "canceled after" in terminal.said

@@ -6,11 +6,10 @@ import pytest
 
 from tests.integration.processes import Server, eventually, running
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
-from zensim.proto.codec import Format, decode, encode, encoding_of
-from zensim.proto.exits import Exit
-from zensim.proto.geometry import Twist, Vector3
-from zensim.proto.services import State
-from zensim.proto.topics import String
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import String, Twist, Vector3
 from zensim.spawner.cli.topics import app
 
 FORWARD = Twist(Vector3(x=0.2), Vector3(z=-0.5))
@@ -21,7 +20,7 @@ def heard_after(server: Server, *arguments: str, key: str = "r1/cmd_vel") -> lis
     listener = server.bus.subscribe(key, 1000)
     try:
         done = run_at(server, app, "drive", *arguments)
-        assert done.status == Exit.OK
+        assert done.status == ExitCode.OK
         return [decode(Twist, one.payload, one.encoding) for one in listener.take()]
     finally:
         listener.close()
@@ -51,7 +50,7 @@ def test_drive_takes_a_namespace_as_people_write_it(server: Server, robot: str) 
 def test_drive_says_so_when_nobody_listens(server: Server) -> None:
     done = run_at(server, app, "drive", "r9", "0.2", "--once")
 
-    assert_failed(done, Exit.FAILED, "zensim drive: FAILED (1): nobody listens on r9/cmd_vel")
+    assert_failed(done, ExitCode.FAILED, "zensim drive: FAILED (1): nobody listens on r9/cmd_vel")
     assert "'zensim agent r9'" in done.err
 
 
@@ -71,7 +70,7 @@ def test_drive_is_refused_in_one_line_when_it_is_mistyped(
 ) -> None:
     done = run_at(server, app, "drive", *arguments)
 
-    assert_failed(done, Exit.USAGE, "zensim drive: USAGE (2): ")
+    assert_failed(done, ExitCode.USAGE, "zensim drive: USAGE (2): ")
     assert message in done.err
 
 
@@ -79,7 +78,7 @@ def test_echo_shows_telemetry_as_people_read_it(server: Server) -> None:
     done = run_at(server, app, "echo", "sim/default/clock", "--once")
 
     lines = done.out.splitlines()
-    assert done.status == Exit.OK
+    assert done.status == ExitCode.OK
     assert lines[0] == "# sim/default/clock"
     assert "clock:" in lines
     assert lines[-1] == "---"
@@ -95,7 +94,7 @@ def test_echo_shows_telemetry_as_programs_read_it(server: Server) -> None:
 
 def test_echo_shows_a_last_value_that_was_put_before_it_came(server: Server) -> None:
     queue = server.bus.serve("r1/robot_description")
-    payload, encoding = encode(String("<robot/>"), Format.CDR), encoding_of(String, Format.CDR)
+    payload, encoding = encode(String("<robot/>"), Format.CDR), make_encoding(String, Format.CDR)
     arguments = ("echo", "r1/robot_description", "--once", "--connect", server.endpoint)
     try:
         with running(*arguments) as echo:
@@ -113,7 +112,7 @@ def test_echo_gives_up_when_nothing_comes(server: Server, key: str) -> None:
     done = run_at(server, app, "echo", key, "--once", "--timeout", "0.05")
 
     assert_failed(
-        done, Exit.TIMEOUT, f"zensim echo: TIMEOUT (5): nothing came on {key} within 0.05"
+        done, ExitCode.TIMEOUT, f"zensim echo: TIMEOUT (5): nothing came on {key} within 0.05"
     )
 
 
@@ -124,7 +123,7 @@ def test_key_is_refused_in_one_line_when_it_is_mistyped(
 ) -> None:
     done = run_at(server, app, verb, key)
 
-    assert_failed(done, Exit.USAGE, f"zensim {verb}: USAGE (2): key {key!r} is not valid; use")
+    assert_failed(done, ExitCode.USAGE, f"zensim {verb}: USAGE (2): key {key!r} is not valid; use")
 
 
 def test_hz_measures_the_rate_of_a_topic(server: Server) -> None:
@@ -141,11 +140,11 @@ def test_hz_measures_the_rate_of_a_topic(server: Server) -> None:
 def test_hz_says_so_when_nothing_comes(server: Server) -> None:
     done = run_at(server, app, "hz", "r9/odom", "--duration", "0.1")
 
-    assert (done.status, done.out) == (Exit.OK, "")
+    assert (done.status, done.out) == (ExitCode.OK, "")
     assert done.err == "zensim hz: no new messages\n"
 
 
 def test_command_says_so_when_nobody_listens_at_its_endpoint() -> None:
     done = run(app, "echo", "r1/odom", "--connect", NOWHERE)
 
-    assert_failed(done, Exit.UNREACHABLE, "zensim echo: UNREACHABLE (4): nobody listens at")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim echo: UNREACHABLE (4): nobody listens at")

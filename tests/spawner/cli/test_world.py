@@ -6,8 +6,8 @@ import pytest
 
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
-from zensim.proto.exits import Exit
-from zensim.proto.services import State
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.simulation_messages import State
 from zensim.spawner.cli.world import app
 
 SDF = """<sdf version="1.7"><world name="mine"><model name="block"><static>true</static>
@@ -29,7 +29,7 @@ def test_worlds_are_listed_by_the_name_that_loads_them(server: Server) -> None:
 def test_world_is_loaded_by_its_name(server: Server) -> None:
     done = run_at(server, app, "load", "walls")
 
-    assert done.status == Exit.OK
+    assert done.status == ExitCode.OK
     assert done.out.startswith("loaded walls; 'zensim play' lets time run\n")
     assert run_at(server, app, "current").out == "walls\n"
     assert server.client.simulation_state() == State.STOPPED
@@ -61,21 +61,29 @@ def test_named_poses_are_listed(server: Server) -> None:
 def test_world_is_unloaded_once(server: Server) -> None:
     first, second = (run_at(server, app, "unload") for _ in range(2))
 
-    assert (first.status, first.out) == (Exit.OK, "unloaded\n")
-    assert_failed(second, Exit.FAILED, "zensim world unload: NO_WORLD_LOADED (101): ")
+    assert (first.status, first.out) == (ExitCode.OK, "unloaded\n")
+    assert_failed(second, ExitCode.FAILED, "zensim world unload: NO_WORLD_LOADED (101): ")
     none = run_at(server, app, "current")
-    assert_failed(none, Exit.FAILED, "zensim world current: NO_WORLD_LOADED (101): ")
+    assert_failed(none, ExitCode.FAILED, "zensim world current: NO_WORLD_LOADED (101): ")
 
 
 @pytest.mark.parametrize(
     ("word", "status", "line"),
     [
-        ("nowhere", Exit.NOT_FOUND, "zensim world load: NOT_FOUND (2): no world 'nowhere' comes"),
-        ("./nowhere.sdf", Exit.NOT_FOUND, "zensim world load: NOT_FOUND (3): nowhere.sdf: No su"),
+        (
+            "nowhere",
+            ExitCode.NOT_FOUND,
+            "zensim world load: NOT_FOUND (2): no world 'nowhere' comes",
+        ),
+        (
+            "./nowhere.sdf",
+            ExitCode.NOT_FOUND,
+            "zensim world load: NOT_FOUND (3): nowhere.sdf: No su",
+        ),
     ],
 )
 def test_world_that_is_not_there_changes_nothing(
-    server: Server, word: str, status: Exit, line: str
+    server: Server, word: str, status: ExitCode, line: str
 ) -> None:
     done = run_at(server, app, "load", word)
 
@@ -89,7 +97,7 @@ def test_world_file_that_is_no_text_is_refused(server: Server, tmp_path: Path) -
 
     done = run_at(server, app, "load", str(file))
 
-    assert_failed(done, Exit.USAGE, f"zensim world load: USAGE (2): {file} is no text")
+    assert_failed(done, ExitCode.USAGE, f"zensim world load: USAGE (2): {file} is no text")
 
 
 def test_strict_load_refuses_what_is_not_carried_out(server: Server, tmp_path: Path) -> None:
@@ -100,4 +108,4 @@ def test_strict_load_refuses_what_is_not_carried_out(server: Server, tmp_path: P
 
     done = run_at(server, app, "load", str(file), "--strict")
 
-    assert_failed(done, Exit.FAILED, "zensim world load: UNSUPPORTED_ELEMENTS (106): ")
+    assert_failed(done, ExitCode.FAILED, "zensim world load: UNSUPPORTED_ELEMENTS (106): ")

@@ -7,10 +7,10 @@ import numpy as np
 
 from tests.fakes import MemoryBus
 from zensim.proto import keys
-from zensim.proto.catalog import SERVICES
-from zensim.proto.codec import Format, decode, encode
-from zensim.proto.model import DiffDrive, Joint, Link, Model, Origin, Shape
-from zensim.proto.telemetry import EntityModel, GetModelsResponse, Snapshot
+from zensim.proto.codec.message_codec import Format, decode, encode
+from zensim.proto.messages.model_messages import DiffDrive, Joint, Link, Model, Origin, Shape
+from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
+from zensim.proto.service_catalog import SERVICES
 
 BLUE = (0.1, 0.3, 0.9, 1.0)
 CUBE = Shape("box", (0.1, 0.1, 0.1), rgba=BLUE)

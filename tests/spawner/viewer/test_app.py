@@ -5,8 +5,8 @@ import pytest
 from tests.fakes import ManualClock, MemoryBus
 from tests.spawner.viewer.builders import World, a_robot, a_snapshot, models_of
 from zensim.proto import keys
-from zensim.proto.result import Result, ResultCode, SetSimulationStateCode
-from zensim.proto.services import (
+from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import (
     ResetSimulationRequest,
     SetSimulationStateRequest,
     SetSimulationStateResponse,
@@ -14,7 +14,7 @@ from zensim.proto.services import (
     State,
     StepSimulationRequest,
 )
-from zensim.proto.telemetry import GetModelsRequest
+from zensim.proto.messages.telemetry_messages import GetModelsRequest
 from zensim.spawner.viewer.app import Viewer
 from zensim.spawner.viewer.buttons import BUTTONS, Button
 from zensim.spawner.viewer.scene import Fleet, Frame, LastCommand, Status

@@ -8,13 +8,13 @@ import pytest
 from tests.fakes import ManualClock, MemoryBus
 from tests.spawner.viewer.builders import World, a_robot, a_snapshot, a_wall, models_of
 from zensim.proto import keys
-from zensim.proto.assets import GetAssetRequest, GetAssetResponse
-from zensim.proto.geometry import Twist, TwistStamped, Vector3
-from zensim.proto.model import Shape
-from zensim.proto.result import Result, ResultCode
-from zensim.proto.scene import Scene
+from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
+from zensim.proto.messages.model_messages import Shape
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
+from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
+from zensim.proto.messages.world_messages import Scene
 from zensim.proto.stl import write_corners
-from zensim.proto.telemetry import GetModelsRequest, GetModelsResponse
 from zensim.spawner.viewer.feed import ASK_AGAIN_S, FRAME_S, SILENCE_S, Feed, View
 from zensim.spawner.viewer.fetching import MeshFetcher
 from zensim.spawner.viewer.scene import LastCommand

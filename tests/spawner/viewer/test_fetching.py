@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from tests.fakes import ManualClock
-from zensim.proto.assets import GetAssetRequest, GetAssetResponse
 from zensim.proto.bus import NoServer
-from zensim.proto.catalog import Request, Response, Service
-from zensim.proto.model import Link, Model, Shape
-from zensim.proto.result import ServiceError
+from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
+from zensim.proto.messages.model_messages import Link, Model, Shape
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.stl import write_corners
 from zensim.spawner.viewer.fetching import ASK_AGAIN_S, MAX_BYTES, MeshFetcher
 

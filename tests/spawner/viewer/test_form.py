@@ -2,7 +2,7 @@ import msgspec
 import pytest
 
 from tests.spawner.viewer.builders import CUBE, a_robot
-from zensim.proto.model import Joint, Link, Model, Shape
+from zensim.proto.messages.model_messages import Joint, Link, Model, Shape
 from zensim.spawner.viewer.form import NotATree, form_of
 
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.model import JointKind, Origin
+from zensim.proto.messages.model_messages import JointKind, Origin
 from zensim.proto.rotation import from_rpy
 from zensim.spawner.viewer.kinematics import Hinge, link_poses
 

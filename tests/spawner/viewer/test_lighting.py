@@ -3,8 +3,8 @@
 import msgspec
 import pytest
 
-from zensim.proto.model import Origin
-from zensim.proto.scene import Light, Scene
+from zensim.proto.messages.model_messages import Origin
+from zensim.proto.messages.world_messages import Light, Scene
 from zensim.spawner.viewer.lighting import FAR_M, MAX_LIGHTS, Lighting, against, sky
 
 LAMP = Light("l", "point", Origin((1.0, 2.0, 3.0)), rgba=(1.0, 0.5, 2.0, 1.0))

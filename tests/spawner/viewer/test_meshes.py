@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.spawner.viewer.builders import BLUE, CUBE, a_robot
-from zensim.proto.model import Origin, Shape
+from zensim.proto.messages.model_messages import Origin, Shape
 from zensim.proto.rotation import from_rpy
 from zensim.spawner.viewer.form import Form, form_of
 from zensim.spawner.viewer.meshes import (

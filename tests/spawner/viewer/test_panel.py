@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from zensim.proto.telemetry import EntityModel
+from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.spawner.viewer.panel import clock_text, command_text, robot_html, status_html
 from zensim.spawner.viewer.scene import LastCommand, Status
 

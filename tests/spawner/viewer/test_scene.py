@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.spawner.viewer.builders import a_robot, a_snapshot, a_wall, models_of
-from zensim.proto.model import Link, Model
+from zensim.proto.messages.model_messages import Link, Model
 from zensim.spawner.viewer.scene import (
     MismatchedSnapshot,
     UnknownEntity,

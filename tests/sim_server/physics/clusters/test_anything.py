@@ -16,7 +16,7 @@ from zensim.sim_server.physics.engine import EngineConfig
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 if TYPE_CHECKING:
-    from zensim.proto.model import Model
+    from zensim.proto.messages.model_messages import Model
     from zensim.sim_server.physics.engine import Engine, FloatArray
 
 MODELS = (

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
-from zensim.proto.model import Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
 from zensim.proto.stl import write_corners
 from zensim.sim_server.physics.clusters.reach import BEYOND, FARTHEST_M, Measure, moves
 

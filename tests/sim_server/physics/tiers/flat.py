@@ -6,8 +6,8 @@ from contextlib import contextmanager
 import msgspec
 import numpy as np
 
-from zensim.proto.model import Dynamics, Model
-from zensim.proto.rotation import yaw_of
+from zensim.proto.messages.model_messages import Dynamics, Model
+from zensim.proto.rotation import to_yaw
 from zensim.sim_server.description.library import model_text
 from zensim.sim_server.description.urdf import read_urdf
 from zensim.sim_server.physics.engine import EngineConfig, FloatArray
@@ -48,4 +48,4 @@ def places(engine: Tiers, bodies: list[int]) -> FloatArray:
 
 
 def heading(engine: Tiers, body: int) -> float:
-    return float(yaw_of(engine.read((body,)).base[0, 3:7]))
+    return float(to_yaw(engine.read((body,)).base[0, 3:7]))

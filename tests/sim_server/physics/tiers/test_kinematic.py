@@ -16,8 +16,8 @@ from tests.sim_server.physics.tiers.flat import (
     two_tiers,
     with_dynamics,
 )
-from zensim.proto.drives import DiffDrive
-from zensim.proto.model import Link, Model, Shape
+from zensim.proto.messages.drive_messages import DiffDrive
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.sim_server.physics.engine import EngineRefused
 
 RADIUS_M = 0.09

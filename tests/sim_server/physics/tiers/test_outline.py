@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tests.models import a_state
-from zensim.proto.model import Link, Model, Origin, Shape
+from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.tiers.footprint import corners_in
 from zensim.sim_server.physics.tiers.outline import hull_edges, outline_of

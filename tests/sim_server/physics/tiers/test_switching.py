@@ -8,7 +8,7 @@ import pytest
 
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.physics.tiers.flat import DT_S, places, steps, two_tiers, with_dynamics
-from zensim.proto.model import Dynamics
+from zensim.proto.messages.model_messages import Dynamics
 
 EITHER: tuple[Dynamics, ...] = ("auto", "full")
 ALL: tuple[Dynamics, ...] = ("", "full", "kinematic", "auto")

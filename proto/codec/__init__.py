@@ -1,0 +1,1 @@
+"""Message serialization: CDR, MessagePack and JSON."""

@@ -1,0 +1,177 @@
+"""Encode and decode messages as CDR, MessagePack or JSON; detect the format."""
+
+from enum import Enum
+from functools import cache
+from typing import TypeVar, cast
+
+import msgspec
+
+from zensim.proto.codec import cdr
+from zensim.proto.codec.cdr import MalformedPayload
+
+__all__ = [
+    "Format",
+    "MalformedPayload",
+    "decode",
+    "encode",
+    "make_encoding",
+    "detect_format",
+    "supports_format",
+    "parse_schema_name",
+]
+
+MAX_DETAIL = 200
+"""Characters of a decoder's complaint that are passed on; the sender chose some of them."""
+
+Message = TypeVar("Message", bound=msgspec.Struct)
+
+
+class Format(Enum):
+    """How a message is written; the value is its Zenoh Encoding."""
+
+    CDR = "application/cdr"
+    MSGPACK = "application/msgpack"
+    JSON = "application/json"
+
+
+FORMAT_OF_ENCODING: dict[str, Format] = {
+    "application/cdr": Format.CDR,
+    "application/msgpack": Format.MSGPACK,
+    "application/json": Format.JSON,
+    "text/json": Format.JSON,
+}
+FORMAT_OF_FIRST_BYTE: dict[int, Format] = {
+    0x00: Format.CDR,
+    **dict.fromkeys((*range(0x80, 0x90), 0xDE, 0xDF), Format.MSGPACK),
+    **dict.fromkeys(b"{ \t\r\n", Format.JSON),
+}
+
+_WRITE_MSGPACK = msgspec.msgpack.Encoder().encode
+_WRITE_JSON = msgspec.json.Encoder().encode
+
+
+def encode(message: msgspec.Struct, format: Format) -> bytes:
+    """Write a message.
+
+    NaN and infinity become null in JSON, which `decode` refuses where a number is due.
+
+    Raises:
+        TypeError: The format is CDR, which does not offer this type.
+        ValueError: A value does not fit its field.
+    """
+    try:
+        if format is Format.CDR:
+            return cdr.encode(message)
+        return _WRITE_JSON(message) if format is Format.JSON else _WRITE_MSGPACK(message)
+    except OverflowError as error:
+        raise ValueError(
+            f"{_find_type_name(type(message))} does not fit {format.name}: {error}"
+        ) from error
+
+
+def decode(message_type: type[Message], payload: bytes, encoding: str = "") -> Message:
+    """Read a message; the Zenoh Encoding, or else the first byte, tells the format.
+
+    No bytes at all are the message whose fields all have their defaults.
+
+    Raises:
+        MalformedPayload: The bytes are not that message, or not what the Encoding says.
+    """
+    format_ = detect_format(payload, encoding)
+    try:
+        if not payload:
+            return _make_default(message_type)
+        if format_ is Format.CDR:
+            return _from_cdr(message_type, payload, encoding)
+        if format_ is Format.JSON:
+            return _from_json(message_type, payload)
+        return cast("Message", _msgpack_decoder(message_type).decode(payload))
+    except (ValueError, RecursionError) as error:
+        detail = " ".join(str(error).split())[:MAX_DETAIL]
+        raise MalformedPayload(
+            f"not {_find_type_name(message_type)} in {format_.name}: {detail}"
+        ) from error
+
+
+def detect_format(payload: bytes, encoding: str = "") -> Format:
+    """Tell the format by the Zenoh Encoding, or else by the first byte; MessagePack when empty.
+
+    Raises:
+        MalformedPayload: The first byte begins no message, or not one of the Encoding.
+    """
+    declared = FORMAT_OF_ENCODING.get(encoding.partition(";")[0])
+    if not payload:
+        return declared or Format.MSGPACK
+    found = FORMAT_OF_FIRST_BYTE.get(payload[0])
+    if found is None:
+        raise MalformedPayload(
+            f"first byte 0x{payload[0]:02x} begins no message; use CDR (0x00), a MessagePack map"
+            " or a JSON object"
+        )
+    if declared in (None, found):
+        return found
+    raise MalformedPayload(f"Encoding is {encoding[:80]!r}, but the bytes begin as {found.name}")
+
+
+def parse_schema_name(encoding: str) -> str:
+    """Tell the ROS type that a CDR Encoding names; empty when it names none."""
+    format_, _, schema = encoding.partition(";")
+    return schema if format_ == Format.CDR.value else ""
+
+
+def make_encoding(message: msgspec.Struct | type[msgspec.Struct], format: Format) -> str:
+    """Tell the Zenoh Encoding of a message or type; that of CDR names the ROS type."""
+    if format is not Format.CDR:
+        return str(format.value)
+    return _cdr_encoding(message if isinstance(message, type) else type(message))
+
+
+def supports_format(message_type: type[msgspec.Struct], format: Format) -> bool:
+    """Whether messages of this type can be written so; all can in MessagePack and JSON."""
+    return format is not Format.CDR or cdr.is_expressible(message_type)
+
+
+def _make_default(message_type: type[Message]) -> Message:
+    try:
+        return message_type()
+    except TypeError as error:
+        raise MalformedPayload(f"the payload is empty: {error}") from error
+
+
+def _from_cdr(message_type: type[Message], payload: bytes, encoding: str) -> Message:
+    if not cdr.is_expressible(message_type):
+        raise MalformedPayload("CDR is not offered for it; use MessagePack or JSON")
+    if encoding != _cdr_encoding(message_type):
+        schema = parse_schema_name(encoding)
+        if schema not in ("", _find_type_name(message_type)):
+            raise MalformedPayload(f"the Encoding names {schema}; name this type or none")
+    return cdr.decode(message_type, payload)
+
+
+def _from_json(message_type: type[Message], payload: bytes) -> Message:
+    message = _json_decoder(message_type).decode(payload)
+    try:
+        _WRITE_MSGPACK(message)  # JSON alone knows integers beyond 64 bits.
+    except OverflowError as error:
+        raise MalformedPayload("an integer is beyond 64 bits") from error
+    return cast("Message", message)
+
+
+@cache
+def _cdr_encoding(message_type: type[msgspec.Struct]) -> str:
+    return f"{Format.CDR.value};{_find_type_name(message_type)}"
+
+
+@cache
+def _msgpack_decoder(message_type: type[Message]) -> msgspec.msgpack.Decoder[Message]:
+    return msgspec.msgpack.Decoder(message_type)
+
+
+@cache
+def _json_decoder(message_type: type[Message]) -> msgspec.json.Decoder[Message]:
+    return msgspec.json.Decoder(message_type)
+
+
+def _find_type_name(message_type: type[msgspec.Struct]) -> str:
+    """Name a type as ROS does, nearest class first."""
+    return str(getattr(message_type, "ros_type", message_type.__name__))

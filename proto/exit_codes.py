@@ -1,0 +1,84 @@
+"""Exit codes of every command, and the one-line message printed with a failure."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+
+from zensim.proto.bus import BusError, NoServer, Unreachable
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+
+
+class ExitCode(IntEnum):
+    """How a command ended."""
+
+    OK = 0
+    FAILED = 1
+    USAGE = 2
+    NOT_FOUND = 3
+    UNREACHABLE = 4
+    TIMEOUT = 5
+    PARTIAL = 6
+    INTERRUPTED = 130
+
+
+EXPECTED_FAILURES = (ServiceError, BusError, TimeoutError, ValueError, OSError)
+"""What a command may run into and ends with one line for."""
+
+
+def choose_exit_code(error: Exception) -> ExitCode:
+    """Choose the exit status for a failure; a `code` of NOT_FOUND decides where there is one."""
+    if getattr(error, "code", None) == ResultCode.NOT_FOUND:
+        return ExitCode.NOT_FOUND
+    for kinds, status in _EXIT_CODES:
+        if isinstance(error, kinds):
+            return status
+    return ExitCode.FAILED
+
+
+_EXIT_CODES: tuple[tuple[tuple[type[Exception], ...], ExitCode], ...] = (
+    ((NoServer, Unreachable), ExitCode.UNREACHABLE),
+    ((TimeoutError,), ExitCode.TIMEOUT),
+    ((FileNotFoundError,), ExitCode.NOT_FOUND),
+    ((MalformedPayload,), ExitCode.FAILED),  # what somebody sent, not what was typed
+    ((ValueError,), ExitCode.USAGE),
+)
+
+
+def format_failure(error: Exception) -> str:
+    """Say a failure in one line, with its code."""
+    text = " ".join(str(error).split())
+    if isinstance(error, ServiceError):
+        return text
+    if isinstance(error, OSError) and error.filename:
+        text = f"{error.filename}: {error.strerror}"
+    status = choose_exit_code(error)
+    return f"{status.name} ({int(status)}): {text}"
+
+
+@contextmanager
+def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
+    """End the command with one line on standard error and a status when something fails inside.
+
+    Args:
+        command: The verb, as the line names it.
+        also: Failures to expect besides `EXPECTED_FAILURES`.
+
+    Raises:
+        SystemExit: With one of `ExitCode`.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        # The reader has gone, as `| head` does: nothing is wrong, and nothing more can be written.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise SystemExit(ExitCode.OK) from None
+    except Exception as error:
+        if not isinstance(error, (*EXPECTED_FAILURES, *also)):
+            raise
+        sys.stderr.write(f"zensim {command}: {format_failure(error)}\n")
+        raise SystemExit(choose_exit_code(error)) from error
+    except KeyboardInterrupt:
+        raise SystemExit(ExitCode.INTERRUPTED) from None

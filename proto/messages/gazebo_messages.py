@@ -1,0 +1,380 @@
+"""Services and topics of Gazebo Classic, with the fields of gazebo_msgs and std_srvs."""
+
+from enum import IntEnum
+from typing import ClassVar
+
+import msgspec
+
+from zensim.proto.messages.result_messages import Result
+from zensim.proto.messages.scalar_types import UInt8
+from zensim.proto.messages.standard_messages import (
+    Duration,
+    Header,
+    Point,
+    Pose,
+    Time,
+    Twist,
+    Wrench,
+)
+
+
+class EmptyRequest(msgspec.Struct, frozen=True):
+    """Nothing to say. Source: std_srvs/srv/Empty."""
+
+    ros_type: ClassVar[str] = "std_srvs/srv/Empty_Request"
+
+
+class PausePhysicsRequest(EmptyRequest, frozen=True):
+    """Let time stand."""
+
+
+class UnpausePhysicsRequest(EmptyRequest, frozen=True):
+    """Let time run."""
+
+
+class ResetWorldRequest(EmptyRequest, frozen=True):
+    """Put every entity back where it was spawned; time goes on."""
+
+
+class EmptyResponse(msgspec.Struct, frozen=True):
+    """Nothing to answer. Source: std_srvs/srv/Empty."""
+
+    ros_type: ClassVar[str] = "std_srvs/srv/Empty_Response"
+
+
+class EmptyReport(EmptyResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class GazeboEntityState(msgspec.Struct, frozen=True):
+    """Where a model or a link is, in a frame. Source: gazebo_msgs/msg/EntityState."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/msg/EntityState"
+
+    name: str = ""
+    """`entity` or `entity::link`."""
+    pose: Pose = Pose()
+    twist: Twist = Twist()
+    reference_frame: str = ""
+    """`entity`, `entity::link`, or empty for the world's."""
+
+
+class GazeboGetEntityStateRequest(msgspec.Struct, frozen=True):
+    """Ask where a model or a link is. Source: gazebo_msgs/srv/GetEntityState."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetEntityState_Request"
+
+    name: str = ""
+    reference_frame: str = ""
+
+
+class GazeboGetEntityStateResponse(msgspec.Struct, frozen=True):
+    """Where it is. Source: gazebo_msgs/srv/GetEntityState."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetEntityState_Response"
+
+    header: Header = Header()
+    state: GazeboEntityState = GazeboEntityState()
+    success: bool = False
+
+
+class GazeboGetEntityStateReport(GazeboGetEntityStateResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class GazeboSetEntityStateRequest(msgspec.Struct, frozen=True):
+    """Put an entity somewhere. Source: gazebo_msgs/srv/SetEntityState."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SetEntityState_Request"
+
+    state: GazeboEntityState = GazeboEntityState()
+
+
+class GazeboSetEntityStateResponse(msgspec.Struct, frozen=True):
+    """Whether it is there. Source: gazebo_msgs/srv/SetEntityState."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SetEntityState_Response"
+
+    success: bool = False
+
+
+class GazeboSetEntityStateReport(GazeboSetEntityStateResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class ModelStates(msgspec.Struct, frozen=True):
+    """Every entity in the world frame. Source: gazebo_msgs/msg/ModelStates."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/msg/ModelStates"
+
+    name: tuple[str, ...] = ()
+    pose: tuple[Pose, ...] = ()
+    twist: tuple[Twist, ...] = ()
+
+
+class LinkStates(msgspec.Struct, frozen=True):
+    """Every link, `entity::link`, in the world frame. Source: gazebo_msgs/msg/LinkStates."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/msg/LinkStates"
+
+    name: tuple[str, ...] = ()
+    pose: tuple[Pose, ...] = ()
+    twist: tuple[Twist, ...] = ()
+
+
+class ApplyLinkWrenchRequest(msgspec.Struct, frozen=True):
+    """Push a link for a while. Source: gazebo_msgs/srv/ApplyLinkWrench."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyLinkWrench_Request"
+
+    link_name: str = ""
+    """`entity::link`."""
+    reference_frame: str = ""
+    """Whose axes the wrench has; empty = the world's."""
+    reference_point: Point = Point()
+    """Where the force acts: in that frame; without one, from the centre of mass of the link."""
+    wrench: Wrench = Wrench()
+    start_time: Time = Time()
+    """Of simulation; a time that is over means now."""
+    duration: Duration = Duration()
+    """Of simulation; negative = for ever, 0 = not at all, else one step at least."""
+
+
+class ApplyLinkWrenchResponse(msgspec.Struct, frozen=True):
+    """Whether it will be pushed. Source: gazebo_msgs/srv/ApplyLinkWrench."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyLinkWrench_Response"
+
+    success: bool = False
+    status_message: str = ""
+
+
+class ApplyLinkWrenchReport(ApplyLinkWrenchResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class ClearLinkWrenchesRequest(msgspec.Struct, frozen=True):
+    """Push a link no more. Source: gazebo_msgs/srv/LinkRequest."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/LinkRequest_Request"
+
+    link_name: str = ""
+
+
+class ClearLinkWrenchesResponse(msgspec.Struct, frozen=True):
+    """Nothing to answer. Source: gazebo_msgs/srv/LinkRequest."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/LinkRequest_Response"
+
+
+class ClearLinkWrenchesReport(ClearLinkWrenchesResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class ApplyJointEffortRequest(msgspec.Struct, frozen=True):
+    """Turn or slide a joint for a while. Source: gazebo_msgs/srv/ApplyJointEffort."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyJointEffort_Request"
+
+    joint_name: str = ""
+    """`entity::joint`, or `joint` where one entity only has it."""
+    effort: float = 0.0
+    """[N m] or [N]."""
+    start_time: Time = Time()
+    duration: Duration = Duration()
+
+
+class ApplyJointEffortResponse(msgspec.Struct, frozen=True):
+    """Whether it will be turned. Source: gazebo_msgs/srv/ApplyJointEffort."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyJointEffort_Response"
+
+    success: bool = False
+    status_message: str = ""
+
+
+class ApplyJointEffortReport(ApplyJointEffortResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class ClearJointEffortsRequest(msgspec.Struct, frozen=True):
+    """Turn a joint no more. Source: gazebo_msgs/srv/JointRequest."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/JointRequest_Request"
+
+    joint_name: str = ""
+
+
+class ClearJointEffortsResponse(msgspec.Struct, frozen=True):
+    """Nothing to answer. Source: gazebo_msgs/srv/JointRequest."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/JointRequest_Response"
+
+
+class ClearJointEffortsReport(ClearJointEffortsResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class JointType(IntEnum):
+    """How a joint moves. Source: gazebo_msgs/srv/GetJointProperties."""
+
+    REVOLUTE = 0
+    CONTINUOUS = 1
+    PRISMATIC = 2
+    FIXED = 3
+    BALL = 4
+    UNIVERSAL = 5
+
+
+class GetJointPropertiesRequest(msgspec.Struct, frozen=True):
+    """Ask about a joint. Source: gazebo_msgs/srv/GetJointProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetJointProperties_Request"
+
+    joint_name: str = ""
+
+
+class GetJointPropertiesResponse(msgspec.Struct, frozen=True):
+    """A number for each axis. Source: gazebo_msgs/srv/GetJointProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetJointProperties_Response"
+
+    type: UInt8 = JointType.REVOLUTE
+    damping: tuple[float, ...] = ()
+    position: tuple[float, ...] = ()
+    rate: tuple[float, ...] = ()
+    success: bool = False
+    status_message: str = ""
+
+
+class GetJointPropertiesReport(GetJointPropertiesResponse, frozen=True):
+    """How it went, and what Gazebo does not tell."""
+
+    result: Result = Result()
+    lower: tuple[float, ...] = ()
+    upper: tuple[float, ...] = ()
+    friction: tuple[float, ...] = ()
+
+
+class ODEJointProperties(msgspec.Struct, frozen=True):
+    """Settings of a joint, one number for its axis; empty = as it is.
+
+    Source: gazebo_msgs/msg/ODEJointProperties.
+    """
+
+    ros_type: ClassVar[str] = "gazebo_msgs/msg/ODEJointProperties"
+
+    damping: tuple[float, ...] = ()
+    hi_stop: tuple[float, ...] = ()
+    lo_stop: tuple[float, ...] = ()
+    erp: tuple[float, ...] = ()
+    cfm: tuple[float, ...] = ()
+    stop_erp: tuple[float, ...] = ()
+    stop_cfm: tuple[float, ...] = ()
+    fudge_factor: tuple[float, ...] = ()
+    fmax: tuple[float, ...] = ()
+    """Most effort against motion: the joint's friction."""
+    vel: tuple[float, ...] = ()
+
+
+class SetJointPropertiesRequest(msgspec.Struct, frozen=True):
+    """Change a joint. Source: gazebo_msgs/srv/SetJointProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SetJointProperties_Request"
+
+    joint_name: str = ""
+    ode_joint_config: ODEJointProperties = ODEJointProperties()
+
+
+class SetJointPropertiesResponse(msgspec.Struct, frozen=True):
+    """Whether it is changed. Source: gazebo_msgs/srv/SetJointProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SetJointProperties_Response"
+
+    success: bool = False
+    status_message: str = ""
+
+
+class SetJointPropertiesReport(SetJointPropertiesResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class GetLinkPropertiesRequest(msgspec.Struct, frozen=True):
+    """Ask what a link weighs. Source: gazebo_msgs/srv/GetLinkProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetLinkProperties_Request"
+
+    link_name: str = ""
+
+
+class GetLinkPropertiesResponse(msgspec.Struct, frozen=True):
+    """What it weighs. Source: gazebo_msgs/srv/GetLinkProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/GetLinkProperties_Response"
+
+    com: Pose = Pose()
+    """Of the centre of mass and the axes of the moments, in the link."""
+    gravity_mode: bool = True
+    mass: float = 0.0
+    ixx: float = 0.0
+    ixy: float = 0.0
+    ixz: float = 0.0
+    iyy: float = 0.0
+    iyz: float = 0.0
+    izz: float = 0.0
+    success: bool = False
+    status_message: str = ""
+
+
+class GetLinkPropertiesReport(GetLinkPropertiesResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()
+
+
+class SetLinkPropertiesRequest(msgspec.Struct, frozen=True):
+    """Change what a link weighs; every field counts. Source: gazebo_msgs/srv/SetLinkProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SetLinkProperties_Request"
+
+    link_name: str = ""
+    com: Pose = Pose()
+    gravity_mode: bool = True
+    mass: float = 0.0
+    ixx: float = 0.0
+    ixy: float = 0.0
+    ixz: float = 0.0
+    iyy: float = 0.0
+    iyz: float = 0.0
+    izz: float = 0.0
+
+
+class SetLinkPropertiesResponse(msgspec.Struct, frozen=True):
+    """Whether it is changed. Source: gazebo_msgs/srv/SetLinkProperties."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SetLinkProperties_Response"
+
+    success: bool = False
+    status_message: str = ""
+
+
+class SetLinkPropertiesReport(SetLinkPropertiesResponse, frozen=True):
+    """How it went."""
+
+    result: Result = Result()

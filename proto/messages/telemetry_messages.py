@@ -1,0 +1,174 @@
+"""What the server publishes or reports: info, clock, stats, snapshot, events, models."""
+
+from typing import ClassVar, Literal
+
+import msgspec
+
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import Result
+from zensim.proto.messages.scalar_types import UInt32, UInt64
+from zensim.proto.messages.standard_messages import Clock, Pose
+from zensim.proto.messages.world_messages import Scene
+
+StateName = Literal["stopped", "playing", "paused", "quitting", "no_world", "loading_world"]
+
+
+class InfoRequest(msgspec.Struct, frozen=True):
+    """Ask who is there."""
+
+    ros_type: ClassVar[str] = "zensim/srv/Info_Request"
+
+
+class Info(msgspec.Struct, frozen=True):
+    """The server in one line."""
+
+    ros_type: ClassVar[str] = "zensim/srv/Info_Response"
+
+    result: Result = Result()
+    world: str = ""
+    version: str = ""
+    sim_time_s: float = 0.0
+    steps: UInt64 = 0
+    epoch: UInt32 = 0
+    step_ns: UInt64 = 0
+    real_time_factor: float = 0.0
+    """Measured over the last second; 0 while paused."""
+    target_real_time_factor: float = 0.0
+    """0 = as fast as it can."""
+    entities: UInt32 = 0
+    agents: UInt32 = 0
+    claimed: UInt32 = 0
+    state: StateName = "stopped"
+    engine: str = ""
+    world_model: str = ""
+    seed: UInt64 = 0
+    is_lockstep: bool = False
+    """Whether each control step waits for the agents; requested steps always do."""
+
+
+class WorldClock(Clock, frozen=True):
+    """Simulation time with its step; time goes back only with a higher epoch."""
+
+    step: UInt64 = 0
+    epoch: UInt32 = 0
+
+
+class Stats(msgspec.Struct, frozen=True):
+    """How the loop is doing; wall times [s] over the last second."""
+
+    ros_type: ClassVar[str] = "zensim/msg/Stats"
+
+    world: str = ""
+    sim_time_s: float = 0.0
+    steps: UInt64 = 0
+    real_time_factor: float = 0.0
+    state: StateName = "stopped"
+    entities: UInt32 = 0
+    agents: UInt32 = 0
+    claimed: UInt32 = 0
+    step_time_s: float = 0.0
+    """Mean engine time of a step."""
+    step_time_max_s: float = 0.0
+    late_max_s: float = 0.0
+    """How late the latest step began against its deadline."""
+    slipped_s: float = 0.0
+    """Wall time given up to overruns since start."""
+    requests: UInt64 = 0
+    commands: UInt64 = 0
+    dropped: UInt64 = 0
+    """Payloads dropped since start because they were malformed, stale or not finite."""
+    ready_s: dict[str, float] = {}
+    """Wall time from spawn to first command, by entity."""
+    target_real_time_factor: float = 0.0
+    """0 = as fast as it can."""
+    awaited: tuple[str, ...] = ()
+    """Agents whose answers the loop waits for now."""
+    misses: dict[str, UInt64] = {}
+    """Drive states that were not answered in time, by agent; of agents that hold something."""
+    kinematic: UInt32 = 0
+    """Entities that move as their drives say, and not by forces and contacts."""
+    busy_max_s: float = 0.0
+    """CPU time for which the loop's own work held a step up at most; the rest of `late_max_s` is
+    the machine's."""
+
+
+class Snapshot(msgspec.Struct, frozen=True):
+    """Every entity at one step."""
+
+    ros_type: ClassVar[str] = "zensim/msg/Snapshot"
+
+    epoch: UInt32
+    step: UInt64
+    time_ns: UInt64
+    roster: UInt32
+    """Changes whenever an entity comes or goes: ask for models again."""
+    names: tuple[str, ...]
+    base: bytes
+    """`<f8`, (n, 13), see `claims.STATE_COLUMNS`, in the order of `names`."""
+    joint_positions: bytes
+    """`<f8`, all joints of all entities, model by model in the order of `Model.joints`."""
+    real_time_factor: float = 0.0
+    state: StateName = "stopped"
+
+
+EventKind = Literal[
+    "spawned",
+    "deleted",
+    "claimed",
+    "released",
+    "reset",
+    "played",
+    "paused",
+    "stopped",
+    "loading",
+    "loaded",
+    "unloaded",
+    "quitting",
+    "missed",
+    "warning",
+]
+
+
+class Event(msgspec.Struct, frozen=True):
+    """Something happened once."""
+
+    ros_type: ClassVar[str] = "zensim/msg/Event"
+
+    kind: EventKind
+    entity: str = ""
+    agent: str = ""
+    step: UInt64 = 0
+    epoch: UInt32 = 0
+    message: str = ""
+
+
+class GetModelsRequest(msgspec.Struct, frozen=True):
+    """Ask how entities look; empty means all."""
+
+    ros_type: ClassVar[str] = "zensim/srv/GetModels_Request"
+
+    entities: tuple[str, ...] = ()
+
+
+class EntityModel(msgspec.Struct, frozen=True):
+    """One entity and which of the models it is."""
+
+    entity: str
+    namespace: str
+    model: UInt32
+    """Index into `GetModelsResponse.models`."""
+    agent: str = ""
+    initial_pose: Pose = Pose()
+
+
+class GetModelsResponse(msgspec.Struct, frozen=True):
+    """Each model once, and the entities that share it."""
+
+    ros_type: ClassVar[str] = "zensim/srv/GetModels_Response"
+
+    result: Result = Result()
+    roster: UInt32 = 0
+    entities: tuple[EntityModel, ...] = ()
+    models: tuple[Model, ...] = ()
+    scene: Scene = Scene()
+    """How the world that they are in looks."""

@@ -1,0 +1,121 @@
+"""Services that load, unload and list worlds, and the lights and colours of a world."""
+
+from typing import ClassVar, Literal
+
+import msgspec
+
+from zensim.proto.messages.entity_messages import TagsFilter
+from zensim.proto.messages.model_messages import Origin, Quat, ReportEntry, Vec3
+from zensim.proto.messages.result_messages import Result
+from zensim.proto.messages.spawn_messages import Resource
+
+LightKind = Literal["point", "spot", "directional"]
+DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
+
+
+class Light(msgspec.Struct, frozen=True):
+    """A lamp of a world; `direction` is in the world."""
+
+    name: str
+    kind: LightKind
+    origin: Origin = Origin()
+    direction: Vec3 = DOWNWARD
+    rgba: Quat = (1.0, 1.0, 1.0, 1.0)
+
+
+class Scene(msgspec.Struct, frozen=True):
+    """Colours and lamps of a world; None where it does not say."""
+
+    ambient: Quat | None = None
+    background: Quat | None = None
+    lights: tuple[Light, ...] = ()
+    has_sun: bool = False
+    """Whether it includes `model://sun`."""
+
+
+class WorldResource(msgspec.Struct, frozen=True):
+    """A world and how to ask for it. Source: simulation_interfaces/msg/WorldResource."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/msg/WorldResource"
+
+    name: str = ""
+    world_resource: Resource = Resource()
+    description: str = ""
+    tags: tuple[str, ...] = ()
+
+
+class LoadWorldRequest(msgspec.Struct, frozen=True):
+    """Put another world in the place of this one. Source: simulation_interfaces/srv/LoadWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/LoadWorld_Request"
+
+    world_resource: Resource = Resource()
+    """`uri`: a shipped world, or a file of the operator's; else `resource_string`: SDF."""
+    fail_on_unsupported_element: bool = False
+    ignore_missing_or_unsupported_assets: bool = False
+
+
+class LoadWorldResponse(msgspec.Struct, frozen=True):
+    """The world that is there now. Source: simulation_interfaces/srv/LoadWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/LoadWorld_Response"
+
+    result: Result = Result()
+    world: WorldResource = WorldResource()
+
+
+class LoadWorldReport(LoadWorldResponse, frozen=True):
+    """How the world was read, besides."""
+
+    report: tuple[ReportEntry, ...] = ()
+
+
+class UnloadWorldRequest(msgspec.Struct, frozen=True):
+    """Take the world away with all entities. Source: simulation_interfaces/srv/UnloadWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/UnloadWorld_Request"
+
+
+class UnloadWorldResponse(msgspec.Struct, frozen=True):
+    """How it went. Source: simulation_interfaces/srv/UnloadWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/UnloadWorld_Response"
+
+    result: Result = Result()
+
+
+class GetCurrentWorldRequest(msgspec.Struct, frozen=True):
+    """Ask which world is there. Source: simulation_interfaces/srv/GetCurrentWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/GetCurrentWorld_Request"
+
+
+class GetCurrentWorldResponse(msgspec.Struct, frozen=True):
+    """The world, as it was asked for. Source: simulation_interfaces/srv/GetCurrentWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/GetCurrentWorld_Response"
+
+    result: Result = Result()
+    world: WorldResource = WorldResource()
+
+
+class GetAvailableWorldsRequest(msgspec.Struct, frozen=True):
+    """Ask which worlds can be loaded. Source: simulation_interfaces/srv/GetAvailableWorlds."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/GetAvailableWorlds_Request"
+
+    additional_sources: tuple[str, ...] = ()
+    """Folders below those that the operator has given; no others are looked into."""
+    filter: TagsFilter = TagsFilter()
+    offline_only: bool = False
+    """Pass over additional sources that are online; no online one is ever looked into."""
+    continue_on_error: bool = False
+
+
+class GetAvailableWorldsResponse(msgspec.Struct, frozen=True):
+    """The worlds by name. Source: simulation_interfaces/srv/GetAvailableWorlds."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/GetAvailableWorlds_Response"
+
+    result: Result = Result()
+    worlds: tuple[WorldResource, ...] = ()

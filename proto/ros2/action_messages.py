@@ -1,0 +1,177 @@
+"""The SimulateSteps action in ROS 2: the messages, services and topics that rosidl generates for it."""
+
+from enum import IntEnum
+from typing import Annotated, ClassVar, Final
+
+import msgspec
+from msgspec import Meta
+
+from zensim.proto.messages.result_messages import Result
+from zensim.proto.messages.scalar_types import Int8, UInt8, UInt64
+from zensim.proto.messages.standard_messages import Time
+
+ACTION_NAME: Final = "simulate_steps"
+ACTION_TYPE: Final = "simulation_interfaces/action/SimulateSteps"
+ACTION_ROOT: Final = f"/{ACTION_NAME}/_action"
+SEND_GOAL_SERVICE, CANCEL_GOAL_SERVICE, GET_RESULT_SERVICE = (
+    f"{ACTION_ROOT}/{name}" for name in ("send_goal", "cancel_goal", "get_result")
+)
+FEEDBACK_TOPIC, STATUS_TOPIC = f"{ACTION_ROOT}/feedback", f"{ACTION_ROOT}/status"
+NO_GOAL_ID: Final = (0,) * 16
+Bytes16 = Annotated[
+    tuple[UInt8, ...], Meta(min_length=16, max_length=16, extra={"cdr": "B", "length": 16})
+]
+
+
+class GoalStatusCode(IntEnum):
+    """How far a goal is. Source: action_msgs/msg/GoalStatus."""
+
+    UNKNOWN = 0
+    ACCEPTED = 1
+    EXECUTING = 2
+    CANCELING = 3
+    SUCCEEDED = 4
+    CANCELED = 5
+    ABORTED = 6
+
+
+class CancelCode(IntEnum):
+    """What became of a wish to cancel. Source: action_msgs/srv/CancelGoal."""
+
+    NONE = 0
+    REJECTED = 1
+    UNKNOWN_GOAL_ID = 2
+    GOAL_TERMINATED = 3
+
+
+class GoalId(msgspec.Struct, frozen=True):
+    """Which goal. Source: unique_identifier_msgs/msg/UUID."""
+
+    ros_type: ClassVar[str] = "unique_identifier_msgs/msg/UUID"
+
+    uuid: Bytes16 = NO_GOAL_ID
+
+
+class GoalInfo(msgspec.Struct, frozen=True):
+    """Which goal, and since when. Source: action_msgs/msg/GoalInfo."""
+
+    ros_type: ClassVar[str] = "action_msgs/msg/GoalInfo"
+
+    goal_id: GoalId = GoalId()
+    stamp: Time = Time()
+
+
+class GoalStatusMessage(msgspec.Struct, frozen=True):
+    """How far one goal is. Source: action_msgs/msg/GoalStatus."""
+
+    ros_type: ClassVar[str] = "action_msgs/msg/GoalStatus"
+
+    goal_info: GoalInfo = GoalInfo()
+    status: Int8 = 0
+
+
+class GoalStatusArray(msgspec.Struct, frozen=True):
+    """How far all goals are. Source: action_msgs/msg/GoalStatusArray."""
+
+    ros_type: ClassVar[str] = "action_msgs/msg/GoalStatusArray"
+
+    status_list: tuple[GoalStatusMessage, ...] = ()
+
+
+class StepsGoal(msgspec.Struct, frozen=True):
+    """How many steps."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_Goal"
+
+    steps: UInt64 = 0
+
+
+class SendGoalRequest(msgspec.Struct, frozen=True):
+    """Begin a goal."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_SendGoal_Request"
+
+    goal_id: GoalId = GoalId()
+    goal: StepsGoal = StepsGoal()
+
+
+class SendGoalResponse(msgspec.Struct, frozen=True):
+    """Whether it has begun."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_SendGoal_Response"
+
+    accepted: bool = False
+    stamp: Time = Time()
+
+
+class StepsResult(msgspec.Struct, frozen=True):
+    """How it ended."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_Result"
+
+    result: Result = Result()
+
+
+class GetResultRequest(msgspec.Struct, frozen=True):
+    """Wait for the end of a goal."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_GetResult_Request"
+
+    goal_id: GoalId = GoalId()
+
+
+class GetResultResponse(msgspec.Struct, frozen=True):
+    """Sent at the end."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_GetResult_Response"
+
+    status: Int8 = 0
+    result: StepsResult = StepsResult()
+
+
+class StepsFeedback(msgspec.Struct, frozen=True):
+    """How many steps are made, and left."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_Feedback"
+
+    completed_steps: UInt64 = 0
+    remaining_steps: UInt64 = 0
+
+
+class FeedbackMessage(msgspec.Struct, frozen=True):
+    """How far a goal is."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_FeedbackMessage"
+
+    goal_id: GoalId = GoalId()
+    feedback: StepsFeedback = StepsFeedback()
+
+
+class CancelGoalRequest(msgspec.Struct, frozen=True):
+    """End a goal; without an id, all. Source: action_msgs/srv/CancelGoal."""
+
+    ros_type: ClassVar[str] = "action_msgs/srv/CancelGoal_Request"
+
+    goal_info: GoalInfo = GoalInfo()
+
+
+class CancelGoalResponse(msgspec.Struct, frozen=True):
+    """Which goals end. Source: action_msgs/srv/CancelGoal."""
+
+    ros_type: ClassVar[str] = "action_msgs/srv/CancelGoal_Response"
+
+    return_code: Int8 = 0
+    goals_canceling: tuple[GoalInfo, ...] = ()
+
+
+ACTION_SERVICES: Final[dict[str, tuple[type[msgspec.Struct], type[msgspec.Struct]]]] = {
+    SEND_GOAL_SERVICE: (SendGoalRequest, SendGoalResponse),
+    CANCEL_GOAL_SERVICE: (CancelGoalRequest, CancelGoalResponse),
+    GET_RESULT_SERVICE: (GetResultRequest, GetResultResponse),
+}
+"""Requests and responses by name."""
+ACTION_TOPICS: Final[dict[str, type[msgspec.Struct]]] = {
+    FEEDBACK_TOPIC: FeedbackMessage,
+    STATUS_TOPIC: GoalStatusArray,
+}
+"""What is told, by name."""

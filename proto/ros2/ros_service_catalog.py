@@ -1,0 +1,355 @@
+"""Services as ROS 2 clients call them: names, types, keys, and adapters for simulation_interfaces 1.x and gazebo_msgs."""
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any, ClassVar, Final
+
+import msgspec
+
+from zensim.proto import service_catalog
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    encode,
+    make_encoding,
+    supports_format,
+)
+from zensim.proto.messages.entity_messages import Bounds, EntityState, SetEntityStateRequest
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    DeleteEntityResponse,
+    GetSpawnablesResponse,
+    Resource,
+    Spawnable,
+    SpawnEntityRequest,
+    SpawnEntityResponse,
+)
+from zensim.proto.messages.standard_messages import Header, Pose, PoseStamped
+from zensim.proto.messages.world_messages import LoadWorldRequest
+from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
+from zensim.proto.ros2.type_hash import find_service_type, hash_service
+
+
+class SpawnEntityRequestV1(msgspec.Struct, frozen=True):
+    """Put one entity into the world. Source: simulation_interfaces 1.x, srv/SpawnEntity."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/SpawnEntity_Request"
+
+    name: str = ""
+    allow_renaming: bool = False
+    uri: str = ""
+    resource_string: str = ""
+    entity_namespace: str = ""
+    initial_pose: PoseStamped = PoseStamped()
+
+
+class LoadWorldRequestV1(msgspec.Struct, frozen=True):
+    """Load a world. Source: simulation_interfaces 1.x, srv/LoadWorld."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/LoadWorld_Request"
+
+    uri: str = ""
+    resource_string: str = ""
+    fail_on_unsupported_element: bool = False
+    ignore_missing_or_unsupported_assets: bool = False
+
+
+class SetEntityStateRequestV1(msgspec.Struct, frozen=True):
+    """Set pose and twist of an entity. Source: simulation_interfaces 1.x, srv/SetEntityState."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/SetEntityState_Request"
+
+    entity: str = ""
+    state: EntityState = EntityState()
+
+
+class SpawnableV1(msgspec.Struct, frozen=True):
+    """What can be spawned. Source: simulation_interfaces 1.x, msg/Spawnable."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/msg/Spawnable"
+
+    uri: str = ""
+    description: str = ""
+    spawn_bounds: Bounds = Bounds()
+
+
+class GetSpawnablesResponseV1(msgspec.Struct, frozen=True):
+    """What can be spawned. Source: simulation_interfaces 1.x, srv/GetSpawnables."""
+
+    ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSpawnables_Response"
+
+    result: Result = Result()
+    spawnables: tuple[SpawnableV1, ...] = ()
+
+
+class GazeboSpawnEntityRequest(msgspec.Struct, frozen=True):
+    """Put one entity into the world. Source: gazebo_msgs/srv/SpawnEntity."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SpawnEntity_Request"
+
+    name: str = ""
+    xml: str = ""
+    robot_namespace: str = ""
+    initial_pose: Pose = Pose()
+    reference_frame: str = ""
+
+
+class GazeboSpawnEntityResponse(msgspec.Struct, frozen=True):
+    """How it went. Source: gazebo_msgs/srv/SpawnEntity."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/SpawnEntity_Response"
+
+    success: bool = False
+    status_message: str = ""
+
+
+class GazeboDeleteEntityRequest(msgspec.Struct, frozen=True):
+    """Take an entity out. Source: gazebo_msgs/srv/DeleteEntity."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/DeleteEntity_Request"
+
+    name: str = ""
+
+
+class GazeboDeleteEntityResponse(msgspec.Struct, frozen=True):
+    """How it went. Source: gazebo_msgs/srv/DeleteEntity."""
+
+    ros_type: ClassVar[str] = "gazebo_msgs/srv/DeleteEntity_Response"
+
+    success: bool = False
+    status_message: str = ""
+
+
+def adapt_request(request: msgspec.Struct) -> msgspec.Struct:
+    """Say in our own words what a request of another form asks; ours comes back as it is."""
+    change = REQUEST_ADAPTERS.get(type(request))
+    return request if change is None else change(request)
+
+
+def adapt_response(response: msgspec.Struct, kind: type[msgspec.Struct]) -> msgspec.Struct:
+    """Give a response of ours the form `kind`; one that has it comes back as it is."""
+    change = RESPONSE_ADAPTERS.get(kind)
+    return response if change is None else change(response)
+
+
+def _adapt_spawn_v1(request: SpawnEntityRequestV1) -> SpawnEntityRequest:
+    return SpawnEntityRequest(
+        request.name,
+        request.allow_renaming,
+        Resource(request.uri, request.resource_string),
+        request.entity_namespace,
+        request.initial_pose,
+    )
+
+
+def _adapt_load_v1(request: LoadWorldRequestV1) -> LoadWorldRequest:
+    return LoadWorldRequest(
+        Resource(request.uri, request.resource_string),
+        request.fail_on_unsupported_element,
+        request.ignore_missing_or_unsupported_assets,
+    )
+
+
+def _adapt_set_state_v1(request: SetEntityStateRequestV1) -> SetEntityStateRequest:
+    return SetEntityStateRequest(request.entity, request.state, set_pose=True, set_twist=True)
+
+
+def _adapt_gazebo_spawn(request: GazeboSpawnEntityRequest) -> SpawnEntityRequest:
+    return SpawnEntityRequest(
+        name=request.name,
+        entity_resource=Resource(resource_string=request.xml),
+        entity_namespace=request.robot_namespace,
+        initial_pose=PoseStamped(Header(frame_id=request.reference_frame), request.initial_pose),
+    )
+
+
+def _adapt_gazebo_delete(request: GazeboDeleteEntityRequest) -> DeleteEntityRequest:
+    return DeleteEntityRequest(request.name)
+
+
+def _to_spawnables_v1(response: GetSpawnablesResponse) -> GetSpawnablesResponseV1:
+    return GetSpawnablesResponseV1(
+        response.result, tuple(_to_spawnable_v1(one) for one in response.spawnables)
+    )
+
+
+def _to_spawnable_v1(one: Spawnable) -> SpawnableV1:
+    return SpawnableV1(one.entity_resource.uri, one.description, one.spawn_bounds)
+
+
+def _to_gazebo_spawned(response: SpawnEntityResponse) -> GazeboSpawnEntityResponse:
+    done = f"entity {response.entity_name!r} is spawned"
+    return GazeboSpawnEntityResponse(*_to_success(response.result, done))
+
+
+def _to_gazebo_deleted(response: DeleteEntityResponse) -> GazeboDeleteEntityResponse:
+    return GazeboDeleteEntityResponse(*_to_success(response.result, "the entity is deleted"))
+
+
+def _to_success(result: Result, done: str) -> tuple[bool, str]:
+    is_done = result.result == ResultCode.OK
+    return is_done, done if is_done else result.error_message
+
+
+REQUEST_ADAPTERS: dict[type[msgspec.Struct], Callable[[Any], msgspec.Struct]] = {
+    SpawnEntityRequestV1: _adapt_spawn_v1,
+    LoadWorldRequestV1: _adapt_load_v1,
+    SetEntityStateRequestV1: _adapt_set_state_v1,
+    GazeboSpawnEntityRequest: _adapt_gazebo_spawn,
+    GazeboDeleteEntityRequest: _adapt_gazebo_delete,
+}
+RESPONSE_ADAPTERS: dict[type[msgspec.Struct], Callable[[Any], msgspec.Struct]] = {
+    GetSpawnablesResponseV1: _to_spawnables_v1,
+    GazeboSpawnEntityResponse: _to_gazebo_spawned,
+    GazeboDeleteEntityResponse: _to_gazebo_deleted,
+}
+
+
+GAZEBO_PREFIX: Final = "gazebo_"
+"""Begins names of ours whose own the standard has taken."""
+OWN_TYPE_PREFIX: Final = "zensim/"
+"""Types that no ROS distribution has."""
+SIMULATOR_PACKAGES: Final = ("gazebo_msgs", "simulation_interfaces")
+"""Whose services nobody but a simulator offers at the root."""
+CDR_ENCODING_NAME: Final = str(Format.CDR.value)
+
+
+class RosService(msgspec.Struct, frozen=True, dict=True):
+    """One service in one form."""
+
+    service: str
+    """Its name among ours."""
+    request: type[msgspec.Struct]
+    response: type[msgspec.Struct]
+    is_humble_form: bool = False
+    """Whether this is the form that humble has, whose keys carry no hash."""
+
+    @property
+    def name(self) -> str:
+        """Its name in ROS, with the slash."""
+        return f"/{self.service.removeprefix(GAZEBO_PREFIX)}"
+
+    @cached_property
+    def ros_type(self) -> str:
+        """`pkg/srv/Name`."""
+        return find_service_type(self.request)
+
+    @cached_property
+    def type_hash(self) -> str:
+        """As all distributions but humble have it."""
+        return hash_service(self.request, self.response)
+
+    @property
+    def bridge_key(self) -> str:
+        """Where zenoh-bridge-ros2dds asks."""
+        folder = "gazebo" if self.ros_type.startswith("gazebo_msgs/") else ""
+        return f"{folder}{self.name}".lstrip("/")
+
+    def keys(self, domain: int) -> tuple[str, ...]:
+        """Where rmw_zenoh asks, on all distributions that have this form."""
+        hashes = (self.type_hash, NO_HASH) if self.is_humble_form else (self.type_hash,)
+        return tuple(make_data_key(domain, self.name, self.ros_type, one) for one in hashes)
+
+    def read(self, payload: bytes) -> msgspec.Struct:
+        """Read a request, and say it in our own words.
+
+        Raises:
+            MalformedPayload: The bytes are not CDR of this request.
+        """
+        return adapt_request(decode(self.request, payload, CDR_ENCODING_NAME))
+
+    def answer(self, payload: bytes, encoding: str) -> bytes:
+        """Write our own response, however it is encoded, as CDR of this form."""
+        ours = service_catalog.SERVICES[self.service].response
+        if encoding == make_encoding(ours, Format.CDR) and self.response not in RESPONSE_ADAPTERS:
+            return payload
+        try:
+            response = decode(ours, payload, encoding)
+        except MalformedPayload:
+            response = ours()  # a refusal of a service whose response has no place for a result
+        return encode(adapt_response(response, self.response), Format.CDR)
+
+
+V1_SERVICES: Final = (
+    RosService(
+        "spawn_entity",
+        SpawnEntityRequestV1,
+        service_catalog.SPAWN_ENTITY.response,
+        is_humble_form=True,
+    ),
+    RosService(
+        "load_world",
+        LoadWorldRequestV1,
+        service_catalog.LOAD_WORLD.response,
+        is_humble_form=True,
+    ),
+    RosService(
+        "set_entity_state",
+        SetEntityStateRequestV1,
+        service_catalog.SET_ENTITY_STATE.response,
+        is_humble_form=True,
+    ),
+    RosService(
+        "get_spawnables",
+        service_catalog.GET_SPAWNABLES.request,
+        GetSpawnablesResponseV1,
+        is_humble_form=True,
+    ),
+)
+CHANGED_SINCE_V1: Final = frozenset(one.service for one in V1_SERVICES)
+"""Services that humble has in another form than simulation_interfaces 2.1."""
+GAZEBO_SPAWN_SERVICES: Final = (
+    RosService(
+        "spawn_entity",
+        GazeboSpawnEntityRequest,
+        GazeboSpawnEntityResponse,
+        is_humble_form=True,
+    ),
+    RosService(
+        "delete_entity",
+        GazeboDeleteEntityRequest,
+        GazeboDeleteEntityResponse,
+        is_humble_form=True,
+    ),
+)
+
+
+def _list_ros_services() -> tuple[RosService, ...]:
+    ours = [
+        RosService(
+            one.name, one.request, one.response, is_humble_form=one.name not in CHANGED_SINCE_V1
+        )
+        for one in service_catalog.SERVICES.values()
+        if supports_format(one.request, Format.CDR)
+        and supports_format(one.response, Format.CDR)
+        and not find_service_type(one.request).startswith(OWN_TYPE_PREFIX)
+    ]
+    return (*ours, *V1_SERVICES, *GAZEBO_SPAWN_SERVICES)
+
+
+ROS_SERVICES: Final = _list_ros_services()
+"""Every form of every service, the newest first."""
+
+
+def index_by_key(domain: int) -> dict[str, tuple[RosService, ...]]:
+    """Find the services by the keys at which rmw_zenoh asks."""
+    return {key: (one,) for one in ROS_SERVICES for key in one.keys(domain)}
+
+
+def index_by_bridge_key() -> dict[str, tuple[RosService, ...]]:
+    """Find the forms of services by the keys at which a bridge asks, the newest first."""
+    keys = dict.fromkeys(one.bridge_key for one in ROS_SERVICES)
+    return {key: tuple(one for one in ROS_SERVICES if one.bridge_key == key) for key in keys}
+
+
+def find_served_keys(domain: int) -> tuple[str, ...]:
+    """Find as few key expressions as cover all keys of a domain, and nobody else's service."""
+    ours = {f"{domain}/*/{package}::srv::dds_::$*/*" for package in SIMULATOR_PACKAGES}
+    shared = {
+        make_data_key(domain, one.name, one.ros_type, ANY_HASH)
+        for one in ROS_SERVICES
+        if one.ros_type.partition("/")[0] not in SIMULATOR_PACKAGES
+    }
+    return (*sorted(ours), *sorted(shared))

@@ -1,0 +1,356 @@
+"""The catalog of services: name, request, response and result codes of each."""
+
+from enum import IntEnum
+from typing import Generic, TypeVar
+
+import msgspec
+
+from zensim.proto.messages import (
+    agent_messages,
+    asset_messages,
+    entity_messages,
+    gazebo_messages,
+    simulation_messages,
+    spawn_messages,
+    telemetry_messages,
+    world_messages,
+)
+from zensim.proto.messages.result_messages import (
+    ClaimCode,
+    GetAvailableWorldsCode,
+    GetCurrentWorldCode,
+    LoadWorldCode,
+    ResultCode,
+    SetEntityStateCode,
+    SetSimulationStateCode,
+    SpawnCode,
+    SpawnEntitiesCode,
+    UnloadWorldCode,
+)
+from zensim.proto.messages.simulation_messages import (
+    GetSimulationStateRequest,
+    GetSimulationStateResponse,
+    GetSimulatorFeaturesRequest,
+    GetSimulatorFeaturesResponse,
+    ResetSimulationRequest,
+    ResetSimulationResponse,
+    SetSimulationStateRequest,
+    SetSimulationStateResponse,
+    StepSimulationRequest,
+    StepSimulationResponse,
+)
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    DeleteEntityResponse,
+    SpawnEntityOrder,
+    SpawnEntityReport,
+)
+
+Request = TypeVar("Request", bound=msgspec.Struct)
+Response = TypeVar("Response", bound=msgspec.Struct)
+
+
+class NoCodes(IntEnum):
+    """A service with no codes of its own."""
+
+
+class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
+    """One service: what to send and what comes back."""
+
+    name: str
+    request: type[Request]
+    response: type[Response]
+    codes: type[IntEnum] = NoCodes
+    is_mutating: bool = False
+    """Whether the same request twice would do something twice."""
+
+    def code_name(self, code: int) -> str:
+        """Name a result code of this service."""
+        for family in (ResultCode, self.codes):
+            if code in set(family):
+                return family(code).name
+        return "UNKNOWN_CODE"
+
+
+SPAWN_ENTITY = Service(
+    "spawn_entity",
+    SpawnEntityOrder,
+    SpawnEntityReport,
+    SpawnCode,
+    is_mutating=True,
+)
+SPAWN_ENTITIES = Service(
+    "spawn_entities",
+    spawn_messages.SpawnEntitiesOrder,
+    spawn_messages.SpawnEntitiesResponse,
+    SpawnEntitiesCode,
+    is_mutating=True,
+)
+DELETE_ENTITY = Service(
+    "delete_entity", DeleteEntityRequest, DeleteEntityResponse, is_mutating=True
+)
+GET_ENTITIES = Service(
+    "get_entities", entity_messages.GetEntitiesRequest, entity_messages.GetEntitiesResponse
+)
+GET_ENTITIES_STATES = Service(
+    "get_entities_states",
+    entity_messages.GetEntitiesStatesOrder,
+    entity_messages.GetEntitiesStatesResponse,
+)
+GET_ENTITY_STATE = Service(
+    "get_entity_state", entity_messages.GetEntityStateOrder, entity_messages.GetEntityStateResponse
+)
+SET_ENTITY_STATE = Service(
+    "set_entity_state",
+    entity_messages.SetEntityStateRequest,
+    entity_messages.SetEntityStateResponse,
+    SetEntityStateCode,
+    is_mutating=True,
+)
+GET_ENTITY_INFO = Service(
+    "get_entity_info", entity_messages.GetEntityInfoRequest, entity_messages.GetEntityInfoReport
+)
+SET_ENTITY_INFO = Service(
+    "set_entity_info",
+    entity_messages.SetEntityInfoRequest,
+    entity_messages.SetEntityInfoResponse,
+    is_mutating=True,
+)
+GET_ENTITY_BOUNDS = Service(
+    "get_entity_bounds",
+    entity_messages.GetEntityBoundsOrder,
+    entity_messages.GetEntityBoundsResponse,
+)
+GET_SPAWNABLES = Service(
+    "get_spawnables", spawn_messages.GetSpawnablesRequest, spawn_messages.GetSpawnablesResponse
+)
+GET_NAMED_POSES = Service(
+    "get_named_poses", spawn_messages.GetNamedPosesRequest, spawn_messages.GetNamedPosesResponse
+)
+GET_NAMED_POSE_BOUNDS = Service(
+    "get_named_pose_bounds",
+    spawn_messages.GetNamedPoseBoundsRequest,
+    spawn_messages.GetNamedPoseBoundsResponse,
+)
+GET_SIMULATION_STATE = Service(
+    "get_simulation_state", GetSimulationStateRequest, GetSimulationStateResponse
+)
+SET_SIMULATION_STATE = Service(
+    "set_simulation_state",
+    SetSimulationStateRequest,
+    SetSimulationStateResponse,
+    SetSimulationStateCode,
+    is_mutating=True,
+)
+STEP_SIMULATION = Service(
+    "step_simulation",
+    StepSimulationRequest,
+    StepSimulationResponse,
+    is_mutating=True,
+)
+SIMULATE_STEPS = Service(
+    "simulate_steps",
+    simulation_messages.SimulateStepsRequest,
+    simulation_messages.SimulateStepsResponse,
+    is_mutating=True,
+)
+CANCEL_STEPS = Service(
+    "cancel_steps",
+    simulation_messages.CancelStepsRequest,
+    simulation_messages.CancelStepsResponse,
+    is_mutating=True,
+)
+RUN_TO = Service(
+    "run_to", simulation_messages.RunToRequest, simulation_messages.RunToResponse, is_mutating=True
+)
+SET_SPEED = Service(
+    "set_speed",
+    simulation_messages.SetSpeedRequest,
+    simulation_messages.SetSpeedResponse,
+    is_mutating=True,
+)
+RESET_SIMULATION = Service(
+    "reset_simulation",
+    ResetSimulationRequest,
+    ResetSimulationResponse,
+    is_mutating=True,
+)
+LOAD_WORLD = Service(
+    "load_world",
+    world_messages.LoadWorldRequest,
+    world_messages.LoadWorldReport,
+    LoadWorldCode,
+    is_mutating=True,
+)
+UNLOAD_WORLD = Service(
+    "unload_world",
+    world_messages.UnloadWorldRequest,
+    world_messages.UnloadWorldResponse,
+    UnloadWorldCode,
+    is_mutating=True,
+)
+GET_CURRENT_WORLD = Service(
+    "get_current_world",
+    world_messages.GetCurrentWorldRequest,
+    world_messages.GetCurrentWorldResponse,
+    GetCurrentWorldCode,
+)
+GET_AVAILABLE_WORLDS = Service(
+    "get_available_worlds",
+    world_messages.GetAvailableWorldsRequest,
+    world_messages.GetAvailableWorldsResponse,
+    GetAvailableWorldsCode,
+)
+GAZEBO_GET_ENTITY_STATE = Service(
+    "gazebo_get_entity_state",
+    gazebo_messages.GazeboGetEntityStateRequest,
+    gazebo_messages.GazeboGetEntityStateReport,
+)
+GAZEBO_SET_ENTITY_STATE = Service(
+    "gazebo_set_entity_state",
+    gazebo_messages.GazeboSetEntityStateRequest,
+    gazebo_messages.GazeboSetEntityStateReport,
+    is_mutating=True,
+)
+PAUSE_PHYSICS = Service(
+    "pause_physics",
+    gazebo_messages.PausePhysicsRequest,
+    gazebo_messages.EmptyReport,
+    is_mutating=True,
+)
+UNPAUSE_PHYSICS = Service(
+    "unpause_physics",
+    gazebo_messages.UnpausePhysicsRequest,
+    gazebo_messages.EmptyReport,
+    is_mutating=True,
+)
+RESET_WORLD = Service(
+    "reset_world", gazebo_messages.ResetWorldRequest, gazebo_messages.EmptyReport, is_mutating=True
+)
+APPLY_LINK_WRENCH = Service(
+    "apply_link_wrench",
+    gazebo_messages.ApplyLinkWrenchRequest,
+    gazebo_messages.ApplyLinkWrenchReport,
+    is_mutating=True,
+)
+CLEAR_LINK_WRENCHES = Service(
+    "clear_link_wrenches",
+    gazebo_messages.ClearLinkWrenchesRequest,
+    gazebo_messages.ClearLinkWrenchesReport,
+    is_mutating=True,
+)
+APPLY_JOINT_EFFORT = Service(
+    "apply_joint_effort",
+    gazebo_messages.ApplyJointEffortRequest,
+    gazebo_messages.ApplyJointEffortReport,
+    is_mutating=True,
+)
+CLEAR_JOINT_EFFORTS = Service(
+    "clear_joint_efforts",
+    gazebo_messages.ClearJointEffortsRequest,
+    gazebo_messages.ClearJointEffortsReport,
+    is_mutating=True,
+)
+GET_JOINT_PROPERTIES = Service(
+    "get_joint_properties",
+    gazebo_messages.GetJointPropertiesRequest,
+    gazebo_messages.GetJointPropertiesReport,
+)
+SET_JOINT_PROPERTIES = Service(
+    "set_joint_properties",
+    gazebo_messages.SetJointPropertiesRequest,
+    gazebo_messages.SetJointPropertiesReport,
+    is_mutating=True,
+)
+GET_LINK_PROPERTIES = Service(
+    "get_link_properties",
+    gazebo_messages.GetLinkPropertiesRequest,
+    gazebo_messages.GetLinkPropertiesReport,
+)
+SET_LINK_PROPERTIES = Service(
+    "set_link_properties",
+    gazebo_messages.SetLinkPropertiesRequest,
+    gazebo_messages.SetLinkPropertiesReport,
+    is_mutating=True,
+)
+GET_SIMULATOR_FEATURES = Service(
+    "get_simulator_features",
+    GetSimulatorFeaturesRequest,
+    GetSimulatorFeaturesResponse,
+)
+CLAIM_ENTITY = Service(
+    "claim_entity",
+    agent_messages.ClaimEntityRequest,
+    agent_messages.ClaimEntityResponse,
+    ClaimCode,
+    is_mutating=True,
+)
+CLAIM_SHARE = Service(
+    "claim_share",
+    agent_messages.ClaimShareRequest,
+    agent_messages.ClaimShareResponse,
+    ClaimCode,
+    is_mutating=True,
+)
+GET_MODELS = Service(
+    "get_models", telemetry_messages.GetModelsRequest, telemetry_messages.GetModelsResponse
+)
+MISSING_ASSETS = Service(
+    "missing_assets", asset_messages.MissingAssetsRequest, asset_messages.MissingAssetsResponse
+)
+PUT_ASSET = Service("put_asset", asset_messages.PutAssetRequest, asset_messages.PutAssetResponse)
+GET_ASSET = Service("get_asset", asset_messages.GetAssetRequest, asset_messages.GetAssetResponse)
+INFO = Service("info", telemetry_messages.InfoRequest, telemetry_messages.Info)
+
+SERVICES: dict[str, Service[msgspec.Struct, msgspec.Struct]] = {
+    service.name: service  # type: ignore[misc]
+    for service in (
+        SPAWN_ENTITY,
+        SPAWN_ENTITIES,
+        DELETE_ENTITY,
+        GET_ENTITIES,
+        GET_ENTITIES_STATES,
+        GET_ENTITY_STATE,
+        SET_ENTITY_STATE,
+        GET_ENTITY_INFO,
+        SET_ENTITY_INFO,
+        GET_ENTITY_BOUNDS,
+        GET_SPAWNABLES,
+        GET_NAMED_POSES,
+        GET_NAMED_POSE_BOUNDS,
+        GET_SIMULATION_STATE,
+        SET_SIMULATION_STATE,
+        STEP_SIMULATION,
+        SIMULATE_STEPS,
+        CANCEL_STEPS,
+        RUN_TO,
+        SET_SPEED,
+        RESET_SIMULATION,
+        LOAD_WORLD,
+        UNLOAD_WORLD,
+        GET_CURRENT_WORLD,
+        GET_AVAILABLE_WORLDS,
+        GAZEBO_GET_ENTITY_STATE,
+        GAZEBO_SET_ENTITY_STATE,
+        PAUSE_PHYSICS,
+        UNPAUSE_PHYSICS,
+        RESET_WORLD,
+        APPLY_LINK_WRENCH,
+        CLEAR_LINK_WRENCHES,
+        APPLY_JOINT_EFFORT,
+        CLEAR_JOINT_EFFORTS,
+        GET_JOINT_PROPERTIES,
+        SET_JOINT_PROPERTIES,
+        GET_LINK_PROPERTIES,
+        SET_LINK_PROPERTIES,
+        GET_SIMULATOR_FEATURES,
+        CLAIM_ENTITY,
+        CLAIM_SHARE,
+        GET_MODELS,
+        MISSING_ASSETS,
+        PUT_ASSET,
+        GET_ASSET,
+        INFO,
+    )
+}
+"""Every service that a server offers, by name."""

@@ -1,0 +1,28 @@
+"""SIGINT and SIGTERM as a flag that a program loop polls."""
+
+import signal
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class StopFlag:
+    """Set by the first stop signal; until `arm`, that one also interrupts what waits."""
+
+    def __init__(self, *, is_armed: bool = True) -> None:
+        self.is_set = False
+        self._is_armed = is_armed
+        for number in STOP_SIGNALS:
+            signal.signal(number, self._set)
+
+    def arm(self) -> None:
+        """From now on only set the flag."""
+        self._is_armed = True
+
+    def __call__(self) -> bool:
+        """Whether to stop."""
+        return self.is_set
+
+    def _set(self, _number: int, _frame: object) -> None:
+        was_set, self.is_set = self.is_set, True
+        if not self._is_armed and not was_set:
+            raise KeyboardInterrupt

@@ -1,0 +1,142 @@
+"""Nodes and endpoints as tokens, where they are declared, and that they go."""
+
+import pytest
+
+from tests.fakes import MemoryBus
+from zensim.proto.messages.standard_messages import Odometry, String
+from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, parse_token
+from zensim.proto.ros2.rmw_keys import NO_HASH
+from zensim.proto.ros2.ros_graph import MAX_NODES_PER_SESSION, RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+
+ODOM = Topic("r1/odom", Odometry)
+
+
+def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:  # noqa: B008
+    node = RosGraph(bus, settings).node("r1", "agent")
+    assert node is not None
+    return node
+
+
+def parsed(bus: MemoryBus) -> list[GraphNode | GraphEndpoint | None]:
+    return [parse_token(key) for key in bus.list_tokens("@ros2_lv/**")]
+
+
+def test_node_has_a_token_and_one_for_each_endpoint() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(domain=7))
+
+    node.add_topic_endpoint("MP", ODOM)
+    node.add_topic_endpoint("MS", Topic("r1/cmd_vel", String))
+
+    first, odom, cmd_vel = parsed(bus)
+    assert first == GraphNode(domain=7, zid=bus.zid, number=0, namespace="/r1", name="agent")
+    assert isinstance(odom, GraphEndpoint)
+    assert (odom.node, odom.number, odom.kind, odom.name) == (first, 1, "MP", "/r1/odom")
+    assert odom.type_hash.startswith("RIHS01_3cc97dc7")
+    assert isinstance(cmd_vel, GraphEndpoint)
+    assert (cmd_vel.number, cmd_vel.kind, cmd_vel.name) == (2, "MS", "/r1/cmd_vel")
+
+
+def test_latched_topic_is_transient_local() -> None:
+    node = a_node(MemoryBus())
+
+    endpoint = node.add_topic_endpoint("MP", Topic("tf_static", String, is_latched=True))
+
+    assert (endpoint.qos.durability, endpoint.qos.depth) == ("transient_local", 1)
+
+
+def test_types_have_no_hash_in_humble() -> None:
+    node = a_node(MemoryBus(), RosSettings(has_hashes=False))
+
+    assert node.add_topic_endpoint("MP", ODOM).type_hash == NO_HASH
+    assert node.data_key(ODOM) == f"0/r1/odom/nav_msgs::msg::dds_::Odometry_/{NO_HASH}"
+
+
+def test_closed_node_leaves_no_token() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(is_bridged=True))
+    node.add_topic_endpoint("MP", ODOM)
+
+    node.close()
+
+    assert bus.list_tokens("@ros2_lv/**") == []
+    assert bus.list_tokens("@/*/@ros2_lv/MP/**") == []
+
+
+def test_bridge_is_told_of_routes_when_asked_for() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(is_bridged=True))
+
+    node.add_topic_endpoint("MP", ODOM)
+
+    (route,) = bus.list_tokens("@/*/@ros2_lv/MP/**")
+    assert route.startswith(f"@/{bus.zid}/@ros2_lv/MP/r1§odom/nav_msgs§msg§Odometry/:1:0:0,10:")
+    assert bus.list_tokens("@/*/@ros2_lv") == [f"@/{bus.zid}/@ros2_lv"]
+
+
+def test_bridge_is_told_of_an_action_and_not_of_what_it_is_made_of() -> None:
+    bus = MemoryBus()
+    node = a_node(bus, RosSettings(is_bridged=True))
+
+    node.announce_action("simulate_steps", "simulation_interfaces/action/SimulateSteps")
+    node.add_topic_endpoint("MP", Topic("simulate_steps/_action/status", String, is_latched=True))
+
+    assert bus.list_tokens("@/*/@ros2_lv/*/**") == [
+        f"@/{bus.zid}/@ros2_lv/AS/simulate_steps/simulation_interfaces§action§SimulateSteps"
+    ]
+    assert bus.list_tokens("@ros2_lv/0/*/*/*/MP/**") != []
+
+
+def test_bridge_is_not_told_unless_asked_for() -> None:
+    bus = MemoryBus()
+
+    a_node(bus).add_topic_endpoint("MP", ODOM)
+
+    assert bus.list_tokens("@/**") == []
+
+
+def test_nothing_is_told_without_a_domain() -> None:
+    bus = MemoryBus()
+
+    assert RosGraph(bus, NO_ROS).node("r1", "agent") is None
+    assert bus.list_tokens("**") == []
+
+
+@pytest.mark.parametrize(
+    ("nodes", "sessions"), [(MAX_NODES_PER_SESSION, 0), (MAX_NODES_PER_SESSION + 1, 1)]
+)
+def test_nodes_of_many_robots_are_spread_over_sessions(nodes: int, sessions: int) -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+
+    for number in range(nodes):
+        graph.node(f"r{number}", "agent")
+
+    assert len(bus.besides) == sessions
+    graph.close()
+    assert all(session.is_closed for session in bus.besides)
+
+
+def test_closed_graph_leaves_no_token() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings(is_bridged=True))
+    for name in ("r1", "r2"):
+        node = graph.node(name, "agent")
+        assert node is not None
+        node.add_topic_endpoint("MP", ODOM)
+
+    graph.close()
+
+    assert bus.list_tokens("@ros2_lv/**") == bus.list_tokens("@/**") == []
+
+
+def test_seat_of_a_closed_node_is_taken_again() -> None:
+    bus = MemoryBus()
+    graph = RosGraph(bus, RosSettings())
+    for number in range(MAX_NODES_PER_SESSION + 1):
+        node = graph.node(f"r{number}", "agent")
+        assert node is not None
+        node.close()
+
+    assert bus.besides == []

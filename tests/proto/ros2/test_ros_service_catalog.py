@@ -1,0 +1,218 @@
+"""Names, types and forms by which ROS 2 asks for services."""
+
+import pytest
+import zenoh
+
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
+from zensim.proto.messages.entity_messages import EntityState, SetEntityStateRequest
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import GetSimulatorFeaturesResponse
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    DeleteEntityResponse,
+    GetSpawnablesResponse,
+    Resource,
+    Spawnable,
+    SpawnEntityReport,
+    SpawnEntityRequest,
+    SpawnEntityResponse,
+)
+from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped
+from zensim.proto.ros2 import ros_service_catalog
+from zensim.proto.ros2.ros_service_catalog import (
+    CDR_ENCODING_NAME,
+    ROS_SERVICES,
+    RosService,
+    find_served_keys,
+    index_by_bridge_key,
+    index_by_key,
+)
+from zensim.proto.sample_messages import make_sample_message
+from zensim.proto.service_catalog import SERVICES
+
+V1_HASHES = {
+    "spawn_entity": "d4c086345d4194a5fc4c9ae45095736ca4062b5cdac4d06a42dec93d683e03cf",
+    "load_world": "f210682338f195f6f06191b46b20ec4992bddf485d33e2cffab2dd15341b4e3e",
+    "set_entity_state": "ca210e7d2b66629ae133c8e1edf5246e618106d75c78ed0556c0e7a33c59ee5e",
+    "get_spawnables": "3bc0266bf8236058ff589c44512e013afe4f295427c39d44cff363d1c956bf36",
+}
+"""Published for simulation_interfaces 1.x."""
+POSE = Pose(position=Point(1.0, 2.0, 3.0))
+
+
+def form(service: str, request: str) -> RosService:
+    (found,) = (
+        one
+        for one in ROS_SERVICES
+        if one.service == service and one.request.__name__.endswith(request)
+    )
+    return found
+
+
+@pytest.mark.parametrize("service", V1_HASHES)
+def test_version_1_of_a_service_has_the_published_hash(service: str) -> None:
+    hashes = {one.type_hash for one in ROS_SERVICES if one.service == service}
+
+    assert f"RIHS01_{V1_HASHES[service]}" in hashes
+
+
+def test_a_name_has_a_key_for_each_package_and_each_version() -> None:
+    types = [key.split("/")[2:] for key in index_by_key(0) if key.startswith("0/spawn_entity/")]
+
+    of_gazebo = [hash_ for kind, hash_ in types if kind == "gazebo_msgs::srv::dds_::SpawnEntity_"]
+    standard = [hash_ for kind, hash_ in types if kind.startswith("simulation_interfaces::")]
+    assert len(of_gazebo) == len({"with its hash", "humble"})
+    assert len(standard) == len({"2.1", "1.x", "humble"})
+
+
+def test_humble_asks_in_version_1_on_keys_without_a_hash() -> None:
+    key = "0/spawn_entity/simulation_interfaces::srv::dds_::SpawnEntity_/TypeHashNotSupported"
+
+    (found,) = index_by_key(0)[key]
+
+    assert found.request is ros_service_catalog.SpawnEntityRequestV1
+
+
+def test_every_key_is_served_by_what_is_declared() -> None:
+    patterns = [zenoh.KeyExpr(pattern) for pattern in find_served_keys(7)]
+
+    assert [key for key in index_by_key(7) if not any(one.includes(key) for one in patterns)] == []
+    assert len(patterns) < 10
+
+
+def test_a_bridge_finds_gazebos_services_in_a_folder_of_their_own() -> None:
+    keys = index_by_bridge_key()
+
+    assert {one.ros_type for one in keys["spawn_entity"]} == {
+        "simulation_interfaces/srv/SpawnEntity"
+    }
+    assert keys["gazebo/spawn_entity"][0].ros_type == "gazebo_msgs/srv/SpawnEntity"
+
+
+def test_version_1_of_a_spawn_names_its_resource_by_two_fields() -> None:
+    asked = ros_service_catalog.SpawnEntityRequestV1(
+        "r1", uri="u", resource_string="text", entity_namespace="ns"
+    )
+
+    read = form("spawn_entity", "V1").read(encode(asked, Format.CDR))
+
+    assert read == SpawnEntityRequest(
+        "r1", entity_resource=Resource("u", "text"), entity_namespace="ns"
+    )
+
+
+def test_version_1_of_a_state_sets_pose_and_twist() -> None:
+    asked = ros_service_catalog.SetEntityStateRequestV1("r1", EntityState(pose=POSE))
+
+    read = form("set_entity_state", "V1").read(encode(asked, Format.CDR))
+
+    assert read == SetEntityStateRequest(
+        "r1", EntityState(pose=POSE), set_pose=True, set_twist=True
+    )
+
+
+def test_gazebos_spawn_is_ours_in_other_words() -> None:
+    asked = ros_service_catalog.GazeboSpawnEntityRequest("r1", "<robot/>", "ns", POSE, "world")
+
+    read = form("spawn_entity", "GazeboSpawnEntityRequest").read(encode(asked, Format.CDR))
+
+    assert read == SpawnEntityRequest(
+        "r1",
+        entity_resource=Resource(resource_string="<robot/>"),
+        entity_namespace="ns",
+        initial_pose=PoseStamped(Header(frame_id="world"), POSE),
+    )
+
+
+def test_gazebos_delete_is_ours_in_other_words() -> None:
+    asked = encode(ros_service_catalog.GazeboDeleteEntityRequest("r1"), Format.CDR)
+
+    assert form("delete_entity", "GazeboDeleteEntityRequest").read(asked) == DeleteEntityRequest(
+        "r1"
+    )
+
+
+@pytest.mark.parametrize("written", [Format.CDR, Format.MSGPACK])
+def test_an_answer_to_gazebo_says_why_it_is_no(written: Format) -> None:
+    no = DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "there is no r1"))
+
+    told = form("delete_entity", "GazeboDeleteEntityRequest").answer(
+        encode(no, written), make_encoding(no, written)
+    )
+
+    assert decode(ros_service_catalog.GazeboDeleteEntityResponse, told, CDR_ENCODING_NAME) == (
+        ros_service_catalog.GazeboDeleteEntityResponse(
+            success=False, status_message="there is no r1"
+        )
+    )
+
+
+def test_an_answer_to_gazebo_names_what_was_spawned() -> None:
+    yes = SpawnEntityReport(Result(), "r1_0")
+
+    told = form("spawn_entity", "GazeboSpawnEntityRequest").answer(
+        encode(yes, Format.MSGPACK), make_encoding(yes, Format.MSGPACK)
+    )
+
+    answer = decode(ros_service_catalog.GazeboSpawnEntityResponse, told, CDR_ENCODING_NAME)
+    assert answer.success
+    assert "r1_0" in answer.status_message
+
+
+def test_an_answer_in_our_own_form_goes_as_it_is() -> None:
+    yes = encode(SpawnEntityReport(Result(), "r1"), Format.CDR)
+
+    told = form("spawn_entity", "SpawnEntityOrder").answer(
+        yes, make_encoding(SpawnEntityReport, Format.CDR)
+    )
+
+    assert decode(SpawnEntityResponse, told, CDR_ENCODING_NAME).entity_name == "r1"
+
+
+def test_spawnables_of_version_1_are_uris() -> None:
+    ours = GetSpawnablesResponse(Result(), (Spawnable(Resource("zensim://box_bot"), "a bot"),))
+
+    (found,) = (
+        one for one in ROS_SERVICES if one.response is ros_service_catalog.GetSpawnablesResponseV1
+    )
+    told = found.answer(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
+
+    answer = decode(ros_service_catalog.GetSpawnablesResponseV1, told, CDR_ENCODING_NAME)
+    assert [one.uri for one in answer.spawnables] == ["zensim://box_bot"]
+
+
+def test_a_refusal_that_a_response_has_no_place_for_leaves_it_empty() -> None:
+    no = DeleteEntityResponse(Result(ResultCode.OPERATION_FAILED, "malformed"))
+
+    told = form("get_simulator_features", "Request").answer(
+        encode(no, Format.MSGPACK), make_encoding(no, Format.MSGPACK)
+    )
+
+    assert (
+        decode(GetSimulatorFeaturesResponse, told, CDR_ENCODING_NAME)
+        == GetSimulatorFeaturesResponse()
+    )
+
+
+@pytest.mark.parametrize("one", ROS_SERVICES, ids=lambda one: f"{one.service} {one.ros_type}")
+def test_every_form_says_all_that_a_request_of_ours_needs(one: RosService) -> None:
+    ours = SERVICES[one.service].request
+
+    read = one.read(encode(make_sample_message(one.request), Format.CDR))
+
+    assert set(read.__struct_fields__) <= set(ours.__struct_fields__)
+    assert issubclass(ours, type(read))
+
+
+@pytest.mark.parametrize("one", ROS_SERVICES, ids=lambda one: f"{one.service} {one.ros_type}")
+def test_every_form_of_an_answer_can_be_written(one: RosService) -> None:
+    ours = make_sample_message(SERVICES[one.service].response)
+
+    told = one.answer(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
+
+    assert type(decode(one.response, told, CDR_ENCODING_NAME)) is one.response
+
+
+def test_bytes_that_are_no_request_are_malformed() -> None:
+    with pytest.raises(MalformedPayload):
+        form("spawn_entity", "V1").read(b"\x00\x01\x00\x00\xff\xff\xff\xff")

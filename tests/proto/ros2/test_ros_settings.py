@@ -1,0 +1,49 @@
+import pytest
+
+from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings, to_cli_arguments
+
+
+def test_settings_are_read_from_words() -> None:
+    read = parse_ros_settings("7", "humble", "global", is_bridged=True)
+
+    assert read == RosSettings(domain=7, has_hashes=False, tf="global", is_bridged=True)
+    assert (read.has_global_tf, read.has_namespaced_tf) == (True, False)
+
+
+def test_ros_is_left_out_by_an_explicit_word() -> None:
+    assert parse_ros_settings("off", "jazzy", is_bridged=False).domain is None
+
+
+def test_settings_are_written_as_words() -> None:
+    assert to_cli_arguments(RosSettings()) == ("--ros-domain", "0")
+    assert to_cli_arguments(RosSettings(domain=None)) == ("--ros-domain", "off")
+
+
+@pytest.mark.parametrize(
+    ("domain", "distribution", "tf", "complaint"),
+    [
+        ("", "jazzy", "both", "ROS domain '' is not valid; use 0 to 232, or off"),
+        ("-1", "jazzy", "both", "ROS domain '-1' is not valid"),
+        ("233", "jazzy", "both", "ROS domain 233 is not valid; use 0 to 232"),
+        ("0", "hydro", "both", "--ros-distro 'hydro' is unknown; use humble"),
+        ("0", "jazzy", "none", "--tf 'none' is unknown; use global, namespaced, both"),
+    ],
+)
+def test_settings_refuse_what_is_unknown(
+    domain: str, distribution: str, tf: str, complaint: str
+) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        parse_ros_settings(domain, distribution, tf, is_bridged=False)
+
+
+def test_root_frame_is_read() -> None:
+    read = [
+        parse_ros_settings("0", "jazzy", "both", root, is_bridged=False) for root in ("map", "off")
+    ]
+
+    assert [one.tf_root for one in read] == ["map", ""]
+
+
+def test_root_frame_that_tf_refuses_is_refused() -> None:
+    with pytest.raises(ValueError, match="frame_id '/map' is not valid"):
+        parse_ros_settings("0", "jazzy", "both", "/map", is_bridged=False)

@@ -1,0 +1,119 @@
+"""Exits: each kind of failure has its status and its one line."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from zensim.proto.bus import BusError, EndpointTaken, NoServer, Unreachable
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
+from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
+from zensim.proto.names import InvalidName
+
+
+def a_refusal(code: int, name: str = "SOME_CODE") -> ServiceError:
+    return ServiceError("spawn_entity", code, name, "given, wrong, works")
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (a_refusal(ResultCode.NOT_FOUND), ExitCode.NOT_FOUND),
+        (a_refusal(ResultCode.OPERATION_FAILED), ExitCode.FAILED),
+        (a_refusal(SpawnCode.NAME_NOT_UNIQUE), ExitCode.FAILED),
+        (NoServer("nobody"), ExitCode.UNREACHABLE),
+        (Unreachable("nobody"), ExitCode.UNREACHABLE),
+        (EndpointTaken("taken"), ExitCode.FAILED),
+        (BusError("odd"), ExitCode.FAILED),
+        (TimeoutError("late"), ExitCode.TIMEOUT),
+        (FileNotFoundError(2, "no such file", "a.urdf"), ExitCode.NOT_FOUND),
+        (PermissionError(13, "denied", "a.urdf"), ExitCode.FAILED),
+        (IsADirectoryError(21, "is a directory", "a"), ExitCode.FAILED),
+        (InvalidName("no name"), ExitCode.USAGE),
+        (ValueError("no number"), ExitCode.USAGE),
+        (MalformedPayload("no message"), ExitCode.FAILED),
+        (KeyError("else"), ExitCode.FAILED),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_failure_has_its_exit_status(error: Exception, status: ExitCode) -> None:
+    assert choose_exit_code(error) == status
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (a_refusal(101, "NAME_NOT_UNIQUE"), "NAME_NOT_UNIQUE (101): given, wrong, works"),
+        (NoServer("nothing answers"), "UNREACHABLE (4): nothing answers"),
+        (FileNotFoundError(2, "no such file", "a.urdf"), "NOT_FOUND (3): a.urdf: no such file"),
+        (ValueError("first\n  second\tthird"), "USAGE (2): first second third"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_failure_is_said_in_one_line_with_its_code(error: Exception, line: str) -> None:
+    assert format_failure(error) == line
+
+
+def test_command_ends_with_one_line_and_a_status(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, exit_on_failure("spawn"):
+        raise NoServer("nothing answers")
+
+    said = capsys.readouterr()
+    assert ended.value.code == ExitCode.UNREACHABLE
+    assert said.err == "zensim spawn: UNREACHABLE (4): nothing answers\n"
+    assert said.out == ""
+
+
+def test_command_expects_further_failures_when_it_names_them(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended, exit_on_failure("up", LookupError):
+        raise LookupError("lost")
+
+    assert ended.value.code == ExitCode.FAILED
+    assert capsys.readouterr().err == "zensim up: FAILED (1): lost\n"
+
+
+def test_command_lets_a_fault_of_its_own_through() -> None:
+    with pytest.raises(ZeroDivisionError), exit_on_failure("spawn"):
+        raise ZeroDivisionError
+
+
+def test_command_says_nothing_when_nothing_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    with exit_on_failure("spawn"):
+        pass
+
+    assert capsys.readouterr().err == ""
+
+
+def test_command_ends_quietly_when_interrupted(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, exit_on_failure("drive"):
+        raise KeyboardInterrupt
+
+    assert ended.value.code == ExitCode.INTERRUPTED
+    assert capsys.readouterr().err == ""
+
+
+def test_command_ends_well_when_its_reader_has_gone() -> None:
+    program = (
+        "from zensim.proto.exit_codes import one_line_failures\n"
+        "import sys\n"
+        "with one_line_failures('echo'):\n"
+        "    while True:\n"
+        "        print('line', flush=True)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+
+    process.stdout.close()
+    _, complaint = process.communicate(timeout=20.0)
+
+    assert (process.returncode, complaint) == (ExitCode.OK, b"")

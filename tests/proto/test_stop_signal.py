@@ -1,0 +1,45 @@
+"""StopFlag: set by the first stop signal, which interrupts what waits unless armed."""
+
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+
+
+@pytest.fixture(autouse=True)
+def _handlers() -> Iterator[None]:
+    kept = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    yield
+    for number, handler in kept.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", STOP_SIGNALS)
+def test_flag_is_set_by_a_stop_signal(number: signal.Signals) -> None:
+    stop = StopFlag()
+    was_set = stop()
+
+    signal.raise_signal(number)
+
+    assert (was_set, stop()) == (False, True)
+
+
+def test_flag_interrupts_once_until_it_is_armed() -> None:
+    stop = StopFlag(is_armed=False)
+
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGTERM)
+    signal.raise_signal(signal.SIGTERM)
+
+    assert stop()
+
+
+def test_flag_no_longer_interrupts_when_armed() -> None:
+    stop = StopFlag(is_armed=False)
+    stop.arm()
+
+    signal.raise_signal(signal.SIGINT)
+
+    assert stop()
