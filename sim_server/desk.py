@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
-from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.durable import Durable, Told
 from zensim.sim_server.errors import Refused
 from zensim.sim_server.pacing.lockstep import Lockstep

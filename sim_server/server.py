@@ -17,7 +17,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.config import AlreadyServed, ServerConfig, checked
-from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.journal.opening import Journal, open_journal
 from zensim.sim_server.loading.beginning import begin

@@ -8,7 +8,7 @@ import numpy as np
 from zensim.proto.messages.model_messages import Model, ReportEntry
 from zensim.proto.messages.result_messages import Result, SpawnCode
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
-from zensim.sim_server.description.clearance import ground_clearance
+from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import IncorrectState, ModelError
 from zensim.sim_server.later import Later
@@ -160,7 +160,7 @@ def _birth_pose(
     pose = in_world(desk.world, wish.header.frame_id, pose_row(wish.pose))
     qx, qy, qz, qw = pose[3:7].tolist()
     # Not -clearance, which is -0 for a model without collisions.
-    standing = 0.0 - ground_clearance(model, (qx, qy, qz, qw), desk.store.corners)
+    standing = 0.0 - find_ground_clearance(model, (qx, qy, qz, qw), desk.store.corners)
     if request.snap_to_ground:
         pose[2] = standing
     depth = standing - float(pose[2])

@@ -16,8 +16,8 @@ from zensim.proto.messages.model_messages import (
     Shape,
 )
 from zensim.proto.rotation import from_rpy
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import FloatArray
 
 WHEEL_RADIUS_M = 0.05
@@ -114,7 +114,7 @@ def on_ground(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
 
 
 def a_box_bot() -> Model:
-    return read_urdf(model_text("box_bot"))
+    return read_urdf(read_builtin_model("box_bot"))
 
 
 def box_bot_at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:

@@ -38,13 +38,13 @@ def model(given: ModelOptions) -> None:
         text, found = _read(given)
         if given.strict:
             _refuse_suspicious(found)
-        from zensim.sim_server.description.show import model_json, model_tree
+        from zensim.sim_server.description.model_printer import format_model_tree, model_to_json
 
         written = counted(parsed(text))
         if given.as_json:
-            typer.echo(json.dumps({"written": written._asdict(), **model_json(found)}))
+            typer.echo(json.dumps({"written": written._asdict(), **model_to_json(found)}))
         else:
-            typer.echo(model_tree(found))
+            typer.echo(format_model_tree(found))
             typer.echo(f"written: {written.links} links, {written.joints} joints")
 
 
@@ -54,10 +54,10 @@ def _read(given: ModelOptions) -> tuple[str, Model]:
     # What lacks a mesh is refused by the reader, in the words of the server.
     cargo = cargo_of(description, paths, allow_missing=True)
     with server_extra():
-        from zensim.sim_server.description.describing import describe
-        from zensim.sim_server.description.library import model_text
-    text = cargo.text or model_text(given.file)
-    described = describe(
+        from zensim.sim_server.description.builtin_models import read_builtin_model
+        from zensim.sim_server.description.pipeline import parse_description
+    text = cargo.text or read_builtin_model(given.file)
+    described = parse_description(
         text, assets=_files(cargo), allow_missing=given.allow_missing, compat=compat
     )
     return text, described.model

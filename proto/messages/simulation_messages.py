@@ -7,9 +7,7 @@ import msgspec
 
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt8, UInt16, UInt64
-from zensim.proto.messages.standard_messages import (
-    Time,
-)
+from zensim.proto.messages.standard_messages import Time
 
 MAX_GOAL_ID_LENGTH = 64
 """Characters of a goal's id."""

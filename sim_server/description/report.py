@@ -1,4 +1,4 @@
-"""What became of each tag of a description, gathered while it is read."""
+"""What became of each tag of a description, collected while it is parsed."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -7,11 +7,11 @@ from zensim.proto.messages.model_messages import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
 """Of what is not suspicious."""
-MAX_SUSPICIOUS = 600
+MAX_SUSPICIOUS_ENTRIES = 600
 """Room for one entry a link of the largest robot, so that no missing mesh goes unsaid."""
 
 
-class Report:
+class ParseReport:
     """Entries in the order of reading; beyond their number only counted, once each."""
 
     def __init__(self) -> None:
@@ -71,5 +71,5 @@ class Report:
 
     def _has_room(self, status: ReportStatus) -> bool:
         if status == "suspicious":
-            return self._suspicious < MAX_SUSPICIOUS
+            return self._suspicious < MAX_SUSPICIOUS_ENTRIES
         return len(self._entries) - self._suspicious < MAX_ENTRIES

@@ -5,7 +5,7 @@ from zensim.proto.messages.entity_messages import BoundsType
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
-from zensim.sim_server.description.library import shipped_models
+from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused
 from zensim.sim_server.geometry.solids import solids_at
@@ -26,7 +26,7 @@ def get_spawnables(
             f"source {unknown[0][:80]!r} is not known; use {SHIPPED} or none",
         )
     orders = [
-        SpawnEntityOrder(entity_resource=Resource(SHIPPED + name)) for name in shipped_models()
+        SpawnEntityOrder(entity_resource=Resource(SHIPPED + name)) for name in list_builtin_models()
     ]
 
     def answer() -> spawn_messages.GetSpawnablesResponse:

@@ -15,7 +15,7 @@ from zensim.proto.messages.result_messages import (
 )
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.desk import Desk, Founded
 from zensim.sim_server.errors import IncorrectState, ModelError, Refused, SimError
 from zensim.sim_server.later import Later

@@ -12,7 +12,7 @@ from zensim.proto.messages.entity_messages import EntityInfo
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
 from zensim.proto.messages.world_messages import WorldResource
-from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
 
 ENCODER = msgspec.msgpack.Encoder()
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from zensim.sim_server.config import ServerConfig
-    from zensim.sim_server.description.sdf import WorldModel
+    from zensim.sim_server.description.sdf.sdf_world import WorldModel
     from zensim.sim_server.desk import Founding
     from zensim.sim_server.physics.engine import Engine
 

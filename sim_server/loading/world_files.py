@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 
 from zensim.sim_server.config import ConfigError
-from zensim.sim_server.description.library import shipped_worlds, world_text
-from zensim.sim_server.description.sdf import WorldModel, read_world
+from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
+from zensim.sim_server.description.sdf.sdf_world import WorldModel, read_world
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.world.birth import Birth
 
@@ -52,8 +52,8 @@ def loaded_elsewhere(order: WorldOrder) -> LoadedWorld:
     Raises:
         ConfigError: There is none, or it cannot be read.
     """
-    if order.name in shipped_worlds():
-        return LoadedWorld(read_world(world_text(order.name)))
+    if order.name in list_builtin_worlds():
+        return LoadedWorld(read_world(read_builtin_world(order.name)))
     payload = msgspec.msgpack.encode(order)
     done = subprocess.run(COMMAND, input=payload, stdout=subprocess.PIPE, check=False)
     if done.returncode:

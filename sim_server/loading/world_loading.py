@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.sim_server.config import ConfigError
-from zensim.sim_server.description.describing import describe_world
-from zensim.sim_server.description.library import shipped_worlds, world_text
+from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
+from zensim.sim_server.description.pipeline import parse_world
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.loading.world_files import LoadedWorld, WorldOrder, WorldOutcome, doubts
 from zensim.sim_server.reading.process import die_with_parent
@@ -57,8 +57,8 @@ def load_world(
     """
     folders = [Path(path) for path in model_paths]
     try:
-        if name in shipped_worlds():
-            loaded = _loaded(world_text(name), folders)
+        if name in list_builtin_worlds():
+            loaded = _loaded(read_builtin_world(name), folders)
         else:
             file = Path(name)
             text = file.read_text(encoding="utf-8")
@@ -66,7 +66,7 @@ def load_world(
     except SimError as error:
         raise ConfigError(f"world '{name}': {error}") from error
     except (OSError, UnicodeDecodeError) as error:
-        shipped = ", ".join(shipped_worlds())
+        shipped = ", ".join(list_builtin_worlds())
         raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
     if is_strict and (faults := doubts(loaded.model.report)):
         raise ConfigError(
@@ -84,7 +84,7 @@ def _loaded(text: str, folders: Sequence[Path]) -> LoadedWorld:
         data = read(uri)
         return None if data is None else (sha256(data).hexdigest(), data)
 
-    described = describe_world(text, resolve=models_in(folders), find_mesh=find_mesh)
+    described = parse_world(text, resolve=models_in(folders), find_mesh=find_mesh)
     return LoadedWorld(described.world, described.meshes)
 
 

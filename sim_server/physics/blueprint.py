@@ -22,7 +22,7 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rotation import from_matrix
-from zensim.sim_server.description.rolling import touching_links
+from zensim.sim_server.description.model_geometry import links_in_contact
 
 DEFAULT_FRICTION = 1.0
 OPPOSITE = 1.0 - 1e-12
@@ -80,7 +80,7 @@ def blueprint_of(model: Model) -> Blueprint:
     joints: list[Joint | None] = [None, *model.joints]
     parts: list[Part] = []
     skins: list[Part] = []
-    for i, (link, joint) in enumerate(zip(touching_links(model), joints, strict=True)):
+    for i, (link, joint) in enumerate(zip(links_in_contact(model), joints, strict=True)):
         bone, *others = _by_surface(link)
         parent = -1 if joint is None else index[joint.parent]
         parts.append(_part(link.inertial, bone, parent, link=i, joint=joint))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import msgspec
 
 from zensim.proto.messages.asset_messages import MAX_BUNDLE_BYTES, MAX_BUNDLE_FILES, AssetRef
-from zensim.sim_server.description.resources import text_of
+from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.reading.messages import MeshMade, ReadRequest, TextRead
 
@@ -242,7 +242,7 @@ class ReadElsewhere:
     def _reading_of(self, order: SpawnEntityOrder) -> Reading:
         # Files that are not here are no part of it: once they come it is another reading.
         present = tuple(ref for ref in order.assets if ref.sha256 in self._store)
-        text = text_of(order.entity_resource)
+        text = resolve_resource(order.entity_resource)
         return Reading(text, order.compat, order.allow_missing, present, order.dynamics)
 
 

@@ -9,7 +9,7 @@ import msgspec
 from zensim.proto.messages.asset_messages import AssetRef
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
-from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
 
 LENGTH = struct.Struct("<Q")
 """Stands before each frame."""

@@ -22,7 +22,7 @@ UNNEEDED = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "
 if __name__ == "__main__":
     sys.modules.update(dict.fromkeys(UNNEEDED))  # type: ignore[arg-type]
 
-from zensim.sim_server.description.describing import describe, describe_world, warm_up  # noqa: E402
+from zensim.sim_server.description.pipeline import parse_description, parse_world, warm_up  # noqa: E402
 from zensim.sim_server.errors import ModelError  # noqa: E402
 from zensim.sim_server.reading.messages import (
     LENGTH,
@@ -112,7 +112,7 @@ def read(request: ReadRequest, files: Files) -> tuple[TextRead, Files]:
 
 def read_model(request: ReadRequest, files: Files, _: Wanted) -> tuple[TextRead, Files]:
     """Read a robot, and make its meshes."""
-    described = describe(
+    described = parse_description(
         request.text,
         assets={ref.uri: (ref.sha256, files.get(ref.sha256)) for ref in request.assets},
         allow_missing=request.allow_missing,
@@ -138,7 +138,7 @@ def read_world(request: ReadRequest, files: Files, wanted: Wanted) -> tuple[Text
         found = find(uri)
         return found[1].decode("utf-8", "replace") if found else None
 
-    described = describe_world(
+    described = parse_world(
         request.text, resolve=resolve, find_mesh=find, allow_missing=request.allow_missing
     )
     answer = TextRead(

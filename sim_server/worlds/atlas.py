@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from zensim.proto.messages.result_messages import LoadWorldCode, ResultCode
 from zensim.proto.messages.spawn_messages import Resource
 from zensim.proto.messages.world_messages import WorldResource
-from zensim.sim_server.description.library import shipped_worlds, world_text
-from zensim.sim_server.description.strict_xml import MAX_BYTES
+from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
+from zensim.sim_server.description.strict_parsing import MAX_BYTES
 from zensim.sim_server.errors import Refused
 
 if TYPE_CHECKING:
@@ -113,8 +113,8 @@ class Atlas:
             text = resource.resource_string
             return WorldText(described(resource, text), text, self._folders)
         name = _without_scheme(resource.uri)
-        if name in shipped_worlds():
-            text = world_text(name)
+        if name in list_builtin_worlds():
+            text = read_builtin_world(name)
             return WorldText(described(Resource(name), text), text)
         return self._from_file(name, resource.uri)
 
@@ -141,8 +141,8 @@ class Atlas:
         return Search(self._findings(sources))
 
     def _findings(self, sources: Sequence[str]) -> Iterator[Finding]:
-        for name in shipped_worlds():
-            yield described(Resource(name), world_text(name))
+        for name in list_builtin_worlds():
+            yield described(Resource(name), read_builtin_world(name))
         if self._start is not None:
             yield _listed(self._start, self._start.name)
         for folder in self._folders:
@@ -199,7 +199,7 @@ class Atlas:
 
 def start_file(name: str) -> Path | None:
     """Find the file that a server is started with; None when its world is a shipped one."""
-    return None if name in shipped_worlds() else Path(name)
+    return None if name in list_builtin_worlds() else Path(name)
 
 
 def described(resource: Resource, text: str) -> WorldResource:

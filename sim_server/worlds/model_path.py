@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.asset_messages import MAX_FILE_BYTES
-from zensim.sim_server.description.strict_xml import MAX_BYTES, parse_xml
+from zensim.sim_server.description.strict_parsing import MAX_BYTES, parse_xml
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
-    from zensim.sim_server.description.sdf_includes import Resolve
+    from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
 
 SCHEMES = ("model://", "package://", "file://")
 CONFIG = "model.config"
@@ -22,7 +22,7 @@ FindFile = Callable[[str], Path | None]
 """The file that a URI stands for; None when it is not here."""
 
 
-def models_in(folders: Sequence[Path]) -> Resolve:
+def models_in(folders: Sequence[Path]) -> ResolveInclude:
     """Look for models below these folders, the first that has one counts.
 
     `model://NAME` is the folder NAME, whose model.config says which file; `model://NAME/FILE` is

@@ -14,8 +14,8 @@ from contextlib import ExitStack
 import numpy as np
 
 from tests.benchmark.figures import Asked, Figure, table
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.choice import Clustering, EngineChoice
 from zensim.sim_server.physics.choosing import chosen_engine
 from zensim.sim_server.physics.engine import EngineConfig, FloatArray
@@ -53,7 +53,7 @@ class Fleet:
         self.engine = chosen_engine(config, choice, period_steps=1)
         self.draws = np.random.default_rng(1)
         self.steps = 0
-        model, side = read_urdf(model_text("box_bot")), int(np.ceil(np.sqrt(robots)))
+        model, side = read_urdf(read_builtin_model("box_bot")), int(np.ceil(np.sqrt(robots)))
         self.bodies = tuple(
             self.engine.add(model, self._place(*divmod(number, side))) for number in range(robots)
         )

@@ -22,8 +22,8 @@ from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.robot_agent.fleet import Fleet
 from zensim.robot_agent.pool.fleet import PoolFleet
 from zensim.robot_agent.rates import Rates, with_rates
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 __all__ = ["rows", "table"]
 
@@ -122,7 +122,7 @@ def _buses() -> Iterator[tuple[Bus, Bus]]:
 
 
 def _claims(robots: int) -> Sequence[Claim]:
-    model = read_urdf(model_text(MODEL))
+    model = read_urdf(read_builtin_model(MODEL))
     claims = [
         Claim(number + 1, f"r{number}", f"r{number}", model, "<robot/>") for number in range(robots)
     ]
@@ -131,7 +131,7 @@ def _claims(robots: int) -> Sequence[Claim]:
 
 
 def _states(robots: int) -> Iterator[DriveState]:
-    joints = robots * len(read_urdf(model_text(MODEL)).joints)
+    joints = robots * len(read_urdf(read_builtin_model(MODEL)).joints)
     draws = np.random.default_rng(1)
     base = draws.uniform(-1.0, 1.0, (robots, STATE_COLUMNS))
     base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)

@@ -17,16 +17,16 @@ import numpy as np
 from tests.benchmark import huge
 from tests.benchmark.figures import Asked, Figure, table
 from zensim.proto.messages.model_messages import Model, ReportStatus
-from zensim.sim_server.description import urdf
-from zensim.sim_server.description.describing import describe
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.report import Report
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.pipeline import parse_description
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.urdf import urdf_parser
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import EngineConfig
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
 if TYPE_CHECKING:
-    from zensim.sim_server.description.meshes import Files
+    from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles
 
 __all__ = ["rows", "table"]
 
@@ -54,7 +54,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
     yield from _report(REPEATS_WHEN_SHORT if is_short else REPEATS)
     yield _meshes(1 if is_short else RUNS)
     crowd = CROWD_WHEN_SHORT if is_short else CROWD
-    model = read_urdf(model_text("box_bot"))
+    model = read_urdf(read_builtin_model("box_bot"))
     spawns = [_spawns(model, crowd) for _ in range(1 if is_short else WORLDS)]
     first = tuple(world[0] for world in spawns)
     last = tuple(sample for world in spawns for sample in world[-LAST:])
@@ -68,11 +68,11 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _report(repeats: int) -> Iterator[Figure]:
-    text = model_text("box_bot_legacy")
+    text = read_builtin_model("box_bot_legacy")
     with_ms, without_ms = [], []
     for _ in range(repeats):
         with_ms.append(_milliseconds(partial(read_urdf, text)))
-        with patch.object(urdf, "Report", Silence):
+        with patch.object(urdf_parser, "Report", Silence):
             without_ms.append(_milliseconds(partial(read_urdf, text)))
     yield Figure(what="read box_bot_legacy", unit="ms", samples=tuple(with_ms))
     yield Figure(what="read it and report nothing", unit="ms", samples=tuple(without_ms))
@@ -81,20 +81,22 @@ def _report(repeats: int) -> Iterator[Figure]:
 def _meshes(repeats: int) -> Figure:
     samples = []
     for seed in range(repeats):
-        files: Files = {uri: (uri, data) for uri, data in huge.meshes(seed).items()}
-        read = partial(describe, huge.text(), assets=files, allow_missing=False, compat="fixed")
+        files: MeshFiles = {uri: (uri, data) for uri, data in huge.meshes(seed).items()}
+        read = partial(
+            parse_description, huge.text(), assets=files, allow_missing=False, compat="fixed"
+        )
         samples.append(_milliseconds(read))
     return Figure(what="read a robot with twenty meshes", unit="ms", samples=tuple(samples))
 
 
-class Silence(Report):
+class Silence(ParseReport):
     """A report that nothing is noted in."""
 
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
-        """See `Report`."""
+        """See `ParseReport`."""
 
     def _add(self, status: ReportStatus, subject: str, reason: str) -> None:
-        """See `Report`."""
+        """See `ParseReport`."""
 
 
 def a_caterpillar(links: int) -> str:

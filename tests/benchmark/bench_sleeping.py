@@ -15,8 +15,8 @@ from tests.benchmark.bodies import standing_at
 from tests.benchmark.circling import WHEEL_SPEEDS
 from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import SPACING_M
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.choice import EngineChoice
 from zensim.sim_server.physics.choosing import chosen_engine
 from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
@@ -41,7 +41,7 @@ class Fleet:
 
     def __init__(self, engine: Engine, robots: int) -> None:
         self.engine = engine
-        self._model = read_urdf(model_text("box_bot"))
+        self._model = read_urdf(read_builtin_model("box_bot"))
         places = fleet_places("box_bot", robots, "grid", SPACING_M)
         self.bodies = tuple(self._add(place.x, place.y) for place in places)
 

@@ -4,8 +4,8 @@ import numpy as np
 
 from tests.benchmark.fleet import SPACING_M
 from zensim.sim_server.config import ServerConfig, server_bus
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import EngineConfig, FloatArray
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 
@@ -21,7 +21,7 @@ class Bodies:
     """A row of box_bots in a PyBullet of this process."""
 
     def __init__(self, count: int) -> None:
-        model = read_urdf(model_text("box_bot"))
+        model = read_urdf(read_builtin_model("box_bot"))
         self.engine = PyBulletEngine(EngineConfig(CONFIG.step_ns))
         self._bodies = [self.engine.add(model, standing_at(i * SPACING_M)) for i in range(count)]
         self._targets = np.full(count * WHEELS, WHEEL_SPEED)

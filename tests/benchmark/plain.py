@@ -14,8 +14,8 @@ from tests.benchmark.bodies import standing_at
 from tests.benchmark.circling import WHEEL_SPEEDS
 from tests.benchmark.fleet import SPACING_M
 from tests.sim_server.physics.bullet import client_of
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import EngineConfig
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.solving import SOLVER_ITERATIONS
@@ -43,7 +43,7 @@ class PlainLoop:
         self._engine = PyBulletEngine(EngineConfig(step_ns))
         self._client = client_of(self._engine)
         self._control_steps = control_steps
-        model = read_urdf(model_text("box_bot"))
+        model = read_urdf(read_builtin_model("box_bot"))
         self._bodies = []
         for place in fleet_places("box_bot", count, "grid", SPACING_M):
             base = standing_at(place.x)

@@ -25,9 +25,9 @@ from zensim.proto.codec.message_codec import (
 from zensim.proto.messages import asset_messages
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.schema import list_top_level_types
-from zensim.sim_server.description.formats import read_robot
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.mesh_formats import read_mesh
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.meshes.mesh_formats import read_mesh
+from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.sim_server.reading.assets import AssetStore
 
@@ -65,7 +65,7 @@ def fuzz(reader: str, *, runs: int, seed: int) -> Counter[str]:
 
 
 def _urdf() -> Read:
-    seeds = [model_text("box_bot"), *_texts(case.text for case in corpus())]
+    seeds = [read_builtin_model("box_bot"), *_texts(case.text for case in corpus())]
     return lambda chance: _description(_bent(chance.choice(seeds), chance))
 
 

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from tests.hostile.corpus import corpus
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
 from zensim.sim_server.errors import ModelError
 
 SEEDS = [
-    model_text("box_bot"),
+    read_builtin_model("box_bot"),
     *(case.text for case in corpus() if case.slug != "xml.encoding" and len(case.text) < 20_000),
 ]
 WORDS = (

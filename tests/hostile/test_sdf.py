@@ -10,7 +10,7 @@ from tests.hostile.case import Case
 from tests.hostile.sdf import INERTIAL, joint, link, model, sdf_cases
 from tests.hostile.test_fuzz import damaged
 from tests.sim_server.description.sdf_robots import PIONEER
-from zensim.sim_server.description.formats import read_robot
+from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.errors import ModelError
 
 CASES = tuple(sdf_cases())

@@ -7,7 +7,7 @@ import pytest
 
 from tests.hostile.case import Case
 from tests.hostile.corpus import corpus
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 CASES = corpus()

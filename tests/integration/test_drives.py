@@ -11,8 +11,8 @@ from tests.course import Track
 from tests.models import TRACK_M, WHEEL_RADIUS_M, a_cart, a_state
 from zensim.proto.messages.model_messages import Model, Origin, Shape
 from zensim.proto.rotation import from_rpy
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 HEIGHTS = {"omni_bot": 0.05, "skid_bot": 0.06, "car_bot": 0.05, "trike_bot": 0.05}
 CAR_WHEELBASE_M = 0.3
@@ -30,7 +30,7 @@ def start() -> Iterator[StartTrack]:
 
         def begin(model: Model | str, height_m: float | None = None, heading: float = 0.0) -> Track:
             height = HEIGHTS.get(model, 0.0) if isinstance(model, str) else 0.0
-            read = read_urdf(model_text(model)) if isinstance(model, str) else model
+            read = read_urdf(read_builtin_model(model)) if isinstance(model, str) else model
             lift = height if height_m is None else height_m
             track = Track(read, a_state((0.0, 0.0, lift), turn=(0.0, 0.0, heading)))
             stack.callback(track.close)

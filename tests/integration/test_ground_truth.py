@@ -8,7 +8,7 @@ from tests.integration.processes import driven, eventually, serving
 from tests.integration.robots import drive_for, place, robot, stamp_s
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import Odometry
-from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.builtin_models import read_builtin_model
 
 P3D = """<gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">
 <ros><remapping>odom:=ground_truth/state</remapping></ros>
@@ -18,7 +18,7 @@ P3D = """<gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">
 
 def test_ground_truth_goes_where_the_robot_goes(tmp_path: Path) -> None:
     file = tmp_path / "seen.urdf"
-    file.write_text(model_text("box_bot").replace("</robot>", P3D), encoding="utf-8")
+    file.write_text(read_builtin_model("box_bot").replace("</robot>", P3D), encoding="utf-8")
     with serving() as server:
         spawned = server.zensim("spawn", str(file), "--name", "r1", "-x", "3", "--json")
         assert spawned.returncode == 0

@@ -16,7 +16,7 @@ from tests.integration.ros_asking import Ask, Do, asking, observing, replies
 from tests.integration.ros_watching import SIGHT_S
 from tests.proto.ros_hashes import hash_of_service
 from tests.proto.ros_oracle import HUMBLE
-from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.builtin_models import read_builtin_model
 
 SPAWN, DELETE = "gazebo_msgs/srv/SpawnEntity", "gazebo_msgs/srv/DeleteEntity"
 EMPTY = "std_srvs/srv/Empty"
@@ -38,7 +38,7 @@ def do(server: Server) -> Iterator[Do]:
 
 def description_by_the_script(namespace: str) -> str:
     """Change the robot as the tutorial's script does: a namespace, and tf within it."""
-    root = ET.fromstring(model_text("box_bot_legacy"))
+    root = ET.fromstring(read_builtin_model("box_bot_legacy"))
     plugins = {plugin.get("name"): plugin for plugin in root.iter("plugin")}
     block = plugins["differential_drive_controller"].find("ros")
     assert block is not None
@@ -103,7 +103,9 @@ def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(server: Server, do: D
     ask("/pause_physics", EMPTY, ros.OF_HUMBLE)
     pose = {"position": {"x": -3.0, "z": 0.06}, "orientation": {"z": 1.0, "w": 0.0}}
 
-    told = spawned(ask, "e1", xml=model_text("box_bot"), initial_pose=pose, reference_frame="world")
+    told = spawned(
+        ask, "e1", xml=read_builtin_model("box_bot"), initial_pose=pose, reference_frame="world"
+    )
     ask("/unpause_physics", EMPTY, ros.OF_HUMBLE)
     states = {"topic": "/model_states", "kind": "gazebo_msgs/msg/ModelStates", "qos": ""}
     (seen,) = do("hear", count=1, within_s=SIGHT_S, **states)
@@ -120,9 +122,9 @@ def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(server: Server, do: D
 
 def test_second_of_a_name_is_refused_in_words(do: Do) -> None:
     ask = asking(do)
-    spawned(ask, "twin", xml=model_text("box_bot"), initial_pose=FORWARD)
+    spawned(ask, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
 
-    again = spawned(ask, "twin", xml=model_text("box_bot"), initial_pose=FORWARD)
+    again = spawned(ask, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
     ask("/delete_entity", DELETE, ros.OF_HUMBLE, name="twin")
 
     assert not again["success"]
@@ -134,7 +136,7 @@ def test_distribution_with_hashes_asks_by_the_hash(do: Do) -> None:
         asking(do),
         "hashed",
         hash_of_service(SPAWN),
-        xml=model_text("box_bot"),
+        xml=read_builtin_model("box_bot"),
         **{"initial_pose": FORWARD},
     )
     gone = asking(do)("/delete_entity", DELETE, hash_of_service(DELETE), name="hashed")
@@ -151,7 +153,7 @@ def test_bridge_spawns_and_deletes_on_bare_keys(server: Server) -> None:
         types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
     )
     request = types["gazebo_msgs/msg/SpawnEntity_Request"](
-        "bridged", model_text("box_bot"), "bridged", pose, ""
+        "bridged", read_builtin_model("box_bot"), "bridged", pose, ""
     )
 
     told = [

@@ -26,7 +26,7 @@ from tests.integration.ros_rules import check_bytes, check_topic
 from tests.integration.ros_watching import SIGHT_S, captured, publishers_of, tokens
 from tests.integration.test_ground_truth import P3D
 from tests.proto.ros_oracle import HUMBLE, message_name
-from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.builtin_models import read_builtin_model
 
 ODOMETRY, TF, TEXT = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "std_msgs/msg/String"
 STATES = "sensor_msgs/msg/JointState"
@@ -79,7 +79,7 @@ def server(distribution: str, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 
 def write_with_truth(file: Path, server: Server) -> None:
-    file.write_text(model_text("box_bot").replace("</robot>", P3D), encoding="utf-8")
+    file.write_text(read_builtin_model("box_bot").replace("</robot>", P3D), encoding="utf-8")
     server.zensim("spawn", str(file), "-n", "r1", "--namespace", "team/r1")
     for place, name in enumerate(("r2", "r3"), 1):
         server.zensim("spawn", "box_bot", "-n", name, "-y", str(place))

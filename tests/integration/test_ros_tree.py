@@ -23,7 +23,7 @@ from tests.integration.robots import drive_for, robot
 from tests.integration.ros_asking import session_of
 from tests.integration.ros_watching import SIGHT_S, TF, key_of, publishers_of, subscribed
 from tests.proto.ros_oracle import HUMBLE
-from zensim.sim_server.description.library import model_text
+from zensim.sim_server.description.builtin_models import read_builtin_model
 
 ROBOTS = ("r1", "r2", "r3")
 """r3 counts its wheels' turns; it begins turned by a right angle."""
@@ -36,7 +36,7 @@ def server(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Server]:
     file = tmp_path_factory.mktemp("robot") / "counting.urdf"
-    text = model_text("box_bot")
+    text = read_builtin_model("box_bot")
     file.write_text(text.replace("<odometry_source>1", "<odometry_source>0"), encoding="utf-8")
     with serving("--ros-domain", "0") as found, ExitStack() as stack:
         for place, name in enumerate(ROBOTS[:2]):

@@ -17,8 +17,8 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.sim_server.config import ServerConfig
-from zensim.sim_server.description.describing import describe
-from zensim.sim_server.description.resources import text_of
+from zensim.sim_server.description.builtin_models import resolve_resource
+from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.loading.founding import founding
 from zensim.sim_server.pacing.meter import Meter
@@ -84,10 +84,10 @@ class ReadHere:
         return not self.is_slow
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
-        text = text_of(order.entity_resource)
+        text = resolve_resource(order.entity_resource)
         if self.given is not None:
             return self.given, text
-        described = describe(
+        described = parse_description(
             text, assets={}, allow_missing=order.allow_missing, compat=order.compat
         )
         return msgspec.structs.replace(described.model, dynamics=order.dynamics), text

@@ -10,8 +10,11 @@ import numpy as np
 from zensim.proto.messages.model_messages import Model, Origin, Shape
 from zensim.proto.rotation import rotate
 from zensim.proto.stl import read_corners
-from zensim.sim_server.description.rolling import touching_links
-from zensim.sim_server.description.transforms import compose, link_poses
+from zensim.sim_server.description.model_geometry import (
+    compose_poses,
+    find_link_poses,
+    links_in_contact,
+)
 from zensim.sim_server.physics.engine import FloatArray
 
 Corners = Callable[[str], FloatArray]
@@ -81,15 +84,15 @@ def piece_of(shape: Shape, pose: Origin, corners: Corners) -> Piece:
         corners: Finds those of a mesh.
     """
     points, ball_m = _points(shape, corners)
-    place = compose(pose, shape.origin)
+    place = compose_poses(pose, shape.origin)
     turned = rotate(np.array(place.orientation), points)
     return Piece(turned + np.array(place.position), ball_m)
 
 
 def pieces_of(model: Model, corners: Corners) -> Iterator[Piece]:
     """Lay out the collisions of a model in its root link, joints at zero; planes are left out."""
-    poses = link_poses(model.links[0].name, model.joints)
-    for link in touching_links(model):
+    poses = find_link_poses(model.links[0].name, model.joints)
+    for link in links_in_contact(model):
         for shape in link.collisions:
             if shape.kind != "plane":
                 yield piece_of(shape, poses[link.name], corners)

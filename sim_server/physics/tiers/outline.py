@@ -6,7 +6,7 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.rotation import rotate
-from zensim.sim_server.description.transforms import link_poses
+from zensim.sim_server.description.model_geometry import find_link_poses
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.tiers.footprint import Corners, Piece, piece_of, ring
 
@@ -59,7 +59,7 @@ def outline_of(model: Model, base: FloatArray, corners: Corners) -> Edges:
         base: State row (7,) or longer of its root link.
         corners: Finds those of a mesh.
     """
-    poses = link_poses(model.links[0].name, model.joints)
+    poses = find_link_poses(model.links[0].name, model.joints)
     found = []
     for link in model.links:
         for shape in link.collisions:

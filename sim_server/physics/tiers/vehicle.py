@@ -14,7 +14,11 @@ from zensim.proto.messages.drive_messages import (
     WheelPair,
 )
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
-from zensim.sim_server.description.transforms import link_poses, placed, turned
+from zensim.sim_server.description.model_geometry import (
+    find_link_poses,
+    rotate_vector,
+    transform_point,
+)
 from zensim.sim_server.physics.actuation import actuation_of
 from zensim.sim_server.physics.tiers.footprint import Corners, Footprint, footprint_of
 
@@ -197,15 +201,15 @@ def _steering_joints(model: Model, index: dict[str, int]) -> tuple[int, ...]:
 
 def _wheel(model: Model, joint: int, steering: tuple[int, ...]) -> Wheel:
     axle, link = model.joints[joint], model.links[joint + 1]
-    pose = link_poses(model.links[0].name, model.joints)[axle.child]
+    pose = find_link_poses(model.links[0].name, model.joints)[axle.child]
     tyre = _tyre(link)
     radius = tyre.size[0] if tyre else _written_radius(model, axle.name)
-    ax, ay, _ = turned(pose, axle.axis)
+    ax, ay, _ = rotate_vector(pose, axle.axis)
     length = math.hypot(ax, ay)
     if radius < LEAST_M or length < GRIP:
         fault = "has no round collision" if radius < LEAST_M else "does not lie level"
         raise NotFlat(f"the wheel of joint '{axle.name}' {fault}")
-    x, y, _ = placed(pose, tyre.origin.position if tyre else Origin().position)
+    x, y, _ = transform_point(pose, tyre.origin.position if tyre else Origin().position)
     return Wheel(
         joint, (x, y), (ay / length, -ax / length), radius, _turned_by(model, axle, steering)
     )
@@ -272,8 +276,10 @@ def _matrix(wheels: list[Wheel]) -> tuple[tuple[float, ...], tuple[float, float]
 
 def _tipping(model: Model, footprint: Footprint, gravity: float) -> tuple[float, float]:
     """Find the accelerations [m/s^2] ahead and aside that tip a robot over, less some margin."""
-    poses = link_poses(model.links[0].name, model.joints)
-    places = np.array([placed(poses[link.name], link.inertial.com_in_link) for link in model.links])
+    poses = find_link_poses(model.links[0].name, model.joints)
+    places = np.array(
+        [transform_point(poses[link.name], link.inertial.com_in_link) for link in model.links]
+    )
     masses = np.array([max(link.inertial.mass_kg, LEAST_M**2) for link in model.links])
     x, y, z = (masses @ places / masses.sum()).tolist()
     height = max(z - footprint.low, LEAST_M)

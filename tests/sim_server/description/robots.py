@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 
 from zensim.proto.messages.model_messages import Model, ReportEntry
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
 BALL = '<geometry><sphere radius="0.1"/></geometry>'
 

@@ -1,7 +1,7 @@
 """Small models as SDF text, for tests."""
 
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 
 INERTIAL = (
     "<inertial><mass>2</mass><inertia><ixx>0.1</ixx><iyy>0.1</iyy><izz>0.1</izz></inertia>"

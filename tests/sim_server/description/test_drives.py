@@ -14,7 +14,7 @@ from zensim.proto.messages.drive_messages import (
     TricycleDrive,
     WheelPair,
 )
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 PLANAR = "libgazebo_ros_planar_move.so"

@@ -1,11 +1,11 @@
 """The report tells what became of each tag, and stays small."""
 
 from zensim.proto.messages.model_messages import ReportEntry
-from zensim.sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS, Report
+from zensim.sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS_ENTRIES, ParseReport
 
 
 def test_report_lists_entries_in_order_when_noted() -> None:
-    report = Report()
+    report = ParseReport()
 
     report.applied("a")
     report.ignored("b", "no")
@@ -21,7 +21,7 @@ def test_report_lists_entries_in_order_when_noted() -> None:
 
 
 def test_report_suggests_a_tag_when_one_looks_misspelt() -> None:
-    report = Report()
+    report = ParseReport()
 
     report.unread_tag("plugin", "wheel_seperation", ["wheel_separation", "wheel_diameter"])
 
@@ -35,7 +35,7 @@ def test_report_suggests_a_tag_when_one_looks_misspelt() -> None:
 
 
 def test_report_calls_a_tag_unknown_when_nothing_is_like_it() -> None:
-    report = Report()
+    report = ParseReport()
 
     report.unread_tag("plugin", "banana", ["wheel_separation"])
 
@@ -43,7 +43,7 @@ def test_report_calls_a_tag_unknown_when_nothing_is_like_it() -> None:
 
 
 def test_report_says_a_thing_once_when_it_is_noted_twice() -> None:
-    report = Report()
+    report = ParseReport()
 
     report.ignored("a", "no")
     report.ignored("a", "no")
@@ -52,7 +52,7 @@ def test_report_says_a_thing_once_when_it_is_noted_twice() -> None:
 
 
 def test_report_counts_the_rest_when_it_is_full() -> None:
-    report = Report()
+    report = ParseReport()
 
     for index in range(MAX_ENTRIES):
         report.unknown(f"tag {index}", "")
@@ -64,12 +64,12 @@ def test_report_counts_the_rest_when_it_is_full() -> None:
 
 
 def test_report_keeps_what_is_suspicious_when_it_is_full_of_the_rest() -> None:
-    report = Report()
+    report = ParseReport()
 
     for index in range(MAX_ENTRIES + 1):
         report.unknown(f"tag {index}", "")
-    for index in range(MAX_SUSPICIOUS + 1):
+    for index in range(MAX_SUSPICIOUS_ENTRIES + 1):
         report.suspicious(f"mesh {index}", "")
 
-    assert sum(entry.status == "suspicious" for entry in report.entries()) == MAX_SUSPICIOUS
+    assert sum(entry.status == "suspicious" for entry in report.entries()) == MAX_SUSPICIOUS_ENTRIES
     assert report.entries()[-1].reason == "2 further entries are left out"

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.models import an_arm
 from zensim.proto.messages.model_messages import JointKind, Link, Model, Origin, Shape
 from zensim.proto.rotation import FloatArray, from_rpy
-from zensim.sim_server.description.clearance import NO_MESHES
+from zensim.sim_server.description.model_geometry import NO_MESHES
 from zensim.sim_server.geometry.kinematics import link_poses
 from zensim.sim_server.geometry.solids import (
     CUBE,

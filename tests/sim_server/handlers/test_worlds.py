@@ -22,7 +22,7 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationRequest,
 )
 from zensim.proto.messages.spawn_messages import Resource
-from zensim.sim_server.description.sdf import WorldModel
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.desk import Desk, Founded
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers.table import handle

@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from tests.sim_server.description.test_meshes import exported
+from tests.sim_server.description.meshes.test_mesh_conversion_meshes import exported
 from tests.sim_server.fakes import a_world
 from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.config import ConfigError
-from zensim.sim_server.description.library import shipped_worlds
+from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.loading import world_files
 from zensim.sim_server.loading.world_files import WorldOrder, doubts, furnish, loaded_elsewhere
 from zensim.sim_server.loading.world_loading import load_world
@@ -30,7 +30,7 @@ def a_file(folder: Path, inside: str) -> str:
     return str(file)
 
 
-@pytest.mark.parametrize("name", shipped_worlds())
+@pytest.mark.parametrize("name", list_builtin_worlds())
 def test_shipped_world_is_read_without_doubt(name: str) -> None:
     world = load_world(name, is_strict=True)
 

@@ -7,9 +7,9 @@ from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance
 from tests.models import a_state
 from tests.sim_server.description.robots import reasons
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.clearance import ground_clearance
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.model_geometry import find_ground_clearance
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import EngineConfig
 
 SPAWN_Z = 0.01
@@ -28,7 +28,7 @@ TRAPS = (
 
 @pytest.fixture(scope="module")
 def legacy() -> Model:
-    return read_urdf(model_text("box_bot_legacy"))
+    return read_urdf(read_builtin_model("box_bot_legacy"))
 
 
 @pytest.mark.parametrize("trap", TRAPS)
@@ -46,7 +46,7 @@ def test_report_names_the_links_that_weigh_nothing(legacy: Model) -> None:
 def test_legacy_robot_weighs_what_it_says_and_stands_6_cm_high(legacy: Model) -> None:
     assert legacy.mass_kg == pytest.approx(1.406, abs=1e-6)
     assert legacy.links[0].inertial.mass_kg == pytest.approx(1.006, abs=1e-6)
-    assert ground_clearance(legacy) == pytest.approx(-0.06, abs=1e-6)
+    assert find_ground_clearance(legacy) == pytest.approx(-0.06, abs=1e-6)
 
 
 @pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)

@@ -11,7 +11,7 @@ from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_
 from tests.sim_server.fakes import a_birth, a_command
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.world import World

@@ -12,7 +12,7 @@ from tests.models import a_state, an_arm
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.physics.bullet import dynamics_of
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.urdf import MAX_JOINTS, read_urdf
+from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
 from zensim.sim_server.physics.engine import Engine, EngineConfig
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 

@@ -7,10 +7,10 @@ from tests.engines import PHYSICAL, STEP_NS, MakeEngine
 from tests.models import a_state
 from tests.sim_server.description.sdf_robots import PIONEER
 from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
-from zensim.sim_server.description.clearance import ground_clearance
-from zensim.sim_server.description.library import world_text
-from zensim.sim_server.description.sdf import read_world
-from zensim.sim_server.description.sdf_model import read_sdf_model
+from zensim.sim_server.description.builtin_models import read_builtin_world
+from zensim.sim_server.description.model_geometry import find_ground_clearance
+from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
+from zensim.sim_server.description.sdf.sdf_world import read_world
 from zensim.sim_server.physics.engine import EngineConfig
 
 RACK_TOP_M = 2.2
@@ -21,7 +21,7 @@ every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.n
 def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn(make: MakeEngine) -> None:
     model = read_sdf_model(PIONEER)
     engine = make(EngineConfig(STEP_NS))
-    body = engine.add(model, a_state((0.0, 0.0, -ground_clearance(model))))
+    body = engine.add(model, a_state((0.0, 0.0, -find_ground_clearance(model))))
     engine.command([body], np.array([2.0, 2.0]))
 
     for _ in range(round(3e9 / STEP_NS)):
@@ -36,7 +36,9 @@ def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn(make: MakeEngine) -> Non
 @every_engine
 def test_every_shelf_of_the_warehouse_holds_what_is_dropped_on_it(make: MakeEngine) -> None:
     engine = make(EngineConfig(STEP_NS))
-    racks = next(p.model for p in read_world(world_text("warehouse")).models if "east" in p.name)
+    racks = next(
+        p.model for p in read_world(read_builtin_world("warehouse")).models if "east" in p.name
+    )
     engine.add(racks, a_state())
     ball = Shape("sphere", (0.1, 0.0, 0.0))
     inertial = Inertial(1.0, inertia=(0.01, 0.0, 0.0, 0.01, 0.0, 0.01))

@@ -18,9 +18,9 @@ from tests.sim_server.description.robots import (
     reasons,
 )
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.sdf_model import read_sdf_model
-from zensim.sim_server.description.surface import decay_rate
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.link_surfaces import to_decay_rate
+from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
 
 every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
@@ -186,7 +186,7 @@ def test_link_slows_down_by_its_damping_factor(make: MakeEngine, share: float) -
     row = engine.read([body]).base[0]
     engine.close()
     left = (1.0 - share) ** (24 * DT_S / 1e-3)
-    assert left == pytest.approx(math.exp(-decay_rate(share) * 24 * DT_S))
+    assert left == pytest.approx(math.exp(-to_decay_rate(share) * 24 * DT_S))
     assert row[7] == pytest.approx(2.0 * left, rel=0.01, abs=1e-6)
     assert row[12] == pytest.approx(3.0 * left, rel=0.01, abs=1e-6)
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.integration.processes import eventually
-from tests.sim_server.description.test_meshes import BOX, exported
+from tests.sim_server.description.meshes.test_mesh_conversion_meshes import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.reading.test_assets import put
 from tests.sim_server.reading.test_reader import MESH_ROBOT

@@ -13,8 +13,8 @@ import pytest
 import trimesh
 
 from tests.integration.processes import eventually
+from tests.sim_server.description.meshes.test_mesh_conversion_meshes import BOX, exported
 from tests.sim_server.description.robots import a_link, a_robot
-from tests.sim_server.description.test_meshes import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.reading.test_assets import put
 from zensim.proto.messages.asset_messages import AssetRef

@@ -8,8 +8,8 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.rotation import to_yaw
-from zensim.sim_server.description.library import model_text
-from zensim.sim_server.description.urdf import read_urdf
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import EngineConfig, FloatArray
 from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.tiers.tiers import Tiers
@@ -30,7 +30,7 @@ def two_tiers(default: Dynamics = "auto", *, step_ns: int = STEP_NS) -> Iterator
 
 
 def shipped(name: str) -> Model:
-    return read_urdf(model_text(name))
+    return read_urdf(read_builtin_model(name))
 
 
 def with_dynamics(model: Model, dynamics: Dynamics) -> Model:

@@ -1,0 +1,263 @@
+"""Joints as engines simulate them: fixed ones lumped, planar and floating ones as chains.
+
+Engines and joint states know joints by one number. A planar joint becomes `_x` and `_y` in its
+plane, then a turn about the plane's normal; a floating joint `_x`, `_y`, `_z`, `_yaw`, `_pitch`,
+then a roll. The last joint of a chain keeps the name.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from math import copysign, fsum
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages.model_messages import (
+    ZERO,
+    Decay,
+    Frame,
+    Inertial,
+    Joint,
+    JointKind,
+    Link,
+    Origin,
+    Shape,
+    Vec3,
+)
+from zensim.sim_server.description.model_geometry import (
+    compose_poses,
+    rotate_vector,
+    to_rotation_matrix,
+    transform_point,
+)
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.strict_parsing import quote
+
+MIMIC_KINDS = ("revolute", "continuous", "prismatic")
+
+
+def check_mimics(joints: Iterable[Joint], report: ParseReport) -> tuple[Joint, ...]:
+    """Keep each <mimic> that can be followed; note the others, whose joints then move freely.
+
+    Args:
+        joints: Of the robot once lumped.
+        report: Where oddities go.
+    """
+    by_name = {joint.name: joint for joint in joints}
+    checked = []
+    for joint in by_name.values():
+        if joint.mimic is None:
+            checked.append(joint)
+        elif fault := _find_mimic_fault(joint, by_name):
+            report.suspicious(f"joint {quote(joint.name)}: <mimic>", f"{fault}; it moves freely")
+            checked.append(msgspec.structs.replace(joint, mimic=None))
+        else:
+            report.applied(f"joint {quote(joint.name)}: <mimic>", f"follows {joint.mimic.joint!r}")
+            checked.append(joint)
+    return tuple(checked)
+
+
+def _find_mimic_fault(joint: Joint, by_name: Mapping[str, Joint]) -> str:
+    leader, seen = joint, {joint.name}
+    while leader.mimic is not None:
+        name = leader.mimic.joint
+        if name not in by_name:
+            return f"joint {quote(name)} does not exist or is fixed"
+        if name in seen:
+            return f"joint {quote(name)} would follow itself"
+        seen.add(name)
+        leader = by_name[name]
+        if leader.kind not in MIMIC_KINDS:
+            return f"joint {quote(name)} is {leader.kind}"
+    if joint.kind not in MIMIC_KINDS:
+        return f"a {joint.kind} joint follows none"
+    if joint.mimic is not None and joint.mimic.multiplier == 0.0:
+        return "its multiplier is 0"
+    return ""
+
+
+class LumpedModel(msgspec.Struct, frozen=True):
+    """Links that move by themselves, the joints that move them, and the links merged into them."""
+
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    frames: tuple[Frame, ...]
+
+
+def lump_fixed_joints(
+    links: Sequence[Link], joints: Sequence[Joint], kept: frozenset[str]
+) -> LumpedModel:
+    """Merge every link that a fixed joint holds into the nearest link above that moves.
+
+    Args:
+        links: In tree order: `joints[i]` moves `links[i + 1]`.
+        joints: In tree order.
+        kept: Names of fixed joints to leave as they are.
+
+    Returns:
+        The same tree order; every frame's parent is one of its links.
+    """
+    places = {links[0].name: (links[0].name, Origin())}
+    groups: dict[str, list[tuple[Link, Origin]]] = {links[0].name: [(links[0], Origin())]}
+    moving: list[Joint] = []
+    frames: list[Frame] = []
+    for joint, link in zip(joints, links[1:], strict=True):
+        holder, above = places[joint.parent]
+        origin = compose_poses(above, joint.origin)
+        if joint.kind == "fixed" and joint.name not in kept:
+            places[link.name] = (holder, origin)
+            groups[holder].append((link, origin))
+            frames.append(Frame(link.name, holder, origin))
+        else:
+            places[link.name] = (link.name, Origin())
+            groups[link.name] = [(link, Origin())]
+            moving.append(msgspec.structs.replace(joint, parent=holder, origin=origin))
+    merged = tuple(_merge_links(name, group) for name, group in groups.items())
+    return LumpedModel(merged, tuple(moving), tuple(frames))
+
+
+def combine_inertials(parts: Iterable[tuple[Inertial, Origin]]) -> Inertial:
+    """Find the inertial of parts held rigidly together, each placed in one common frame.
+
+    Source: parallel axis theorem, I = sum of R I R' + m (d.d E - d d').
+    """
+    heavy = [(part, origin) for part, origin in parts if part != Inertial()]
+    if not heavy:
+        return Inertial()
+    if len(heavy) == 1 and heavy[0][1] == Origin():
+        return heavy[0][0]
+    mass = fsum(part.mass_kg for part, _ in heavy)
+    centres = np.array([transform_point(origin, part.com_in_link) for part, origin in heavy])
+    weights = np.array([part.mass_kg for part, _ in heavy])
+    com = weights @ centres / mass if mass > 0.0 else np.zeros(3)
+    total = np.zeros((3, 3))
+    for (part, origin), centre in zip(heavy, centres, strict=True):
+        turn, offset = to_rotation_matrix(origin), centre - com
+        total += turn @ _inertia_matrix(part) @ turn.T
+        total += part.mass_kg * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+    x, y, z = com.tolist()
+    ixx, ixy, ixz, _, iyy, iyz, _, _, izz = total.ravel().tolist()
+    return Inertial(mass, (x, y, z), (ixx, ixy, ixz, iyy, iyz, izz))
+
+
+def _inertia_matrix(part: Inertial) -> list[list[float]]:
+    ixx, ixy, ixz, iyy, iyz, izz = part.inertia
+    return [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
+
+
+def _merge_links(name: str, group: list[tuple[Link, Origin]]) -> Link:
+    return Link(
+        name=name,
+        inertial=combine_inertials((link.inertial, origin) for link, origin in group),
+        collisions=tuple(
+            s for link, origin in group for s in _transform_shapes(link.collisions, origin)
+        ),
+        visuals=tuple(s for link, origin in group for s in _transform_shapes(link.visuals, origin)),
+        weightless=combine_inertials((link.weightless, origin) for link, origin in group),
+        decay=_mean_decay([link for link, _ in group]),
+        self_collides=any(link.self_collides for link, _ in group),
+    )
+
+
+def _mean_decay(links: Sequence[Link]) -> Decay:
+    """Let each part lose its share of what all move with: the mean by mass."""
+    mass = fsum(link.inertial.mass_kg for link in links)
+    if len(links) == 1 or mass == 0.0 or all(link.decay == Decay() for link in links):
+        return links[0].decay
+    return Decay(
+        fsum(link.inertial.mass_kg * link.decay.linear for link in links) / mass,
+        fsum(link.inertial.mass_kg * link.decay.angular for link in links) / mass,
+    )
+
+
+def _transform_shapes(shapes: Iterable[Shape], origin: Origin) -> Iterable[Shape]:
+    for shape in shapes:
+        contact = shape.contact
+        if contact.direction != ZERO:
+            along = rotate_vector(origin, contact.direction)
+            contact = msgspec.structs.replace(contact, direction=along)
+        yield msgspec.structs.replace(
+            shape, origin=compose_poses(origin, shape.origin), contact=contact
+        )
+
+
+SLIDE_LIMIT_M = 1e5
+"""How far a sliding part of a chain goes: the size of the world."""
+X: Vec3 = (1.0, 0.0, 0.0)
+Y: Vec3 = (0.0, 1.0, 0.0)
+Z: Vec3 = (0.0, 0.0, 1.0)
+ChainStep = tuple[str, JointKind, Vec3]
+
+
+def expand_multi_dof_joints(lumped: LumpedModel, report: ParseReport) -> LumpedModel:
+    """Put a chain in the place of each planar and floating joint; tree order is kept."""
+    taken = {link.name for link in lumped.links} | {joint.name for joint in lumped.joints}
+    links, joints = [lumped.links[0]], []
+    for joint, link in zip(lumped.joints, lumped.links[1:], strict=True):
+        steps = _chain_steps(joint)
+        if steps:
+            report.applied(
+                f"joint {quote(joint.name)}", f"{joint.kind}: {len(steps)} joints in a chain"
+            )
+            chain = _make_chain(joint, steps, taken)
+            links += [Link(part.child) for part in chain[:-1]]
+            joints += chain
+        else:
+            joints.append(joint)
+        links.append(link)
+    return LumpedModel(tuple(links), tuple(joints), lumped.frames)
+
+
+def _chain_steps(joint: Joint) -> Sequence[ChainStep]:
+    if joint.kind == "planar":
+        along, across = _plane_axes(joint.axis)
+        return (
+            ("_x", "prismatic", along),
+            ("_y", "prismatic", across),
+            ("", "continuous", joint.axis),
+        )
+    if joint.kind == "floating":
+        return (
+            *(("_x", "prismatic", X), ("_y", "prismatic", Y), ("_z", "prismatic", Z)),
+            *(("_yaw", "continuous", Z), ("_pitch", "continuous", Y), ("", "continuous", X)),
+        )
+    return ()
+
+
+def _plane_axes(normal: Vec3) -> tuple[Vec3, Vec3]:
+    # Axes x and y for a normal along z; for others, turned there by the shortest way.
+    nx, ny, nz = normal
+    sign = copysign(1.0, nz)
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    return (1.0 + sign * nx * nx * a, sign * b, -sign * nx), (b, sign + ny * ny * a, -ny)
+
+
+def _make_chain(joint: Joint, steps: Iterable[ChainStep], taken: set[str]) -> list[Joint]:
+    chain: list[Joint] = []
+    parent, origin = joint.parent, joint.origin
+    for suffix, kind, axis in steps:
+        reach = SLIDE_LIMIT_M if kind == "prismatic" else 0.0
+        child = _make_unique_name(joint.child + suffix, taken) if suffix else joint.child
+        chain.append(
+            msgspec.structs.replace(
+                joint,
+                name=_make_unique_name(joint.name + suffix, taken) if suffix else joint.name,
+                kind=kind,
+                parent=parent,
+                child=child,
+                origin=origin,
+                axis=axis,
+                lower=-reach,
+                upper=reach,
+                mimic=None,
+            )
+        )
+        parent, origin = child, Origin()
+    return chain
+
+
+def _make_unique_name(wish: str, taken: set[str]) -> str:
+    while wish in taken:
+        wish += "_"
+    taken.add(wish)
+    return wish

@@ -1,0 +1,231 @@
+"""Geometry of a model: composed poses, link poses, ground clearance, wheel contact shapes.
+
+A cylinder touches along a line, and an engine that solves a few points of it in turn lets the robot
+wander as it turns on the spot. A sphere of the same radius about the same centre rolls the same way
+and touches at one point. Where a twist moves the body itself, friction could only hold it back.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from zensim.proto.messages.drive_messages import Drive
+from zensim.proto.messages.model_messages import (
+    IDENTITY,
+    ZERO,
+    Joint,
+    Link,
+    Model,
+    Origin,
+    Quat,
+    Shape,
+    Vec3,
+)
+from zensim.proto.rotation import FloatArray, multiply, rotate
+
+
+def compose_poses(outer: Origin, inner: Origin) -> Origin:
+    """Find the pose in the frame of `outer` of what `inner` places in the frame that it makes."""
+    if outer == Origin():
+        return inner
+    x, y, z = transform_point(outer, inner.position)
+    if outer.orientation == IDENTITY:
+        return Origin((x, y, z), inner.orientation)
+    turn = multiply(np.array(outer.orientation), np.array(inner.orientation))
+    qx, qy, qz, qw = (turn / np.linalg.norm(turn)).tolist()
+    return Origin((x, y, z), (qx, qy, qz, qw))
+
+
+def transform_point(origin: Origin, point: Vec3) -> Vec3:
+    """Find a point of a frame in the frame that `origin` is given in."""
+    ox, oy, oz = origin.position
+    x, y, z = rotate_vector(origin, point)
+    return (ox + x, oy + y, oz + z)
+
+
+def rotate_vector(origin: Origin, vector: Vec3) -> Vec3:
+    """Find a direction of a frame in the frame that `origin` is given in."""
+    if origin.orientation == IDENTITY:
+        return vector
+    x, y, z = rotate(np.array(origin.orientation), np.array(vector)).tolist()
+    return (x, y, z)
+
+
+def to_rotation_matrix(origin: Origin) -> FloatArray:
+    """Find the rotation matrix (3, 3) of a pose."""
+    columns = rotate(np.array(origin.orientation), np.eye(3))
+    return np.asarray(columns.T)
+
+
+def find_link_poses(root: str, joints: tuple[Joint, ...]) -> dict[str, Origin]:
+    """Find every link's pose in the root link, all joints at zero; parents come before children."""
+    poses = {root: Origin()}
+    for joint in joints:
+        poses[joint.child] = compose_poses(poses[joint.parent], joint.origin)
+    return poses
+
+
+FindCorners = Callable[[str], npt.NDArray[np.floating]]
+"""Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""
+_NO_CORNERS: dict[str, npt.NDArray[np.floating]] = {}
+NO_MESHES: FindCorners = _NO_CORNERS.__getitem__
+
+
+def find_ground_clearance(
+    model: Model, turn: Quat = IDENTITY, corners: FindCorners = NO_MESHES
+) -> float:
+    """Find the height [m] of the lowest point of all collisions over the root link, joints at zero.
+
+    Negative when it is below the root, so that the robot stands on the ground when its root is
+    spawned at minus this height. Planes are left out; 0 when nothing else is there.
+
+    Args:
+        model: The robot.
+        turn: Orientation of the root link in the world.
+        corners: Finds those of a mesh; needed when the robot has any.
+    """
+    poses = find_link_poses(model.links[0].name, model.joints)
+    root = _TiltedFrame(0.0, _rotate_inverse(turn, (0.0, 0.0, 1.0)))
+    frames = [(link, root.inner(poses[link.name])) for link in model.links]
+    return min(
+        (
+            _lowest_height(shape, frame.inner(shape.origin), corners)
+            for link, frame in frames
+            for shape in link.collisions
+            if shape.kind != "plane"
+        ),
+        default=0.0,
+    )
+
+
+class _TiltedFrame(NamedTuple):
+    """How high a frame is over the root link, and which way is up in it."""
+
+    height: float
+    up: Vec3
+
+    def inner(self, origin: Origin) -> "_TiltedFrame":
+        """Find the frame at an origin in this one."""
+        height = self.height + sum(a * b for a, b in zip(self.up, origin.position, strict=True))
+        return _TiltedFrame(height, _rotate_inverse(origin.orientation, self.up))
+
+
+def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> float:
+    if shape.kind == "mesh":
+        heights = corners(shape.mesh) @ np.multiply(shape.size, frame.up)
+        return frame.height + float(heights.min())
+    down = [abs(part) for part in frame.up]
+    if shape.kind == "box":
+        reach = sum(part * size / 2.0 for part, size in zip(down, shape.size, strict=True))
+    elif shape.kind == "sphere":
+        reach = shape.size[0]
+    elif shape.kind == "capsule":
+        reach = shape.size[0] + down[2] * shape.size[1] / 2.0
+    else:
+        radius, length, _ = shape.size
+        reach = radius * math.hypot(down[0], down[1]) + down[2] * length / 2.0
+    return frame.height - reach
+
+
+def _rotate_inverse(turn: Quat, vector: Vec3) -> Vec3:
+    """Find in a turned frame a direction that is given outside of it."""
+    if turn == IDENTITY:
+        return vector
+    x, y, z, w = turn
+    vx, vy, vz = vector
+    tx, ty, tz = 2.0 * (z * vy - y * vz), 2.0 * (x * vz - z * vx), 2.0 * (y * vx - x * vy)
+    return (
+        vx + w * tx + z * ty - y * tz,
+        vy + w * ty + x * tz - z * tx,
+        vz + w * tz + y * tx - x * ty,
+    )
+
+
+MAX_AXLE_OFFSET = 0.01
+"""Share of its radius by which a tyre may be off its axle."""
+MIN_AXLE_COS = 0.9999
+MAX_WHEEL_WIDTH = 2.0
+"""In radii: what is wider is a roller."""
+
+
+def links_in_contact(model: Model) -> tuple[Link, ...]:
+    """List the links of a model with the collisions that its drive rolls or slides on."""
+    drive = model.drive
+    if drive is None:
+        return model.links
+    if _is_driven_by_twist(drive):
+        return tuple(_without_friction(link) for link in model.links)
+    axles = _find_axles(drive, model.joints)
+    return tuple(
+        _with_sphere_wheels(link, axles[link.name]) if link.name in axles else link
+        for link in model.links
+    )
+
+
+def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
+    """Say what `touching_links` does to the links of a robot with this drive."""
+    if _is_driven_by_twist(drive):
+        return ["friction of its collisions is not used: the twist moves the body"]
+    axles = _find_axles(drive, joints)
+    rolling = [
+        repr(link.name)
+        for link in links
+        if link.name in axles
+        and any(is_wheel_cylinder(one, axles[link.name]) for one in link.collisions)
+    ]
+    if not rolling:
+        return []
+    return [f"cylinders of {', '.join(rolling)} touch the ground as spheres of their radius"]
+
+
+def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
+    """Whether a collision is a cylinder about the axle that moves its link."""
+    radius, length, _ = shape.size
+    if shape.kind != "cylinder" or not 0.0 < length <= MAX_WHEEL_WIDTH * radius:
+        return False
+    axis = np.array(axle.axis) / np.linalg.norm(axle.axis)
+    if abs(float(to_rotation_matrix(shape.origin)[:, 2] @ axis)) < MIN_AXLE_COS:
+        return False
+    centre = np.array(shape.origin.position)
+    return float(np.linalg.norm(centre - axis * (centre @ axis))) <= MAX_AXLE_OFFSET * radius
+
+
+def _is_driven_by_twist(drive: Drive) -> bool:
+    return any(actuator.mode == "twist" for actuator in drive.actuators)
+
+
+def _find_axles(drive: Drive, joints: Iterable[Joint]) -> dict[str, Joint]:
+    return {joint.child: joint for joint in joints if joint.name in drive.wheel_joints}
+
+
+def _with_sphere_wheels(link: Link, axle: Joint) -> Link:
+    if not any(is_wheel_cylinder(shape, axle) for shape in link.collisions):
+        return link
+    return msgspec.structs.replace(
+        link, collisions=tuple(_replace_cylinders(link.collisions, axle))
+    )
+
+
+def _replace_cylinders(shapes: Iterable[Shape], axle: Joint) -> Iterable[Shape]:
+    for shape in shapes:
+        if is_wheel_cylinder(shape, axle):
+            place = Origin(shape.origin.position)
+            yield msgspec.structs.replace(
+                shape, kind="sphere", size=(shape.size[0], 0.0, 0.0), origin=place
+            )
+        else:
+            yield shape
+
+
+def _without_friction(link: Link) -> Link:
+    smooth = tuple(_frictionless(shape) for shape in link.collisions)
+    return msgspec.structs.replace(link, collisions=smooth)
+
+
+def _frictionless(shape: Shape) -> Shape:
+    contact = msgspec.structs.replace(shape.contact, direction=ZERO, friction_across=0.0)
+    return msgspec.structs.replace(shape, friction=0.0, contact=contact)

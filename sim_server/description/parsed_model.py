@@ -1,0 +1,267 @@
+"""Links and joints as parsed: ordered as one tree, with physical values checked."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages.model_messages import Inertial, Joint, Link, Shape, Vec3
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.strict_parsing import quote_names
+from zensim.sim_server.errors import ModelError
+
+
+class ParsedModel(msgspec.Struct, frozen=True):
+    """Links and joints of a description, in its order."""
+
+    name: str
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+
+
+MAX_LINKS = 500
+WORLD_LINK = "world"
+
+
+def order_as_tree(parts: ParsedModel) -> ParsedModel:
+    """Order links and joints so that `joints[i]` moves `links[i + 1]`, depth first from the root.
+
+    Raises:
+        ModelError: Not one tree: names used twice, unknown links, two parents, two roots, a cycle.
+    """
+    _check_names(parts)
+    by_name = {link.name: link for link in parts.links}
+    _check_ends(parts.joints, by_name)
+    _check_single_parents(parts.joints)
+    root = _find_root(parts)
+    joints = _depth_first(root, parts.joints)
+    if len(joints) < len(parts.joints):
+        reached = {root, *(joint.child for joint in joints)}
+        lost = [link.name for link in parts.links if link.name not in reached]
+        raise ModelError(
+            f"links {quote_names(lost)} are in a cycle; every link must hang from root {root!r}",
+            slug="urdf.cycle",
+        )
+    links = (by_name[root], *(by_name[joint.child] for joint in joints))
+    return ParsedModel(parts.name, links, tuple(joints))
+
+
+def drop_floating_world(parts: ParsedModel, report: ParseReport) -> ParsedModel:
+    """Drop a root link `world` that holds the robot by a floating joint only: it is free anyway."""
+    if parts.links[0].name != WORLD_LINK or [
+        j.kind for j in parts.joints if j.parent == WORLD_LINK
+    ] != ["floating"]:
+        return parts
+    report.applied(f"joint {parts.joints[0].name!r}", "floating in the world: the robot is free")
+    return ParsedModel(parts.name, parts.links[1:], parts.joints[1:])
+
+
+def is_fixed_to_world(parts: ParsedModel, report: ParseReport) -> bool:
+    """Whether the robot's root is a link `world`, which Gazebo takes for the world itself."""
+    if parts.links[0].name != WORLD_LINK or len(parts.links) == 1:
+        return False
+    report.applied(
+        f"link {WORLD_LINK!r}", "it is the world: the robot does not move from its place"
+    )
+    return True
+
+
+def _check_names(parts: ParsedModel) -> None:
+    if not parts.links:
+        raise ModelError("the robot has no links; it needs at least one", slug="urdf.no_links")
+    if len(parts.links) > MAX_LINKS:
+        raise ModelError(
+            f"the robot has {len(parts.links)} links; at most {MAX_LINKS} are simulated",
+            slug="urdf.size",
+        )
+    for what, names in (
+        ("link", [link.name for link in parts.links]),
+        ("joint", [joint.name for joint in parts.joints]),
+    ):
+        twice = _find_repeated(names)
+        if twice:
+            raise ModelError(
+                f"{what} names {quote_names(twice)} are used more than once; make them unique",
+                slug=f"urdf.duplicate_{what}",
+            )
+
+
+def _check_ends(joints: Iterable[Joint], links: dict[str, Link]) -> None:
+    for joint in joints:
+        for end, name in (("parent", joint.parent), ("child", joint.child)):
+            if name not in links:
+                raise ModelError(
+                    f"joint {joint.name!r} has {end} {name!r}, which is no link of this robot",
+                    slug=f"urdf.unknown_{end}",
+                )
+        if joint.parent == joint.child:
+            raise ModelError(
+                f"joint {joint.name!r} joins link {joint.child!r} to itself", slug="urdf.cycle"
+            )
+
+
+def _check_single_parents(joints: Iterable[Joint]) -> None:
+    twice = _find_repeated([joint.child for joint in joints])
+    if twice:
+        raise ModelError(
+            f"links {quote_names(twice)} are the child of more than one joint; a link has one parent",
+            slug="urdf.two_parents",
+        )
+
+
+def _find_root(parts: ParsedModel) -> str:
+    children = {joint.child for joint in parts.joints}
+    roots = [link.name for link in parts.links if link.name not in children]
+    if not roots:
+        raise ModelError(
+            "the joints make a cycle; one link must be the child of none", slug="urdf.cycle"
+        )
+    if len(roots) > 1:
+        raise ModelError(
+            f"links {quote_names(roots)} are all roots; join them so that one is left",
+            slug="urdf.two_roots",
+        )
+    return roots[0]
+
+
+def _depth_first(root: str, joints: Sequence[Joint]) -> list[Joint]:
+    below: dict[str, list[Joint]] = {}
+    for joint in joints:
+        below.setdefault(joint.parent, []).append(joint)
+    ordered: list[Joint] = []
+    waiting = below.get(root, [])[::-1]
+    while waiting:
+        joint = waiting.pop()
+        ordered.append(joint)
+        waiting.extend(below.get(joint.child, [])[::-1])
+    return ordered
+
+
+def _find_repeated(names: Iterable[str]) -> list[str]:
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+AXIS_KINDS = ("revolute", "continuous", "prismatic", "planar")
+SIZE_COUNTS = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
+"""How many numbers of `Shape.size` must be positive, by kind."""
+MAX_QUANTITY = 1e12
+"""Of a distance [m], mass or moment: far beyond use, and its square still finite."""
+MOMENT_ROUNDING = 1e-12
+"""Moments [kg m^2] that exporters write below 0 where they mean 0."""
+TRIANGLE_RULE_SLACK = 1e-3
+"""Share by which rounded moments may break the triangle rule."""
+
+
+def check_links(links: Sequence[Link], report: ParseReport) -> None:
+    """Check mass, inertia and sizes of links that nothing merged yet.
+
+    Raises:
+        ModelError: A mass or a moment is negative, a size is not positive, or one is too large.
+    """
+    for link in links:
+        inertial = link.inertial
+        _check_magnitude(link.name, (inertial.mass_kg, *inertial.com_in_link, *inertial.inertia))
+        _check_inertial(link.name, inertial, report)
+        for shape in (*link.collisions, *link.visuals):
+            _check_magnitude(link.name, (*shape.size, *shape.origin.position))
+            _check_size(link.name, shape)
+    without = [link.name for link in links if link.inertial == Inertial()]
+    if without:
+        report.applied(f"links {quote_names(without)}", "no <inertial>: they weigh nothing")
+
+
+def normalize_axes(joints: Iterable[Joint]) -> tuple[Joint, ...]:
+    """Give joints that turn or slide an axis of length one.
+
+    Raises:
+        ModelError: An axis is zero, or damping or friction is negative.
+    """
+    return tuple(_check_joint(joint) for joint in joints)
+
+
+def check_moving_parts(links: Iterable[Link], joints: Iterable[Joint], report: ParseReport) -> None:
+    """Note what moves oddly once fixed joints are lumped."""
+    weights = {link.name: link.inertial.mass_kg for link in links}
+    if not any(weights.values()):
+        report.suspicious("robot", "nothing has a mass; it will not move")
+    for joint in joints:
+        if joint.kind != "fixed" and weights[joint.child] == 0.0:
+            report.suspicious(f"link {joint.child!r}", "moves by a joint but weighs nothing")
+        if joint.kind in ("revolute", "prismatic") and joint.lower > joint.upper:
+            report.suspicious(
+                f"joint {joint.name!r}", f"lower {joint.lower:g} is above upper {joint.upper:g}"
+            )
+
+
+def _check_magnitude(name: str, numbers: Iterable[float]) -> None:
+    largest = max(map(abs, numbers))
+    if largest > MAX_QUANTITY:
+        raise ModelError(
+            f"{name!r} has a size, distance or mass of {largest:g}; at most {MAX_QUANTITY:g} is simulated",
+            slug="urdf.number",
+        )
+
+
+def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> None:
+    ixx, ixy, ixz, iyy, iyz, izz = inertial.inertia
+    if inertial.mass_kg < 0.0 or min(ixx, iyy, izz) < -MOMENT_ROUNDING:
+        raise ModelError(
+            f"link {link!r} has mass {inertial.mass_kg:g} kg and moments "
+            f"{ixx:g}, {iyy:g}, {izz:g}; none may be negative",
+            slug="urdf.mass",
+        )
+    if inertial.mass_kg == 0.0:
+        return
+    least, middle, most = np.linalg.eigvalsh(
+        [[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]
+    ).tolist()
+    if most <= MOMENT_ROUNDING:
+        report.suspicious(f"link {link!r}", "has a mass but no inertia")
+    elif least < -TRIANGLE_RULE_SLACK * most or least + middle < (1.0 - TRIANGLE_RULE_SLACK) * most:
+        report.suspicious(
+            f"link {link!r}",
+            f"no solid has the moments {least:.3g}, {middle:.3g}, {most:.3g}; used as written",
+        )
+
+
+def _check_size(link: str, shape: Shape) -> None:
+    count = SIZE_COUNTS.get(shape.kind, 0)
+    if shape.kind == "mesh" and 0.0 in shape.size:
+        raise ModelError(
+            f"mesh {shape.mesh!r} of link {link!r} has scale 0; write a scale such as 1 1 1",
+            slug="urdf.size",
+        )
+    if any(size <= 0.0 for size in shape.size[:count]):
+        raise ModelError(
+            f"{shape.kind} of link {link!r} has size {shape.size[:count]}; sizes must be > 0",
+            slug="urdf.size",
+        )
+
+
+def _check_joint(joint: Joint) -> Joint:
+    mimic = (joint.mimic.multiplier, joint.mimic.offset) if joint.mimic else ()
+    _check_magnitude(joint.name, (*joint.origin.position, *mimic))
+    if joint.damping < 0.0 or joint.friction < 0.0:
+        raise ModelError(
+            f"joint {joint.name!r} has damping {joint.damping:g} and friction {joint.friction:g}; "
+            "neither may be negative",
+            slug="urdf.dynamics",
+        )
+    if joint.kind not in AXIS_KINDS:
+        return joint
+    return msgspec.structs.replace(joint, axis=_normalize_axis(joint))
+
+
+def _normalize_axis(joint: Joint) -> Vec3:
+    length = math.hypot(*joint.axis)
+    if length == 0.0 or not math.isfinite(length):
+        raise ModelError(
+            f"joint {joint.name!r} has axis {joint.axis}; write a direction such as 0 1 0",
+            slug="urdf.axis",
+        )
+    x, y, z = joint.axis
+    return (x / length, y / length, z / length)

@@ -1,0 +1,1 @@
+"""Gazebo plug-ins of models: drives, publishers and sensors."""

@@ -1,0 +1,306 @@
+"""Joints of SDF models: a spanning tree of the joint graph, chains of one-axis joints.
+
+A joint's axis runs through the joint's own frame, which need not be that of its child: then a
+massless pivot link stands there, and the child is fixed to it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages.model_messages import Joint, JointKind, Link, Mimic, Origin, Vec3
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.model_geometry import compose_poses, rotate_vector
+from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph, invert_pose
+from zensim.sim_server.description.sdf.sdf_includes import VERSION_ATTRIBUTE
+from zensim.sim_server.description.sdf.sdf_values import (
+    read_bound,
+    read_flag,
+    read_scalar,
+    read_text,
+    read_vector,
+)
+from zensim.sim_server.description.strict_parsing import quote
+from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Container, Iterable, Sequence
+
+    from lxml.etree import _Element as Element
+
+    from zensim.sim_server.description.report import ParseReport
+
+NO_LIMIT = 1e15
+"""SDF writes 1e16 where there is no limit."""
+SLIDE_LIMIT_M = 1e5
+"""How far a joint slides that has no limit: the size of the world."""
+TURN_LIMIT_RAD = 1e6
+OFFSET_TOLERANCE_M = 1e-5
+"""Files round their angles: by this much a joint may miss its child's origin."""
+X: Vec3 = (1.0, 0.0, 0.0)
+Y: Vec3 = (0.0, 1.0, 0.0)
+Z: Vec3 = (0.0, 0.0, 1.0)
+SINGLE_AXIS_KINDS = ("revolute", "continuous", "prismatic")
+DOUBLE_AXIS_KINDS = ("universal", "revolute2")
+SDF_JOINT_KINDS = ("fixed", *SINGLE_AXIS_KINDS, "ball", *DOUBLE_AXIS_KINDS)
+MODEL_FRAME_VERSIONS = ("1.0", "1.2", "1.3", "1.4")
+"""Versions whose axes are given in the model's frame."""
+
+
+@dataclass(frozen=True)
+class JointElement:
+    """A <joint>, the scope it is in, its scoped name, its frame, and the links it joins."""
+
+    element: Element
+    scope: str
+    name: str
+    frame: str
+    parent: str
+    child: str
+    is_turned: bool = False
+    """The file has parent and child the other way round."""
+
+
+@dataclass
+class SdfJointReader:
+    """Reads joints of one top model; links that chains need are gathered in `pivots`."""
+
+    frames: PoseGraph
+    report: ParseReport
+    taken: set[str]
+    pivots: list[Link] = field(default_factory=list)
+
+    def read(self, tag: JointElement) -> list[Joint]:
+        """Read a joint as a chain from its parent to its child.
+
+        Raises:
+            ModelError: Its type is not simulated, or a number is none.
+        """
+        kind = (tag.element.get("type") or "").strip()
+        if kind not in SDF_JOINT_KINDS:
+            raise ModelError(
+                f"joint {quote(tag.name)} has type {quote(kind)}; use one of {', '.join(SDF_JOINT_KINDS)}",
+                code=SpawnCode.UNSUPPORTED_FORMAT,
+                slug="sdf.joint_type",
+            )
+        parent = Origin() if tag.parent == "world" else self.frames.pose(tag.parent)
+        child, joint = self.frames.pose(tag.child), self.frames.pose(tag.frame)
+        start = compose_poses(invert_pose(parent), child)
+        if kind == "fixed":
+            return [Joint(tag.name, "fixed", tag.parent, tag.child, start)]
+        steps = self._steps(tag, kind, child)
+        offset = compose_poses(invert_pose(child), joint).position
+        if not _needs_pivot(steps, offset):
+            offset = (0.0, 0.0, 0.0)
+        if len(steps) > 1:
+            self.report.applied(
+                f"joint {quote(tag.name)}", f"{kind}: {len(steps)} joints in a chain"
+            )
+        return self._chain(tag, steps, start, offset)
+
+    def _chain(
+        self, tag: JointElement, steps: Sequence[Joint], start: Origin, offset: Vec3
+    ) -> list[Joint]:
+        chain: list[Joint] = []
+        parent, origin = tag.parent, compose_poses(start, Origin(offset))
+        is_offset = any(offset)
+        for number, step in enumerate(steps, start=1):
+            is_last = number == len(steps)
+            child = tag.child if is_last and not is_offset else self._pivot(tag.name)
+            name = tag.name if is_last else self._free(f"{tag.name}_{number}")
+            chain.append(
+                msgspec.structs.replace(step, name=name, parent=parent, child=child, origin=origin)
+            )
+            parent, origin = child, Origin()
+        if is_offset:
+            back = Origin((-offset[0], -offset[1], -offset[2]))
+            held = self._free(f"{tag.name}_held")
+            chain.append(Joint(held, "fixed", parent, tag.child, back))
+        return chain
+
+    def _steps(self, tag: JointElement, kind: str, child: Origin) -> list[Joint]:
+        if kind == "ball":
+            # Rolling, about y, comes first: a chain sticks when its middle turns by a quarter.
+            return [_make_step("continuous", axis) for axis in (Y, Z, X)]
+        tags = ("axis", "axis2") if kind in DOUBLE_AXIS_KINDS else ("axis",)
+        steps = [self._step(tag, name, kind, child) for name in tags]
+        return steps[::-1] if tag.is_turned else steps
+
+    def _step(self, tag: JointElement, name: str, kind: str, child: Origin) -> Joint:
+        where = f"joint {quote(tag.name)}, {name}"
+        axis = tag.element.find(name)
+        if axis is None:
+            if kind in SINGLE_AXIS_KINDS:
+                self.report.suspicious(f"joint {quote(tag.name)}", "has no <axis>; 0 0 1 is used")
+            axis = _make_empty_axis(tag.element)
+        lower = read_bound(axis, "limit/lower", -NO_LIMIT, where)
+        upper = read_bound(axis, "limit/upper", NO_LIMIT, where)
+        is_free = kind == "continuous" or (lower <= -NO_LIMIT and upper >= NO_LIMIT)
+        reach = SLIDE_LIMIT_M if kind == "prismatic" else TURN_LIMIT_RAD
+        moves: JointKind = "prismatic" if kind == "prismatic" else "revolute"
+        return msgspec.structs.replace(
+            _make_step("continuous" if is_free and moves == "revolute" else moves, Z),
+            axis=self._direction(tag, axis, child, where),
+            lower=0.0 if is_free and moves == "revolute" else max(lower, -reach),
+            upper=0.0 if is_free and moves == "revolute" else min(upper, reach),
+            effort=_to_limit(read_bound(axis, "limit/effort", -1.0, where)),
+            velocity=_to_limit(read_bound(axis, "limit/velocity", -1.0, where)),
+            damping=read_scalar(axis, "dynamics/damping", 0.0, where),
+            friction=read_scalar(axis, "dynamics/friction", 0.0, where),
+            mimic=_read_mimic(tag, axis, where),
+        )
+
+    def _direction(self, tag: JointElement, axis: Element, child: Origin, where: str) -> Vec3:
+        xyz = axis.find("xyz")
+        direction = read_vector(axis, "xyz", Z, where)
+        frame = ((xyz.get("expressed_in") or "") if xyz is not None else "").strip()
+        if not frame and self._is_in_model(tag, axis, where):
+            frame = MODEL_FRAME
+        name = self.frames.full_name(tag.scope, frame) if frame else tag.frame
+        in_model = rotate_vector(self.frames.pose(name), direction)
+        x, y, z = rotate_vector(Origin(orientation=invert_pose(child).orientation), in_model)
+        # The joint turns the other body by as much the other way.
+        return (-x, -y, -z) if tag.is_turned else (x, y, z)
+
+    @staticmethod
+    def _is_in_model(tag: JointElement, axis: Element, where: str) -> bool:
+        model = tag.element.getparent()
+        version = (model.get(VERSION_ATTRIBUTE) or "") if model is not None else ""
+        return read_flag(
+            axis, "use_parent_model_frame", default=version in MODEL_FRAME_VERSIONS, where=where
+        )
+
+    def _pivot(self, joint: str) -> str:
+        name = self._free(f"{joint}_pivot")
+        self.pivots.append(Link(name))
+        return name
+
+    def _free(self, wish: str) -> str:
+        while wish in self.taken:
+            wish += "_"
+        self.taken.add(wish)
+        return wish
+
+
+def _make_step(kind: JointKind, axis: Vec3) -> Joint:
+    return Joint("", kind, "", "", axis=axis)
+
+
+def _to_limit(number: float) -> float:
+    # SDF writes a negative or a huge number for none; here 0 is none.
+    return number if 0.0 < number < NO_LIMIT else 0.0
+
+
+def _needs_pivot(steps: Sequence[Joint], offset: Vec3) -> bool:
+    """Whether turning happens about another line than one through the child's origin."""
+    if len(steps) > 1:
+        return math.hypot(*offset) > OFFSET_TOLERANCE_M
+    (step,) = steps
+    if step.kind == "prismatic":
+        return False
+    axis = np.array(step.axis)
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        return False
+    return float(np.linalg.norm(np.cross(axis / length, offset))) > OFFSET_TOLERANCE_M
+
+
+def _read_mimic(tag: JointElement, axis: Element, where: str) -> Mimic | None:
+    mimic = axis.find("mimic")
+    if mimic is None:
+        return None
+    multiplier = read_scalar(mimic, "multiplier", 1.0, where)
+    reference = read_scalar(mimic, "reference", 0.0, where)
+    offset = read_scalar(mimic, "offset", 0.0, where) - multiplier * reference
+    leader = PoseGraph.full_name(tag.scope, mimic.get("joint") or read_text(mimic, "joint"))
+    return Mimic(leader, multiplier, offset)
+
+
+def _make_empty_axis(joint: Element) -> Element:
+    return joint.makeelement("axis")
+
+
+COUPLING_KINDS = ("gearbox", "screw")
+"""Types of joints that couple links, which others may hold."""
+WORLD_LINK = "world"
+
+
+def find_spanning_tree(
+    joints: Sequence[JointElement], links: Sequence[str], report: ParseReport
+) -> tuple[JointElement, ...]:
+    """Direct joints away from the first link where a link is the child of two; note what is lost.
+
+    Joints that cannot be part of a tree otherwise are as they were, for others to refuse.
+    """
+    held = {joint.child for joint in joints if joint.element.get("type") not in COUPLING_KINDS}
+    holding = [joint for joint in joints if not _is_only_coupling(joint, held)]
+    for joint in joints:
+        if _is_only_coupling(joint, held):
+            kind = joint.element.get("type")
+            report.suspicious(f"joint {quote(joint.name)}", f"{kind} is not simulated; left out")
+    children = Counter(joint.child for joint in holding)
+    has_root = any(joint.parent == WORLD_LINK for joint in holding) or set(links) - set(children)
+    if not has_root or max(children.values(), default=0) <= 1:
+        return tuple(holding)
+    return tuple(_direct_joints(_find_root(holding, links), holding, report))
+
+
+def _is_only_coupling(joint: JointElement, held: Container[str]) -> bool:
+    return joint.element.get("type") in COUPLING_KINDS and joint.child in held
+
+
+def _find_root(joints: Iterable[JointElement], links: Sequence[str]) -> str:
+    return WORLD_LINK if any(joint.parent == WORLD_LINK for joint in joints) else links[0]
+
+
+def _direct_joints(
+    root: str, joints: Sequence[JointElement], report: ParseReport
+) -> Iterable[JointElement]:
+    ahead, back = _index_ends(joints)
+    reached = {root}
+    tree: dict[str, JointElement] = {}
+    forward, backward = deque(ahead.get(root, [])), deque(back.get(root, []))
+    while forward or backward:
+        # A joint is turned round only when nothing else leads to its link.
+        joint = forward.popleft() if forward else _reverse_joint(backward.popleft())
+        if joint.child in reached:
+            continue
+        reached.add(joint.child)
+        tree[joint.name] = joint
+        forward.extend(ahead.get(joint.child, []))
+        backward.extend(back.get(joint.child, []))
+    for joint in joints:
+        if joint.name in tree:
+            yield tree[joint.name]
+        elif joint.child in reached and joint.parent != joint.child:
+            report.suspicious(
+                f"joint {quote(joint.name)}", "closes a loop of joints; loops are left open"
+            )
+        else:
+            yield joint
+    for joint in tree.values():
+        if joint.is_turned:
+            report.applied(
+                f"joint {quote(joint.name)}", f"turned round: it moves {quote(joint.child)}"
+            )
+
+
+def _index_ends(
+    joints: Iterable[JointElement],
+) -> tuple[dict[str, list[JointElement]], dict[str, list[JointElement]]]:
+    ahead: dict[str, list[JointElement]] = {}
+    back: dict[str, list[JointElement]] = {}
+    for joint in joints:
+        ahead.setdefault(joint.parent, []).append(joint)
+        back.setdefault(joint.child, []).append(joint)
+    return ahead, back
+
+
+def _reverse_joint(joint: JointElement) -> JointElement:
+    return replace(joint, parent=joint.child, child=joint.parent, is_turned=True)

@@ -1,0 +1,463 @@
+"""SDF text to Model: nested models flattened to scoped names, then the same steps as for URDF.
+
+A model may ask for its dynamics in an element of the zensim namespace:
+
+```xml
+<model name="cart_1" xmlns:zensim="urn:zensim">
+  <zensim:dynamics>auto</zensim:dynamics>
+</model>
+```
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple, get_args
+
+import msgspec
+
+from zensim.proto.messages.model_messages import Dynamics, Inertial, Joint, Link, Model, Origin
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.joint_reduction import (
+    LumpedModel,
+    check_mimics,
+    expand_multi_dof_joints,
+    lump_fixed_joints,
+)
+from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.model_geometry import compose_poses
+from zensim.sim_server.description.parsed_model import (
+    ParsedModel,
+    check_links,
+    check_moving_parts,
+    normalize_axes,
+    order_as_tree,
+)
+from zensim.sim_server.description.plugins.plugin_registry import read_plugins
+from zensim.sim_server.description.plugins.sensor_tags import SensorElement, read_sensors
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.sdf.sdf_frames import (
+    MODEL_FRAME,
+    PoseGraph,
+    invert_pose,
+    to_scoped_name,
+)
+from zensim.sim_server.description.sdf.sdf_includes import (
+    IncludeExpander,
+    ResolveInclude,
+    mark_versions,
+    no_includes,
+)
+from zensim.sim_server.description.sdf.sdf_joints import (
+    JointElement,
+    SdfJointReader,
+    find_spanning_tree,
+)
+from zensim.sim_server.description.sdf.sdf_links import DEFAULT_INERTIAL, LinkElement, SdfLinkReader
+from zensim.sim_server.description.sdf.sdf_schema import report_unused_tags
+from zensim.sim_server.description.sdf.sdf_values import (
+    read_flag,
+    read_name,
+    read_pose,
+    read_text,
+    zensim_tag,
+)
+from zensim.sim_server.description.strict_parsing import parse_xml, quote, quote_names
+from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lxml.etree import _Element as Element
+
+
+def read_dynamics(model: Element, report: ParseReport) -> Dynamics:
+    """Read which dynamics a <model> asks for; empty = none, also where the word is none."""
+    words = [(child.text or "").strip() for child in model if zensim_tag(child) == "dynamics"]
+    if not words:
+        return ""
+    for known in get_args(Dynamics):
+        if known and known == words[-1]:
+            return known  # type: ignore[no-any-return]
+    kinds = ", ".join(known for known in get_args(Dynamics) if known)
+    report.suspicious("dynamics", f"{quote(words[-1])} is unknown; use {kinds}")
+    return ""
+
+
+MAX_LINKS = 500
+MAX_FRAMES = 5000
+WORLD_LINK = "world"
+
+
+@dataclass
+class FlattenedModel:
+    """What a top model lists.
+
+    Attributes:
+        carriers: What each frame, joint and nested model is attached to, by scoped name.
+        plugins: Of the top model.
+        self_colliding: Scopes of models whose links touch each other.
+    """
+
+    frames: PoseGraph = field(default_factory=PoseGraph)
+    links: list[LinkElement] = field(default_factory=list)
+    joints: list[JointElement] = field(default_factory=list)
+    sensors: list[SensorElement] = field(default_factory=list)
+    plugins: list[Element] = field(default_factory=list)
+    attached_to: dict[str, str] = field(default_factory=dict)
+    self_colliding: set[str] = field(default_factory=set)
+
+    def link_of(self, name: str, where: str, *, slug: str) -> str:
+        """Find the link that carries a scoped name.
+
+        Raises:
+            ModelError: There is none.
+        """
+        links = {tag.name for tag in self.links}
+        at, seen = name, set[str]()
+        while at not in links:
+            if at in seen or at not in self.attached_to:
+                raise ModelError(
+                    f"{where}: {quote(name)} is no link here; links: "
+                    f"{quote_names([tag.name for tag in self.links]) or 'none'}",
+                    slug=slug,
+                )
+            seen.add(at)
+            at = self.attached_to[at]
+        return at
+
+
+def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
+    """Gather a top model whose includes were expanded.
+
+    Raises:
+        ModelError: A name is none, a pose is no numbers, or a joint joins what is not there.
+    """
+    found = FlattenedModel()
+    waiting = [("", model)]
+    while waiting:
+        scope, element = waiting.pop()
+        report_unused_tags(element, scope, report)
+        if read_flag(element, "self_collide", default=False, where="model"):
+            found.self_colliding.add(scope)
+        _add_links(element, scope, found)
+        _add_frames(element, scope, found)
+        waiting += [
+            (_add_nested_model(nested, scope, found, report), nested)
+            for nested in element.findall("model")
+        ]
+        found.plugins += [] if scope else element.findall("plugin")
+        for plugin in element.findall("plugin") if scope else ():
+            report.ignored(
+                f"plugin {quote(plugin.get('name'))}", f"in nested model {quote(scope)}; not read"
+            )
+    _check_unique("link", [tag.name for tag in found.links])
+    _check_unique("joint", [tag.name for tag in found.joints])
+    # Joints may name what a nested model holds, so these come last.
+    found.joints = [_resolve_joint_ends(tag, found) for tag in found.joints]
+    return found
+
+
+def _check_unique(what: str, names: list[str]) -> None:
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise ModelError(
+            f"{what} names {quote_names(twice)} are used more than once; make them unique",
+            slug="sdf.duplicate_link" if what == "link" else "sdf.duplicate_joint",
+        )
+
+
+def _add_links(model: Element, scope: str, found: FlattenedModel) -> None:
+    for element in model.findall("link"):
+        where = f"link {quote(element.get('name'))}"
+        name = read_name(element, where)
+        full = to_scoped_name(scope, name)
+        found.frames.add(name, read_pose(element, where), scope=scope, implied=MODEL_FRAME)
+        found.attached_to.setdefault(PoseGraph.full_name(scope, MODEL_FRAME), full)
+        found.links.append(LinkElement(element, scope, full))
+        found.sensors += [SensorElement(full, sensor) for sensor in element.findall("sensor")]
+    canonical = (model.get("canonical_link") or "").strip()
+    if canonical:
+        found.attached_to[PoseGraph.full_name(scope, MODEL_FRAME)] = to_scoped_name(
+            scope, canonical
+        )
+    if len(found.links) > MAX_LINKS:
+        raise ModelError(
+            f"the model has more than {MAX_LINKS} links; at most {MAX_LINKS} are simulated",
+            slug="sdf.size",
+        )
+
+
+def _add_frames(model: Element, scope: str, found: FlattenedModel) -> None:
+    frames, joints = model.findall("frame"), model.findall("joint")
+    if len(found.attached_to) + len(frames) + len(joints) > MAX_FRAMES:
+        raise ModelError(
+            f"the model has more than {MAX_FRAMES} frames and joints; at most so many are read",
+            slug="sdf.size",
+        )
+    for element in frames:
+        where = f"frame {quote(element.get('name'))}"
+        name = read_name(element, where)
+        holder = (element.get("attached_to") or "").strip() or MODEL_FRAME
+        found.frames.add(name, read_pose(element, where), scope=scope, implied=holder)
+        found.attached_to.setdefault(
+            to_scoped_name(scope, name), PoseGraph.full_name(scope, holder)
+        )
+    for element in joints:
+        where = f"joint {quote(element.get('name'))}"
+        name, child = read_name(element, where), read_text(element, "child")
+        pose = read_pose(element, where)
+        frame = f"{name} (joint)"  # so that a link of the same name does not hide it
+        found.frames.add(frame, pose, scope=scope, implied=child)
+        found.frames.add(name, pose, scope=scope, implied=child)
+        found.attached_to.setdefault(to_scoped_name(scope, name), to_scoped_name(scope, child))
+        found.joints.append(
+            JointElement(
+                element, scope, to_scoped_name(scope, name), to_scoped_name(scope, frame), "", ""
+            )
+        )
+
+
+def _add_nested_model(
+    nested: Element, scope: str, found: FlattenedModel, report: ParseReport
+) -> str:
+    where = f"model {quote(nested.get('name'))}"
+    name = read_name(nested, where)
+    full = to_scoped_name(scope, name)
+    if found.frames.has(full):
+        raise ModelError(
+            f"{where}: another model, link or frame has this name; make them unique",
+            slug="sdf.duplicate_name",
+        )
+    found.frames.add(name, read_pose(nested, where), scope=scope, implied=MODEL_FRAME)
+    if placement := (nested.get("placement_frame") or "").strip():
+        found.frames.set_placement_frame(full, placement)
+    if read_text(nested, "static") in ("true", "1"):
+        report.suspicious(f"{where}: <static>", "a nested model moves with the one it is in")
+    return full
+
+
+def _resolve_joint_ends(tag: JointElement, found: FlattenedModel) -> JointElement:
+    """Give a joint the links that it joins."""
+    where = f"joint {quote(tag.name)}"
+    parent, child = (read_text(tag.element, end) for end in ("parent", "child"))
+    if child == WORLD_LINK:
+        raise ModelError(
+            f"{where} has the world as its child; make it the parent", slug="sdf.unknown_child"
+        )
+    if parent != WORLD_LINK:
+        parent = found.link_of(to_scoped_name(tag.scope, parent), where, slug="sdf.unknown_parent")
+    child = found.link_of(to_scoped_name(tag.scope, child), where, slug="sdf.unknown_child")
+    return replace(tag, parent=parent, child=child)
+
+
+def find_canonical_link(found: FlattenedModel) -> str:
+    """Find the link that a top model's frame moves with.
+
+    Raises:
+        ModelError: It does not exist.
+    """
+    return found.link_of(MODEL_FRAME, "canonical_link", slug="sdf.canonical_link")
+
+
+MAX_JOINTS = 120
+"""Left after lumping, as for URDF."""
+
+
+class SharedFault(NamedTuple):
+    """A fault that URDF and SDF share, and what it is called in SDF."""
+
+    of_urdf: str
+    slug: str
+
+
+SDF_SLUGS = {
+    fault.of_urdf: fault.slug
+    for fault in (
+        SharedFault("urdf.axis", slug="sdf.axis"),
+        SharedFault("urdf.cycle", slug="sdf.cycle"),
+        SharedFault("urdf.dynamics", slug="sdf.dynamics"),
+        SharedFault("urdf.mass", slug="sdf.mass"),
+        SharedFault("urdf.no_links", slug="sdf.no_links"),
+        SharedFault("urdf.number", slug="sdf.number"),
+        SharedFault("urdf.sensor", slug="sdf.sensor"),
+        SharedFault("urdf.size", slug="sdf.size"),
+        SharedFault("urdf.two_parents", slug="sdf.two_parents"),
+        SharedFault("urdf.two_roots", slug="sdf.two_roots"),
+    )
+}
+
+
+def read_sdf_model(
+    text: str,
+    *,
+    has_mesh: HasMesh = no_meshes,
+    allow_missing: bool = False,
+    resolve: ResolveInclude = no_includes,
+) -> Model:
+    """Read a robot; what became of each tag that matters is in the model's report.
+
+    Args:
+        text: SDF with one <model>.
+        has_mesh: Whether a mesh URI is on the server; no file is opened here.
+        allow_missing: Leave collisions out whose mesh is not on the server.
+        resolve: Finds the text of an included model; nothing else is read.
+
+    Raises:
+        ModelError: The text is no SDF, or describes what cannot be.
+    """
+    report = ParseReport()
+    element = _find_model(
+        mark_versions(parse_xml(text, root_tag="sdf", slug="sdf"), report), report
+    )
+    IncludeExpander(resolve, report).expand(element)
+    if read_pose(element, "model").origin != Origin():
+        report.ignored("model: <pose>", "the pose is that of the spawn request")
+    model = read_model_element(element, MeshPolicy(has_mesh, allow_missing), report)
+    return msgspec.structs.replace(model, report=report.entries())
+
+
+def _find_model(sdf: Element, report: ParseReport) -> Element:
+    owner = sdf[0] if len(sdf) == 1 and sdf[0].tag == "world" else sdf
+    models = owner.findall("model")
+    if len(models) != 1 or (len(owner) != 1 and owner is sdf):
+        held = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
+        raise ModelError(
+            f"the <{owner.tag}> holds {held}; a robot's holds one <model> and nothing else; "
+            "a world is for zensim serve --world",
+            code=SpawnCode.UNSUPPORTED_FORMAT,
+            slug="sdf.model",
+        )
+    if owner is not sdf:
+        report.suspicious("world", "a robot is spawned without its world: only its model is read")
+    return models[0]
+
+
+def read_model_element(element: Element, rule: MeshPolicy, report: ParseReport) -> Model:
+    """Read a <model> whose includes were expanded; its report is left empty.
+
+    Raises:
+        ModelError: It describes what cannot be.
+    """
+    name = read_name(element, "model")
+    is_static = read_flag(element, "static", default=False, where="model")
+    with _with_sdf_slugs():
+        found = flatten_model(element, report)
+        parts, pivots = _read_links_and_joints(
+            name, found, is_static=is_static, rule=rule, report=report
+        )
+        check_links(parts.links, report)
+        is_static = is_static or parts.links[0].name == WORLD_LINK
+        lumped = _reduce_joints(parts, report)
+        if not is_static:
+            moving = [joint for joint in lumped.joints if joint.child not in pivots]
+            check_moving_parts(lumped.links, moving, report)
+        plugins = read_plugins(found.plugins, lumped, report)
+        return Model(
+            name=name,
+            links=lumped.links,
+            joints=lumped.joints,
+            frames=lumped.frames,
+            drive=plugins.drive,
+            joint_state=plugins.joint_state,
+            ground_truths=plugins.ground_truths,
+            sensors=read_sensors(found.sensors, lumped, report),
+            is_static=is_static,
+            dynamics=read_dynamics(element, report),
+        )
+
+
+@contextmanager
+def _with_sdf_slugs() -> Iterator[None]:
+    try:
+        yield
+    except ModelError as error:
+        if error.slug not in SDF_SLUGS:
+            raise
+        message = error.message.removeprefix(f"{error.slug}: ")
+        raise ModelError(message, code=error.code, slug=SDF_SLUGS[error.slug]) from error
+
+
+def _read_links_and_joints(
+    name: str, found: FlattenedModel, *, is_static: bool, rule: MeshPolicy, report: ParseReport
+) -> tuple[ParsedModel, frozenset[str]]:
+    reader = SdfLinkReader(found.frames, rule, report, is_static, found.self_colliding)
+    links = [reader.read(tag) for tag in found.links]
+    links = links if is_static else _with_default_masses(links, report)
+    taken = {link.name for link in links} | {tag.name for tag in found.joints}
+    joints = SdfJointReader(found.frames, report, taken)
+    # Nothing of a static model moves, whatever its joints say.
+    tags = (
+        () if is_static else find_spanning_tree(found.joints, [link.name for link in links], report)
+    )
+    chains = [joint for tag in tags for joint in joints.read(tag)]
+    parts = ParsedModel(name, (*links, *joints.pivots), tuple(chains))
+    rooted = order_as_tree(_attach_root(parts, found, is_static=is_static, report=report))
+    return rooted, frozenset(pivot.name for pivot in joints.pivots)
+
+
+def _with_default_masses(links: list[Link], report: ParseReport) -> list[Link]:
+    if any(link.inertial != Inertial() for link in links):
+        return links
+    report.suspicious("model", "no link has an <inertial>; each weighs 1 kg, as by SDF")
+    return [msgspec.structs.replace(link, inertial=DEFAULT_INERTIAL) for link in links]
+
+
+def _attach_root(
+    parts: ParsedModel, found: FlattenedModel, *, is_static: bool, report: ParseReport
+) -> ParsedModel:
+    """Hang the model from its own frame, unless its root link is there already."""
+    if not parts.links:
+        return parts
+    if any(joint.parent == WORLD_LINK for joint in parts.joints):
+        report.applied(
+            f"link {WORLD_LINK!r}", "it is the world: the robot does not move from its place"
+        )
+        return ParsedModel(parts.name, (Link(WORLD_LINK), *parts.links), parts.joints)
+    children = {joint.child for joint in parts.joints}
+    roots = [link.name for link in parts.links if link.name not in children]
+    canonical = find_canonical_link(found)
+    if len(roots) > 1 and not is_static:
+        raise ModelError(
+            f"links {quote_names(roots)} are joined to nothing; join them so that one is left",
+            slug="sdf.two_roots",
+        )
+    if len(roots) == 1 and canonical != roots[0]:
+        report.suspicious(
+            f"link {quote(canonical)}", f"canonical, but poses are those of {quote(roots[0])}"
+        )
+    if len(roots) == 1 and found.frames.pose(roots[0]) == Origin():
+        return parts
+    held = [
+        Joint(f"{MODEL_FRAME} {root}", "fixed", MODEL_FRAME, root, found.frames.pose(root))
+        for root in roots
+    ]
+    return ParsedModel(parts.name, (Link(MODEL_FRAME), *parts.links), (*held, *parts.joints))
+
+
+def _reduce_joints(parts: ParsedModel, report: ParseReport) -> LumpedModel:
+    lumped = lump_fixed_joints(parts.links, normalize_axes(parts.joints), kept=frozenset())
+    joints = check_mimics(lumped.joints, report)
+    lumped = expand_multi_dof_joints(LumpedModel(lumped.links, joints, lumped.frames), report)
+    if len(lumped.joints) > MAX_JOINTS:
+        raise ModelError(
+            f"{len(lumped.joints)} joints are left once fixed ones are merged; "
+            f"at most {MAX_JOINTS} are simulated",
+            slug="sdf.joints",
+        )
+    return lumped
+
+
+def find_placement(element: Element, pose: Origin) -> Origin:
+    """Find where a model stands whose <pose> may place one of its frames rather than itself.
+
+    Raises:
+        ModelError: That frame does not exist.
+    """
+    frame = (element.get("placement_frame") or "").strip()
+    if not frame:
+        return pose
+    frames = flatten_model(element, ParseReport()).frames
+    return compose_poses(pose, invert_pose(frames.pose(frames.full_name("", frame))))

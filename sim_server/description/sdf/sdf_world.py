@@ -1,0 +1,470 @@
+"""SDF worlds: placed models, ground, gravity, physics settings, lights, named poses.
+
+```xml
+<frame name="dock_1" xmlns:zensim="urn:zensim">
+  <pose>1 2 0 0 0 1.57</pose>
+  <zensim:description>beside the charging station</zensim:description>
+  <zensim:tags>parking charging</zensim:tags>
+  <zensim:size>0.8 0.6 1</zensim:size>
+</frame>
+```
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from zensim.proto.messages.entity_messages import (
+    MAX_DESCRIPTION_LENGTH,
+    MAX_TAG_LENGTH,
+    MAX_TAGS,
+    Bounds,
+    BoundsType,
+)
+from zensim.proto.messages.model_messages import IDENTITY, Model, Origin, ReportEntry, Vec3
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.spawn_messages import NamedPose
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
+from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
+from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph
+from zensim.sim_server.description.sdf.sdf_includes import (
+    IncludeExpander,
+    ResolveInclude,
+    mark_versions,
+    no_includes,
+)
+from zensim.sim_server.description.sdf.sdf_links import GROUND_SLAB_M, GROUND_SLAB_ORIGIN
+from zensim.sim_server.description.sdf.sdf_model import find_placement, read_model_element
+from zensim.sim_server.description.sdf.sdf_values import (
+    ZENSIM_PREFIX,
+    read_name,
+    read_pose,
+    read_scalar,
+    read_text,
+    read_vector,
+    zensim_tag,
+)
+from zensim.sim_server.description.strict_parsing import parse_xml, quote, quote_names, read_numbers
+from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element as Element
+
+    from zensim.proto.messages.model_messages import Quat
+
+ZENSIM_WORLD_TAGS = ("description", "tags")
+
+
+class NamedPlace(msgspec.Struct, frozen=True):
+    """A named pose in the world, and the room that it has; empty bounds = unbounded."""
+
+    pose: NamedPose
+    bounds: Bounds = Bounds()
+
+
+def read_named_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
+    """Read a <frame> of a world whose place is known.
+
+    Raises:
+        ModelError: Its size is not three positive numbers, or its words are too many.
+    """
+    words = {zensim_tag(child): (child.text or "").strip() for child in frame}
+    tags = tuple(dict.fromkeys(words.get("tags", "").replace(",", " ").split()))
+    description = words.get("description", "")
+    is_long = len(description) > MAX_DESCRIPTION_LENGTH or any(
+        len(tag) > MAX_TAG_LENGTH for tag in tags
+    )
+    if is_long or len(tags) > MAX_TAGS:
+        raise ModelError(
+            f"frame {quote(name)} has {len(tags)} tags and {len(description)} characters of "
+            f"description; use at most {MAX_TAGS} of {MAX_TAG_LENGTH}, and {MAX_DESCRIPTION_LENGTH}",
+            slug="sdf.named_pose",
+        )
+    pose = Pose(Point(*origin.position), Quaternion(*origin.orientation))
+    return NamedPlace(NamedPose(name, description, tags, pose), _read_bounds(words, name))
+
+
+def _read_bounds(words: dict[str, str], name: str) -> Bounds:
+    if not words.get("size"):
+        return Bounds()
+    where = f"frame {quote(name)}, size"
+    x, y, z = read_numbers(words["size"], counts=(3,), where=where, slug="sdf.named_pose")
+    if min(x, y, z) <= 0.0:
+        raise ModelError(f"{where}: {x:g} {y:g} {z:g}; use metres > 0", slug="sdf.named_pose")
+    upper = Vector3(x / 2.0, y / 2.0, z / 2.0)
+    return Bounds(BoundsType.BOX, (upper, Vector3(-upper.x, -upper.y, -upper.z)))
+
+
+LIGHT_KINDS: dict[str, LightKind] = {
+    "point": "point",
+    "spot": "spot",
+    "directional": "directional",
+}
+RGB_COUNT = 3
+MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
+MAX_REAL_TIME_FACTOR = 1000.0
+
+
+class PhysicsSettings(msgspec.Struct, frozen=True):
+    """How a world wants to be stepped; None where it does not say."""
+
+    step_s: float | None = None
+    real_time_factor: float | None = None
+
+
+def read_physics(physics: Element, report: ParseReport) -> PhysicsSettings:
+    """Read the step [s] and the real-time factor of a <physics>.
+
+    Raises:
+        ModelError: One is no number, or out of range.
+    """
+    step = _read_in_range(physics, "max_step_size", (MIN_STEP_S, MAX_STEP_S))
+    factor = _read_in_range(physics, "real_time_factor", (0.0, MAX_REAL_TIME_FACTOR))
+    rate = _read_in_range(physics, "real_time_update_rate", (0.0, 1e6))
+    if rate is not None:
+        # Gazebo makes this many steps a second, whatever the factor says; 0 is flat out.
+        factor = min(rate * (step or 0.001), MAX_REAL_TIME_FACTOR)
+    for child in physics:
+        if child.tag in ("max_step_size", "real_time_factor", "real_time_update_rate"):
+            report.applied(f"physics: <{child.tag}>", (child.text or "").strip()[:40])
+        else:
+            report.ignored(f"physics: <{child.tag[:80]}>", "for other engines")
+    return PhysicsSettings(step, factor)
+
+
+def read_scene(scene: Element, report: ParseReport) -> Scene:
+    """Read the colours of a <scene>.
+
+    Raises:
+        ModelError: One is no numbers.
+    """
+    for child in scene:
+        if child.tag not in ("ambient", "background"):
+            report.ignored(f"scene: <{child.tag[:80]}>", "the page draws plain colours")
+    return Scene(_read_colour(scene, "ambient"), _read_colour(scene, "background"))
+
+
+def read_light(light: Element, report: ParseReport) -> Light | None:
+    """Read a <light>; None, noted, when its type is none.
+
+    Raises:
+        ModelError: A number is none.
+    """
+    name = (light.get("name") or "")[:80]
+    where = f"light {quote(name)}"
+    kind = LIGHT_KINDS.get(light.get("type") or "")
+    if kind is None:
+        report.unknown(where, f"no light is of type {quote(light.get('type'))}")
+        return None
+    report.applied(where, kind)
+    return Light(
+        name=name,
+        kind=kind,
+        origin=read_pose(light, where).origin,
+        direction=read_vector(light, "direction", DOWNWARD, where),
+        rgba=_read_colour(light, "diffuse") or (1.0, 1.0, 1.0, 1.0),
+    )
+
+
+def _read_in_range(physics: Element, tag: str, bounds: tuple[float, float]) -> float | None:
+    if not read_text(physics, tag):
+        return None
+    number = read_scalar(physics, tag, 0.0, "physics")
+    if not bounds[0] <= number <= bounds[1]:
+        raise ModelError(
+            f"physics, {tag}: {number:g} is out of range; use {bounds[0]:g} to {bounds[1]:g}",
+            slug="sdf.physics",
+        )
+    return number
+
+
+def _read_colour(owner: Element, tag: str) -> Quat | None:
+    text = read_text(owner, tag)
+    if not text:
+        return None
+    where = f"{owner.tag}, {tag}"
+    written = read_numbers(text, counts=(3, 4), where=where, slug="sdf.number")
+    if len(written) == RGB_COUNT:
+        written = (*written, 1.0)
+    r, g, b, a = (min(max(part, 0.0), 1.0) for part in written)
+    return (r, g, b, a)
+
+
+EARTH_GRAVITY: Vec3 = (0.0, 0.0, -9.8)
+"""Gravity [m/s^2] of a world that does not give its own, as SDF has it."""
+MAX_GRAVITY = 1000.0
+"""Gravity along an axis [m/s^2]: four times the sun's."""
+MAX_MODELS = 2000
+SUN_URI, GROUND_URI = "model://sun", "model://ground_plane"
+UNUSED_WORLD_TAGS = {
+    "atmosphere": "there is no air",
+    "audio": "there is no sound",
+    "gui": "the page has its own view",
+    "magnetic_field": "there is no magnetic field",
+    "plugin": "plug-ins of worlds are not loaded; services are built in",
+    "spherical_coordinates": "there is no globe",
+    "wind": "there is no air",
+}
+UNSUPPORTED_WORLD_TAGS = {
+    "actor": "actors are not simulated",
+    "joint": "joints between models are not simulated",
+    "population": "populations are not read; write the models out",
+    "road": "roads are not simulated",
+}
+WORLD_TAGS = ("include", "gravity", "physics", "model", "frame", "light", "scene", "state")
+SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
+"""Codes of models that a world does without; any other fault is the world's own."""
+_NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
+MAX_ENTITY_NAME_LENGTH = 56
+
+
+class PlacedModel(msgspec.Struct, frozen=True):
+    """A model of a world, under a name that an entity can have, and where it stands."""
+
+    name: str
+    model: Model
+    origin: Origin = Origin()
+
+
+class WorldModel(msgspec.Struct, frozen=True):
+    """A world before anything is spawned into it."""
+
+    name: str
+    gravity: Vec3 = EARTH_GRAVITY
+    ground_plane: bool = False
+    ground_friction: float = 1.0
+    pace: PhysicsSettings = PhysicsSettings()
+    models: tuple[PlacedModel, ...] = ()
+    scene: Scene = Scene()
+    places: tuple[NamedPlace, ...] = ()
+    report: tuple[ReportEntry, ...] = ()
+
+
+@dataclass
+class _WorldDraft:
+    """A world while it is read."""
+
+    world: WorldModel
+    report: ParseReport
+    rule: MeshPolicy
+    frames: PoseGraph = field(default_factory=PoseGraph)
+    taken: set[str] = field(default_factory=set)
+
+
+def read_world(
+    text: str,
+    *,
+    resolve: ResolveInclude = no_includes,
+    has_mesh: HasMesh = no_meshes,
+    allow_missing: bool = False,
+) -> WorldModel:
+    """Read a world; models that are not supported are listed and left out.
+
+    Args:
+        text: SDF with one <world>.
+        resolve: Finds the text of an included model; sun and ground_plane need none.
+        has_mesh: Whether a mesh URI is here.
+        allow_missing: Leave included models out that are not here.
+
+    Raises:
+        ModelError: The text is no SDF world, or describes what cannot be.
+    """
+    report = ParseReport()
+    world = _find_world(mark_versions(parse_xml(text, root_tag="sdf", slug="sdf"), report))
+    draft = _WorldDraft(
+        WorldModel(name=world.get("name") or "default"),
+        report,
+        MeshPolicy(has_mesh, allow_missing=True),
+    )
+    _apply_builtin_includes(world, draft)
+    IncludeExpander(resolve, report, allow_missing=allow_missing).expand(world)
+    _add_frames(world, draft)
+    for child in world:
+        _read_element(child, draft)
+    if not draft.world.ground_plane:
+        report.suspicious("world", "no ground_plane is included; robots will fall")
+    return msgspec.structs.replace(draft.world, report=report.entries())
+
+
+def _find_world(sdf: Element) -> Element:
+    worlds = sdf.findall("world")
+    if len(worlds) != 1 or len(sdf) != 1:
+        held = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
+        raise ModelError(
+            f"the <sdf> holds {held}; a world file holds one <world> and nothing else",
+            code=SpawnCode.UNSUPPORTED_FORMAT,
+            slug="sdf.world",
+        )
+    return worlds[0]
+
+
+def _apply_builtin_includes(world: Element, draft: _WorldDraft) -> None:
+    served = {SUN_URI: "sun", GROUND_URI: "ground_plane"}
+    replace = msgspec.structs.replace
+    for include in world.findall("include"):
+        uri = read_text(include, "uri").rstrip("/")
+        if uri not in served:
+            continue
+        for child in include:
+            if child.tag not in ("uri", "name"):
+                draft.report.ignored(
+                    f"include {uri}: <{child.tag[:80]}>", f"{served[uri]} stays as it is"
+                )
+        draft.report.applied(f"include {uri}")
+        if uri == SUN_URI:
+            draft.world = replace(draft.world, scene=replace(draft.world.scene, has_sun=True))
+        else:
+            draft.world = replace(draft.world, ground_plane=True)
+        world.remove(include)
+
+
+def _add_frames(world: Element, draft: _WorldDraft) -> None:
+    models = world.findall("model")
+    if len(models) > MAX_MODELS:
+        raise ModelError(
+            f"the world holds {len(models)} models; at most {MAX_MODELS} are simulated",
+            slug="sdf.size",
+        )
+    names = [read_name(model, "model") for model in models]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ModelError(
+            f"model names {quote_names(twice)} are used more than once; make them unique",
+            slug="sdf.duplicate_name",
+        )
+    states = {model.get("name"): model for model in world.findall("state/model")}
+    for name, model in zip(names, models, strict=True):
+        saved = states.get(name)
+        is_saved = saved is not None and saved.find("pose") is not None
+        if is_saved:
+            draft.report.applied(f"state: model {quote(name)}", "stands where the state has it")
+        owner = saved if saved is not None and is_saved else model
+        _add_frame(name, owner, MODEL_FRAME, draft)
+    for frame in world.findall("frame"):
+        where = f"frame {quote(frame.get('name'))}"
+        holder = (frame.get("attached_to") or "").strip()
+        implied = MODEL_FRAME if holder in ("", "world") else holder
+        _add_frame(read_name(frame, where), frame, implied, draft)
+
+
+def _add_frame(name: str, owner: Element, implied: str, draft: _WorldDraft) -> None:
+    pose = read_pose(owner, f"{owner.tag} {quote(name)}")
+    if pose.frame == "world":
+        pose = msgspec.structs.replace(pose, frame=MODEL_FRAME)
+    draft.frames.add(name, pose, scope="", implied=implied)
+
+
+def _read_element(child: Element, draft: _WorldDraft) -> None:
+    replace, report = msgspec.structs.replace, draft.report
+    if child.tag == "model":
+        _read_model(child, draft)
+    elif child.tag == "frame":
+        _read_world_frame(child, draft)
+    elif child.tag == "gravity":
+        draft.world = replace(draft.world, gravity=_read_gravity(child, report))
+    elif child.tag == "physics":
+        draft.world = replace(draft.world, pace=read_physics(child, report))
+    elif child.tag == "scene":
+        seen = read_scene(child, report)
+        scene = replace(draft.world.scene, ambient=seen.ambient, background=seen.background)
+        draft.world = replace(draft.world, scene=scene)
+    elif child.tag == "light":
+        light = read_light(child, report)
+        scene = draft.world.scene
+        if light is not None:
+            scene = replace(scene, lights=(*scene.lights, light))
+        draft.world = replace(draft.world, scene=scene)
+    else:
+        _report_element(child, report)
+
+
+def _read_gravity(child: Element, report: ParseReport) -> Vec3:
+    x, y, z = read_numbers(child.text, counts=(3,), where="gravity", slug="sdf.gravity")
+    if max(abs(x), abs(y), abs(z)) > MAX_GRAVITY:
+        raise ModelError(
+            f"gravity {x:g} {y:g} {z:g} is out of range; use at most {MAX_GRAVITY:g} m/s^2",
+            slug="sdf.gravity",
+        )
+    report.applied("world: <gravity>", f"{x:g} {y:g} {z:g} m/s^2")
+    return (x, y, z)
+
+
+def _read_world_frame(frame: Element, draft: _WorldDraft) -> None:
+    name = frame.get("name") or ""
+    place = read_named_place(frame, name, draft.frames.pose(name))
+    draft.report.applied(f"frame {quote(name)}", "a named pose")
+    places = (*draft.world.places, place)
+    draft.world = msgspec.structs.replace(draft.world, places=places)
+
+
+def _report_element(child: Element, report: ParseReport) -> None:
+    if zensim_tag(child) in ZENSIM_WORLD_TAGS:
+        report.applied(f"world: <{ZENSIM_PREFIX}{zensim_tag(child)}>")
+    elif child.tag in UNSUPPORTED_WORLD_TAGS:
+        name = quote(child.get("name"))
+        report.suspicious(
+            f"world: <{child.tag}> {name}", f"{UNSUPPORTED_WORLD_TAGS[child.tag]}; left out"
+        )
+    elif child.tag in UNUSED_WORLD_TAGS:
+        report.ignored(f"world: <{child.tag}>", UNUSED_WORLD_TAGS[child.tag])
+    elif child.tag not in WORLD_TAGS:
+        report.unread_tag("world", child.tag, (*WORLD_TAGS, *UNUSED_WORLD_TAGS))
+
+
+def _read_model(element: Element, draft: _WorldDraft) -> None:
+    written = read_name(element, "model")
+    own = ParseReport()
+    try:
+        model = read_model_element(element, draft.rule, own)
+    except ModelError as error:
+        if error.code not in SKIPPABLE_CODES:
+            raise
+        draft.report.suspicious(f"model {quote(written)}", f"left out: {error}")
+        return
+    for entry in own.entries():
+        draft.report.repeat(entry, of=written[:80])
+    model = msgspec.structs.replace(model, report=own.entries())
+    origin = find_placement(element, draft.frames.pose(written))
+    if _is_ground_plane(model, origin):
+        friction = model.links[0].collisions[0].friction
+        draft.world = msgspec.structs.replace(
+            draft.world, ground_plane=True, ground_friction=friction
+        )
+        return
+    name = _make_entity_name(written, draft)
+    models = (*draft.world.models, PlacedModel(name, model, origin))
+    draft.world = msgspec.structs.replace(draft.world, models=models)
+
+
+def _is_ground_plane(model: Model, origin: Origin) -> bool:
+    """Whether a model is level ground at height 0 and nothing else."""
+    solids = model.links[0].collisions
+    return (
+        model.is_static
+        and origin.position[2] == 0.0
+        and origin.orientation == IDENTITY
+        and bool(solids)
+        and all(
+            (s.kind, s.size, s.origin) == ("box", GROUND_SLAB_M, GROUND_SLAB_ORIGIN) for s in solids
+        )
+    )
+
+
+def _make_entity_name(written: str, draft: _WorldDraft) -> str:
+    name = _NON_NAME_CHARACTERS.sub("_", written)[:MAX_ENTITY_NAME_LENGTH]
+    if not name[0].isalpha():
+        name = f"m{name}"
+    number = 1
+    wish = name
+    while name in draft.taken:
+        number += 1
+        name = f"{wish}_{number}"
+    draft.taken.add(name)
+    if name != written:
+        draft.report.applied(f"model {quote(written)}", f"called {name!r} here")
+    return name

@@ -1,0 +1,259 @@
+"""Strict parsing of untrusted text: XML without DTD, decimal numbers, quotes for messages."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from lxml import etree
+
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element as Element
+
+MAX_QUOTE_LENGTH = 80
+MAX_LINE_LENGTH = 200
+MAX_QUOTED_NAMES = 5
+
+
+def quote(text: str | None) -> str:
+    """Quote what was given, at most 80 characters of it."""
+    written = text or ""
+    return repr(
+        written if len(written) <= MAX_QUOTE_LENGTH else written[: MAX_QUOTE_LENGTH - 3] + "..."
+    )
+
+
+def quote_names(names: Sequence[str]) -> str:
+    """Quote names, at most five of them."""
+    quoted = ", ".join(quote(name) for name in names[:MAX_QUOTED_NAMES])
+    left_out = len(names) - MAX_QUOTED_NAMES
+    return f"{quoted} and {left_out} more" if left_out > 0 else quoted
+
+
+def to_single_line(text: str) -> str:
+    """Put what another library says in one line of at most 200 characters."""
+    return " ".join(text.split())[:MAX_LINE_LENGTH]
+
+
+_DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
+MAX_NUMBER_LENGTH = 400
+"""Characters of one number: a double written out in full has fewer."""
+
+
+def read_numbers(
+    text: str | None, *, counts: tuple[int, ...], where: str, slug: str
+) -> tuple[float, ...]:
+    """Read numbers separated by spaces.
+
+    Args:
+        text: As written.
+        counts: How many there may be.
+        where: Begins the error message, such as `link 'base', mass value`.
+        slug: Of the error.
+
+    Raises:
+        ModelError: Not a decimal number, not finite, too many or too few.
+    """
+    words = (text or "").split()
+    if len(words) not in counts:
+        wanted = " or ".join(str(count) for count in counts)
+        raise ModelError(
+            f"{where}: {quote(text)} has {len(words)} numbers; write {wanted}, apart by spaces",
+            slug=slug,
+        )
+    return tuple(_read_decimal(word, where=where, slug=slug) for word in words)
+
+
+def read_number(text: str | None, *, where: str, slug: str) -> float:
+    """Read one number; as `read_numbers`."""
+    return read_numbers(text, counts=(1,), where=where, slug=slug)[0]
+
+
+def _read_decimal(word: str, *, where: str, slug: str) -> float:
+    if len(word) > MAX_NUMBER_LENGTH or not _DECIMAL.fullmatch(word):
+        raise ModelError(
+            f"{where}: {quote(word)} is not a number; write one such as 0.5 or 1e-3", slug=slug
+        )
+    number = float(word)
+    if not math.isfinite(number):
+        raise ModelError(f"{where}: {quote(word)} is too large; write a finite number", slug=slug)
+    return number
+
+
+MAX_BYTES = 8 * 1024 * 1024
+MAX_TAGS = 40_000
+"""Of `<` in the text: bounds memory, and the time for which reading holds up the simulation."""
+MAX_DEPTH = 64
+MAX_ATTRIBUTES = 64
+"""Of one element: to list n of them takes lxml n * n steps."""
+_UNKNOWN_PREFIX = 201
+"""XML_NS_ERR_UNDEFINED_NAMESPACE of libxml2; readers of URDF know nothing of prefixes."""
+_SPACES = re.compile(rb"[ \t\r\n]+")
+_HYPHENS_IN_COMMENT = 80
+"""XML_ERR_HYPHEN_IN_COMMENT of libxml2; Gazebo takes them."""
+_DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
+
+
+def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
+    """Parse a document whose root is `root_tag`; comments and instructions are left out.
+
+    Args:
+        text: The document; its XML declaration is not obeyed, since this is text already.
+        root_tag: Such as `robot`; a default namespace on it is dropped from all tags.
+        slug: What the document should be, such as `urdf`.
+
+    Raises:
+        ModelError: Not well-formed, another root, too large, too deep, or a DOCTYPE.
+    """
+    data = _encode_bounded(text, slug)
+    if _has_doctype(data):
+        raise ModelError(
+            "the description has a DOCTYPE; remove it, since entities are not expanded here",
+            slug="xml.doctype",
+        )
+    root = _parse_bytes(data)
+    _drop_default_namespace(root, root_tag)
+    if root.tag != root_tag:
+        raise ModelError(
+            f"the description begins with <{root.tag[:80]}>; a <{root_tag}> is expected",
+            code=SpawnCode.UNSUPPORTED_FORMAT,
+            slug=f"{slug}.root",
+        )
+    _check_depth(root)
+    return root
+
+
+def _encode_bounded(text: str, slug: str) -> bytes:
+    try:
+        data = text.lstrip("\ufeff \t\r\n").encode()
+    except UnicodeEncodeError as error:
+        raise ModelError(
+            f"the description is not text: lone surrogate at character {error.start}",
+            slug="xml.encoding",
+        ) from error
+    if not data:
+        raise ModelError(
+            f"the description is empty; send the text of a {slug.upper()} file",
+            code=SpawnCode.NO_RESOURCE,
+            slug="xml.empty",
+        )
+    if len(data) > MAX_BYTES or data.count(b"<") > MAX_TAGS:
+        raise ModelError(
+            f"the description has {len(data)} bytes and {data.count(b'<')} tags; "
+            f"at most {MAX_BYTES} bytes and {MAX_TAGS} tags are read",
+            slug="xml.size",
+        )
+    return data
+
+
+def _without_comments(data: bytes) -> bytes:
+    # Their line ends stay, so that lines keep their numbers.
+    pieces, at = [], 0
+    while (start := data.find(b"<!--", at)) >= 0 and (end := data.find(b"-->", start + 4)) >= 0:
+        pieces += [data[at:start], b"\n" * data.count(b"\n", start, end)]
+        at = end + len(b"-->")
+    return b"".join([*pieces, data[at:]])
+
+
+def _without_declaration(data: bytes) -> bytes:
+    # Readers of URDF pass over it, be it after comments or of version 0.0.
+    at = 0
+    while closing := _closing_marker(data, at):
+        if found := _DECLARATION.match(data, at):
+            return data[:at] + data[found.end() :]
+        end = data.find(closing, at)
+        if end < 0:
+            break
+        at = _skip_spaces(data, end + len(closing))
+    return data
+
+
+def _has_doctype(data: bytes) -> bool:
+    # XML allows one before the root only, after comments and instructions.
+    at = 0
+    while not data.startswith(b"<!DOCTYPE", at):
+        closing = _closing_marker(data, at)
+        end = data.find(closing, at) if closing else -1
+        if end < 0:
+            return False
+        at = _skip_spaces(data, end + len(closing))
+    return True
+
+
+def _closing_marker(data: bytes, at: int) -> bytes:
+    if data.startswith(b"<!--", at):
+        return b"-->"
+    return b"?>" if data.startswith(b"<?", at) else b""
+
+
+def _skip_spaces(data: bytes, at: int) -> int:
+    found = _SPACES.match(data, at)
+    return found.end() if found else at
+
+
+def _parse_bytes(data: bytes) -> Element:
+    text = _without_declaration(data)
+    parser = _make_parser(recover=False)
+    try:
+        return etree.fromstring(text, parser)
+    except etree.XMLSyntaxError as error:
+        faults = {entry.type for entry in parser.error_log}
+        if faults == {_UNKNOWN_PREFIX}:
+            return etree.fromstring(text, _make_parser(recover=True))
+        bare = _without_comments(text)
+        if faults - {_UNKNOWN_PREFIX} == {_HYPHENS_IN_COMMENT} and bare != text:
+            return _parse_bytes(bare)
+        raise ModelError(
+            f"the description is not well-formed XML: {to_single_line(str(error))}",
+            slug="xml.syntax",
+        ) from error
+
+
+def _make_parser(*, recover: bool) -> etree.XMLParser:
+    return etree.XMLParser(
+        encoding="utf-8",
+        huge_tree=False,
+        load_dtd=False,
+        no_network=True,
+        recover=recover,
+        remove_comments=True,
+        remove_pis=True,
+        resolve_entities=False,
+    )
+
+
+def _drop_default_namespace(root: Element, root_tag: str) -> None:
+    namespace, _, name = root.tag.rpartition("}")
+    if not namespace or name != root_tag:
+        return
+    prefix = namespace + "}"
+    for element in root.iter():
+        element.tag = element.tag.removeprefix(prefix)
+
+
+def _check_depth(root: Element) -> None:
+    level = [root]
+    for _ in range(MAX_DEPTH):
+        _check_attributes(level)
+        level = [child for element in level for child in element]
+        if not level:
+            return
+    raise ModelError(
+        f"tags are nested more than {MAX_DEPTH} deep, at line {level[0].sourceline}",
+        slug="xml.depth",
+    )
+
+
+def _check_attributes(elements: list[Element]) -> None:
+    for element in elements:
+        if len(element.attrib) > MAX_ATTRIBUTES:
+            raise ModelError(
+                f"<{element.tag[:80]}> at line {element.sourceline} has {len(element.attrib)} "
+                f"attributes; at most {MAX_ATTRIBUTES} are read",
+                slug="xml.size",
+            )

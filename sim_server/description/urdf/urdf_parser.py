@@ -1,0 +1,389 @@
+"""URDF text to Model: links, joints and shapes, then tree, lumping and plug-ins.
+
+The only module to import yourdfpy.
+"""
+
+from __future__ import annotations
+
+from io import BytesIO
+from typing import TYPE_CHECKING, get_args
+
+import msgspec
+import numpy as np
+import yourdfpy
+from lxml import etree
+
+from zensim.proto.messages.model_messages import (
+    Inertial,
+    Joint,
+    JointKind,
+    Link,
+    Mimic,
+    Model,
+    Origin,
+    Shape,
+    Vec3,
+)
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.rotation import FloatArray, from_matrix, from_rpy
+from zensim.sim_server.description.joint_reduction import (
+    LumpedModel,
+    check_mimics,
+    expand_multi_dof_joints,
+    lump_fixed_joints,
+)
+from zensim.sim_server.description.link_surfaces import read_named_colours, read_visual_colour
+from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.parsed_model import (
+    ParsedModel,
+    check_links,
+    check_moving_parts,
+    drop_floating_world,
+    is_fixed_to_world,
+    normalize_axes,
+    order_as_tree,
+)
+from zensim.sim_server.description.plugins.plugin_registry import read_plugins
+from zensim.sim_server.description.plugins.sensor_tags import read_sensors
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.strict_parsing import (
+    parse_xml,
+    quote,
+    read_numbers,
+    to_single_line,
+)
+from zensim.sim_server.description.urdf.gazebo_extensions import (
+    GazeboExtensions,
+    apply_surfaces,
+    read_gazebo_extensions,
+)
+from zensim.sim_server.description.urdf.urdf_schema import (
+    INERTIAL,
+    JOINT,
+    LINK,
+    UrdfElementRule,
+    check_urdf_schema,
+)
+from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from lxml.etree import _Element as Element
+
+    from zensim.proto.messages.model_messages import Quat
+
+ROUND_SIZE_ATTRIBUTES = {
+    "sphere": ("radius",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+}
+"""Attributes that make the size, by kind."""
+
+
+def read_collisions(link: Element, rule: MeshPolicy, report: ParseReport) -> tuple[Shape, ...]:
+    """Read the collisions of a <link>.
+
+    Raises:
+        ModelError: A mesh is not here, and may not be missing.
+    """
+    name = link.get("name") or ""
+    shapes = [_read_shape(collision) for collision in link.findall("collision")]
+    kept = []
+    for shape in shapes:
+        if shape.kind == "mesh" and not rule.has_mesh(shape.mesh):
+            _report_missing_collision(name, shape.mesh, rule, report)
+        else:
+            kept.append(shape)
+    return tuple(kept)
+
+
+def read_visuals(
+    link: Element, rule: MeshPolicy, colours: dict[str, Quat], report: ParseReport
+) -> tuple[Shape, ...]:
+    """Read the visuals of a <link>; those whose mesh is not here, or without a size, are noted."""
+    name = link.get("name") or ""
+    shapes = [
+        msgspec.structs.replace(
+            _read_shape(visual), rgba=read_visual_colour(visual, colours, report)
+        )
+        for visual in link.findall("visual")
+    ]
+    kept = []
+    for number, shape in enumerate(shapes, start=1):
+        which = f"link {quote(name)}" + (f", visual {number}" if len(shapes) > 1 else "")
+        if shape.kind == "mesh" and not rule.has_mesh(shape.mesh):
+            report.suspicious(
+                which, f"visual mesh {quote(shape.mesh)} is not on the server; not drawn"
+            )
+        elif shape.kind != "mesh" and not any(shape.size):
+            report.suspicious(which, f"{shape.kind} of size 0; not drawn")
+        else:
+            kept.append(shape)
+    return tuple(kept)
+
+
+def read_origin(part: Element) -> Origin:
+    """Read the <origin> of a part; identity when there is none."""
+    origin = part.find("origin")
+    if origin is None:
+        return Origin()
+    x, y, z = _read_attribute(origin, "xyz", 3)
+    rpy = _read_attribute(origin, "rpy", 3)
+    if not any(rpy):
+        return Origin((x, y, z))
+    qx, qy, qz, qw = from_rpy(*rpy).tolist()
+    return Origin((x, y, z), (qx, qy, qz, qw))
+
+
+def _read_shape(part: Element) -> Shape:
+    geometry = part.find("geometry")
+    if geometry is None or not len(geometry):
+        raise ModelError("a part of a link has no geometry; add one", slug="urdf.geometry")
+    solid, origin = geometry[0], read_origin(part)
+    if solid.tag == "box":
+        x, y, z = _read_attribute(solid, "size", 3)
+        return Shape("box", (x, y, z), origin)
+    if solid.tag == "mesh":
+        return Shape("mesh", _read_scale(solid), origin, mesh=(solid.get("filename") or "").strip())
+    radius, *length = (
+        _read_attribute(solid, name, 1)[0] for name in ROUND_SIZE_ATTRIBUTES[solid.tag]
+    )
+    size = (radius, length[0] if length else 0.0, 0.0)
+    if solid.tag == "sphere":
+        return Shape("sphere", size, origin)
+    return Shape("cylinder" if solid.tag == "cylinder" else "capsule", size, origin)
+
+
+def _read_scale(mesh: Element) -> Vec3:
+    written = read_numbers(
+        mesh.get("scale", "1"), counts=(1, 3), where="mesh, scale", slug="urdf.number"
+    )
+    x, y, z = np.broadcast_to(written, 3).tolist()
+    return (x, y, z)
+
+
+def _read_attribute(element: Element, name: str, count: int) -> tuple[float, ...]:
+    written = element.get(name, " ".join(["0"] * count))
+    return read_numbers(
+        written, counts=(count,), where=f"{element.tag}, {name}", slug="urdf.number"
+    )
+
+
+def _report_missing_collision(link: str, uri: str, rule: MeshPolicy, report: ParseReport) -> None:
+    fault = f"collision mesh {quote(uri)} of link {quote(link)} is not on the server"
+    if not rule.allow_missing:
+        raise ModelError(
+            f"{fault}; send the mesh, use a box, sphere or cylinder, or allow it to be missing",
+            code=SpawnCode.MISSING_ASSETS,
+            slug="mesh.missing",
+        )
+    report.suspicious(f"link {quote(link)}", f"{fault}; nothing collides there")
+
+
+JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
+LINK_WITHOUT_SHAPES = msgspec.structs.replace(LINK, children={"inertial": INERTIAL})
+"""A link without its shapes: URDF has more kinds of them than yourdfpy."""
+LIMITED_KINDS = ("revolute", "prismatic")
+
+
+def read_links_and_joints(robot: Element, rule: MeshPolicy, report: ParseReport) -> ParsedModel:
+    """Read links and joints of a <robot> whose grammar was checked.
+
+    Raises:
+        ModelError: A joint's kind is none, a limit is missing, or a collision mesh is not here.
+    """
+    read = _load_kinematics(robot)
+    colours = read_named_colours(robot, report)
+    links = tuple(
+        Link(
+            name=link.name,
+            inertial=_convert_inertial(link.inertial),
+            collisions=read_collisions(element, rule, report),
+            visuals=read_visuals(element, rule, colours, report),
+        )
+        for element, link in zip(robot.findall("link"), read.links, strict=True)
+    )
+    return ParsedModel(
+        read.name, links, tuple(_convert_joint(joint, report) for joint in read.joints)
+    )
+
+
+def _copy_kinematics(robot: Element) -> Element:
+    """Copy what moves, and of it what was checked: shapes are read by themselves."""
+    bare = etree.Element("robot", {"name": robot.get("name") or ""})
+    for part in robot:
+        if part.tag == "joint":
+            _copy_known(part, JOINT, bare)
+        elif part.tag == "link":
+            _copy_known(part, LINK_WITHOUT_SHAPES, bare)
+    return bare
+
+
+def _copy_known(element: Element, tag: UrdfElementRule, into: Element) -> None:
+    known = {name: value for name, value in element.attrib.items() if name in tag.attributes}
+    copy = etree.SubElement(into, element.tag, known)
+    for child in element:
+        if child.tag in tag.children:
+            _copy_known(child, tag.children[child.tag], copy)
+
+
+def _load_kinematics(robot: Element) -> yourdfpy.Robot:
+    try:
+        return yourdfpy.URDF.load(
+            BytesIO(etree.tostring(_copy_kinematics(robot))),
+            build_scene_graph=False,
+            load_meshes=False,
+        ).robot
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+        # Any of these means a fault that the grammar let through; the text is not ours to trust.
+        raise ModelError(
+            f"the description cannot be read as URDF: {to_single_line(str(error))}",
+            slug="urdf.unreadable",
+        ) from error
+
+
+def _convert_joint(joint: yourdfpy.Joint, report: ParseReport) -> Joint:
+    kind = JOINT_KINDS.get(joint.type)
+    if kind is None:
+        raise ModelError(
+            f"joint {joint.name!r} has type {joint.type!r}; use one of {', '.join(JOINT_KINDS)}",
+            slug="urdf.joint_type",
+        )
+    if kind in LIMITED_KINDS and joint.limit is None:
+        raise ModelError(
+            f"{kind} joint {joint.name!r} has no <limit>; add one, or make it continuous",
+            slug="urdf.limit",
+        )
+    limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
+    if kind in LIMITED_KINDS and limit is not None and limit.lower is None and limit.upper is None:
+        report.suspicious(f"joint {joint.name!r}", "its <limit> has no lower and no upper: held")
+    x, y, z = joint.axis.tolist()
+    return Joint(
+        name=joint.name,
+        kind=kind,
+        parent=joint.parent,
+        child=joint.child,
+        origin=_convert_origin(joint.origin),
+        axis=(x, y, z),
+        lower=(limit.lower or 0.0) if limit else 0.0,
+        upper=(limit.upper or 0.0) if limit else 0.0,
+        effort=(limit.effort or 0.0) if limit else 0.0,
+        velocity=(limit.velocity or 0.0) if limit else 0.0,
+        damping=float(dynamics.damping or 0.0) if dynamics else 0.0,
+        friction=float(dynamics.friction or 0.0) if dynamics else 0.0,
+        mimic=_convert_mimic(mimic) if mimic else None,
+    )
+
+
+def _convert_mimic(mimic: yourdfpy.Mimic) -> Mimic:
+    multiplier = 1.0 if mimic.multiplier is None else mimic.multiplier
+    return Mimic(mimic.joint, multiplier, mimic.offset or 0.0)
+
+
+def _convert_inertial(inertial: yourdfpy.Inertial | None) -> Inertial:
+    if inertial is None or inertial.mass is None or inertial.inertia is None:
+        return Inertial()
+    turn = np.eye(3) if inertial.origin is None else inertial.origin[:3, :3]
+    moments = turn @ inertial.inertia @ turn.T
+    ixx, ixy, ixz, _, iyy, iyz, _, _, izz = moments.ravel().tolist()
+    return Inertial(
+        mass_kg=inertial.mass,
+        com_in_link=_convert_origin(inertial.origin).position,
+        inertia=(ixx, ixy, ixz, iyy, iyz, izz),
+    )
+
+
+def _convert_origin(matrix: FloatArray | None) -> Origin:
+    if matrix is None:
+        return Origin()
+    x, y, z = matrix[:3, 3].tolist()
+    if np.array_equal(matrix[:3, :3], np.eye(3)):
+        return Origin((x, y, z))
+    qx, qy, qz, qw = from_matrix(matrix[:3, :3]).tolist()
+    return Origin((x, y, z), (qx, qy, qz, qw))
+
+
+MAX_JOINTS = 120
+"""Left after lumping: the engine reads the states of 127 joints of a body and no more."""
+UNEXPANDED_TAGS = ("gazebo", "transmission", "ros2_control")
+"""Tags whose contents others may expand later."""
+
+
+def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool = False) -> Model:
+    """Read a robot; what became of each tag that matters is in the model's report.
+
+    Args:
+        text: URDF, xacro already expanded.
+        has_mesh: Whether a mesh URI is on the server; no file is opened here.
+        allow_missing: Leave collisions out whose mesh is not on the server.
+
+    Raises:
+        ModelError: The text is no URDF, or describes what cannot be.
+    """
+    report = ParseReport()
+    robot = parse_xml(text, root_tag="robot", slug="urdf")
+    _refuse_xacro(robot)
+    check_urdf_schema(robot, report)
+    parts = order_as_tree(read_links_and_joints(robot, MeshPolicy(has_mesh, allow_missing), report))
+    parts = drop_floating_world(parts, report)
+    check_links(parts.links, report)
+    blocks = read_gazebo_extensions(robot, parts, report)
+    lumped = _reduce_joints(parts, blocks, report)
+    plugins = read_plugins(blocks.plugins, lumped, report)
+    return Model(
+        name=parts.name,
+        links=lumped.links,
+        joints=lumped.joints,
+        frames=lumped.frames,
+        drive=plugins.drive,
+        joint_state=plugins.joint_state,
+        ground_truths=plugins.ground_truths,
+        sensors=read_sensors(blocks.sensors, lumped, report),
+        is_static=blocks.is_static or is_fixed_to_world(parts, report),
+        report=report.entries(),
+    )
+
+
+def _reduce_joints(
+    parts: ParsedModel, blocks: GazeboExtensions, report: ParseReport
+) -> LumpedModel:
+    lumped = lump_fixed_joints(
+        apply_surfaces(parts.links, blocks),
+        _fix_joints(parts.joints) if blocks.is_static else normalize_axes(parts.joints),
+        kept=frozenset(blocks.kept_joints),
+    )
+    check_moving_parts(lumped.links, lumped.joints, report)
+    joints = check_mimics(lumped.joints, report)
+    lumped = expand_multi_dof_joints(LumpedModel(lumped.links, joints, lumped.frames), report)
+    if len(lumped.joints) > MAX_JOINTS:
+        raise ModelError(
+            f"{len(lumped.joints)} joints are left once fixed ones are merged; "
+            f"at most {MAX_JOINTS} are simulated",
+            slug="urdf.joints",
+        )
+    return lumped
+
+
+def _fix_joints(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
+    return tuple(
+        msgspec.structs.replace(joint, kind="fixed", mimic=None) for joint in normalize_axes(joints)
+    )
+
+
+def _refuse_xacro(robot: Element) -> None:
+    for element in robot.iter():
+        if "/xacro}" in element.tag or element.tag.startswith("xacro:"):
+            raise _xacro_error(element, element.tag.rpartition("}")[2])
+    for part in robot:
+        for element in () if part.tag in UNEXPANDED_TAGS else part.iter():
+            for value in element.attrib.values():
+                if "${" in value or "$(" in value:
+                    raise _xacro_error(element, value)
+
+
+def _xacro_error(element: Element, what: str) -> ModelError:
+    return ModelError(
+        f"the description has {quote(what)} of xacro at line {element.sourceline}; "
+        "run xacro on it first",
+        code=SpawnCode.UNSUPPORTED_FORMAT,
+        slug="urdf.xacro",
+    )

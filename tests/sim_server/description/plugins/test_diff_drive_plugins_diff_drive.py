@@ -1,0 +1,277 @@
+"""The differential drive plug-in is read as Gazebo reads it, and its oddities are told."""
+
+import pytest
+
+from tests.sim_server.description.robots import (
+    SIZES,
+    a_cart,
+    a_drive,
+    a_joint,
+    a_link,
+    a_plugin,
+    a_wheel,
+    an_inertial,
+    reasons,
+    report_of,
+)
+from zensim.proto.messages.model_messages import DiffDrive, RosBlock, WheelPair
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.errors import ModelError
+
+PAIR = WheelPair("left_joint", "right_joint", 0.4, 0.2)
+
+
+def drive_of(*parts: str) -> DiffDrive:
+    drive = read_urdf(a_cart(*parts)).drive
+    assert isinstance(drive, DiffDrive)
+    return drive
+
+
+def test_drive_has_gazebos_defaults_when_only_wheels_are_given() -> None:
+    drive = drive_of(a_drive(sizes="", frame=""))
+
+    assert drive == DiffDrive(
+        pairs=(WheelPair("left_joint", "right_joint", 0.34, 0.15),),
+        max_torque_nm=5.0,
+        max_acceleration=0.0,
+        update_rate_hz=100.0,
+        odometry_source="world",
+        odometry_frame="odom",
+        robot_base_frame="base_footprint",
+        publish_odom=False,
+        publish_odom_tf=False,
+        publish_wheel_tf=False,
+        covariance_x=1e-5,
+        covariance_y=1e-5,
+        covariance_yaw=1e-3,
+        ros=RosBlock(),
+    )
+
+
+def test_drive_has_what_the_file_says_when_all_is_given() -> None:
+    inside = """
+      <ros><namespace>/r1</namespace><remapping>/tf:=/r1/tf</remapping></ros>
+      <num_wheel_pairs>1</num_wheel_pairs>
+      <max_wheel_torque>20</max_wheel_torque>
+      <max_wheel_acceleration>1.5</max_wheel_acceleration>
+      <update_rate>0</update_rate>
+      <odometry_source>0</odometry_source>
+      <odometry_frame>o</odometry_frame>
+      <publish_odom>true</publish_odom>
+      <publish_odom_tf>1</publish_odom_tf>
+      <publish_wheel_tf>True</publish_wheel_tf>
+      <covariance_x>0.1</covariance_x>
+      <covariance_y>0.2</covariance_y>
+      <covariance_yaw>0.3</covariance_yaw>
+    """
+
+    model = read_urdf(a_cart(a_drive(inside)))
+
+    assert model.drive == DiffDrive(
+        pairs=(PAIR,),
+        max_torque_nm=20.0,
+        max_acceleration=1.5,
+        update_rate_hz=0.0,
+        odometry_source="encoder",
+        odometry_frame="o",
+        robot_base_frame="base",
+        publish_odom=True,
+        publish_odom_tf=True,
+        publish_wheel_tf=True,
+        covariance_x=0.1,
+        covariance_y=0.2,
+        covariance_yaw=0.3,
+        ros=RosBlock("r1", ("/tf:=/r1/tf",)),
+    )
+    assert {entry.status for entry in model.report} == {"applied"}
+
+
+def test_drive_has_two_pairs_when_it_is_skid_steered() -> None:
+    more = a_wheel("left2", 0.2) + a_wheel("right2", -0.2)
+    wheels = (
+        "<num_wheel_pairs>2</num_wheel_pairs>"
+        "<left_joint>left_joint</left_joint><left_joint>left2_joint</left_joint>"
+        "<right_joint>right_joint</right_joint><right_joint>right2_joint</right_joint>"
+    )
+
+    drive = drive_of(more, a_drive(wheels=wheels, sizes=SIZES + SIZES))
+
+    assert drive.pairs == (PAIR, WheelPair("left2_joint", "right2_joint", 0.4, 0.2))
+
+
+@pytest.mark.parametrize(
+    ("wheels", "reason"),
+    [
+        ("", "0 left and 0 right joints for 1 wheel pair(s)"),
+        ("<left_joint>left_joint</left_joint>", "1 left and 0 right joints for 1 wheel pair(s)"),
+        (
+            "<num_wheel_pairs>2</num_wheel_pairs><left_joint>left_joint</left_joint>"
+            "<right_joint>right_joint</right_joint>",
+            "1 left and 1 right joints for 2 wheel pair(s)",
+        ),
+        (
+            "<left_joint>left</left_joint><right_joint>right_joint</right_joint>",
+            "joint 'left' does not exist or is fixed; moving joints: left_joint, right_joint",
+        ),
+        (
+            "<left_joint>left_joint</left_joint><right_joint>left_joint</right_joint>",
+            "a joint is named twice",
+        ),
+    ],
+)
+def test_robot_has_no_drive_when_its_joints_are_inconsistent(wheels: str, reason: str) -> None:
+    model = read_urdf(a_cart(a_drive(wheels=wheels)))
+
+    assert model.drive is None
+    assert f"plugin 'p': no drive: {reason}" in reasons(model.report, "suspicious")
+
+
+def test_robot_has_no_drive_when_a_wheel_slides() -> None:
+    limit = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
+    slide = a_link("s", an_inertial()) + a_joint("s_joint", ("base", "s"), "prismatic", limit)
+    wheels = "<left_joint>s_joint</left_joint><right_joint>right_joint</right_joint>"
+
+    model = read_urdf(a_cart(slide, a_drive(wheels=wheels)))
+
+    assert model.drive is None
+    assert "prismatic" in reasons(model.report, "suspicious")[0]
+
+
+@pytest.mark.parametrize("tag", ["wheel_separation", "wheel_diameter"])
+@pytest.mark.parametrize("value", ["0", "-1", "nan", "inf", "wide", "", "1e308", "1e-320"])
+def test_drive_is_refused_when_a_length_is_not_positive(tag: str, value: str) -> None:
+    with pytest.raises(ModelError, match=f"plugin 'p', {tag}: ") as caught:
+        read_urdf(a_cart(a_drive(sizes=f"<{tag}>{value}</{tag}>")))
+
+    assert caught.value.slug == f"drive.{tag}"
+
+
+@pytest.mark.parametrize(
+    "tag", ["max_wheel_torque", "max_wheel_acceleration", "update_rate", "covariance_yaw"]
+)
+@pytest.mark.parametrize("value", ["-1", "nan", "fast"])
+def test_drive_is_refused_when_a_number_cannot_be(tag: str, value: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read_urdf(a_cart(a_drive(f"<{tag}>{value}</{tag}>")))
+
+    assert caught.value.slug == f"drive.{tag}"
+
+
+@pytest.mark.parametrize(
+    ("inside", "noted"),
+    [
+        ("<num_wheel_pairs>0</num_wheel_pairs>", "<num_wheel_pairs>: 0; taken as 1"),
+        ("<odometry_source>2</odometry_source>", "'2' is neither 0 nor 1; taken as 1"),
+        ("<publish_odom>yes</publish_odom>", "'yes' is neither true nor false"),
+        ("<update_rate>1</update_rate><update_rate>2</update_rate>", "given 2 times"),
+        ("<odometry_frame>my odom</odometry_frame>", "'odom' is used"),
+        ("<wheel_seperation>1</wheel_seperation>", "did you mean <wheel_separation>?"),
+        ("<max_acceleration>1</max_acceleration>", "did you mean <max_wheel_acceleration>?"),
+        ("<wheel_diameter>9</wheel_diameter>", "2 given for 1 pair(s); rest not read"),
+    ],
+)
+def test_drive_is_used_and_the_oddity_noted(inside: str, noted: str) -> None:
+    model = read_urdf(a_cart(a_drive(inside)))
+
+    assert isinstance(model.drive, DiffDrive)
+    assert model.drive.pairs == (PAIR,)
+    assert model.drive.odometry_source == "world"
+    assert any(noted in reason for reason in reasons(model.report, "suspicious"))
+
+
+def test_drive_notes_defaults_when_lengths_are_missing() -> None:
+    noted = reasons(report_of(a_cart(a_drive(sizes=""))), "suspicious")
+
+    assert noted[:2] == [
+        "plugin 'p': <wheel_separation>: not given for every pair; Gazebo's 0.34 m is used",
+        "plugin 'p': <wheel_diameter>: not given for every pair; Gazebo's 0.15 m is used",
+    ]
+
+
+def test_drive_notes_topics_that_gazebo_does_not_read() -> None:
+    entries = report_of(a_cart(a_drive("<command_topic>c</command_topic><zebra/>")))
+
+    assert (
+        "plugin 'p': <command_topic>: cmd_vel is on <namespace>/c; Gazebo does not read it, nor is "
+        "it read with compat gazebo11"
+    ) in reasons(entries, "applied")
+    assert reasons(entries, "unknown") == ["plugin 'p': <zebra>: not read"]
+
+
+def test_frame_loses_its_leading_slash_when_it_has_one() -> None:
+    assert drive_of(a_drive("<odometry_frame>/odom</odometry_frame>")).odometry_frame == "odom"
+
+
+def test_drive_is_read_when_it_is_spelt_as_in_ros_1() -> None:
+    inside = """
+      <robotNamespace>r</robotNamespace>
+      <leftJoint>left_joint</leftJoint><rightJoint>right_joint</rightJoint>
+      <wheelSeparation>0.4</wheelSeparation><wheelDiameter>0.2</wheelDiameter>
+      <wheelTorque>2</wheelTorque><odometrySource>encoder</odometrySource>
+      <robotBaseFrame>base</robotBaseFrame><commandTopic>cmd_vel</commandTopic>
+    """
+
+    model = read_urdf(a_cart(a_plugin("libgazebo_ros_diff_drive.so", inside)))
+
+    assert model.drive == DiffDrive(
+        pairs=(PAIR,),
+        max_torque_nm=2.0,
+        odometry_source="encoder",
+        robot_base_frame="base",
+        publish_odom=True,
+        publish_odom_tf=True,
+    )
+    assert "plugin 'p': <leftJoint>: spelling of ROS 1; read as <left_joint>" in reasons(
+        model.report, "suspicious"
+    )
+
+
+def test_drive_has_two_pairs_when_it_is_the_skid_steer_of_ros_1() -> None:
+    more = a_wheel("left2", 0.2) + a_wheel("right2", -0.2)
+    inside = """
+      <leftFrontJoint>left_joint</leftFrontJoint><rightFrontJoint>right_joint</rightFrontJoint>
+      <leftRearJoint>left2_joint</leftRearJoint><rightRearJoint>right2_joint</rightRearJoint>
+      <wheelSeparation>0.4</wheelSeparation><wheelDiameter>0.2</wheelDiameter><torque>9</torque>
+    """
+
+    drive = drive_of(more, a_plugin("libgazebo_ros_skid_steer_drive.so", inside))
+
+    assert drive.pairs == (PAIR, WheelPair("left2_joint", "right2_joint", 0.4, 0.2))
+    assert drive.max_torque_nm == 9.0
+
+
+@pytest.mark.parametrize(
+    ("filename", "tags", "unused"),
+    [
+        (
+            "libgazebo_ros_kobuki.so",
+            ("left_wheel_joint_name", "right_wheel_joint_name"),
+            "<velocity_command_timeout>0.6</velocity_command_timeout><imu_name>imu</imu_name>",
+        ),
+        (
+            "libgazebo_ros_create.so",
+            ("left_wheel_joint", "right_wheel_joint"),
+            "<node_namespace>turtlebot_node</node_namespace><base_geom>base_collision</base_geom>",
+        ),
+    ],
+)
+def test_drive_is_read_when_it_is_that_of_an_old_turtlebot(
+    filename: str, tags: tuple[str, str], unused: str
+) -> None:
+    left, right = tags
+    inside = f"<{left}>left_joint</{left}><{right}>right_joint</{right}>{SIZES}<torque>1</torque>"
+
+    model = read_urdf(a_cart(a_plugin(filename, inside + unused)))
+
+    assert isinstance(model.drive, DiffDrive)
+    assert (model.drive.pairs, model.drive.max_torque_nm) == ((PAIR,), 1.0)
+    assert model.drive.publish_odom
+    assert len(reasons(model.report, "ignored")) == 2
+
+
+def test_drive_is_refused_as_xacro_when_a_number_is_not_expanded() -> None:
+    with pytest.raises(ModelError) as caught:
+        read_urdf(a_cart(a_drive(sizes="<wheel_separation>${2 * track}</wheel_separation>")))
+
+    assert (caught.value.slug, caught.value.code) == ("urdf.xacro", SpawnCode.UNSUPPORTED_FORMAT)

@@ -1,0 +1,73 @@
+"""Every plug-in is read, or its entry says why not."""
+
+from tests.sim_server.description.robots import a_cart, a_drive, a_plugin, reasons, report_of
+from zensim.proto.messages.model_messages import DiffDrive
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+JOINTS = "<joint_name>left_joint</joint_name>"
+STATES = "libgazebo_ros_joint_state_publisher.so"
+
+
+def test_plugins_say_what_they_come_to_when_read() -> None:
+    assert reasons(report_of(a_cart(a_drive(), a_plugin(STATES, JOINTS))), "applied") == [
+        "plugin 'p': drive: separation 0.4 m, diameter 0.2 m",
+        "plugin 'p': joint states of left_joint",
+    ]
+
+
+def test_plugins_are_noted_when_they_are_known_but_not_used() -> None:
+    entries = report_of(
+        a_cart(
+            a_plugin("libgazebo_ros_control.so", "<robotNamespace>/</robotNamespace>", name="c"),
+            a_plugin("libgazebo_ros_ft_sensor.so", name="t"),
+        )
+    )
+
+    assert reasons(entries, "ignored") == [
+        "plugin 'c': ros_control is not used here; wheels are driven by the diff_drive plug-in",
+        "plugin 't': not simulated",
+    ]
+
+
+def test_plugins_are_noted_when_nobody_knows_them() -> None:
+    entries = report_of(a_cart(a_plugin("libmine.so"), "<gazebo><plugin/></gazebo>"))
+
+    assert reasons(entries, "unknown") == [
+        "plugin 'p': no plug-in 'libmine.so' here",
+        "plugin '': no plug-in '' here",
+    ]
+
+
+def test_first_drive_and_publisher_count_when_there_are_two() -> None:
+    other = a_plugin(STATES, "<joint_name>right_joint</joint_name>")
+
+    model = read_urdf(
+        a_cart(
+            a_drive("<max_wheel_torque>1</max_wheel_torque>"),
+            a_drive("<max_wheel_torque>2</max_wheel_torque>"),
+            a_plugin(STATES, JOINTS),
+            other,
+        )
+    )
+
+    assert isinstance(model.drive, DiffDrive)
+    assert model.drive.max_torque_nm == 1.0
+    assert model.joint_state is not None
+    assert model.joint_state.joints == ("left_joint",)
+    assert reasons(model.report, "suspicious") == [
+        "plugin 'p': a second drive; the first counts",
+        "plugin 'p': a second joint state publisher; the first counts",
+    ]
+
+
+def test_second_drive_counts_when_the_first_does_not_work() -> None:
+    model = read_urdf(a_cart(a_drive(wheels=""), a_drive()))
+
+    assert model.drive is not None
+
+
+def test_plugins_beyond_a_hundred_are_left_out_and_noted() -> None:
+    entries = report_of(a_cart(*[a_plugin("libmine.so", name=f"p{i}") for i in range(103)]))
+
+    assert len(reasons(entries, "unknown")) == 100
+    assert reasons(entries, "suspicious") == ["plugins: 103; the first 100 are read"]

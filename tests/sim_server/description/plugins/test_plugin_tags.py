@@ -1,0 +1,84 @@
+"""The <ros> block gives a namespace and remappings; the rest is noted."""
+
+import pytest
+from lxml import etree
+
+from tests.sim_server.description.robots import reasons
+from zensim.proto.messages.model_messages import ReportEntry, RosBlock
+from zensim.sim_server.description.plugins.plugin_tags import read_ros_block
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.strict_parsing import parse_xml
+
+
+def read(inside: str) -> tuple[RosBlock, tuple[ReportEntry, ...]]:
+    ros = parse_xml(f"<ros>{inside}</ros>", root_tag="ros", slug="urdf")
+    assert etree.tostring(ros)
+    report = ParseReport()
+    block = read_ros_block(ros, subject="plugin 'p'", report=report)
+    return block, report.entries()
+
+
+def test_ros_block_is_empty_when_nothing_is_in_it() -> None:
+    assert read("") == (RosBlock(), ())
+
+
+def test_ros_block_gives_namespace_and_remappings_when_written() -> None:
+    inside = (
+        "<namespace>/team/r1</namespace>"
+        "<remapping>/tf:=/r1/tf</remapping><remapping> cmd_vel:=drive </remapping>"
+    )
+
+    assert read(inside) == (RosBlock("team/r1", ("/tf:=/r1/tf", "cmd_vel:=drive")), ())
+
+
+def test_ros_block_has_no_namespace_when_it_is_the_root() -> None:
+    assert read("<namespace>/</namespace>")[0] == RosBlock()
+
+
+def test_first_namespace_counts_when_there_are_two() -> None:
+    block, entries = read("<namespace>/a</namespace><namespace>/b</namespace>")
+
+    assert block.namespace == "a"
+    assert reasons(entries, "suspicious") == [
+        "plugin 'p': <namespace>: given 2 times; the first counts"
+    ]
+
+
+def test_namespace_is_left_out_and_noted_when_it_is_none() -> None:
+    block, entries = read("<namespace>/1 robot</namespace>")
+
+    assert block.namespace == ""
+    assert len(reasons(entries, "suspicious")) == 1
+
+
+@pytest.mark.parametrize("topic", ["my-odom", "a//odom", "/2nd/odom", "~/odom", "/sim/x", "odom/*"])
+def test_remapping_to_what_ros_refuses_is_left_out_and_noted(topic: str) -> None:
+    block, entries = read(f"<remapping>odom:={topic}</remapping>")
+
+    assert block.remappings == ()
+    assert reasons(entries, "suspicious") == [
+        f"plugin 'p': <remapping>: {topic!r} is no topic of ROS; "
+        "use names joined by '/', as 'team/odom'; not used"
+    ]
+
+
+def test_remapping_to_a_name_within_the_namespace_may_begin_with_any_word() -> None:
+    assert read("<remapping>odom:=sim/x</remapping>")[0].remappings == ("odom:=sim/x",)
+
+
+def test_ros_block_notes_what_it_cannot_use() -> None:
+    block, entries = read(
+        "<remapping>tf</remapping><remapping>:=a</remapping><argument>x</argument>"
+        "<parameter/><qos/><name_space/><zebra/>"
+    )
+
+    assert block == RosBlock()
+    assert [entry.status for entry in entries] == [
+        "suspicious",
+        "suspicious",
+        "ignored",
+        "ignored",
+        "ignored",
+        "suspicious",
+        "unknown",
+    ]

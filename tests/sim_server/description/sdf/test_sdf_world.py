@@ -1,0 +1,261 @@
+"""Worlds are read with what comes with the server, and with nothing fetched."""
+
+import pytest
+
+from tests.sim_server.description.robots import reasons
+from tests.sim_server.description.sdf_robots import a_link, a_pose
+from zensim.proto.messages.model_messages import Origin
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.world_messages import Light, Scene
+from zensim.sim_server.description.builtin_models import read_builtin_world
+from zensim.sim_server.description.sdf.sdf_world import PhysicsSettings, read_world
+from zensim.sim_server.errors import ModelError
+
+GROUND = "<include><uri>model://ground_plane</uri></include>"
+
+
+def a_world(*parts: str, attributes: str = 'name="w"', version: str = "1.6") -> str:
+    return f'<sdf version="{version}"><world {attributes}>{"".join(parts)}</world></sdf>'
+
+
+def test_empty_world_has_sun_ground_and_gravity() -> None:
+    world = read_world(read_builtin_world("empty"))
+
+    assert (world.name, world.scene.has_sun, world.ground_plane) == ("default", True, True)
+    assert world.gravity == (0.0, 0.0, -9.8)
+    assert world.models == ()
+
+
+def test_world_is_called_default_when_it_has_no_name() -> None:
+    assert read_world(a_world(attributes="")).name == "default"
+
+
+def test_gravity_is_that_of_the_file() -> None:
+    assert read_world(a_world("<gravity>0 0 -1.62</gravity>")).gravity == (0.0, 0.0, -1.62)
+
+
+@pytest.mark.parametrize("gravity", ["0 0", "0 0 nan", "down", ""])
+def test_gravity_is_refused_when_it_is_no_vector(gravity: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(f"<gravity>{gravity}</gravity>"))
+
+    assert caught.value.slug == "sdf.gravity"
+
+
+def test_world_without_ground_is_noted() -> None:
+    world = read_world(a_world())
+
+    assert not world.ground_plane
+    assert reasons(world.report, "suspicious") == [
+        "world: no ground_plane is included; robots will fall"
+    ]
+
+
+@pytest.mark.parametrize(
+    "uri", ["model://house", "file:///etc/passwd", "https://example.org/sun", ""]
+)
+def test_include_is_refused_by_name_when_it_does_not_come_with_the_server(uri: str) -> None:
+    with pytest.raises(ModelError, match="nothing is fetched") as caught:
+        read_world(a_world(f"<include><uri>{uri}</uri></include>"))
+
+    assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "sdf.include")
+
+
+@pytest.mark.parametrize("tag", ["actor", "road", "population", "joint"])
+def test_what_is_not_supported_is_listed_and_left_out(tag: str) -> None:
+    world = read_world(a_world(GROUND, f'<{tag} name="x"/>'))
+
+    (entry,) = reasons(world.report, "suspicious")
+    assert entry.startswith(f"world: <{tag}> 'x': ")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '<sdf version="1.6"/>',
+        '<sdf version="1.6"><model name="m"/></sdf>',
+        '<sdf version="1.6"><world name="a"/><world name="b"/></sdf>',
+    ],
+)
+def test_file_is_refused_when_it_is_not_one_world(text: str) -> None:
+    with pytest.raises(ModelError, match="one <world>") as caught:
+        read_world(text)
+
+    assert (caught.value.code, caught.value.slug) == (SpawnCode.UNSUPPORTED_FORMAT, "sdf.world")
+
+
+@pytest.mark.parametrize("text", ["<robot/>", "<sdf>", "<!DOCTYPE sdf><sdf/>", ""])
+def test_file_is_refused_when_it_is_no_sdf(text: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read_world(text)
+
+    assert caught.value.slug.startswith(("sdf.", "xml."))
+
+
+def test_world_notes_what_has_no_effect() -> None:
+    world = read_world(
+        a_world(
+            GROUND,
+            "<physics><ode/></physics>",
+            "<scene><shadows>1</shadows></scene><gravty>0</gravty><zebra/>",
+            "<include><uri>model://sun</uri><pose>0 0 9</pose></include>",
+            version="9.9",
+        )
+    )
+
+    assert reasons(world.report, "ignored") == [
+        "include model://sun: <pose>: sun stays as it is",
+        "physics: <ode>: for other engines",
+        "scene: <shadows>: the page draws plain colours",
+    ]
+    assert reasons(world.report, "unknown") == ["world: <zebra>: not read"]
+    assert reasons(world.report, "suspicious") == [
+        "sdf: version '9.9'; read as one of 1.4 to 1.12",
+        "world: <gravty>: not read; did you mean <gravity>?",
+    ]
+
+
+def a_crate(name: str = "crate", inside: str = "") -> str:
+    return f'<model name="{name}">{inside}{a_link("box")}</model>'
+
+
+def test_model_is_placed_with_its_pose() -> None:
+    world = read_world(a_world(GROUND, a_crate(inside=a_pose("1 2 3 0 0 0"))))
+
+    (placed,) = world.models
+    assert (placed.name, placed.model.is_static) == ("crate", False)
+    assert placed.origin.position == (1.0, 2.0, 3.0)
+
+
+def test_model_may_be_placed_relative_to_another_or_to_a_frame() -> None:
+    world = read_world(
+        a_world(
+            GROUND,
+            a_crate("a", a_pose("1 0 0 0 0 0", 'relative_to="corner"')),
+            a_crate("b", a_pose("1 0 0 0 0 0", 'relative_to="a"')),
+            '<frame name="corner"><pose relative_to="world">5 0 0 0 0 0</pose></frame>',
+        )
+    )
+
+    assert [placed.origin.position[0] for placed in world.models] == [6.0, 7.0]
+
+
+def test_placement_frame_of_a_model_stands_where_its_pose_says() -> None:
+    link = a_link("box", a_pose("0 0 2 0 0 0"))
+
+    world = read_world(a_world(GROUND, f'<model name="m" placement_frame="box">{link}</model>'))
+
+    assert world.models[0].origin.position == (0.0, 0.0, -2.0)
+
+
+def test_saved_state_moves_a_model() -> None:
+    state = '<state><model name="crate"><pose>9 0 0 0 0 0</pose></model></state>'
+
+    world = read_world(a_world(GROUND, a_crate(), state))
+
+    assert world.models[0].origin.position == (9.0, 0.0, 0.0)
+
+
+def test_model_is_included_from_where_the_resolver_finds_it() -> None:
+    include = "<include><uri>model://crate</uri><name>c1</name><pose>1 0 0 0 0 0</pose></include>"
+    files = {"model://crate": f'<sdf version="1.6">{a_crate()}</sdf>'}
+
+    world = read_world(a_world(GROUND, include), resolve=files.get)
+
+    assert [(p.name, p.origin.position) for p in world.models] == [("c1", (1.0, 0.0, 0.0))]
+
+
+@pytest.mark.parametrize(
+    ("written", "name"),
+    [
+        ("grey wall", "grey_wall"),
+        ("1st", "m1st"),
+        ("a-b", "a_b"),
+        ("é", "m_"),
+        ("x" * 90, "x" * 56),
+    ],
+)
+def test_entity_gets_a_name_that_it_can_have(written: str, name: str) -> None:
+    assert read_world(a_world(GROUND, a_crate(written))).models[0].name == name
+
+
+def test_entities_get_different_names() -> None:
+    world = read_world(a_world(GROUND, a_crate("a b"), a_crate("a-b")))
+
+    assert [placed.name for placed in world.models] == ["a_b", "a_b_2"]
+
+
+def test_model_that_is_level_ground_is_the_ground_plane() -> None:
+    mu = "<surface><friction><ode><mu>0.4</mu></ode></friction></surface>"
+    plane = f'<collision name="c"><geometry><plane/></geometry>{mu}</collision>'
+    ground = f'<model name="g"><static>1</static><link name="l">{plane}</link></model>'
+
+    world = read_world(a_world(ground))
+
+    assert (world.ground_plane, world.ground_friction, world.models) == (True, 0.4, ())
+
+
+def test_tilted_plane_is_a_model() -> None:
+    plane = '<collision name="c"><geometry><plane/></geometry></collision>'
+    inside = f'{a_pose("0 0 0 0.1 0 0")}<static>1</static><link name="l">{plane}</link>'
+
+    world = read_world(a_world(f'<model name="ramp">{inside}</model>'))
+
+    assert (world.ground_plane, [placed.name for placed in world.models]) == (False, ["ramp"])
+
+
+@pytest.mark.parametrize(
+    ("physics", "pace"),
+    [
+        ("", PhysicsSettings()),
+        ("<max_step_size>0.002</max_step_size>", PhysicsSettings(0.002, None)),
+        ("<real_time_factor>0.5</real_time_factor>", PhysicsSettings(None, 0.5)),
+        (
+            "<max_step_size>0.002</max_step_size><real_time_factor>1</real_time_factor>"
+            "<real_time_update_rate>1000</real_time_update_rate>",
+            PhysicsSettings(0.002, 2.0),
+        ),
+        ("<real_time_update_rate>0</real_time_update_rate>", PhysicsSettings(None, 0.0)),
+    ],
+)
+def test_pace_is_that_of_the_physics(physics: str, pace: PhysicsSettings) -> None:
+    assert read_world(a_world(GROUND, f"<physics>{physics}</physics>")).pace == pace
+
+
+def test_lights_and_colours_are_read() -> None:
+    light = (
+        '<light name="lamp" type="point"><pose>0 0 3 0 0 0</pose><diffuse>1 0 0 1</diffuse></light>'
+    )
+
+    world = read_world(a_world(light, "<scene><background>0 0 1</background></scene>"))
+
+    lamp = Light("lamp", "point", Origin((0.0, 0.0, 3.0)), rgba=(1.0, 0.0, 0.0, 1.0))
+    assert world.scene == Scene(None, (0.0, 0.0, 1.0, 1.0), (lamp,))
+
+
+def test_model_that_is_not_supported_is_listed_and_left_out() -> None:
+    joint = '<joint name="j" type="screw"><parent>world</parent><child>box</child></joint>'
+
+    world = read_world(a_world(GROUND, a_crate(inside=joint)))
+
+    assert world.models == ()
+    assert reasons(world.report, "suspicious")[0].startswith("model 'crate': left out: ")
+
+
+@pytest.mark.parametrize(
+    ("inside", "slug"),
+    [
+        (a_crate() + a_crate(), "sdf.duplicate_name"),
+        (a_crate(inside=a_pose("0 0 nan 0 0 0")), "sdf.pose"),
+        (a_crate("a", a_pose("0 0 0 0 0 0", 'relative_to="a"')), "sdf.pose_cycle"),
+        (a_crate("a", a_pose("0 0 0 0 0 0", 'relative_to="z"')), "sdf.unknown_frame"),
+        ("<physics><max_step_size>0</max_step_size></physics>", "sdf.physics"),
+        ("<physics><max_step_size>fast</max_step_size></physics>", "sdf.number"),
+        ("".join(a_crate(f"m{i}") for i in range(2001)), "sdf.size"),
+    ],
+)
+def test_world_that_cannot_be_is_refused(inside: str, slug: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        read_world(a_world(GROUND, inside))
+
+    assert caught.value.slug == slug

@@ -1,0 +1,244 @@
+"""Tags of surfaces: what each comes to, and what the report says of it."""
+
+import pytest
+
+from tests.sim_server.description.robots import (
+    BALL,
+    a_collision,
+    a_joint,
+    a_link,
+    a_reference,
+    a_robot,
+    a_visual,
+    an_inertial,
+    reasons,
+)
+from zensim.proto.messages.model_messages import Contact, Decay, Inertial, Link, Origin, Quat, Shape
+from zensim.sim_server.description.joint_reduction import lump_fixed_joints
+from zensim.sim_server.description.link_surfaces import (
+    GAZEBO_COLOURS,
+    RIGID_STIFFNESS,
+    SurfaceParameters,
+    SurfaceTagReader,
+    clamp_contact,
+    find_gazebo_colour,
+    to_decay_rate,
+)
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
+USE_RED = '<material name="red"/>'
+
+
+def colours(*parts: str) -> list[Quat | None]:
+    model = read_urdf(a_robot(*parts))
+    return [shape.rgba for link in model.links for shape in link.visuals]
+
+
+def test_visual_has_its_own_colour_when_given_inline() -> None:
+    assert colours(a_link("a", a_visual(BALL, RED))) == [(1.0, 0.0, 0.0, 1.0)]
+
+
+def test_visual_has_a_named_colour_when_the_robot_defines_it_later() -> None:
+    assert colours(a_link("a", a_visual(BALL, USE_RED)), RED) == [(1.0, 0.0, 0.0, 1.0)]
+
+
+def test_visual_has_a_named_colour_when_another_visual_defines_it() -> None:
+    inside = a_visual(BALL, USE_RED) + a_visual(BALL, RED)
+
+    assert colours(a_link("a", inside)) == [(1.0, 0.0, 0.0, 1.0)] * 2
+
+
+def test_visual_is_white_when_its_colour_is_empty() -> None:
+    material = '<material name="m"><color/></material>'
+
+    assert colours(a_link("a", a_visual(BALL, material))) == [(1.0, 1.0, 1.0, 1.0)]
+
+
+def test_visual_has_no_colour_when_none_is_given() -> None:
+    assert colours(a_link("a", a_visual())) == [None]
+
+
+def test_material_is_noted_when_nobody_defines_it() -> None:
+    model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, USE_RED))))
+
+    assert model.links[0].visuals[0].rgba is None
+    assert reasons(model.report, "suspicious") == [
+        "material 'red': no <material> of this name has a colour"
+    ]
+
+
+def test_texture_is_noted_as_not_drawn_when_it_stands_for_a_colour() -> None:
+    material = '<material name="m"><texture filename="t.png"/></material>'
+
+    model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, material))))
+
+    assert [entry.status for entry in model.report] == ["ignored"]
+
+
+def test_colour_is_cut_and_noted_when_it_counts_to_255() -> None:
+    material = '<material name="m"><color rgba="255 0 -1 1"/></material>'
+
+    model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, material))))
+
+    assert model.links[0].visuals[0].rgba == (1.0, 0.0, 0.0, 1.0)
+    assert len(reasons(model.report, "suspicious")) == 1
+
+
+def test_gazebo_material_wins_over_the_urdf_material() -> None:
+    block = a_reference("a", "<material>Gazebo/Blue</material>")
+
+    assert colours(a_link("a", a_visual(BALL, RED)), block) == [(0.0, 0.0, 1.0, 1.0)]
+
+
+@pytest.mark.parametrize("name", ["Gazebo/Green", " Gazebo/Green\n", "Green"])
+def test_gazebo_colour_is_found_with_and_without_its_prefix(name: str) -> None:
+    assert find_gazebo_colour(name) == (0.0, 1.0, 0.0, 1.0)
+
+
+def test_gazebo_colours_lie_between_0_and_1() -> None:
+    assert all(0.0 <= part <= 1.0 for rgba in GAZEBO_COLOURS.values() for part in rgba)
+    assert find_gazebo_colour("Gazebo/Plaid") is None
+
+
+def read(**texts: str) -> tuple[SurfaceParameters, ParseReport]:
+    report = ParseReport()
+    return SurfaceTagReader(texts, subject="s", slug="gazebo.mu1", report=report).read(), report
+
+
+def test_nothing_is_asked_for_when_nothing_is_written() -> None:
+    surface, report = read()
+
+    assert surface == SurfaceParameters()
+    assert report.entries() == ()
+
+
+@pytest.mark.parametrize(
+    ("kp", "kd", "contact"),
+    [
+        ("1e5", None, Contact(1e5, 1.0)),
+        ("1e5", "50", Contact(1e5, 50.0)),
+        ("1000", "1000", Contact(1e3, 1e3)),
+        ("1000", "1e9", Contact(1e3, 1e3)),
+        ("1e12", "1", Contact()),
+        ("1e12", None, Contact()),
+        ("1e27", "1e27", Contact(RIGID_STIFFNESS, RIGID_STIFFNESS)),
+        ("0", "5", Contact()),
+        (None, "5", Contact()),
+        ("stiff", "5", Contact()),
+        ("-5", None, Contact()),
+    ],
+)
+def test_contact_gives_as_it_says_within_bounds(
+    kp: str | None, kd: str | None, contact: Contact
+) -> None:
+    written = {tag: text for tag, text in (("kp", kp), ("kd", kd)) if text is not None}
+
+    assert read(**written)[0].contact == contact
+
+
+def test_bounds_keep_how_long_a_contact_takes() -> None:
+    assert clamp_contact(1e27, 1e25) == pytest.approx((RIGID_STIFFNESS, 0.01 * RIGID_STIFFNESS))
+
+
+@pytest.mark.parametrize(
+    ("texts", "status", "said"),
+    [
+        ({"kp": "1e27"}, "suspicious", "s: <kp>: 1e27 is stiffer than anything; taken as 1e+09"),
+        ({"kp": "0"}, "suspicious", "s: <kp>: 0 would hold nothing up; rigid"),
+        ({"kd": "1"}, "ignored", "s: <kd>: needs a <kp>; without it contacts are rigid"),
+        ({"kp": "x"}, "suspicious", "s: <kp>: 'x' is no number; not used"),
+        ({"kp": "-1"}, "suspicious", "s: <kp>: -1 is negative; not used"),
+        ({"mu2": "1"}, "applied", "s: <mu2>: "),
+        (
+            {"mu1": "1", "mu2": "0.5"},
+            "applied",
+            "s: <mu2>: there is no <fdir1>: 0.75 every way, the mean of mu1 and mu2",
+        ),
+        ({"fdir1": "1 0 0"}, "ignored", "s: <fdir1>: needs a <mu1> and a <mu2> that differ"),
+        ({"gravity": "maybe"}, "suspicious", "s: <gravity>: 'maybe' is neither true nor false"),
+        ({"gravity": "0"}, "applied", "s: <gravity>: gravity does not pull it"),
+        ({"turnGravityOff": "false"}, "applied", "s: <turnGravityOff>: "),
+        ({"selfCollide": "1"}, "applied", "s: <selfCollide>: "),
+        (
+            {"dampingFactor": "0.01"},
+            "applied",
+            "s: <dampingFactor>: velocities lose 1 % in a millisecond",
+        ),
+        (
+            {"minDepth": "0.001"},
+            "ignored",
+            "s: <minDepth>: what has sunk in is pushed out from depth 0 on",
+        ),
+        (
+            {"maxVel": "0.1"},
+            "ignored",
+            "s: <maxVel>: what has sunk in is pushed out by a fifth of its depth each step, "
+            "at any speed",
+        ),
+    ],
+)
+def test_report_says_what_became_of_a_tag(texts: dict[str, str], status: str, said: str) -> None:
+    assert said in reasons(read(**texts)[1].entries(), status)
+
+
+def test_friction_has_a_direction_only_where_it_differs() -> None:
+    surface, _ = read(mu1="1", mu2="0.5", fdir1="0 0 2")
+
+    assert (surface.friction, surface.contact.friction_across) == (1.0, 0.5)
+    assert surface.contact.direction == (0.0, 0.0, 1.0)
+    assert read(mu1="1", mu2="1", fdir1="0 0 2")[0].contact == Contact()
+    assert read(mu1="1", mu2="0.5", fdir1="0 0 0")[0].friction == 0.75
+
+
+@pytest.mark.parametrize("tag", ["kp", "mu2", "fdir1", "gravity", "selfCollide", "dampingFactor"])
+def test_robot_is_read_whatever_a_tag_holds(tag: str) -> None:
+    body = a_link("body", an_inertial() + a_collision())
+
+    model = read_urdf(a_robot(body, a_reference("body", f"<{tag}>nonsense</{tag}>")))
+
+    assert model.links[0].collisions[0].contact == Contact()
+    assert len(reasons(model.report, "suspicious")) == 1
+
+
+def test_direction_turns_with_its_collision_and_with_its_link() -> None:
+    quarter = '<origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/>'
+    parts = (
+        a_link("body", an_inertial()),
+        a_link("foot", a_collision(origin=quarter)),
+        a_joint("j", ("body", "foot"), inside=quarter),
+        a_reference("foot", "<mu1>1</mu1><mu2>0</mu2><fdir1>1 0 0</fdir1>"),
+    )
+
+    (shape,) = read_urdf(a_robot(*parts)).links[0].collisions
+
+    assert shape.contact.direction == pytest.approx((-1.0, 0.0, 0.0))
+
+
+def test_merged_links_weigh_slow_down_and_touch_as_their_parts_do() -> None:
+    light = Inertial(1.0, (1.0, 0.0, 0.0))
+    links = (
+        Link("body", Inertial(3.0)),
+        Link("tip", light, weightless=light, decay=Decay(8.0, 4.0), self_collides=True),
+    )
+    parts = (
+        a_link("body", an_inertial()),
+        a_link("tip", an_inertial()),
+        a_joint("j", ("body", "tip"), inside='<origin xyz="0 0 1"/>'),
+    )
+    joints = read_urdf(
+        a_robot(*parts, a_reference("j", "<preserveFixedJoint>true</preserveFixedJoint>"))
+    ).joints
+
+    (merged,) = lump_fixed_joints(links, joints, frozenset()).links
+
+    assert (merged.weightless.mass_kg, merged.weightless.com_in_link) == (1.0, (1.0, 0.0, 1.0))
+    assert merged.decay == Decay(2.0, 1.0)
+    assert merged.self_collides
+
+
+def test_share_of_everything_is_lost_at_a_finite_rate() -> None:
+    assert to_decay_rate(0.0) == 0.0
+    assert 1e4 < to_decay_rate(1.0) == to_decay_rate(5.0) < 1e5
+    assert SurfaceParameters().on(Shape("box", origin=Origin())) == Shape("box")

@@ -1,0 +1,125 @@
+"""Wheels touch at one point; a body that is moved itself slides."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
+from zensim.proto.messages.model_messages import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
+from zensim.proto.rotation import from_rpy
+from zensim.sim_server.description import model_geometry
+from zensim.sim_server.description.model_geometry import links_in_contact
+
+HALF = math.sqrt(0.5)
+ON_ITS_SIDE = (HALF, 0.0, 0.0, HALF)
+
+
+WEDGE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -2.0]])
+
+
+def ground_clearance(model: Model, turn: Quat = IDENTITY) -> float:
+    return model_geometry.find_ground_clearance(model, turn, {"wedge": WEDGE}.__getitem__)
+
+
+def a_model(*shapes: Shape) -> Model:
+    return Model("m", (Link("base", collisions=shapes),))
+
+
+@pytest.mark.parametrize(
+    ("shape", "lowest"),
+    [
+        (Shape("sphere", (0.5, 0.0, 0.0), Origin((0.0, 0.0, 2.0))), 1.5),
+        (Shape("box", (1.0, 2.0, 4.0)), -2.0),
+        (Shape("box", (1.0, 2.0, 4.0), Origin(orientation=ON_ITS_SIDE)), -1.0),
+        (Shape("cylinder", (0.5, 4.0, 0.0)), -2.0),
+        (Shape("cylinder", (0.5, 4.0, 0.0), Origin(orientation=ON_ITS_SIDE)), -0.5),
+        (Shape("capsule", (0.5, 4.0, 0.0)), -2.5),
+        (Shape("mesh", (1.0, 1.0, 0.5), Origin((0.0, 0.0, 3.0)), mesh="wedge"), 2.0),
+        (Shape("mesh", (1.0, -2.0, 1.0), Origin(orientation=ON_ITS_SIDE), mesh="wedge"), -2.0),
+        (Shape("capsule", (0.5, 4.0, 0.0), Origin(orientation=ON_ITS_SIDE)), -0.5),
+    ],
+)
+def test_clearance_is_the_lowest_point_of_a_shape(shape: Shape, lowest: float) -> None:
+    assert ground_clearance(a_model(shape)) == pytest.approx(lowest)
+
+
+def test_clearance_is_that_of_an_edge_when_a_box_is_tilted() -> None:
+    eighth = (math.sin(math.pi / 8), 0.0, 0.0, math.cos(math.pi / 8))
+    tilted = Shape("box", (2.0, 2.0, 2.0), Origin(orientation=eighth))
+
+    assert ground_clearance(a_model(tilted)) == pytest.approx(-math.sqrt(2.0))
+
+
+def test_clearance_counts_links_where_their_joints_put_them() -> None:
+    ball = Shape("sphere", (0.1, 0.0, 0.0), Origin((0.0, 0.0, -1.0)))
+    hung = Joint("j", "continuous", "base", "leg", Origin((0.0, 0.0, -2.0)))
+
+    model = Model("m", (Link("base"), Link("leg", collisions=(ball,))), (hung,))
+
+    assert ground_clearance(model) == pytest.approx(-3.1)
+
+
+def test_clearance_is_zero_when_nothing_can_be_measured() -> None:
+    assert ground_clearance(a_model(Shape("plane"))) == 0.0
+
+
+def test_clearance_is_that_of_the_robot_as_it_is_turned() -> None:
+    arm = Joint("j", "continuous", "base", "arm", Origin((0.0, 3.0, 0.0)))
+    base = Link("base", collisions=(Shape("box", (1.0, 2.0, 4.0)),))
+    ball = Link("arm", collisions=(Shape("sphere", (0.5, 0.0, 0.0)),))
+
+    model = Model("m", (base, ball), (arm,))
+
+    assert ground_clearance(model) == pytest.approx(-2.0)
+    assert ground_clearance(model, ON_ITS_SIDE) == pytest.approx(-1.0)
+    assert ground_clearance(model, (-HALF, 0.0, 0.0, HALF)) == pytest.approx(-3.5)
+
+
+SIDEWAYS = tuple(from_rpy(math.pi / 2.0, 0.0, 0.0).tolist())
+TYRE = Shape("cylinder", (WHEEL_RADIUS_M, 0.02, 0.0), Origin((0.0, 0.01, 0.0), SIDEWAYS))
+
+
+def a_cart_on(*shapes: Shape) -> Model:
+    """A cart whose right wheel has these collisions."""
+    cart = a_cart()
+    wheel = msgspec.structs.replace(cart.links[1], collisions=shapes)
+    return msgspec.structs.replace(cart, links=(cart.links[0], wheel, cart.links[2]))
+
+
+def test_cylinder_about_an_axle_touches_as_a_sphere_about_its_centre() -> None:
+    tyre = msgspec.structs.replace(TYRE, friction=0.7)
+
+    (sphere,) = links_in_contact(a_cart_on(tyre))[1].collisions
+
+    assert sphere == Shape(
+        "sphere", (WHEEL_RADIUS_M, 0.0, 0.0), Origin((0.0, 0.01, 0.0)), friction=0.7
+    )
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        Shape("box", (0.1, 0.1, 0.1)),
+        Shape("cylinder", (0.05, 0.02, 0.0)),
+        Shape("cylinder", (0.05, 0.11, 0.0), Origin(orientation=SIDEWAYS)),
+        Shape("cylinder", (0.05, 0.02, 0.0), Origin((0.01, 0.0, 0.0), SIDEWAYS)),
+    ],
+    ids=["box", "upright", "roller", "eccentric"],
+)
+def test_what_is_no_tyre_stays_as_it_is(shape: Shape) -> None:
+    model = a_cart_on(TYRE, shape)
+
+    assert links_in_contact(model)[1].collisions[1] == shape
+
+
+def test_links_that_no_drive_moves_stay_as_they_are() -> None:
+    for model in (a_box(), a_cart(), msgspec.structs.replace(a_cart_on(TYRE), drive=None)):
+        assert links_in_contact(model) == model.links
+
+
+def test_body_that_is_moved_itself_slides() -> None:
+    links = links_in_contact(a_puck())
+
+    assert [shape.friction for link in links for shape in link.collisions] == [0.0]

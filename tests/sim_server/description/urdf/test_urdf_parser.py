@@ -1,0 +1,312 @@
+"""A whole URDF becomes a model, or a ModelError, and nothing else happens."""
+
+import logging
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from lxml import etree
+
+from tests.sim_server.description.robots import (
+    BALL,
+    a_collision,
+    a_joint,
+    a_link,
+    a_robot,
+    a_visual,
+    an_inertial,
+    link_names,
+    reasons,
+)
+from zensim.proto.messages.model_messages import DiffDrive, Frame, Model, Origin, WheelPair
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy, no_meshes
+from zensim.sim_server.description.model_geometry import find_ground_clearance
+from zensim.sim_server.description.report import ParseReport
+from zensim.sim_server.description.strict_parsing import parse_xml
+from zensim.sim_server.description.urdf.urdf_parser import read_links_and_joints, read_urdf
+from zensim.sim_server.errors import ModelError
+
+MESH = '<geometry><mesh filename="package://r/body.stl" scale="2"/></geometry>'
+
+
+def test_shapes_have_sizes_in_metres_when_read() -> None:
+    geometries = (
+        '<box size="1 2 3"/>',
+        '<sphere radius="4"/>',
+        '<cylinder length="6" radius="5"/>',
+        '<mesh filename="m.stl"/>',
+        '<mesh filename="m.stl" scale="1 2 3"/>',
+    )
+    inside = "".join(a_collision(f"<geometry>{shape}</geometry>") for shape in geometries)
+
+    model = read_urdf(a_robot(a_link("a", inside)), has_mesh=lambda _uri: True)
+
+    assert [(shape.kind, shape.size, shape.mesh) for shape in model.links[0].collisions] == [
+        ("box", (1.0, 2.0, 3.0), ""),
+        ("sphere", (4.0, 0.0, 0.0), ""),
+        ("cylinder", (5.0, 6.0, 0.0), ""),
+        ("mesh", (1.0, 1.0, 1.0), "m.stl"),
+        ("mesh", (1.0, 2.0, 3.0), "m.stl"),
+    ]
+
+
+def test_origin_turns_about_fixed_axes_when_it_has_roll_pitch_yaw() -> None:
+    quarter = math.pi / 2
+    text = a_robot(
+        a_link("a", a_visual(BALL, f'<origin xyz="1 2 3" rpy="{quarter} 0 {quarter}"/>'))
+    )
+
+    origin = read_urdf(text).links[0].visuals[0].origin
+
+    assert origin.position == (1.0, 2.0, 3.0)
+    assert origin.orientation == pytest.approx((0.5, 0.5, 0.5, 0.5))
+
+
+def test_inertia_is_in_link_axes_when_its_origin_is_turned() -> None:
+    inertial = (
+        f'<inertial><origin xyz="0 0 1" rpy="{math.pi / 2} 0 0"/><mass value="2"/>'
+        '<inertia ixx="1" iyy="2" izz="3"/></inertial>'
+    )
+
+    read = read_urdf(a_robot(a_link("a", inertial))).links[0].inertial
+
+    assert (read.mass_kg, read.com_in_link) == (2.0, (0.0, 0.0, 1.0))
+    assert read.inertia == pytest.approx((1, 0, 0, 3, 0, 2), abs=1e-12)
+
+
+def test_joint_keeps_limits_and_dynamics_when_read() -> None:
+    inside = (
+        '<limit lower="-1" upper="2" effort="3" velocity="4"/><dynamics damping="5" friction="6"/>'
+    )
+    pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
+
+    joint = read_urdf(a_robot(pair, a_joint("j", ("a", "b"), "revolute", inside))).joints[0]
+
+    assert (joint.lower, joint.upper, joint.effort, joint.velocity) == (-1.0, 2.0, 3.0, 4.0)
+    assert (joint.damping, joint.friction) == (5.0, 6.0)
+    assert (joint.axis, joint.origin) == ((1.0, 0.0, 0.0), Origin())
+
+
+@pytest.mark.parametrize("kind", ["continuous", "floating", "planar"])
+def test_joint_needs_no_limit_when_its_kind_has_none(kind: str) -> None:
+    pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
+
+    last = read_urdf(a_robot(pair, a_joint("j", ("a", "b"), kind))).joints[-1]
+
+    assert (last.name, last.kind) == ("j", "continuous")
+
+
+@pytest.mark.parametrize(
+    ("kind", "slug"),
+    [("hinge", "urdf.joint_type"), ("revolute", "urdf.limit"), ("prismatic", "urdf.limit")],
+)
+def test_joint_is_refused_when_its_kind_is_none_or_lacks_a_limit(kind: str, slug: str) -> None:
+    pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
+
+    with pytest.raises(ModelError, match="joint 'j'") as caught:
+        read_urdf(a_robot(pair, a_joint("j", ("a", "b"), kind)))
+
+    assert caught.value.slug == slug
+
+
+def test_visual_mesh_is_dropped_and_noted_when_it_is_not_here() -> None:
+    model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(MESH) + a_visual())))
+
+    assert [shape.kind for shape in model.links[0].visuals] == ["sphere"]
+    assert reasons(model.report, "suspicious") == [
+        "link 'a', visual 1: visual mesh 'package://r/body.stl' is not on the server; not drawn"
+    ]
+
+
+def test_collision_mesh_refuses_the_robot_when_it_is_not_here() -> None:
+    with pytest.raises(ModelError, match=r"package://r/body\.stl") as caught:
+        read_urdf(a_robot(a_link("a", a_collision(MESH))))
+
+    assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "mesh.missing")
+
+
+def test_reader_is_asked_for_each_mesh_when_meshes_are_named() -> None:
+    asked: list[str] = []
+
+    def has_mesh(uri: str) -> bool:
+        asked.append(uri)
+        return True
+
+    model = read_urdf(a_robot(a_link("a", a_visual(MESH) + a_collision(MESH))), has_mesh=has_mesh)
+
+    assert set(asked) == {"package://r/body.stl"}
+    assert model.links[0].visuals[0].size == (2.0, 2.0, 2.0)
+
+
+@pytest.mark.parametrize("inside", ["<joint name='j'/>", "<link/>"])
+def test_parts_are_refused_when_the_grammar_was_not_checked(inside: str) -> None:
+    robot = parse_xml(a_robot(inside), root_tag="robot", slug="urdf")
+
+    with pytest.raises(ModelError) as caught:
+        read_links_and_joints(robot, MeshPolicy(no_meshes), ParseReport())
+
+    assert caught.value.slug == "urdf.unreadable"
+    assert etree.tostring(robot)
+
+
+BOX_BOT = read_builtin_model("box_bot")
+HOSTILE = ("", "nan", "inf", "-1", "0", "1e308", "base_link", "left_wheel_joint", "a" * 300, "${x}")
+
+
+@pytest.fixture(scope="module")
+def box_bot() -> Model:
+    return read_urdf(BOX_BOT)
+
+
+def test_box_bot_is_a_base_and_two_wheels_once_lumped(box_bot: Model) -> None:
+    assert link_names(box_bot) == ["base_link", "left_wheel", "right_wheel"]
+    assert [joint.kind for joint in box_bot.joints] == ["continuous", "continuous"]
+    assert box_bot.mass_kg == pytest.approx(1.4, abs=1e-6)
+
+
+def test_box_bot_has_the_inertia_of_its_file(box_bot: Model) -> None:
+    base, left, _ = (link.inertial for link in box_bot.links)
+
+    assert (base.mass_kg, base.com_in_link) == (1.0, (0.0, 0.0, -0.025))
+    assert base.inertia == (1.667e-3, 0.0, 0.0, 1.667e-3, 0.0, 1.667e-3)
+    assert left.inertia == (6.292e-5, 0.0, 0.0, 1.225e-4, 0.0, 6.292e-5)
+
+
+def test_box_bot_slides_on_its_casters_and_rolls_on_its_wheels(box_bot: Model) -> None:
+    base, left, right = (link.collisions for link in box_bot.links)
+
+    assert [shape.friction for shape in base] == [1.0, 0.0, 0.0]
+    assert [(shape.kind, shape.friction) for shape in (*left, *right)] == [("sphere", 1.0)] * 2
+
+
+def test_box_bot_stands_on_its_wheels_when_spawned_at_6_cm(box_bot: Model) -> None:
+    base = box_bot.links[0]
+    casters = [s.origin.position[2] - s.size[0] for s in base.collisions if s.kind == "sphere"]
+
+    assert find_ground_clearance(box_bot) == pytest.approx(-0.06)
+    assert casters == pytest.approx([-0.0595, -0.0595])
+
+
+def test_box_bot_drives_with_left_on_the_left(box_bot: Model) -> None:
+    places = {joint.name: joint.origin.position for joint in box_bot.joints}
+    drive = box_bot.drive
+
+    assert isinstance(drive, DiffDrive)
+    assert drive.pairs == (WheelPair("left_wheel_joint", "right_wheel_joint", 0.11, 0.07),)
+    assert places["left_wheel_joint"] == (0.0, 0.055, -0.025)
+    assert (drive.max_torque_nm, drive.max_acceleration) == (0.1, 5.0)
+    assert (drive.odometry_frame, drive.robot_base_frame) == ("odom", "base_footprint")
+    assert drive.publish_odom
+    assert drive.publish_odom_tf
+    assert drive.publish_wheel_tf
+
+
+def test_box_bot_keeps_merged_links_as_frames(box_bot: Model) -> None:
+    assert Frame("base_footprint", "base_link", Origin((0.0, 0.0, -0.06))) in box_bot.frames
+    assert [frame.name for frame in box_bot.frames] == [
+        "base_footprint",
+        "chassis",
+        "rgb_cam_link",
+        "rgb_cam_frame",
+        "front_caster",
+        "back_caster",
+    ]
+
+
+def test_box_bot_is_coloured_all_over(box_bot: Model) -> None:
+    colours = [shape.rgba for link in box_bot.links for shape in link.visuals]
+
+    assert None not in colours
+    assert len(set(colours)) >= 5
+
+
+def test_reading_says_nothing_outside_the_report(
+    capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.DEBUG):
+        read_urdf(BOX_BOT)
+
+    assert capfd.readouterr() == ("", "")
+    assert caplog.records == []
+
+
+def test_reading_the_same_text_twice_gives_equal_models() -> None:
+    assert read_urdf(BOX_BOT) == read_urdf(BOX_BOT)
+
+
+def test_xacro_is_refused_with_what_to_do_when_not_expanded() -> None:
+    text = (
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:macro name="m"/><link name="a"/></robot>'
+    )
+
+    with pytest.raises(ModelError, match="run xacro on it first") as caught:
+        read_urdf(text)
+
+    assert caught.value.slug == "urdf.xacro"
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        '<link name="${prefix}a"/>',
+        '<link name="a"><visual><origin xyz="0 0 $(arg height)"/></visual></link>',
+        '<xacro:macro name="m"/><link name="a"/>',
+    ],
+)
+def test_xacro_is_refused_when_an_expression_is_left(link: str) -> None:
+    with pytest.raises(ModelError, match="run xacro on it first") as caught:
+        read_urdf(f'<robot name="r">{link}</robot>')
+
+    assert caught.value.slug == "urdf.xacro"
+
+
+def test_expanded_xacro_is_read_when_only_its_namespace_is_left() -> None:
+    text = '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><link name="a"/></robot>'
+
+    assert link_names(read_urdf(text)) == ["a"]
+
+
+def read_or_refusal(text: str) -> Model | ModelError:
+    try:
+        return read_urdf(text)
+    except ModelError as refusal:
+        return refusal
+
+
+def assert_model_or_refusal(text: str) -> None:
+    model = read_or_refusal(text)
+    if isinstance(model, ModelError):
+        assert model.message
+        assert "\n" not in model.message
+        return
+    numbers = [n for link in model.links for n in (*link.inertial.inertia, link.inertial.mass_kg)]
+    assert all(map(math.isfinite, numbers))
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_no_cut_of_a_file_does_anything_but_read_or_refuse(data: st.DataObject) -> None:
+    tags = [i for i, character in enumerate(BOX_BOT) if character == "<"]
+    start, end = sorted(data.draw(st.tuples(st.sampled_from(tags), st.sampled_from(tags))))
+
+    assert_model_or_refusal(BOX_BOT[:start] + BOX_BOT[end:])
+
+
+@settings(deadline=None, max_examples=150)
+@given(st.data())
+def test_no_hostile_value_does_anything_but_read_or_refuse(data: st.DataObject) -> None:
+    quoted = BOX_BOT.split('"')
+    place = data.draw(st.integers(0, len(quoted) // 2 - 1)) * 2 + 1
+    quoted[place] = data.draw(st.sampled_from(HOSTILE) | st.text(max_size=5))
+
+    assert_model_or_refusal('"'.join(quoted))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.text(alphabet='<>/="& robotlinkjointgazebo!-?[]', max_size=200))
+def test_no_text_does_anything_but_read_or_refuse(text: str) -> None:
+    assert_model_or_refusal(text)
