@@ -24,13 +24,13 @@ from zensim.sim_server.config import (
 )
 from zensim.sim_server.journal.ledger import JournalError
 from zensim.sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
-from zensim.sim_server.physics.choice import (
+from zensim.sim_server.physics.engine_config import (
     Clustering,
-    EngineChoice,
     EngineName,
-    engine_named,
-    engine_of,
-    engines_here,
+    EngineOptions,
+    choose_engine,
+    find_installed_engines,
+    parse_engine_name,
 )
 
 SERVER_EXTRA = ("yourdfpy", "lxml", "scipy", "trimesh")
@@ -164,7 +164,7 @@ def engine_asked_for(word: str) -> EngineName | None:
         BadParameter: There is no such engine.
     """
     try:
-        return engine_named(word)
+        return parse_engine_name(word)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
 
@@ -226,7 +226,7 @@ def _config(given: ServeOptions) -> ServerConfig:
         journal=str(given.journal or ""),
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
-        physics=EngineChoice(
+        physics=EngineOptions(
             engine=engine_asked_for(given.engine),
             clusters=clustering_of(given.clusters),
             dynamics=dynamics_of(given.dynamics),
@@ -248,7 +248,7 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
         typer.echo(
             f"zensim serve: world '{config.world}' at {bus.endpoint} "
             f"({config.step_hz:g} Hz, real-time factor {config.real_time_factor:g}, "
-            f"{engine_of(config.physics, engines_here())})",
+            f"{choose_engine(config.physics, find_installed_engines())})",
             err=True,
         )
 

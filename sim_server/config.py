@@ -7,7 +7,12 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 from zensim.sim_server.pacing.lockstep import LockstepSettings
-from zensim.sim_server.physics.choice import EngineChoice, EngineMissing, engine_of, engines_here
+from zensim.sim_server.physics.engine_config import (
+    EngineMissing,
+    EngineOptions,
+    choose_engine,
+    find_installed_engines,
+)
 
 CONTROL_HZ = 100.0
 """Agents are told at this rate at most unless asked for, as a Gazebo drive updates by default."""
@@ -44,7 +49,7 @@ class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
     """Refuse a world of which something is suspicious."""
     is_paused: bool = False
     lockstep: LockstepSettings = LockstepSettings()
-    physics: EngineChoice = EngineChoice()
+    physics: EngineOptions = EngineOptions()
     seed: int = 0
     asked: "ServerConfig | None" = None
     """What was asked for, before a world filled in the rest."""
@@ -89,7 +94,7 @@ def checked(config: ServerConfig) -> ServerConfig:
     if config.seed < 0:
         raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")
     try:
-        engine_of(config.physics, engines_here())
+        choose_engine(config.physics, find_installed_engines())
     except EngineMissing as error:
         raise ConfigError(str(error)) from error
     _check_timeout(config.lockstep.timeout_s)

@@ -26,8 +26,9 @@ from zensim.sim_server.loading.world_files import LoadedWorld, furnish
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.meter import Meter
 from zensim.sim_server.pacing.short_turns import ask_for_short_turns
-from zensim.sim_server.physics.choosing import chosen_engine
-from zensim.sim_server.physics.engine import Engine, EngineConfig
+from zensim.sim_server.physics.engine import Engine
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.tiers.tiers import Tiers
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.descriptions import ReadElsewhere
@@ -198,5 +199,5 @@ def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine
         model.ground_friction,
         mesh_folder=mesh_folder,
     )
-    full = chosen_engine(asked, config.physics, period_steps=config.control_steps)
+    full = create_world_engine(asked, config.physics, period_steps=config.control_steps)
     return Tiers(full, asked, config.physics.dynamics)

@@ -12,8 +12,9 @@ from zensim.proto.rotation import to_yaw
 from zensim.robot_agent.driven_base import DrivenBase
 from zensim.robot_agent.odometry import Motion
 from zensim.robot_agent.reading import Reading
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 CONTROL_STEPS = 3
 

@@ -11,19 +11,14 @@ import numpy as np
 from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.rotation import multiply, to_yaw
-from zensim.sim_server.physics.actuation import actuation_of, imposed
+from zensim.sim_server.physics.actuation import impose_planar_twists, make_actuation
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.clusters.cells import CellsHere
 from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
-from zensim.sim_server.physics.engine import (
-    Engine,
-    EngineConfig,
-    EngineRefused,
-    FloatArray,
-    Reading,
-)
-from zensim.sim_server.physics.mujoco_engine import MujocoEngine
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.sleeping import Sleeping
+from zensim.sim_server.physics.engine import BodyStates, Engine, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
+from zensim.sim_server.physics.sleeping_engine import SleepingEngine
 from zensim.sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 4_166_667
@@ -72,7 +67,7 @@ class ObedientEngine:
     def forget_removed(self) -> None:
         pass
 
-    def overlapping(self, body: int) -> Sequence[int]:
+    def find_overlaps(self, body: int) -> Sequence[int]:
         place = self._bodies[body].base[:3]
         return [
             number
@@ -80,10 +75,10 @@ class ObedientEngine:
             if number != body and float(np.linalg.norm(other.base[:3] - place)) < TOUCHING_M
         ]
 
-    def read(self, bodies: Sequence[int]) -> Reading:
+    def read(self, bodies: Sequence[int]) -> BodyStates:
         found = [self._bodies[body] for body in bodies]
         none = np.zeros(0)
-        return Reading(
+        return BodyStates(
             np.array([body.base for body in found]).reshape(len(found), 13),
             np.concatenate([none, *(body.positions for body in found)]),
             np.concatenate([none, *(body.velocities for body in found)]),
@@ -146,12 +141,14 @@ class ObedientEngine:
 
 
 def _obey(body: _Body, targets: FloatArray) -> None:
-    plan = actuation_of(body.model)
+    plan = make_actuation(body.model)
     body.velocities[plan.speeds.joints] = targets[plan.speeds.places]
     body.positions[plan.angles.joints] = targets[plan.angles.places]
     if plan.twist is not None:
         twist = targets[plan.twist : plan.twist + 3]
-        rows = imposed(body.base[None, 7:], body.base[None, 3:7], np.zeros((1, 3)), twist[None])
+        rows = impose_planar_twists(
+            body.base[None, 7:], body.base[None, 3:7], np.zeros((1, 3)), twist[None]
+        )
         body.base[7:13] = rows[0]
 
 
@@ -207,7 +204,7 @@ class TiersOfAuto(Tiers):
         super().__init__(PyBulletEngine(config), config, "auto")
 
 
-class SleepingBullet(Sleeping):
+class SleepingBullet(SleepingEngine):
     """PyBullet, in which bodies sleep."""
 
     def __init__(self, config: EngineConfig) -> None:

@@ -151,13 +151,13 @@ class Topic(msgspec.Struct, frozen=True):
 class RosNode:
     """One node; closing it withdraws its endpoints, then itself."""
 
-    def __init__(self, graph: RosGraph, node: GraphNode, seat: GraphSession) -> None:
+    def __init__(self, graph: RosGraph, node: GraphNode, address: GraphSession) -> None:
         self.graph = graph
         self.domain = node.domain
         self._node = node
-        self._seat = seat
-        seat.nodes += 1
-        self._tokens = [seat.session.token(make_node_token(node))]
+        self._seat = address
+        address.nodes += 1
+        self._tokens = [address.session.token(make_node_token(node))]
 
     def data_key(self, topic: Topic) -> str:
         """Find the key of a topic's data in ROS 2's form."""

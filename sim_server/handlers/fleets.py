@@ -146,7 +146,7 @@ class _Together(_Fleet):
         if self._unread:
             return False
         try:
-            if not self._make_some() or not self._desk.world.is_settled:
+            if not self._make_some() or not self._desk.world.is_idle:
                 return False
             if not self._is_rehearsal:
                 let_in(self._desk, self._expected)

@@ -2,7 +2,7 @@
 
 from zensim.proto.messages import entity_messages
 from zensim.sim_server.desk import Desk
-from zensim.sim_server.physics.engine import Tiered
+from zensim.sim_server.physics.engine import SupportsTiers
 from zensim.sim_server.world.infos import checked
 
 
@@ -11,7 +11,7 @@ def get_info(
 ) -> entity_messages.GetEntityInfoReport:
     """Tell what an entity is."""
     entity, engine = desk.world.entity(request.entity), desk.world.engine
-    tier = engine.tier_of(entity.body) if isinstance(engine, Tiered) else "full"
+    tier = engine.tier_of(entity.body) if isinstance(engine, SupportsTiers) else "full"
     return entity_messages.GetEntityInfoReport(info=entity.info, dynamics=tier)
 
 

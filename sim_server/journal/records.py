@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.sim_server.journal.rows import AnswerRow, ClockRow, MotionRow, WorldRow
-from zensim.sim_server.physics.engine import Reading
+from zensim.sim_server.physics.engine import BodyStates
 from zensim.sim_server.reading.descriptions import Reading as TextReading
 from zensim.sim_server.world.entity import Entity
 
@@ -52,7 +52,7 @@ class Motion:
     steps: int
     names: tuple[str, ...]
     joint_counts: npt.NDArray[np.intp]
-    reading: Reading
+    reading: BodyStates
 
     def row(self) -> MotionRow:
         """Write it as its row."""

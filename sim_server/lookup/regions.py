@@ -22,7 +22,7 @@ from zensim.sim_server.geometry.solids import (
     reach_of,
     solids_at,
 )
-from zensim.sim_server.physics.engine import Reading
+from zensim.sim_server.physics.engine import BodyStates
 from zensim.sim_server.world.entity import Entity, Roster
 
 BoolArray = npt.NDArray[np.bool_]
@@ -112,7 +112,7 @@ class Sight:
     """Where all entities are at one step: arrays that stay as they are while the world goes on."""
 
     roster: Roster
-    reading: Reading
+    reading: BodyStates
     corners: Corners
 
     def links(self, model: Model, names: list[str]) -> dict[str, FloatArray]:

@@ -1,1 +1,1 @@
-"""Physics behind the Engine protocol."""
+"""Physics engines behind one protocol."""

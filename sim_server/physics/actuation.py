@@ -1,4 +1,4 @@
-"""What a model's targets do to a body: which number goes to which motor, or to the body itself."""
+"""Map the targets of a model to its motors or to the planar twist of its base."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from zensim.sim_server.physics.engine import FloatArray
 
 
 @dataclass(frozen=True)
-class Motors:
+class MotorGroup:
     """Motors of one mode, and where their numbers stand among those of the body."""
 
     joints: list[int]
@@ -34,12 +34,12 @@ class Actuation:
     """
 
     width: int
-    speeds: Motors
-    angles: Motors
+    speeds: MotorGroup
+    angles: MotorGroup
     twist: int | None
 
 
-def actuation_of(model: Model) -> Actuation:
+def make_actuation(model: Model) -> Actuation:
     """Plan where each target goes."""
     placed: list[tuple[int, Actuator]] = []
     width = 0
@@ -50,35 +50,35 @@ def actuation_of(model: Model) -> Actuation:
     twists = [place for place, actuator in placed if actuator.mode == "twist"]
     return Actuation(
         width,
-        _motors([one for one in placed if one[1].mode == "velocity"], index),
-        _motors([one for one in placed if one[1].mode == "position"], index),
+        _make_motor_group([one for one in placed if one[1].mode == "velocity"], index),
+        _make_motor_group([one for one in placed if one[1].mode == "position"], index),
         twists[0] if twists else None,
     )
 
 
-def _motors(placed: Iterable[tuple[int, Actuator]], index: dict[str, int]) -> Motors:
+def _make_motor_group(placed: Iterable[tuple[int, Actuator]], index: dict[str, int]) -> MotorGroup:
     chosen = list(placed)
-    return Motors(
+    return MotorGroup(
         [index[actuator.joint] for _, actuator in chosen],
         [actuator.effort for _, actuator in chosen],
         [place for place, _ in chosen],
     )
 
 
-def standing(model: Model, positions: FloatArray) -> FloatArray:
+def make_stop_targets(model: Model, positions: FloatArray) -> FloatArray:
     """Find the targets that stop a body: speeds are 0, and angles stay as they are.
 
     Args:
         model: Of the body.
         positions: Of its joints, in the order of `Model.joints`.
     """
-    plan = actuation_of(model)
+    plan = make_actuation(model)
     targets = np.zeros(plan.width)
     targets[plan.angles.places] = positions[plan.angles.joints]
     return targets
 
 
-def imposed(
+def impose_planar_twists(
     velocities: FloatArray, turns: FloatArray, arms: FloatArray, twists: FloatArray
 ) -> FloatArray:
     """Find the velocities of bodies that go as they are told in the plane, and else as they did.

@@ -1,4 +1,4 @@
-"""The Engine protocol: physics that speaks in arrays. Knows nothing of names, time or network."""
+"""The Engine protocol and its optional capabilities: array-based physics without names, time or network."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,19 +28,7 @@ class EngineRefused(SimError):
 
 
 @dataclass(frozen=True)
-class EngineConfig:
-    """What a world asks of its physics."""
-
-    step_ns: int
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    has_ground: bool = True
-    ground_friction: float = 1.0
-    mesh_folder: str = ""
-    """Where `<Shape.mesh>.stl` is."""
-
-
-@dataclass(frozen=True)
-class Reading:
+class BodyStates:
     """State of some bodies, in the order asked for.
 
     Attributes:
@@ -81,10 +69,10 @@ class Engine(Protocol):
     def forget_removed(self) -> None:
         """Keep nothing of what was taken out: bodies made from now on repeat a fresh run's bits."""
 
-    def overlapping(self, body: int) -> Sequence[int]:
+    def find_overlaps(self, body: int) -> Sequence[int]:
         """Name the other bodies that a body reaches into; the ground is none."""
 
-    def read(self, bodies: Sequence[int]) -> Reading:
+    def read(self, bodies: Sequence[int]) -> BodyStates:
         """Read bodies back."""
 
     def place(self, body: int, base: FloatArray) -> None:
@@ -140,7 +128,7 @@ class Engine(Protocol):
 
 
 @runtime_checkable
-class Tiered(Protocol):
+class SupportsTiers(Protocol):
     """An engine in which bodies may move by other means than forces and contacts."""
 
     @property
@@ -152,60 +140,60 @@ class Tiered(Protocol):
 
 
 @runtime_checkable
-class Concealing(Protocol):
+class SupportsHiding(Protocol):
     """An engine that can keep bodies out of the world until others are made too."""
 
-    def conceal(self, body: int) -> None:
+    def hide(self, body: int) -> None:
         """Let a body that was just added neither move nor touch anything."""
 
-    def reveal(self, bodies: Sequence[int]) -> None:
+    def show(self, bodies: Sequence[int]) -> None:
         """Let concealed bodies take part from the next step on."""
 
 
 @runtime_checkable
-class Dozing(Protocol):
+class SupportsSleep(Protocol):
     """An engine in which bodies can sleep: they stay where they are, and cost next to nothing."""
 
-    def doze(self, bodies: Sequence[int]) -> None:
+    def sleep(self, bodies: Sequence[int]) -> None:
         """Let bodies sleep that hardly move; what awake ones do to them is the caller's care."""
 
-    def rouse(self, bodies: Sequence[int]) -> None:
+    def wake(self, bodies: Sequence[int]) -> None:
         """Wake bodies at rest: they move from the step after the next on."""
 
-    def touching(self, body: int) -> Sequence[int]:
+    def find_contacts(self, body: int) -> Sequence[int]:
         """Name the other bodies that a body touched in the last step; the ground is none."""
 
 
 @runtime_checkable
-class Patient(Protocol):
+class SupportsAsync(Protocol):
     """An engine that other processes work for, and that need not wait for them."""
 
-    def trust(self, model: Model) -> None:
+    def skip_validation(self, model: Model) -> None:
         """Note that an engine alike has taken a model, so that adding it need not be waited for."""
 
-    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
-        """Begin to find what `overlapping` names; what is returned waits for it."""
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
+        """Begin to find what `find_overlaps` names; what is returned waits for it."""
 
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether nothing that was begun is still under way; asked at every turn of the loop."""
 
 
-def concealing(engine: Engine) -> Concealing | None:
+def as_hiding(engine: Engine) -> SupportsHiding | None:
     """Take an engine as one that conceals, if it does."""
-    return cast("Concealing", engine) if _conceals(type(engine)) else None
+    return cast("SupportsHiding", engine) if _supports_hiding(type(engine)) else None
 
 
-def patient(engine: Engine) -> Patient | None:
+def as_async(engine: Engine) -> SupportsAsync | None:
     """Take an engine as one that need not wait, if it is."""
-    return cast("Patient", engine) if _is_patient(type(engine)) else None
+    return cast("SupportsAsync", engine) if _supports_async(type(engine)) else None
 
 
 @cache
-def _is_patient(kind: type) -> bool:
-    return issubclass(kind, Patient)
+def _supports_async(kind: type) -> bool:
+    return issubclass(kind, SupportsAsync)
 
 
 @cache
-def _conceals(kind: type) -> bool:
+def _supports_hiding(kind: type) -> bool:
     # Asked of an object, a protocol looks all its methods up: 65 us for each body of a fleet.
-    return issubclass(kind, Concealing)
+    return issubclass(kind, SupportsHiding)

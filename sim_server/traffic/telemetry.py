@@ -8,7 +8,7 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
 from zensim.proto.messages.telemetry_messages import Stats, WorldClock
 from zensim.sim_server.desk import Desk
-from zensim.sim_server.physics.engine import Tiered
+from zensim.sim_server.physics.engine import SupportsTiers
 from zensim.sim_server.traffic.gazebo_states import link_states, model_states
 
 CLOCK_HZ = 100
@@ -105,7 +105,7 @@ class Telemetry:
             target_real_time_factor=self._desk.target_real_time_factor,
             awaited=self._desk.lockstep.awaited,
             misses=self._desk.lockstep.misses,
-            kinematic=engine.kinematic_count if isinstance(engine, Tiered) else 0,
+            kinematic=engine.kinematic_count if isinstance(engine, SupportsTiers) else 0,
             busy_max_s=meter.busy_max_s,
         )
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from zensim.proto.messages.agent_messages import DriveState, OnRelease
 from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.physics.engine import FloatArray, Reading
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
 
 IntArray = npt.NDArray[np.intp]
 
@@ -79,7 +79,7 @@ class Fleet:
     bodies: tuple[int, ...]
     target_count: int
 
-    def told(self, epoch: int, step: int, time_ns: int, reading: Reading) -> DriveState:
+    def told(self, epoch: int, step: int, time_ns: int, reading: BodyStates) -> DriveState:
         """Tell its agent where all are."""
         return DriveState(
             *(epoch, step, time_ns, self.claims),

@@ -13,7 +13,7 @@ import numpy as np
 from zensim.proto.messages.model_messages import Joint, Model, Origin
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.geometry.kinematics import joint_motion, placed, row_of
-from zensim.sim_server.physics.engine import FloatArray, Reading
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
 from zensim.sim_server.world.entity import Entity, Roster
 
 FARTHEST_M = 1e6
@@ -48,7 +48,7 @@ class Watch:
         self._struck_ns: dict[str, int] = {}
         self._newcomers: set[str] = set()
         self._roster: Roster | None = None
-        self._reading: Reading | None = None
+        self._reading: BodyStates | None = None
 
     def is_frozen(self, name: str) -> bool:
         """Whether an entity is frozen."""
@@ -63,7 +63,7 @@ class Watch:
         if self.is_frozen(name):
             raise IncorrectState(f"entity '{name}' is {FROZEN}")
 
-    def bad(self, roster: Roster, reading: Reading) -> list[str]:
+    def bad(self, roster: Roster, reading: BodyStates) -> list[str]:
         """Name the entities that have gone bad, but for those that are frozen already."""
         if is_good(reading):
             return []
@@ -119,7 +119,7 @@ class Watch:
         self._struck_ns.clear()
         self._roster = self._reading = None
 
-    def remember(self, roster: Roster, reading: Reading) -> Reading:
+    def remember(self, roster: Roster, reading: BodyStates) -> BodyStates:
         """Keep a good reading; return it with the joints of frozen entities as they froze."""
         for name, stand in self._frozen.items():
             reading.joint_positions[roster.joints_of(name)] = stand.positions
@@ -143,7 +143,7 @@ class Watch:
         return float(np.abs(np.concatenate([base[7:], velocities])).max())
 
 
-def is_good(reading: Reading) -> bool:
+def is_good(reading: BodyStates) -> bool:
     """Whether nothing has gone bad, as a rule told at a glance; if not, it may still be so."""
     # A sum is finite only if all are: one pass over each array then tells all.
     sums = reading.base.sum() + reading.joint_positions.sum() + reading.joint_velocities.sum()

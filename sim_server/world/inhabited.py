@@ -6,7 +6,7 @@ from dataclasses import replace
 from zensim.proto.messages.entity_messages import EntityInfo
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.errors import EntityNotFound
-from zensim.sim_server.physics.engine import Engine, concealing, patient
+from zensim.sim_server.physics.engine import Engine, as_async, as_hiding
 from zensim.sim_server.world.birth import Birth
 from zensim.sim_server.world.chronicle import Chronicle
 from zensim.sim_server.world.entity import Entity, Roster, info_of, roster_of
@@ -73,19 +73,19 @@ class Inhabited(Chronicle):
 
         Returns:
             The entity, and what says the names of those that it overlaps: it may wait for them
-            unless `is_settled`, and is to be asked before anybody goes.
+            unless `is_idle`, and is to be asked before anybody goes.
         """
         entity = self._make(birth)
         self._expected[entity.name] = entity
         overlapped = self._overlapped_soon(entity)
-        if hiding := concealing(self._engine):
-            hiding.conceal(entity.body)
+        if hiding := as_hiding(self._engine):
+            hiding.hide(entity.body)
         return entity, overlapped
 
     @property
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether the engine has done all that it was told; asked at every turn of the loop."""
-        return (engine := patient(self._engine)) is None or engine.is_settled()
+        return (engine := as_async(self._engine)) is None or engine.is_idle()
 
     def expects(self, entity: Entity) -> bool:
         """Whether an entity is still expected: a reset or another world ends it."""
@@ -93,8 +93,8 @@ class Inhabited(Chronicle):
 
     def let_in(self, entities: Sequence[Entity]) -> None:
         """Let what is expected be there, all at once."""
-        if hiding := concealing(self._engine):
-            hiding.reveal([entity.body for entity in entities])
+        if hiding := as_hiding(self._engine):
+            hiding.show([entity.body for entity in entities])
         for entity in entities:
             self._let_in(self._expected.pop(entity.name))
 
@@ -134,19 +134,19 @@ class Inhabited(Chronicle):
         self.names_for(birth)
         body = self._engine.add(birth.model, birth.base)
         try:
-            return self._names.of_bodies(self._engine.overlapping(body))
+            return self._names.of_bodies(self._engine.find_overlaps(body))
         finally:
             self._engine.remove(body)
 
     def overlapped(self, entity: Entity) -> list[str]:
         """Name the entities that an entity overlaps."""
-        return self._names.of_bodies(self._engine.overlapping(entity.body))
+        return self._names.of_bodies(self._engine.find_overlaps(entity.body))
 
     def _overlapped_soon(self, entity: Entity) -> Callable[[], list[str]]:
-        if (engine := patient(self._engine)) is None:
+        if (engine := as_async(self._engine)) is None:
             names = self.overlapped(entity)
             return lambda: names
-        soon = engine.overlapping_soon(entity.body)
+        soon = engine.find_overlaps_async(entity.body)
         return lambda: self._names.of_bodies(soon())
 
     def roster(self) -> Roster:

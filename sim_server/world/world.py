@@ -10,8 +10,8 @@ from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Snapshot
-from zensim.sim_server.physics.actuation import standing
-from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
+from zensim.sim_server.physics.actuation import make_stop_targets
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 from zensim.sim_server.world.claims import Claims
 from zensim.sim_server.world.entity import Entity, Fleet
 from zensim.sim_server.world.frozen import FROZEN, SET_BACK, Stand, Watch, is_good, still
@@ -35,7 +35,7 @@ class World(Inhabited):
         self._noted: dict[str, int] = {}
         self.claims = Claims()
         self.pushes = Pushes()
-        self._reading: Reading | None = None
+        self._reading: BodyStates | None = None
         self._read_at = 0
         """The step that the reading is of."""
         self.watch = Watch()
@@ -151,7 +151,7 @@ class World(Inhabited):
         positions = self._engine.read(bodies).joint_positions
         ends = np.cumsum([len(entity.model.joints) for entity in entities])
         parts = zip(entities, np.split(positions, ends[:-1]), strict=True)
-        targets = [standing(entity.model, part) for entity, part in parts]
+        targets = [make_stop_targets(entity.model, part) for entity, part in parts]
         self._engine.command(bodies, np.concatenate(targets))
 
     def command(self, agent: str, command: DriveCommand) -> bool:
@@ -205,7 +205,7 @@ class World(Inhabited):
         self._reading = None
         self._tell("reset", message=f"scope={scope}")
 
-    def reading(self) -> Reading:
+    def reading(self) -> BodyStates:
         """Read every entity back, once a step at most; those that have gone bad are mended."""
         if self._reading is None or not self._is_read:
             reading = self._engine.read(self.roster().bodies)

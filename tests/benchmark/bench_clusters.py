@@ -16,9 +16,9 @@ import numpy as np
 from tests.benchmark.figures import Asked, Figure, table
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.choice import Clustering, EngineChoice
-from zensim.sim_server.physics.choosing import chosen_engine
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine_config import Clustering, EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_factory import create_world_engine
 
 __all__ = ["rows", "table"]
 
@@ -48,9 +48,9 @@ class Fleet:
     """An engine and the robots in it."""
 
     def __init__(self, robots: int, clusters: Clustering, workers: int) -> None:
-        choice = EngineChoice(engine="pybullet", clusters=clusters, workers=workers)
+        choice = EngineOptions(engine="pybullet", clusters=clusters, workers=workers)
         config = EngineConfig(round(1e9 / STEP_HZ))
-        self.engine = chosen_engine(config, choice, period_steps=1)
+        self.engine = create_world_engine(config, choice, period_steps=1)
         self.draws = np.random.default_rng(1)
         self.steps = 0
         model, side = read_urdf(read_builtin_model("box_bot")), int(np.ceil(np.sqrt(robots)))

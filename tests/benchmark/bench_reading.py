@@ -22,8 +22,8 @@ from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.urdf import urdf_parser
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.engine import EngineConfig
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 if TYPE_CHECKING:
     from zensim.sim_server.description.meshes.mesh_conversion import MeshFiles

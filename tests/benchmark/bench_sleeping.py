@@ -17,10 +17,10 @@ from tests.benchmark.figures import Asked, Figure, table
 from tests.benchmark.fleet import SPACING_M
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.choice import EngineChoice
-from zensim.sim_server.physics.choosing import chosen_engine
-from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
+from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.spawner.placement import fleet_places
 
 __all__ = ["rows", "table"]
@@ -75,8 +75,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 def _of(robots: int, *, is_short: bool) -> Iterator[Figure]:
     drive, stand = np.tile(WHEEL_SPEEDS, robots), np.zeros(2 * robots)
     half = np.where(np.arange(2 * robots) < robots, drive, stand)
-    choice = EngineChoice(engine="pybullet", workers=0)
-    fleet = Fleet(chosen_engine(CONFIG, choice, period_steps=2), robots)
+    choice = EngineOptions(engine="pybullet", workers=0)
+    fleet = Fleet(create_world_engine(CONFIG, choice, period_steps=2), robots)
     try:
         driving = fleet.turns(drive, 20, is_short=is_short)
         standing = fleet.turns(stand, DOZE_STEPS, is_short=is_short)

@@ -29,7 +29,7 @@ from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.messages.telemetry_messages import Stats
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.spawner.client import SimClient
 from zensim.spawner.launch import read_description, resource_for
 

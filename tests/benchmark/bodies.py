@@ -6,8 +6,9 @@ from tests.benchmark.fleet import SPACING_M
 from zensim.sim_server.config import ServerConfig, server_bus
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 CONFIG = ServerConfig(bus=server_bus("", ""))
 """As a server that is told nothing."""

@@ -16,9 +16,9 @@ from tests.benchmark.fleet import SPACING_M
 from tests.sim_server.physics.bullet import client_of
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.engine import EngineConfig
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.solving import SOLVER_ITERATIONS
+from zensim.sim_server.physics.bullet.bullet_contact import SOLVER_ITERATIONS
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.spawner.placement import fleet_places
 
 FEW_ITERATIONS = 10

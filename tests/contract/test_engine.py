@@ -19,7 +19,8 @@ from tests.models import (
     on_ground,
 )
 from zensim.proto.messages.model_messages import JointKind, Model
-from zensim.sim_server.physics.engine import Engine, EngineConfig, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 FLOATING = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
 every_engine = pytest.mark.parametrize("make", ENGINES, ids=lambda make: make.name)
@@ -259,16 +260,16 @@ def test_engine_names_the_bodies_that_a_body_reaches_into(engine: Engine) -> Non
         for place in ((0.0, 0.0, 0.1), (0.05, 0.0, 0.1), (5.0, 0.0, 0.1))
     )
 
-    assert list(engine.overlapping(first)) == [second]
-    assert list(engine.overlapping(second)) == [first]
-    assert list(engine.overlapping(far)) == []
+    assert list(engine.find_overlaps(first)) == [second]
+    assert list(engine.find_overlaps(second)) == [first]
+    assert list(engine.find_overlaps(far)) == []
 
 
 def test_engine_overlaps_nothing_when_it_stands_on_the_ground(engine: Engine) -> None:
     body = engine.add(a_cart(), on_ground())
     advance(engine, 10)
 
-    assert list(engine.overlapping(body)) == []
+    assert list(engine.find_overlaps(body)) == []
 
 
 def test_engine_overlaps_nobody_who_was_removed_or_moved_away(engine: Engine) -> None:
@@ -278,7 +279,7 @@ def test_engine_overlaps_nobody_who_was_removed_or_moved_away(engine: Engine) ->
     engine.place(moved, a_state((3.0, 0.0, 0.1)))
     engine.step()
 
-    assert list(engine.overlapping(body)) == []
+    assert list(engine.find_overlaps(body)) == []
 
 
 def a_drive_about(
@@ -298,7 +299,7 @@ def a_drive_about(
             engine.step()
             if is_asked_often:
                 engine.read(bodies)
-                engine.overlapping(bodies[0])
+                engine.find_overlaps(bodies[0])
         if visitor is not None:
             engine.remove(visitor)
         advance(engine, 200)

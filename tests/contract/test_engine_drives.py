@@ -8,7 +8,7 @@ import pytest
 
 from tests.engines import ENGINES, advance, running
 from tests.models import a_box, a_cart, a_fork, a_puck, a_state, on_ground
-from zensim.sim_server.physics.actuation import standing
+from zensim.sim_server.physics.actuation import make_stop_targets
 from zensim.sim_server.physics.engine import Engine, FloatArray
 
 STEPS_OF_1_S = 240
@@ -44,7 +44,7 @@ def test_engine_keeps_the_angle_of_a_joint_when_it_is_stopped(engine: Engine) ->
     engine.command([body], STEER_TARGETS)
     advance(engine, STEPS_OF_1_S)
 
-    engine.command([body], standing(model, engine.read([body]).joint_positions))
+    engine.command([body], make_stop_targets(model, engine.read([body]).joint_positions))
     advance(engine, STEPS_OF_1_S)
 
     reading = engine.read([body])

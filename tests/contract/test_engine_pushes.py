@@ -7,7 +7,8 @@ import pytest
 
 from tests.engines import ENGINES, STEP_NS, advance, running
 from tests.models import a_box, a_state, an_arm
-from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 FLOATING = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
 DT_S = STEP_NS * 1e-9

@@ -7,7 +7,8 @@ import pytest
 
 from tests.engines import PHYSICAL, STEP_NS, MakeEngine, advance
 from tests.models import a_box_bot, box_bot_at
-from zensim.sim_server.physics.engine import Engine, EngineConfig
+from zensim.sim_server.physics.engine import Engine
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 ROBOTS, STEPS, PERIOD = 6, 480, 24
 SPACING_M = 0.11

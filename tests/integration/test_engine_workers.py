@@ -9,9 +9,9 @@ import pytest
 
 from tests.integration.processes import END_S, Server, driven, eventually, serving
 from tests.integration.robots import robot
-from zensim.sim_server.physics.choosing import MOST
+from zensim.sim_server.physics.engine_factory import MAX_CELL_BODIES
 
-FLEET = MOST["pybullet"] + 6
+FLEET = MAX_CELL_BODIES["pybullet"] + 6
 
 
 @pytest.fixture
@@ -28,7 +28,7 @@ def workers_of(server: Server) -> list[psutil.Process]:
     return [
         child
         for child in psutil.Process(server.process.pid).children()
-        if "zensim.sim_server.physics.working" in child.cmdline()
+        if "zensim.sim_server.physics.cell_worker" in child.cmdline()
     ]
 
 

@@ -10,8 +10,8 @@ from tests.sim_server.physics.bullet import client_of
 from zensim.proto.messages.model_messages import Frame, Joint, Link, Model, Origin
 from zensim.robot_agent.kinematics import Chain
 from zensim.robot_agent.reading import Reading
-from zensim.sim_server.physics.engine import EngineConfig
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 TILTED = Origin((0.3, -0.1, 0.2), (0.5, 0.5, -0.5, 0.5))
 CRANE = Model(

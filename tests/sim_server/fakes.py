@@ -22,7 +22,8 @@ from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.loading.founding import founding
 from zensim.sim_server.pacing.meter import Meter
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.descriptions import Reading
 from zensim.sim_server.reading.messages import ReadRequest, TextRead

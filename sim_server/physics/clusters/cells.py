@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, Protocol
 
-from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 
 
 class Asked(NamedTuple):
@@ -37,7 +37,7 @@ class Cells(Protocol):
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """Advance cells by some steps each; say whether all is well in all of them."""
 
-    def read(self, asked: Sequence[Asked]) -> list[Reading]:
+    def read(self, asked: Sequence[Asked]) -> list[BodyStates]:
         """Read bodies of many cells back."""
 
     def command(self, told: Sequence[Told]) -> None:
@@ -72,7 +72,7 @@ class CellsHere:
         is_well = _advance(left, steps)
         return all([is_well, *(other.result() for other in others)])
 
-    def read(self, asked: Sequence[Asked]) -> list[Reading]:
+    def read(self, asked: Sequence[Asked]) -> list[BodyStates]:
         """See `Cells.read`."""
         return [cell.read(bodies) for cell, bodies in asked]
 

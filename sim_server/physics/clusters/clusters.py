@@ -19,7 +19,8 @@ from zensim.sim_server.physics.clusters.members import EVERYWHERE
 from zensim.sim_server.physics.clusters.parting import MARGIN_M, SPARE_MPS, Parting, part
 from zensim.sim_server.physics.clusters.reach import Measure
 from zensim.sim_server.physics.clusters.routes import Lineup, Route, joined, lineup_of, route_of
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray, Reading
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 PERIODS = (4, 2, 1)
 """How many periods to the next look: the first for which no group is too large for a cell."""
@@ -73,7 +74,7 @@ class Clusters:
         self._pushes: list[Push] = []
         self._lineup: tuple[int, Lineup] | None = None
         self._routes: dict[int, tuple[Sequence[int], int, Route]] = {}
-        self._now: Reading | None = None
+        self._now: BodyStates | None = None
         self._steps = self._looked_at = self._next_look = self._alarm_until = 0
         self._is_due = self._was_due = self._is_bad = self._is_news = False
 
@@ -93,18 +94,18 @@ class Clusters:
         self._note_place(number, base)
         return number
 
-    def trust(self, model: Model) -> None:
+    def skip_validation(self, model: Model) -> None:
         """See `Patient.trust`; here cells trust each other."""
 
-    def conceal(self, body: int) -> None:
+    def hide(self, body: int) -> None:
         """See `Concealing.conceal`; who takes no part is looked at by nobody."""
-        self._homes.conceal(body)
+        self._homes.hide(body)
         if body in self._members.concealed:
             self._is_due = self._was_due
 
-    def reveal(self, bodies: Sequence[int]) -> None:
+    def show(self, bodies: Sequence[int]) -> None:
         """See `Concealing.reveal`."""
-        self._homes.reveal(bodies)
+        self._homes.show(bodies)
         self._now, self._is_due = None, True
 
     def remove(self, body: int) -> None:
@@ -119,21 +120,21 @@ class Clusters:
         self._steps = self._looked_at = self._next_look = self._alarm_until = 0
         self._is_due = True
 
-    def overlapping(self, body: int) -> Sequence[int]:
+    def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
-        return self.overlapping_soon(body)()
+        return self.find_overlaps_async(body)()
 
-    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`."""
         if not self._homes.is_one and self._may_touch_others(body):
             self._look()
-        return self._homes.overlapping_soon(body)
+        return self._homes.find_overlaps_async(body)
 
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """See `Patient.is_settled`."""
-        return self._homes.is_settled()
+        return self._homes.is_idle()
 
-    def read(self, bodies: Sequence[int]) -> Reading:
+    def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
         if not self._members.concealed.isdisjoint(bodies):
             return self._homes.read_apart(bodies)
@@ -254,7 +255,7 @@ class Clusters:
             self._routes[id(bodies)] = (bodies, version, route)
         return route
 
-    def _reading(self) -> Reading:
+    def _reading(self) -> BodyStates:
         """Read all that moves, once a step at most."""
         if self._now is None:
             lineup, engines = self._lined_up(), self._homes.engines
@@ -290,7 +291,7 @@ class Clusters:
         if (beyond > MARGIN_M / 2.0).any():
             self._alarm_until = self._steps + round(ALARM_S / self._dt_s)
 
-    def _part(self, lineup: Lineup, now: Reading) -> Parting:
+    def _part(self, lineup: Lineup, now: BodyStates) -> Parting:
         members, numbers = self._members, lineup.numbers
         radii = members.radius[numbers] = self._radii(lineup, now)
         velocity = now.base[:, 7:]
@@ -310,7 +311,7 @@ class Clusters:
                 break
         return found
 
-    def _radii(self, lineup: Lineup, now: Reading) -> FloatArray:
+    def _radii(self, lineup: Lineup, now: BodyStates) -> FloatArray:
         """Find how far each body reaches, with what slides where it is and will be."""
         radii = self._members.rigid_m[lineup.numbers]
         rows, joints = lineup.slides

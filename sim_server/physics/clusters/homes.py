@@ -12,12 +12,12 @@ from zensim.sim_server.physics.clusters.members import EVERYWHERE, Members
 from zensim.sim_server.physics.clusters.reach import Reach, moves
 from zensim.sim_server.physics.clusters.routes import Lineup
 from zensim.sim_server.physics.engine import (
-    Concealing,
+    BodyStates,
     Engine,
     FloatArray,
-    Reading,
-    concealing,
-    patient,
+    SupportsHiding,
+    as_async,
+    as_hiding,
 )
 
 READY_AT = 0.8
@@ -49,7 +49,7 @@ class Homes:
         """See `Engine.prepare`; who trusts others that took the model is not waited for."""
         is_taken = model is self._taken
         return all(
-            (is_taken and patient(engine) is not None) or engine.prepare(model)
+            (is_taken and as_async(engine) is not None) or engine.prepare(model)
             for engine in self.engines.values()
         )
 
@@ -74,28 +74,28 @@ class Homes:
             engine.remove(inner)
         self.members.dismiss(body)
 
-    def conceal(self, body: int) -> None:
+    def hide(self, body: int) -> None:
         """Let a body wait; one whose engine cannot do that stands where it will be."""
         for engine, inner in self.of(body):
-            if (hiding := concealing(engine)) is not None:
-                hiding.conceal(inner)
+            if (hiding := as_hiding(engine)) is not None:
+                hiding.hide(inner)
                 self.members.show(body, is_concealed=True)
 
-    def reveal(self, bodies: Iterable[int]) -> None:
+    def show(self, bodies: Iterable[int]) -> None:
         """Let bodies that wait take part."""
-        homes: dict[int, tuple[Concealing, list[int]]] = {}
+        homes: dict[int, tuple[SupportsHiding, list[int]]] = {}
         for body in bodies:
             for engine, inner in self.of(body) if body in self.members.concealed else ():
-                if (waiting := concealing(engine)) is not None:
+                if (waiting := as_hiding(engine)) is not None:
                     homes.setdefault(id(engine), (waiting, []))[1].append(inner)
             self.members.show(body, is_concealed=False)
         for waiting, inners in homes.values():
-            waiting.reveal(inners)
+            waiting.show(inners)
 
-    def read_apart(self, bodies: Iterable[int]) -> Reading:
+    def read_apart(self, bodies: Iterable[int]) -> BodyStates:
         """Read bodies one by one: also those that are in no lineup."""
         each = [engine.read([inner]) for engine, inner in (self.of(body)[0] for body in bodies)]
-        return Reading(
+        return BodyStates(
             np.concatenate([one.base for one in each]),
             np.concatenate([one.joint_positions for one in each]),
             np.concatenate([one.joint_velocities for one in each]),
@@ -124,30 +124,30 @@ class Homes:
                 member.copies[cell] = made.add(member.model, member.base)
         return made
 
-    def overlapping(self, body: int) -> list[int]:
+    def find_overlaps(self, body: int) -> list[int]:
         """Name the other bodies that a body reaches into, in the cells where it is."""
         members = self.members
         homes = members.by_number[body].copies or {int(members.cell[body]): members.inner[body]}
         found: set[int] = set()
         for cell, inner in homes.items():
-            found.update(self._numbers(cell, set(self.engines[cell].overlapping(int(inner)))))
+            found.update(self._numbers(cell, set(self.engines[cell].find_overlaps(int(inner)))))
         return sorted(found)
 
-    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`."""
         cell, inner = int(self.members.cell[body]), int(self.members.inner[body])
-        if cell < 0 or (engine := patient(self.engines[cell])) is None:
-            found = self.overlapping(body)
+        if cell < 0 or (engine := as_async(self.engines[cell])) is None:
+            found = self.find_overlaps(body)
             return lambda: found
-        soon = engine.overlapping_soon(inner)
+        soon = engine.find_overlaps_async(inner)
         return lambda: sorted(self._numbers(cell, set(soon())))
 
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """See `Patient.is_settled`."""
-        waiting = [patient(engine) for engine in self.engines.values()]
-        return all(engine is None or engine.is_settled() for engine in waiting)
+        waiting = [as_async(engine) for engine in self.engines.values()]
+        return all(engine is None or engine.is_idle() for engine in waiting)
 
-    def move(self, lineup: Lineup, now: Reading, cells: IntArray) -> bool:
+    def move(self, lineup: Lineup, now: BodyStates, cells: IntArray) -> bool:
         """Move bodies that are to be in other cells, as they are now.
 
         Args:
@@ -192,8 +192,8 @@ class Homes:
     def _trusting(self, cell: int, model: Model) -> Engine:
         """Find the engine of a cell; it knows whether others have taken a model."""
         engine = self.engine(cell)
-        if model is self._taken and (trusting := patient(engine)) is not None:
-            trusting.trust(model)
+        if model is self._taken and (trusting := as_async(engine)) is not None:
+            trusting.skip_validation(model)
         return engine
 
     def _cell_near(self, base: FloatArray) -> int:

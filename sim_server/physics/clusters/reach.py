@@ -10,7 +10,7 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Link, Model, Shape, Vec3
 from zensim.proto.stl import read_corners
-from zensim.sim_server.physics.actuation import actuation_of
+from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import FloatArray
 
 BEYOND = 1e-3
@@ -62,7 +62,7 @@ def moves(model: Model) -> bool:
 
 
 def _levers(model: Model, own: list[float]) -> FloatArray:
-    plan = actuation_of(model)
+    plan = make_actuation(model)
     levers = np.zeros(plan.width)
     for joint, place in zip(plan.speeds.joints, plan.speeds.places, strict=True):
         levers[place] = own[joint + 1]

@@ -7,7 +7,7 @@ import numpy as np
 
 from zensim.sim_server.physics.clusters.discs import IntArray
 from zensim.sim_server.physics.clusters.members import Members
-from zensim.sim_server.physics.engine import FloatArray, Reading
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
 
 
 @dataclass(frozen=True)
@@ -100,14 +100,14 @@ class Route:
     driven: IntArray
     alone: tuple[int, ...]
 
-    def cut(self, now: Reading) -> Reading:
+    def cut(self, now: BodyStates) -> BodyStates:
         """Cut the answer out of a reading of the lineup."""
         base = self.base.copy()
         base[self.into] = now.base[self.rows]
         positions, velocities = np.zeros(self.joint_count), np.zeros(self.joint_count)
         positions[self.joints_into] = now.joint_positions[self.joints]
         velocities[self.joints_into] = now.joint_velocities[self.joints]
-        return Reading(base, positions, velocities)
+        return BodyStates(base, positions, velocities)
 
 
 def route_of(bodies: Sequence[int], members: Members, lineup: Lineup) -> Route:
@@ -145,11 +145,11 @@ def _ranges(starts: IntArray, counts: IntArray) -> IntArray:
     return (np.arange(int(counts.sum())) - before + np.repeat(starts, counts)).astype(np.intp)
 
 
-def joined(readings: Sequence[Reading]) -> Reading:
+def joined(readings: Sequence[BodyStates]) -> BodyStates:
     """Chain what was read of cells."""
     if len(readings) == 1:
         return readings[0]
-    return Reading(
+    return BodyStates(
         np.concatenate([np.zeros((0, 13)), *(reading.base for reading in readings)]),
         np.concatenate([np.zeros(0), *(reading.joint_positions for reading in readings)]),
         np.concatenate([np.zeros(0), *(reading.joint_velocities for reading in readings)]),

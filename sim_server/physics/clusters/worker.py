@@ -17,13 +17,13 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.clusters.sharing import new_board
-from zensim.sim_server.physics.engine import EngineRefused, FloatArray, Reading
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
 
 Kind = TypeVar("Kind")
 CellTold = tuple[int, tuple[Sequence[int], int]]
 """A cell by number, its bodies, and how many targets they have together."""
 
-MODULE = "zensim.sim_server.physics.working"
+MODULE = "zensim.sim_server.physics.cell_worker"
 MOST_HELD = 32
 """Orders that are held back to be sent together, unless something is asked before."""
 
@@ -124,7 +124,7 @@ class Worker:
         self.tell_soon(what, *given)
         return promise
 
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """Whether all that it was told is sent, and all that it was asked is answered."""
         self._send_if_it_listens()
         return not (self._held or self._owed)
@@ -165,13 +165,13 @@ class Worker:
         self._targets.write([targets])
         self.tell("command", told)
 
-    def readings(self) -> list[Reading]:
+    def readings(self) -> list[BodyStates]:
         """Wait for what was asked to be read, cell by cell."""
         counts = self.answer(list)
         sizes = [size for rows, joints in counts for size in (13 * rows, joints, joints)]
         found = self._states.read(sizes)
         return [
-            Reading(base.reshape(-1, 13), positions, velocities)
+            BodyStates(base.reshape(-1, 13), positions, velocities)
             for base, positions, velocities in zip(
                 found[0::3], found[1::3], found[2::3], strict=True
             )
@@ -235,7 +235,7 @@ class RemoteCell:
         self.worker.tell_model(model)
         return self.worker.ask(bool, "prepare", self.cell)
 
-    def trust(self, model: Model) -> None:
+    def skip_validation(self, model: Model) -> None:
         """See `Patient.trust`; files of meshes may be gone by the time that they are read here."""
         if model is not self._taken and not _has_meshes(model):
             self._taken = model
@@ -255,11 +255,11 @@ class RemoteCell:
         """See `Engine.remove`."""
         self.worker.tell_soon("remove", self.cell, body)
 
-    def conceal(self, body: int) -> None:
+    def hide(self, body: int) -> None:
         """See `Concealing.conceal`; a worker's engine that cannot lets the body be."""
         self.worker.tell_soon("conceal", self.cell, body)
 
-    def reveal(self, bodies: Sequence[int]) -> None:
+    def show(self, bodies: Sequence[int]) -> None:
         """See `Concealing.reveal`."""
         self.worker.tell_soon("reveal", self.cell, bodies)
 
@@ -267,19 +267,19 @@ class RemoteCell:
         """See `Engine.forget_removed`."""
         self.worker.tell_soon("forget_removed", self.cell)
 
-    def overlapping(self, body: int) -> Sequence[int]:
+    def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
         return self.worker.ask(list, "overlapping", self.cell, body)
 
-    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`."""
         return self.worker.ask_soon(list, "overlapping", self.cell, body).outcome
 
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """See `Patient.is_settled`."""
-        return self.worker.is_settled()
+        return self.worker.is_idle()
 
-    def read(self, bodies: Sequence[int]) -> Reading:
+    def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
         self.worker.tell("read", ((self.cell, bodies),))
         return self.worker.readings()[0]

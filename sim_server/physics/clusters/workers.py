@@ -8,7 +8,7 @@ import numpy as np
 
 from zensim.sim_server.physics.clusters.cells import Asked, CellsHere, Told
 from zensim.sim_server.physics.clusters.worker import RemoteCell, Worker
-from zensim.sim_server.physics.engine import Engine, Reading
+from zensim.sim_server.physics.engine import BodyStates, Engine
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class CellsOfWorkers:
         is_well = self._here.step([cells[place] for place in own], steps)
         return all([is_well, *(worker.answer(bool) for worker, _ in shares)])
 
-    def read(self, asked: Sequence[Asked]) -> list[Reading]:
+    def read(self, asked: Sequence[Asked]) -> list[BodyStates]:
         """See `Cells.read`."""
         own, shares = self._shared([cell for cell, _ in asked])
         for worker, share in shares:

@@ -16,7 +16,7 @@ from zensim.sim_server.physics.tiers.surroundings import Surroundings
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
-    from zensim.sim_server.physics.engine import Engine, FloatArray, Reading
+    from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
     from zensim.sim_server.physics.tiers.planning import FlatPlan
 
 HARDLY = 1e-9
@@ -50,7 +50,7 @@ class Bodies:
         self._corners = corners
         self._unlined: dict[int, FloatArray] = {}
         self._is_gathered = True
-        self._last: tuple[tuple[int, ...], Reading] | None = None
+        self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
     def take(self, model: Model, plan: FlatPlan | None, *, is_auto: bool) -> int:
         """Make a row of a body that is in no engine yet."""
@@ -157,7 +157,7 @@ class Bodies:
         self.kinematic.set_targets(row, np.zeros(int(self.rows.width[row])))
         self.kinematic.set_joints(row, angles, np.zeros(count))
 
-    def read_full(self, numbers: tuple[int, ...]) -> Reading:
+    def read_full(self, numbers: tuple[int, ...]) -> BodyStates:
         """Read bodies of the full engine, those that were asked for last not again in a step."""
         if self._last is None or self._last[0] != numbers:
             self._last = (numbers, self._full.read(numbers))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from zensim.sim_server.physics.engine import EngineConfig, EngineRefused
+from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.tiers.footprint import Footprint, corners_in
 from zensim.sim_server.physics.tiers.vehicle import NotFlat, Vehicle, vehicle_of
 

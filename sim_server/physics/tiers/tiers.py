@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray, Reading, concealing, patient
+from zensim.sim_server.physics.engine import BodyStates, FloatArray, as_async, as_hiding
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.tiers.bodies import Bodies
 from zensim.sim_server.physics.tiers.planning import FlatPlans
 from zensim.sim_server.physics.tiers.rows import Tier
@@ -78,27 +79,27 @@ class Tiers:
         self._bodies.give_back(body)
         self._watching.forget(body)
 
-    def trust(self, model: Model) -> None:
+    def skip_validation(self, model: Model) -> None:
         """See `Patient.trust`."""
-        if full := patient(self._full):
-            full.trust(model)
+        if full := as_async(self._full):
+            full.skip_validation(model)
 
-    def conceal(self, body: int) -> None:
+    def hide(self, body: int) -> None:
         """See `Concealing.conceal`; who is kinematic costs nothing and stands where it will be."""
-        if (full := concealing(self._full)) and self._bodies.rows.full[body] >= 0:
-            full.conceal(int(self._bodies.rows.full[body]))
+        if (full := as_hiding(self._full)) and self._bodies.rows.full[body] >= 0:
+            full.hide(int(self._bodies.rows.full[body]))
 
-    def reveal(self, bodies: Sequence[int]) -> None:
+    def show(self, bodies: Sequence[int]) -> None:
         """See `Concealing.reveal`."""
-        if full := concealing(self._full):
+        if full := as_hiding(self._full):
             numbers = self._bodies.rows.full[list(bodies)]
-            full.reveal(numbers[numbers >= 0].tolist())
+            full.show(numbers[numbers >= 0].tolist())
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self._full.forget_removed()
 
-    def overlapping(self, body: int) -> Sequence[int]:
+    def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`; who is kinematic is asked of the full engine if need be."""
         bodies = self._bodies
         full = bodies.rows.full
@@ -109,26 +110,26 @@ class Tiers:
         visits = {row: bodies.visit(row) for row in guests}
         rows = {**bodies.numbers, **{visit: row for row, visit in visits.items()}}
         mine = visits.get(body, int(full[body]))
-        found = sorted(rows[other] for other in self._full.overlapping(mine))
+        found = sorted(rows[other] for other in self._full.find_overlaps(mine))
         for visit in visits.values():
             self._full.remove(visit)
         return found
 
-    def overlapping_soon(self, body: int) -> Callable[[], Sequence[int]]:
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`; where somebody is kinematic it is found at once."""
-        number, full = int(self._bodies.rows.full[body]), patient(self._full)
+        number, full = int(self._bodies.rows.full[body]), as_async(self._full)
         if full is None or number < 0 or self._bodies.held:
-            found = self.overlapping(body)
+            found = self.find_overlaps(body)
             return lambda: found
-        soon, rows = full.overlapping_soon(number), self._bodies.numbers
+        soon, rows = full.find_overlaps_async(number), self._bodies.numbers
         return lambda: sorted(rows[other] for other in soon() if other in rows)
 
-    def is_settled(self) -> bool:
+    def is_idle(self) -> bool:
         """See `Patient.is_settled`."""
-        full = patient(self._full)
-        return full is None or full.is_settled()
+        full = as_async(self._full)
+        return full is None or full.is_idle()
 
-    def read(self, bodies: Sequence[int]) -> Reading:
+    def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
         mapping = self._bodies.mappings.of(bodies)
         kinematic, full = mapping.kinematic, mapping.full
@@ -146,11 +147,11 @@ class Tiers:
         base[full.places] = reading.base
         positions[full.joints] = reading.joint_positions
         velocities[full.joints] = reading.joint_velocities
-        return Reading(base, positions, velocities)
+        return BodyStates(base, positions, velocities)
 
-    def _read_flat(self, mapping: Mapping) -> Reading:
+    def _read_flat(self, mapping: Mapping) -> BodyStates:
         flat = self._bodies.kinematic
-        return Reading(
+        return BodyStates(
             self._bodies.rows.states(mapping.at),
             flat.positions.numbers[mapping.pooled_joints],
             flat.velocities[mapping.pooled_joints],

@@ -19,7 +19,7 @@ from zensim.sim_server.description.model_geometry import (
     rotate_vector,
     transform_point,
 )
-from zensim.sim_server.physics.actuation import actuation_of
+from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.tiers.footprint import Corners, Footprint, footprint_of
 
 if TYPE_CHECKING:
@@ -142,7 +142,7 @@ class _Plan:
     axle: tuple[float, float]
 
     def vehicle(self, footprint: Footprint, gravity: float) -> Vehicle:
-        plan = actuation_of(self.model)
+        plan = make_actuation(self.model)
         speeds = list(zip(plan.speeds.places, plan.speeds.joints, strict=True))
         turned_by = set(self.steering)
         friction = min(1.0, min((s.friction for s in _tyres(self.model)), default=1.0))

@@ -25,7 +25,7 @@ from zensim.sim_server.errors import SimError
 from zensim.sim_server.handlers import fleets
 from zensim.sim_server.handlers.table import handle
 from zensim.sim_server.later import Later
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 COMMON = SpawnEntityOrder(entity_resource=BOX_BOT, snap_to_ground=True)
 

@@ -22,7 +22,8 @@ from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal.ledger import JournalError, open_ledger
 from zensim.sim_server.journal.opening import MARK, Journal, open_journal
 from zensim.sim_server.journal.restoring import contents_of
-from zensim.sim_server.physics.engine import EngineConfig, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import EngineRefused, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.reading.descriptions import Reading
 from zensim.sim_server.world.world import World
 

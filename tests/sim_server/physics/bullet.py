@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pybullet
 
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,17 @@ from hypothesis import strategies as st
 
 from tests.models import a_box, a_cart, a_fork, a_puck
 from zensim.proto.rotation import from_rpy
-from zensim.sim_server.physics.actuation import actuation_of, imposed, standing
+from zensim.sim_server.physics.actuation import (
+    impose_planar_twists,
+    make_actuation,
+    make_stop_targets,
+)
 
 speeds = st.floats(-10.0, 10.0)
 
 
 def test_wheels_are_found_by_name_among_the_joints() -> None:
-    plan = actuation_of(a_cart())
+    plan = make_actuation(a_cart())
 
     assert plan.width == 2
     assert plan.speeds.joints == [1, 0]
@@ -25,26 +29,26 @@ def test_wheels_are_found_by_name_among_the_joints() -> None:
 
 
 def test_speeds_and_angles_are_told_apart() -> None:
-    plan = actuation_of(a_fork(effort=9.0))
+    plan = make_actuation(a_fork(effort=9.0))
 
     assert (plan.speeds.joints, plan.speeds.places) == ([0], [0])
     assert (plan.angles.joints, plan.angles.places, plan.angles.efforts) == ([3], [1], [9.0])
 
 
 def test_twist_takes_three_numbers() -> None:
-    plan = actuation_of(a_puck())
+    plan = make_actuation(a_puck())
 
     assert (plan.width, plan.twist) == (3, 0)
 
 
 def test_body_without_a_drive_takes_no_number() -> None:
-    assert actuation_of(a_box()).width == 0
-    assert standing(a_box(), np.zeros(0)).shape == (0,)
+    assert make_actuation(a_box()).width == 0
+    assert make_stop_targets(a_box(), np.zeros(0)).shape == (0,)
 
 
 def test_body_stands_when_speeds_are_zero_and_angles_stay() -> None:
-    assert standing(a_fork(), np.array([1.0, 2.0, 3.0, 0.3])).tolist() == [0.0, 0.3]
-    assert standing(a_puck(), np.zeros(0)).tolist() == [0.0, 0.0, 0.0]
+    assert make_stop_targets(a_fork(), np.array([1.0, 2.0, 3.0, 0.3])).tolist() == [0.0, 0.3]
+    assert make_stop_targets(a_puck(), np.zeros(0)).tolist() == [0.0, 0.0, 0.0]
 
 
 @given(st.tuples(*[speeds] * 6), st.tuples(*[speeds] * 3), st.floats(-3.0, 3.0))
@@ -53,7 +57,7 @@ def test_imposed_twist_leaves_height_and_tilt_alone(
 ) -> None:
     turn = from_rpy(0.0, 0.0, heading)
 
-    (found,) = imposed(
+    (found,) = impose_planar_twists(
         np.array([velocities]), turn[None], np.array([[0.3, -0.1, 0.2]]), np.array([twist])
     )
 
@@ -65,7 +69,7 @@ def test_imposed_twist_leaves_height_and_tilt_alone(
 def test_imposed_twist_is_that_of_the_root(twist: tuple[float, ...], heading: float) -> None:
     arm = np.array([0.3, -0.1, 0.2])
 
-    (found,) = imposed(
+    (found,) = impose_planar_twists(
         np.zeros((1, 6)), from_rpy(0.0, 0.0, heading)[None], arm[None], np.array([twist])
     )
 

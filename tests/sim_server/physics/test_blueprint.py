@@ -1,11 +1,15 @@
-"""Blueprints: parts of a model, skins for further frictions, principal axes."""
+"""Static meshes in parts of their own, and shapes made before they are needed."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.models import a_body, a_box_bot, a_cart
+from tests.engines import STEP_NS
+from tests.models import a_body, a_box, a_box_bot, a_cart, a_state
 from zensim.proto.messages.model_messages import (
     IDENTITY,
     Contact,
@@ -17,8 +21,16 @@ from zensim.proto.messages.model_messages import (
     Shape,
 )
 from zensim.proto.rotation import from_rpy, rotate
-from zensim.sim_server.physics.blueprint import DEFAULT_FRICTION, blueprint_of, principal_axes
-from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.blueprint import (
+    DEFAULT_FRICTION,
+    BlueprintCache,
+    find_principal_axes,
+    make_blueprint,
+    split_static_meshes,
+)
+from zensim.sim_server.physics.bullet.pybullet_engine import MAX_PARTS, PyBulletEngine
+from zensim.sim_server.physics.engine import EngineRefused, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 angles = st.floats(-3.0, 3.0)
 moments = st.floats(1e-4, 10.0)
@@ -39,7 +51,7 @@ def a_ball(friction: float, radius_m: float = 0.1) -> Shape:
 def test_blueprint_has_a_part_for_each_link_in_the_order_of_joints() -> None:
     model = a_cart()
 
-    blueprint = blueprint_of(model)
+    blueprint = make_blueprint(model)
 
     parts = blueprint.parts[: len(model.links)]
     assert [part.joint for part in parts] == [None, *model.joints]
@@ -51,7 +63,7 @@ def test_blueprint_finds_parents_down_a_chain() -> None:
     links = tuple(Link(name, a_body()) for name in "abc")
     joints = (Joint("j", "revolute", "a", "b"), Joint("k", "revolute", "b", "c"))
 
-    blueprint = blueprint_of(Model("chain", links, joints))
+    blueprint = make_blueprint(Model("chain", links, joints))
 
     assert [part.parent for part in blueprint.parts] == [-1, 0, 1]
 
@@ -60,7 +72,7 @@ def test_blueprint_gives_each_further_friction_a_massless_skin() -> None:
     balls = (a_ball(1.0), a_ball(0.0, 0.2), a_ball(1.0, 0.3), a_ball(0.5), a_ball(0.0, 0.4))
     model = Model("m", (Link("base", a_body(), balls),))
 
-    root, *skins = blueprint_of(model).parts
+    root, *skins = make_blueprint(model).parts
 
     assert root.shapes == (balls[0], balls[2])
     assert [skin.shapes for skin in skins] == [(balls[1], balls[4]), (balls[3],)]
@@ -72,20 +84,20 @@ def test_blueprint_puts_skins_after_all_links() -> None:
     two = (a_ball(1.0), a_ball(0.0))
     links = (Link("a", a_body(), two), Link("b", a_body(), two))
 
-    blueprint = blueprint_of(Model("m", links, (Joint("j", "revolute", "a", "b"),)))
+    blueprint = make_blueprint(Model("m", links, (Joint("j", "revolute", "a", "b"),)))
 
     assert [part.parent for part in blueprint.parts] == [-1, 0, 0, 1]
     assert [part.joint is None for part in blueprint.parts] == [True, False, True, True]
 
 
 def test_blueprint_of_a_link_without_collisions_has_no_shapes() -> None:
-    (root,) = blueprint_of(Model("m", (Link("base", a_body()),))).parts
+    (root,) = make_blueprint(Model("m", (Link("base", a_body()),))).parts
 
     assert (root.shapes, root.friction) == ((), DEFAULT_FRICTION)
 
 
 def test_blueprint_of_box_bot_has_one_skin_for_both_casters() -> None:
-    blueprint = blueprint_of(a_box_bot())
+    blueprint = make_blueprint(a_box_bot())
 
     assert len(blueprint.parts) == 4
     assert [shape.friction for shape in blueprint.parts[3].shapes] == [0.0, 0.0]
@@ -93,7 +105,7 @@ def test_blueprint_of_box_bot_has_one_skin_for_both_casters() -> None:
 
 
 def test_principal_axes_are_those_of_the_link_when_products_are_zero() -> None:
-    assert principal_axes((3.0, 0.0, 0.0, 1.0, 0.0, 2.0)) == ((3.0, 1.0, 2.0), IDENTITY)
+    assert find_principal_axes((3.0, 0.0, 0.0, 1.0, 0.0, 2.0)) == ((3.0, 1.0, 2.0), IDENTITY)
 
 
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.5), (1.0, 0.0, 0.0), (3.1, 0.0, 0.0), (1.0, 2.0, 3)])
@@ -101,7 +113,7 @@ def test_principal_axes_give_the_inertia_back(turn: tuple[float, float, float]) 
     axes = matrix_of(from_rpy(*turn))
     inertia = axes @ np.diag([1.0, 2.0, 2.5]) @ axes.T
 
-    diagonal, principal = principal_axes(six_of(inertia))
+    diagonal, principal = find_principal_axes(six_of(inertia))
 
     found = matrix_of(np.array(principal))
     assert found @ np.diag(diagonal) @ found.T == pytest.approx(inertia, abs=1e-12)
@@ -114,7 +126,7 @@ def test_principal_axes_are_a_proper_rotation(
     axes = matrix_of(from_rpy(*turn))
     inertia = axes @ np.diag(diagonal) @ axes.T
 
-    found, principal = principal_axes(six_of(inertia))
+    found, principal = find_principal_axes(six_of(inertia))
 
     rotation = matrix_of(np.array(principal))
     assert np.linalg.norm(principal) == pytest.approx(1.0, abs=1e-12)
@@ -126,7 +138,7 @@ def test_principal_axes_are_a_proper_rotation(
 def test_blueprint_keeps_mass_centre_and_inertia() -> None:
     inertial = Inertial(3.0, (0.1, 0.2, 0.3), (1.0, 0.0, 0.0, 2.0, 0.0, 2.5))
 
-    (root,) = blueprint_of(Model("m", (Link("base", inertial),))).parts
+    (root,) = make_blueprint(Model("m", (Link("base", inertial),))).parts
 
     assert (root.mass_kg, root.com, root.inertia) == (3.0, (0.1, 0.2, 0.3), (1.0, 2.0, 2.5))
 
@@ -134,7 +146,7 @@ def test_blueprint_keeps_mass_centre_and_inertia() -> None:
 def test_link_of_many_shapes_is_split_so_that_none_is_passed_over() -> None:
     boxes = tuple(Shape("box", (1.0, 1.0, 1.0), Origin((float(i), 0.0, 0.0))) for i in range(40))
 
-    parts = blueprint_of(Model("m", (Link("base", collisions=boxes),))).parts
+    parts = make_blueprint(Model("m", (Link("base", collisions=boxes),))).parts
 
     assert [len(part.shapes) for part in parts] == [16, 16, 8]
     assert [part.parent for part in parts] == [-1, 0, 0]
@@ -144,7 +156,7 @@ def test_blueprint_gives_each_further_contact_a_skin() -> None:
     soft, hard = Shape("sphere", contact=Contact(1e4, 1.0)), Shape("sphere")
     model = Model("m", (Link("base", a_body(), (hard, soft)),))
 
-    root, skin = blueprint_of(model).parts
+    root, skin = make_blueprint(model).parts
 
     assert (root.contact, skin.contact) == (hard.contact, soft.contact)
     assert (root.link, skin.link) == (0, 0)
@@ -158,7 +170,99 @@ def test_blueprint_lays_the_axes_of_a_skin_along_its_direction(
 ) -> None:
     foot = Shape("sphere", contact=Contact(direction=direction, friction_across=0.1))
 
-    root, skin = blueprint_of(Model("m", (Link("base", a_body(), (foot,)),))).parts
+    root, skin = make_blueprint(Model("m", (Link("base", a_body(), (foot,)),))).parts
 
     assert (root.shapes, skin.shapes) == ((), (foot,))
     assert rotate(np.array(skin.principal), np.array([1.0, 0.0, 0.0])) == pytest.approx(direction)
+
+
+def a_planner(max_parts: int = 128) -> BlueprintCache:
+    return BlueprintCache(
+        "mine", max_parts=max_parts, joint_kinds=("fixed", "continuous"), shape_kinds=("box",)
+    )
+
+
+def test_model_is_planned_once_while_it_is_the_last() -> None:
+    planner, model = a_planner(), a_box()
+
+    first = planner.blueprint(model)
+
+    assert first == make_blueprint(model)
+    assert planner.blueprint(model) is first
+
+
+def test_another_model_is_planned_by_itself() -> None:
+    planner, box = a_planner(), a_box()
+    planner.blueprint(box)
+
+    found = planner.blueprint(Model("other", box.links))
+
+    assert found.name == "other"
+
+
+def test_model_that_cannot_be_built_is_refused_each_time() -> None:
+    planner, model = a_planner(max_parts=1), a_cart()
+
+    for _ in range(2):
+        with pytest.raises(EngineRefused, match="use at most 1"):
+            planner.blueprint(model)
+
+
+MESHES = 20
+
+
+def a_scene(count: int = MESHES, *, boxes: int = 0, is_static: bool = True) -> Model:
+    """Make a model of meshes, each a metre beside the one before it, and of boxes."""
+    shapes = [
+        Shape("mesh", (1.0, 1.0, 1.0), mesh=f"m{i}", friction=0.5 + i % 2) for i in range(count)
+    ]
+    shapes += [Shape("box", (1.0, 1.0, 1.0), friction=0.5)] * boxes
+    return Model("scene", (Link("base", collisions=tuple(shapes)),), is_static=is_static)
+
+
+@pytest.mark.parametrize("count", [1, 20, 126, 127, 500])
+def test_static_meshes_are_spread_over_the_parts_that_an_engine_has(count: int) -> None:
+    planned = make_blueprint(a_scene(count, boxes=3))
+
+    found = split_static_meshes(planned, max_parts=MAX_PARTS)
+
+    assert len(found.parts) <= MAX_PARTS
+    sizes = [sum(bool(shape.mesh) for shape in part.shapes) for part in found.parts]
+    assert max(sizes) <= -(-count // 50)
+    assert sum(sizes) == count
+    assert sum(len(part.shapes) for part in found.parts) == count + 3
+    for part in found.parts:
+        assert {shape.friction for shape in part.shapes} <= {part.friction}
+
+
+def test_moving_meshes_stay_where_they_are() -> None:
+    planned = make_blueprint(a_scene(is_static=False))
+
+    assert split_static_meshes(planned, max_parts=MAX_PARTS) == planned
+
+
+def test_shapes_are_prepared_one_part_at_a_time(tmp_path: Path) -> None:
+    for number in range(MESHES):
+        wall = trimesh.creation.box((0.1, 1.0, 1.0 + 0.01 * number))
+        wall.apply_translation((number, 0.0, 0.5))
+        tmp_path.joinpath(f"m{number}.stl").write_bytes(wall.export(file_type="stl"))
+    engine = PyBulletEngine(EngineConfig(STEP_NS, mesh_folder=str(tmp_path)))
+
+    turns = [engine.prepare(a_scene()) for _ in range(MESHES + 1)]
+    engine.add(a_scene(), a_state((0.0, 0.0, 0.0)))
+    on_top = [engine.add(a_box(), a_state((float(x), 0.0, 3.0))) for x in range(MESHES)]
+    for _ in range(480):
+        engine.step()
+
+    heights = engine.read(on_top).base[:, 2]
+    assert turns == [*[False] * MESHES, True]
+    assert np.all(heights > 1.0)
+    engine.close()
+
+
+@pytest.mark.parametrize("shape", [Shape("mesh", mesh="a"), Shape("plane")], ids=lambda s: s.kind)
+def test_preparing_leaves_it_to_adding_to_say_what_is_wrong(tmp_path: Path, shape: Shape) -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS, mesh_folder=str(tmp_path)))
+
+    assert engine.prepare(Model("m", (Link("base", collisions=(shape,)),), is_static=True))
+    engine.close()

@@ -10,7 +10,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 SPAWN_Z = 0.01
 """Five centimetres under ground: the last of the traps."""

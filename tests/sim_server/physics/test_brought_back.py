@@ -7,7 +7,7 @@ import pytest
 
 from tests.engines import STEP_NS, advance, running
 from tests.models import a_cart, a_state, on_ground
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 
 
 def test_pybullet_rests_a_robot_as_told_last_in_the_step_it_was_brought_back() -> None:

@@ -8,13 +8,14 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.clusters.cells import CellsHere
 from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
 from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
-from zensim.sim_server.physics.engine import Concealing, Engine, EngineConfig
-from zensim.sim_server.physics.making import CellOrders
-from zensim.sim_server.physics.mujoco_engine import MujocoEngine
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import Engine, SupportsHiding
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_factory import CellConfig
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.physics.tiers.tiers import Tiers
 
 CONFIG = EngineConfig(STEP_NS)
@@ -30,7 +31,7 @@ def clustered(*, most: int) -> Clusters:
 
 
 def remote() -> Clusters:
-    orders = CellOrders("pybullet", CONFIG)
+    orders = CellConfig("pybullet", CONFIG)
     cells = CellsOfWorkers(orders.make, orders, workers=1)
     return Clusters(CONFIG, cells, Settings(alone=1, most=1, period_steps=1))
 
@@ -40,7 +41,7 @@ def clustered_mujoco(*, most: int) -> Clusters:
     return Clusters(CONFIG, CellsHere(lambda: MujocoEngine(CONFIG), threads=2), settings)
 
 
-class Hiding(Engine, Concealing, Protocol):
+class Hiding(Engine, SupportsHiding, Protocol):
     """An engine that can conceal."""
 
 
@@ -66,7 +67,7 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Hiding]:
 
 def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: Hiding) -> None:
     hidden = engine.add(a_box(), a_state((0.0, 0.0, 0.5)))
-    engine.conceal(hidden)
+    engine.hide(hidden)
     falling = engine.add(a_box(), a_state((0.0, 0.0, 0.8)))
 
     advance(engine, 240)
@@ -77,10 +78,10 @@ def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: Hiding) -> No
 
 def test_revealed_body_does_as_one_that_was_just_added(engine: Hiding) -> None:
     first = engine.add(a_box_bot(), box_bot_at(0.0, 2.0))
-    engine.conceal(first)
+    engine.hide(first)
     advance(engine, 50)
 
-    engine.reveal([first])
+    engine.show([first])
     second = engine.add(a_box_bot(), box_bot_at())
     engine.command([first, second], np.full(4, 5.0))
     advance(engine, 240)
@@ -93,7 +94,7 @@ def test_revealed_body_does_as_one_that_was_just_added(engine: Hiding) -> None:
 def test_concealed_body_can_be_read(engine: Hiding) -> None:
     there = engine.add(a_box(), a_state((3.0, 0.0, 0.1)))
     hidden = engine.add(a_box_bot(), box_bot_at(1.0, 2.0))
-    engine.conceal(hidden)
+    engine.hide(hidden)
 
     reading = engine.read((hidden, there))
 
@@ -103,7 +104,7 @@ def test_concealed_body_can_be_read(engine: Hiding) -> None:
 
 def test_concealed_body_can_be_removed(engine: Hiding) -> None:
     hidden = engine.add(a_box_bot(), box_bot_at())
-    engine.conceal(hidden)
+    engine.hide(hidden)
     engine.remove(hidden)
 
     body = engine.add(a_box_bot(), box_bot_at(1.0))
@@ -117,13 +118,13 @@ def test_concealed_body_can_be_removed(engine: Hiding) -> None:
 def test_revealed_body_is_where_it_was_placed_to_the_bit(how: str) -> None:
     engine = MAKERS[how]()
     there, hidden = (engine.add(a_box_bot(), box_bot_at(0.0, y)) for y in (0.0, 3.0))
-    engine.conceal(hidden)
+    engine.hide(hidden)
     engine.place(hidden, box_bot_at(1.0, 2.0))
     advance(engine, 5)
     for place in range(3, 20):
-        engine.conceal(engine.add(a_box_bot(), box_bot_at(0.0, float(place))))
+        engine.hide(engine.add(a_box_bot(), box_bot_at(0.0, float(place))))
 
-    engine.reveal([hidden])
+    engine.show([hidden])
 
     assert engine.read([hidden]).base[0].tolist() == box_bot_at(1.0, 2.0).tolist()
     assert engine.read([there]).base[0, 0] == pytest.approx(0.0, abs=1e-3)
@@ -133,9 +134,9 @@ def test_revealed_body_is_where_it_was_placed_to_the_bit(how: str) -> None:
 def test_concealed_body_of_mujoco_is_seen_to_overlap() -> None:
     engine = MujocoEngine(CONFIG)
     hidden = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
-    engine.conceal(hidden)
+    engine.hide(hidden)
 
     other = engine.add(a_box(), a_state((0.05, 0.0, 0.1)))
 
-    assert engine.overlapping(other) == [hidden]
+    assert engine.find_overlaps(other) == [hidden]
     engine.close()

@@ -10,7 +10,7 @@ from tests.engines import PHYSICAL, STEP_NS
 from tests.models import a_box, a_box_bot, a_lopsided_box, a_state, an_arm, box_bot_at
 from tests.sim_server.fakes import a_birth
 from zensim.proto.messages.model_messages import Inertial, Model
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.pushes import JointPush, LinkPush, Span
 from zensim.sim_server.world.world import World
 

@@ -11,7 +11,7 @@ from zensim.sim_server.description.builtin_models import read_builtin_world
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.description.sdf.sdf_world import read_world
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 RACK_TOP_M = 2.2
 every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)

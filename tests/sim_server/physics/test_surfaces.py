@@ -21,7 +21,8 @@ from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.link_surfaces import to_decay_rate
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 DT_S = STEP_NS * 1e-9

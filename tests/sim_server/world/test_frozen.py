@@ -7,7 +7,7 @@ import pytest
 
 from tests.models import a_box, a_cart, an_arm, on_ground
 from zensim.proto.messages.model_messages import Model, Origin
-from zensim.sim_server.physics.engine import Reading
+from zensim.sim_server.physics.engine import BodyStates
 from zensim.sim_server.world.entity import Entity, roster_of
 from zensim.sim_server.world.frozen import FARTHEST_M, PROBATION_NS, Watch, can_move, still
 
@@ -22,14 +22,14 @@ ENTITIES = (an_entity("a"), an_entity("box", BOX, 1.0), an_entity("b", x=2.0))
 ROSTER = roster_of(ENTITIES)
 
 
-def a_reading() -> Reading:
+def a_reading() -> BodyStates:
     base = np.array([on_ground(float(x) + 10.0) for x in range(3)])
-    return Reading(base, np.arange(4.0), np.zeros(4))
+    return BodyStates(base, np.arange(4.0), np.zeros(4))
 
 
 def test_watch_finds_nobody_when_all_numbers_are_good() -> None:
     assert Watch().bad(ROSTER, a_reading()) == []
-    assert Watch().bad(roster_of(()), Reading(np.zeros((0, 13)), np.zeros(0), np.zeros(0))) == []
+    assert Watch().bad(roster_of(()), BodyStates(np.zeros((0, 13)), np.zeros(0), np.zeros(0))) == []
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -83,7 +83,9 @@ def test_watch_remembers_where_an_entity_was_last_good() -> None:
 def test_watch_takes_the_spawn_where_an_entity_was_never_good(case: str) -> None:
     watch = Watch()
     if case == "spawned since":
-        watch.remember(roster_of(ENTITIES[:1]), Reading(np.zeros((1, 13)), np.ones(2), np.ones(2)))
+        watch.remember(
+            roster_of(ENTITIES[:1]), BodyStates(np.zeros((1, 13)), np.ones(2), np.ones(2))
+        )
     elif case != "never read":
         watch.remember(ROSTER, a_reading())
     if case == "name used again":

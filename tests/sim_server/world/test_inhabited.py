@@ -9,7 +9,7 @@ from tests.models import on_ground
 from tests.sim_server.fakes import a_birth, a_world, names_in
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import NameNotUnique, NamespaceRefused
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 
 def test_expected_entity_is_not_there_but_its_names_are() -> None:
@@ -66,10 +66,10 @@ class ConcealingEngine(ObedientEngine):
         super().__init__(EngineConfig(STEP_NS))
         self.concealed: set[int] = set()
 
-    def conceal(self, body: int) -> None:
+    def hide(self, body: int) -> None:
         self.concealed.add(body)
 
-    def reveal(self, bodies: Sequence[int]) -> None:
+    def show(self, bodies: Sequence[int]) -> None:
         self.concealed -= set(bodies)
 
 

@@ -24,7 +24,8 @@ from zensim.sim_server.errors import (
     NameRefused,
     NamespaceRefused,
 )
-from zensim.sim_server.physics.engine import EngineConfig, EngineRefused, Reading
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.birth import Birth
 from zensim.sim_server.world.world import World
 
@@ -327,7 +328,7 @@ class CountingEngine(ObedientEngine):
         super().__init__(EngineConfig(STEP_NS))
         self.reads: list[tuple[int, ...]] = []
 
-    def read(self, bodies: Sequence[int]) -> Reading:
+    def read(self, bodies: Sequence[int]) -> BodyStates:
         self.reads.append(tuple(bodies))
         return super().read(bodies)
 

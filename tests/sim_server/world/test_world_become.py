@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from tests.engines import STEP_NS, ObedientEngine
 from tests.sim_server.fakes import a_command, a_world, kinds_of_events, names_in
 from zensim.proto.messages.simulation_messages import State
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.pushes import LinkPush, Span
 from zensim.sim_server.world.world import World
 

@@ -11,7 +11,7 @@ from tests.sim_server.fakes import a_birth, a_command, a_world, names_in
 from zensim.proto.messages.agent_messages import DriveCommand, OnRelease
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.physics.engine import EngineConfig
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 NAMES = st.sampled_from(["r0", "r1", "r2", "r0_1", "sim", "no name"])
 NAMESPACES = st.sampled_from(["", "r0", "r1", "/team/r2", "world"])

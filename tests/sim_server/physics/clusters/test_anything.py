@@ -10,10 +10,10 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_cart, a_fork, a_lopsided_box, a_puck, an_arm, on_ground
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.clusters.cells import CellsHere
 from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
-from zensim.sim_server.physics.engine import EngineConfig
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
@@ -58,7 +58,7 @@ class Crowd:
 
     def overlap(self) -> None:
         body = self._somebody()
-        others = set(self.engine.overlapping(body))
+        others = set(self.engine.find_overlaps(body))
         assert others <= self.models.keys() - {body}
 
     def go_all(self) -> None:

@@ -9,10 +9,11 @@ import pytest
 
 from tests.engines import STEP_NS, advance, running
 from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_ground
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.clusters.cells import CellsHere
 from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
-from zensim.sim_server.physics.engine import Engine, EngineConfig, FloatArray
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 
 LONELY = Settings(alone=1, most=1, period_steps=3)
 """Each body has a cell of its own unless it may touch another."""
@@ -235,7 +236,7 @@ def test_clusters_name_who_overlaps_in_another_cell() -> None:
         between = engine.add(a_box(), a_state((0.1, 0.0, 0.1)))
         at_the_wall = engine.add(a_box(), a_state((20.1, 0.0, 0.1)))
 
-        assert list(engine.overlapping(between)) == [apart[0]]
-        assert list(engine.overlapping(at_the_wall)) == [wall]
-        assert list(engine.overlapping(wall)) == [at_the_wall]
-        assert list(engine.overlapping(apart[2])) == []
+        assert list(engine.find_overlaps(between)) == [apart[0]]
+        assert list(engine.find_overlaps(at_the_wall)) == [wall]
+        assert list(engine.find_overlaps(wall)) == [at_the_wall]
+        assert list(engine.find_overlaps(apart[2])) == []

@@ -16,11 +16,12 @@ from zensim.sim_server.physics.clusters.cells import CellsHere
 from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
 from zensim.sim_server.physics.clusters.worker import RemoteCell, WorkerEnded
 from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
-from zensim.sim_server.physics.engine import Engine, EngineConfig, EngineRefused
-from zensim.sim_server.physics.making import CellOrders
+from zensim.sim_server.physics.engine import Engine, EngineRefused
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_factory import CellConfig
 
 SETTINGS = Settings(alone=2, most=3, period_steps=3)
-ORDERS = CellOrders("pybullet", EngineConfig(STEP_NS))
+ORDERS = CellConfig("pybullet", EngineConfig(STEP_NS))
 
 
 @contextmanager
@@ -64,7 +65,7 @@ def a_mixed_crowd(engine: Engine) -> bytes:
             engine.put(bodies[5], on_ground(5.0, -5.0), np.array([0.1, 0.2]), np.array([5.0, 5.0]))
             engine.place(bodies[6], on_ground(-5.0, 5.0))
         advance(engine, 12)
-    touching = [list(engine.overlapping(body)) for body in crowd]
+    touching = [list(engine.find_overlaps(body)) for body in crowd]
     reading = engine.read(crowd)
     arrays = (reading.base, reading.joint_positions, reading.joint_velocities)
     return b"".join(array.tobytes() for array in arrays) + repr(touching).encode()
@@ -136,14 +137,14 @@ def test_worker_that_does_not_get_on_is_not_waited_for_while_bodies_are_made() -
         os.kill(worker, signal.SIGSTOP)
         try:
             bodies += [engine.add(model, on_ground(5.0 * x)) for x in range(4, 40)]
-            overlapped = [engine.overlapping_soon(body) for body in bodies[-5:]]
-            was_settled = engine.is_settled()
+            overlapped = [engine.find_overlaps_async(body) for body in bodies[-5:]]
+            was_settled = engine.is_idle()
         finally:
             os.kill(worker, signal.SIGCONT)
 
         assert not was_settled
         assert [list(named()) for named in overlapped] == [[]] * 5
-        assert engine.is_settled()
+        assert engine.is_idle()
         assert engine.read(bodies).base[:, 0] == pytest.approx([5.0 * x for x in range(40)])
 
 
@@ -151,9 +152,9 @@ def test_overlaps_that_are_asked_for_soon_are_those_that_are_there() -> None:
     model = a_cart()
     with worked(1) as (engine, _):
         bodies = [engine.add(model, on_ground(0.05 * x, 5.0 * (x // 2))) for x in range(8)]
-        soon = [engine.overlapping_soon(body) for body in bodies]
+        soon = [engine.find_overlaps_async(body) for body in bodies]
 
-        assert [list(named()) for named in soon] == [list(engine.overlapping(b)) for b in bodies]
+        assert [list(named()) for named in soon] == [list(engine.find_overlaps(b)) for b in bodies]
         assert any(named() for named in soon)
 
 

@@ -10,8 +10,9 @@ from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.rotation import to_yaw
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
-from zensim.sim_server.physics.engine import EngineConfig, FloatArray
-from zensim.sim_server.physics.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 10_000_000

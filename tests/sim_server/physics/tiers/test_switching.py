@@ -163,7 +163,7 @@ def test_each_robot_has_the_dynamics_that_it_asks_for() -> None:
             "kinematic",
         ]
         assert engine.kinematic_count == 2
-        assert list(engine.overlapping(bodies[2])) == []
+        assert list(engine.find_overlaps(bodies[2])) == []
 
 
 def test_overlaps_are_told_between_tiers() -> None:
@@ -172,6 +172,6 @@ def test_overlaps_are_told_between_tiers() -> None:
         near = engine.add(with_dynamics(a_box_bot(), "auto"), box_bot_at(0.1))
         beside = engine.add(with_dynamics(a_box_bot(), "auto"), box_bot_at(0.25, 0.0))
 
-        assert list(engine.overlapping(near)) == [box]
-        assert list(engine.overlapping(box)) == [near]
-        assert list(engine.overlapping(beside)) == []
+        assert list(engine.find_overlaps(near)) == [box]
+        assert list(engine.find_overlaps(box)) == [near]
+        assert list(engine.find_overlaps(beside)) == []

@@ -1,0 +1,451 @@
+"""The Engine over PyBullet. The only module that imports pybullet."""
+
+import ctypes
+import math
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from zensim.proto.messages.model_messages import ZERO, Model
+from zensim.sim_server.physics.actuation import impose_planar_twists
+from zensim.sim_server.physics.blueprint import Blueprint, BlueprintCache
+from zensim.sim_server.physics.bullet.body_pool import BodyPool, BulletBody, make_bullet_body
+from zensim.sim_server.physics.bullet.bullet_contact import (
+    SOLVER_ARGUMENTS,
+    find_rolling_frictions,
+    has_self_collision,
+    limit_static_body_friction,
+    list_self_collision_pairs,
+)
+from zensim.sim_server.physics.bullet.bullet_multibody import (
+    COLLISION_SHAPE_KINDS,
+    CollisionShapeCache,
+    GearConstraint,
+    limit_joint_dampings,
+    list_gear_constraints,
+    list_moving_joints,
+    make_dynamics_arguments,
+    make_multibody_arguments,
+)
+from zensim.sim_server.physics.bullet.bullet_state import (
+    ComFrames,
+    read_base_states,
+    read_joint_states,
+)
+from zensim.sim_server.physics.command_cache import CommandCache
+from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
+
+OUTPUT_STREAMS = (1, 2)
+
+
+@contextmanager
+def suppress_output() -> Iterator[None]:
+    """Send what C code prints inside, on either stream, to nowhere."""
+    libc = ctypes.CDLL(None)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    libc.fflush(None)
+    kept = [os.dup(stream) for stream in OUTPUT_STREAMS]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in OUTPUT_STREAMS:
+        os.dup2(nowhere, stream)
+    try:
+        yield
+    finally:
+        libc.fflush(None)
+        for stream, copy in zip(OUTPUT_STREAMS, kept, strict=True):
+            os.dup2(copy, stream)
+            os.close(copy)
+        os.close(nowhere)
+
+
+with suppress_output():
+    import pybullet
+
+MAX_PARTS = 128
+"""Bullet reads the states of a body's first 127 joints back and no more."""
+
+VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
+ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
+ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
+COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group and mask of what is touched
+ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
+
+OVERLAP_M = 0.001  # bodies that only touch do not overlap
+
+VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
+POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
+JOINT_TYPES = {kind: getattr(pybullet, f"JOINT_{kind.upper()}") for kind in ("prismatic", "fixed")}
+JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
+GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
+
+
+class PyBulletEngine:
+    """Bullet's multibody dynamics, DIRECT mode, one client."""
+
+    name = "pybullet"
+
+    def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
+        """Connect; so many parked bodies stay awake, for those who move bodies in and out."""
+        self._client = client = pybullet.connect(pybullet.DIRECT)
+        self._shapes = CollisionShapeCache(
+            partial(pybullet.createCollisionShapeArray, physicsClientId=client),
+            folder=config.mesh_folder,
+            kinds=GEOMETRY_TYPES,
+            dented=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+        )
+        self._bodies: dict[int, BulletBody] = {}
+        self._pool = BodyPool(awake)
+        self._blueprints = BlueprintCache(
+            self.name, max_parts=MAX_PARTS, joint_kinds=JOINT_TYPES, shape_kinds=GEOMETRY_TYPES
+        )
+        self._twists: dict[int, list[float]] = {}
+        self._held: set[int] = set()
+        self._loads: dict[int, Sequence[LinkForce]] = {}
+        self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._gravity = config.gravity
+        self._dt_s = dt_s = config.step_ns * 1e-9
+        self._com_frames = ComFrames()
+        self._orders = CommandCache(lambda body: self._bodies[body].actuation.width)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
+        )
+        pybullet.setGravity(*config.gravity, physicsClientId=client)
+        box = pybullet.GEOM_BOX
+        self._visual = pybullet.createVisualShape(
+            box, halfExtents=VISUAL_HALF_EXTENTS, physicsClientId=client
+        )
+        self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
+
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`: makes the collision shape of one part."""
+        try:
+            plan = self._blueprints.blueprint(model)
+            for part in self._shapes.find_missing(plan)[:1]:
+                self._shapes.check(plan, [part])
+                self._shapes.of(plan, part.shapes)
+                return False
+        except (EngineRefused, pybullet.error):
+            return True
+        return True
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """See `Engine.add`; one that slept would lose its velocity in the first step."""
+        blueprint = self._blueprints.blueprint(model)
+        self._shapes.check(blueprint, self._shapes.find_missing(blueprint))
+        if (parked := self._pool.take(model, awake=bool(base[7:].any()))) is not None:
+            known = replace(parked.body, holds=find_rolling_frictions(model, blueprint))
+            return self._bring_back(base, parked.number, known, awake=parked.was_awake)
+        try:
+            body = self._create(blueprint, base)
+        except pybullet.error as error:
+            raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
+        self._com_frames.remember(body, blueprint.parts[0])
+        self._set_dynamics(body, blueprint)
+        self._set_dampings(body, blueprint)
+        loads = make_link_forces(blueprint, self._gravity, self._dt_s)
+        gears = [self._make_gear(body, gear) for gear in list_gear_constraints(model)]
+        self._admit(body, make_bullet_body(model, blueprint, loads, gears))
+        # Made at its place, with joints at zero: placing it again would cost as much as making it.
+        self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
+        self._let_go(body)
+        return body
+
+    def remove(self, body: int) -> None:
+        """See `Engine.remove`; a body is parked where there is a place for it."""
+        self._hold(body, is_held=False)
+        known = self._bodies.pop(body)
+        for kept in (self._twists, self._loads, self._pending_velocities):
+            kept.pop(body, None)
+        if self._pool.has_room_for(known) and self._is_good(body):
+            self._park(body, known)
+            return
+        for gear in known.gears:
+            pybullet.removeConstraint(gear, physicsClientId=self._client)
+        pybullet.removeBody(body, physicsClientId=self._client)
+
+    def hide(self, body: int) -> None:
+        """See `Concealing.conceal`; gears would wake it."""
+        if not (known := self._bodies[body]).gears:
+            self._loads.pop(body, None)
+            self._let_touch(body, known, *COLLIDE_WITH_NOTHING)
+            self._set_state([body], ACTIVATION_ASLEEP)
+
+    def show(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        self._set_state(bodies, ACTIVATION_AWAKE)
+        for body in bodies:
+            self._let_touch(body, known := self._bodies[body], *COLLIDE_WITH_ALL)
+            self._admit(body, known)
+
+    def sleep(self, bodies: Sequence[int]) -> None:
+        """See `Dozing.doze`."""
+        self._set_state(bodies, ACTIVATION_ASLEEP)
+
+    def wake(self, bodies: Sequence[int]) -> None:
+        """See `Dozing.rouse`."""
+        self._set_state(bodies, ACTIVATION_AWAKE)
+        for body in bodies:
+            self._pending_velocities[body] = np.zeros(6), np.zeros(len(self._bodies[body].joints))
+
+    def find_contacts(self, body: int) -> Sequence[int]:
+        """See `Dozing.touching`."""
+        points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
+        return sorted({point[2] for point in points} & self._bodies.keys() - {body})
+
+    def forget_removed(self) -> None:
+        """See `Engine.forget_removed`."""
+        for body in self._pool.take_all():
+            pybullet.removeBody(body, physicsClientId=self._client)
+
+    def find_overlaps(self, body: int) -> Sequence[int]:
+        """See `Engine.overlapping`."""
+        client = self._client
+        links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
+        boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
+        low, high = boxes[:, 0].min(axis=0).tolist(), boxes[:, 1].max(axis=0).tolist()
+        near = pybullet.getOverlappingObjects(low, high, physicsClientId=client) or ()
+        return [
+            other
+            for other in sorted({other for other, _ in near} & self._bodies.keys() - {body})
+            if pybullet.getClosestPoints(body, other, -OVERLAP_M, physicsClientId=client)
+        ]
+
+    def read(self, bodies: Sequence[int]) -> BodyStates:
+        """See `Engine.read`."""
+        jointed = [(body, found) for body in bodies if (found := self._bodies[body].joints)]
+        base = self._com_frames.states(bodies, self._com_states(bodies))
+        return BodyStates(base, *read_joint_states(jointed, self._client, pybullet.getJointStates))
+
+    def place(self, body: int, base: FloatArray) -> None:
+        """See `Engine.place`."""
+        state = self._com_frames.to_com_state(body, base)
+        place, turn = state[:3].tolist(), state[3:7].tolist()
+        pybullet.resetBasePositionAndOrientation(body, place, turn, physicsClientId=self._client)
+        self._set_velocity(body, state[7:])
+        if (waiting := self._pending_velocities.get(body)) is not None:
+            self._pending_velocities[body] = state[7:], waiting[1]
+
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """See `Engine.put`; one brought back in this step stands still until the next."""
+        self.place(body, base)
+        self._set_joints(body, positions, velocities)
+
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.rest`."""
+        self.place(body, base)
+        zeros = np.zeros(len(self._bodies[body].joints))
+        self._set_joints(body, zeros if positions is None else positions, zeros)
+        self._let_go(body)
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """See `Engine.command`."""
+        for body, numbers in self._orders.take_changed(bodies, targets):
+            self._actuate(body, numbers)
+
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.push_link`."""
+        self._push(body, link - 1, self._part_state(body, link - 1)[0], wrench[:3], wrench[3:])
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.push_joint`."""
+        pybullet.setJointMotorControl2(
+            body, joint, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
+        )
+
+    def step(self) -> bool:
+        """See `Engine.step`; a body gone bad that touches the ground takes the ground with it."""
+        if self._twists:
+            self._impose_twists()
+        self._apply_loads()
+        pybullet.stepSimulation(physicsClientId=self._client)
+        self._set_state(self._pool.after_step(), ACTIVATION_ASLEEP)
+        self._set_off()
+        if self._ground is None or self._is_good(self._ground):
+            return True
+        self.place(self._ground, ORIGIN_STATE)
+        return False
+
+    def close(self) -> None:
+        """See `Engine.close`."""
+        pybullet.disconnect(physicsClientId=self._client)
+
+    def _admit(self, body: int, known: BulletBody) -> None:
+        self._bodies[body] = known
+        if known.loads:
+            self._loads[body] = known.loads
+
+    def _set_velocity(self, body: int, velocity: FloatArray) -> None:
+        linear, angular = velocity[:3].tolist(), velocity[3:].tolist()
+        pybullet.resetBaseVelocity(body, linear, angular, physicsClientId=self._client)
+
+    def _set_joints(self, body: int, positions: FloatArray, velocities: FloatArray) -> None:
+        joints = self._bodies[body].joints
+        for joint, at, speed in zip(joints, positions.tolist(), velocities.tolist(), strict=True):
+            pybullet.resetJointState(body, joint, at, speed, physicsClientId=self._client)
+        if (waiting := self._pending_velocities.get(body)) is not None:
+            self._pending_velocities[body] = waiting[0], velocities.copy()
+
+    def _park(self, body: int, known: BulletBody) -> None:
+        """Put a body where it touches nothing, to sleep there unless it is to be ready."""
+        self._let_touch(body, known, *COLLIDE_WITH_NOTHING)
+        self.place(body, self._pool.keep(body, known))
+        self._set_state(self._pool.add_awake(body), ACTIVATION_ASLEEP)
+
+    def _let_touch(self, body: int, known: BulletBody, group: int, mask: int) -> None:
+        client = self._client
+        for part in range(-1, known.parts):
+            pybullet.setCollisionFilterGroupMask(body, part, group, mask, physicsClientId=client)
+
+    def _set_state(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
+        for body, state in product(bodies, states):
+            pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=self._client)
+
+    def _bring_back(self, base: FloatArray, body: int, known: BulletBody, *, awake: bool) -> int:
+        if not awake:
+            self._set_state([body], ACTIVATION_AWAKE)
+            self._pending_velocities[body] = np.zeros(6), np.zeros(len(known.joints))
+        elif (sleeper := self._pool.wake_next(known.model)) is not None:
+            self._set_state([sleeper], ACTIVATION_AWAKE)
+        self._let_touch(body, known, *COLLIDE_WITH_ALL)
+        self._admit(body, known)
+        self.rest(body, base)
+        return body
+
+    def _set_off(self) -> None:
+        """Move what was brought back: Bullet stops what slept in the first step after its sleep."""
+        for body, (velocity, speeds) in list(self._pending_velocities.items()):
+            if velocity.any() or speeds.any():
+                positions = self.read([body]).joint_positions
+                self._set_velocity(body, velocity)
+                self._set_joints(body, positions, speeds)
+        self._pending_velocities.clear()
+
+    def _let_go(self, body: int) -> None:
+        """Give a body targets of 0, and its own way where a twist moved it."""
+        self._orders.forget(body)
+        self._actuate(body, [0.0] * self._bodies[body].actuation.width)
+        self._twists.pop(body, None)
+
+    def _actuate(self, body: int, numbers: list[float]) -> None:
+        plan = self._bodies[body].actuation
+        for motors, (mode, targets) in ((plan.speeds, VELOCITY_MODE), (plan.angles, POSITION_MODE)):
+            if motors.joints:
+                how: dict[str, Any] = {targets: motors.of(numbers), "forces": motors.efforts}
+                pybullet.setJointMotorControlArray(
+                    body, motors.joints, mode, **how, physicsClientId=self._client
+                )
+        self._hold(body, is_held=not any(plan.speeds.of(numbers)))
+        if plan.twist is not None:
+            self._twists[body] = numbers[plan.twist : plan.twist + 3]
+
+    def _hold(self, body: int, *, is_held: bool) -> None:
+        """Let the wheels of a body that stands resist rolling, and those of one that goes not."""
+        if is_held == (body in self._held):
+            return
+        (self._held.add if is_held else self._held.remove)(body)
+        for part, friction in self._bodies[body].holds:
+            found = friction if is_held else 0.0
+            pybullet.changeDynamics(body, part, rollingFriction=found, physicsClientId=self._client)
+
+    def _impose_twists(self) -> None:
+        bodies = list(self._twists)
+        com = self._com_states(bodies)
+        turns, arms = self._com_frames.turns_and_arms(bodies, com)
+        twists = np.array(list(self._twists.values()))
+        for body, row in zip(
+            bodies, impose_planar_twists(com[:, 7:], turns, arms, twists), strict=True
+        ):
+            self._set_velocity(body, row)
+
+    def _apply_loads(self) -> None:
+        for body, loads in self._loads.items():
+            for load in loads:
+                place, turn, velocity = self._part_state(body, load.part)
+                self._push(body, load.part, place, *load.wrench(turn, velocity))
+
+    def _push(
+        self, body: int, part: int, place: list[float], force: FloatArray, torque: FloatArray
+    ) -> None:
+        how = {"flags": pybullet.WORLD_FRAME, "physicsClientId": self._client}
+        pybullet.applyExternalForce(body, part, force.tolist(), place, **how)
+        pybullet.applyExternalTorque(body, part, torque.tolist(), **how)
+
+    def _part_state(self, body: int, part: int) -> tuple[list[float], FloatArray, FloatArray]:
+        """Read the centre of mass of a part, its principal axes, and its velocity (6,)."""
+        if part < 0:
+            row = self._com_states([body])[0]
+            return row[:3].tolist(), row[3:7], row[7:]
+        how = {"computeLinkVelocity": 1, "physicsClientId": self._client}
+        state = pybullet.getLinkState(body, part, **how)
+        return list(state[0]), np.array(state[1]), np.array([*state[6], *state[7]])
+
+    def _com_states(self, bodies: Sequence[int]) -> FloatArray:
+        place_of, velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+        return read_base_states(bodies, self._client, place_of, velocity_of)
+
+    def _is_good(self, body: int) -> bool:
+        return math.isfinite(pybullet.getBaseVelocity(body, physicsClientId=self._client)[0][0])
+
+    def _add_ground(self, friction: float) -> int:
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
+        # With nothing to see Bullet draws the whole plane: 6 MB and 10 ms.
+        ground = pybullet.createMultiBody(0.0, plane, self._visual, physicsClientId=self._client)
+        friction = limit_static_body_friction(friction)
+        pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
+        self._set_state(
+            [ground], ACTIVATION_ASLEEP
+        )  # so that nobody looks for contacts of sleepers
+        for _ in range(2):  # until it sleeps
+            pybullet.stepSimulation(physicsClientId=self._client)
+        return ground
+
+    def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
+        shapes = [self._shapes.of(blueprint, part.shapes) for part in blueprint.parts]
+        creation = make_multibody_arguments(
+            blueprint, base, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
+        )
+        flags = pybullet.URDF_USE_SELF_COLLISION if has_self_collision(blueprint.links) else 0
+        body = pybullet.createMultiBody(**creation, flags=flags, physicsClientId=self._client)
+        for one, other, do_touch in list_self_collision_pairs(blueprint) if flags else ():
+            pybullet.setCollisionFilterPair(
+                body, body, one, other, int(do_touch), physicsClientId=self._client
+            )
+        return body
+
+    def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
+        for link, found in make_dynamics_arguments(blueprint, self._dt_s):
+            pybullet.changeDynamics(body, link, **found, physicsClientId=self._client)
+        # Every joint is born with a motor that brakes it: leave it only the joint's own friction.
+        how = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": self._client}
+        for link, joint in list_moving_joints(blueprint):
+            pybullet.setJointMotorControl2(body, link, force=joint.friction, **how)
+
+    def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
+        client, moving = self._client, list_moving_joints(blueprint)
+        if not any(joint.damping for _, joint in moving):
+            return
+        still = [0.0] * len(moving)
+        masses = np.array(pybullet.calculateMassMatrix(body, still, physicsClientId=client))
+        for link, damping in limit_joint_dampings(moving, masses, self._dt_s):
+            pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=client)
+
+    def _make_gear(self, body: int, gear: GearConstraint) -> int:
+        made: int = pybullet.createConstraint(
+            *(body, gear.follower, body, gear.leader, pybullet.JOINT_GEAR),
+            *(gear.axis, ZERO, ZERO),
+            physicsClientId=self._client,
+        )
+        pybullet.changeConstraint(made, **gear.hold, physicsClientId=self._client)
+        return made

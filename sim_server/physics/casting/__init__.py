@@ -1,1 +1,0 @@
-"""What MuJoCo compiles: slots for robots of a make, so that robots come and go at once."""

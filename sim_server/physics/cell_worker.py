@@ -1,0 +1,163 @@
+"""Worker process that holds some of the cells of a server: `python -m sim_server.physics.cell_worker LINE STATES TARGETS`."""
+
+import pickle
+import signal
+import sys
+from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from typing import Any
+
+from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.physics.clusters.sharing import Board
+from zensim.sim_server.physics.clusters.worker import Answer, CellTold
+from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray, as_hiding
+from zensim.sim_server.physics.engine_factory import CellConfig
+from zensim.sim_server.physics.memory_trim import release_zero_pages, use_mmap_for_large_blocks
+
+FORWARDED_METHODS = ("place", "rest", "put", "push_link", "push_joint")
+"""What a cell is told of a body as an engine is; nothing comes of it."""
+
+
+class HostedCell:
+    """An engine, and what the server calls its bodies.
+
+    Attributes:
+        inner: The engine's number of each body, by the server's.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine = engine
+        self.inner: dict[int, int] = {}
+
+    def inners(self, bodies: Sequence[int]) -> tuple[int, ...]:
+        """Find the engine's numbers of bodies."""
+        return tuple([self.inner[body] for body in bodies])
+
+    def outers(self, inners: Sequence[int]) -> list[int]:
+        """Find the server's numbers of bodies."""
+        outer = {inner: body for body, inner in self.inner.items()}
+        return [outer[inner] for inner in inners]
+
+
+class CellWorker:
+    """Cells by the numbers that the server knows them by."""
+
+    def __init__(self, line: "Connection[Any, Any]", states: Board, targets: Board) -> None:
+        self._line = line
+        self._states, self._targets = states, targets
+        self._cells: dict[int, HostedCell] = {}
+        self._orders: CellConfig | None = None
+        self._model: Model | None = None
+
+    def run(self) -> None:
+        """Do what is told until the server closes its end."""
+        while True:
+            try:
+                told = self._line.recv()
+            except EOFError:
+                return
+            for order in told:
+                self._do(*pickle.loads(order))
+
+    def _do(self, what: str, given: tuple[Any, ...]) -> None:
+        if what in FORWARDED_METHODS:
+            cell, body, *arguments = given
+            known = self._cells[cell]
+            getattr(known.engine, what)(known.inner[body], *arguments)
+            return
+        try:
+            answer = getattr(self, f"_{what}")(*given)
+        except EngineRefused as refused:
+            answer = Answer(refused=str(refused))
+        if answer is not None:
+            self._line.send(answer)
+
+    def _begin(self, orders: CellConfig) -> None:
+        use_mmap_for_large_blocks()
+        self._orders = orders
+
+    def _model_is(self, model: Model) -> None:
+        self._model = model
+
+    def _make(self, cell: int) -> None:
+        assert self._orders is not None
+        self._cells[cell] = HostedCell(self._orders.make())
+        release_zero_pages()
+
+    def _conceal(self, cell: int, body: int) -> None:
+        known = self._cells[cell]
+        if engine := as_hiding(known.engine):
+            engine.hide(known.inner[body])
+
+    def _reveal(self, cell: int, bodies: Sequence[int]) -> None:
+        known = self._cells[cell]
+        if engine := as_hiding(known.engine):
+            engine.show(known.inners(bodies))
+
+    def _close(self, cell: int) -> None:
+        self._cells.pop(cell).engine.close()
+
+    def _prepare(self, cell: int) -> Answer:
+        assert self._model is not None
+        return Answer(self._cells[cell].engine.prepare(self._model))
+
+    def _add(self, cell: int, body: int, base: FloatArray) -> Answer:
+        self._put_in(cell, body, base)
+        return Answer(value=True)
+
+    def _add_another(self, cell: int, body: int, base: FloatArray) -> None:
+        try:
+            self._put_in(cell, body, base)
+        except EngineRefused as refused:
+            # It took others of this model, and nobody waits for what it says of this one.
+            raise RuntimeError(f"body {body} of cell {cell}: {refused}") from refused
+
+    def _put_in(self, cell: int, body: int, base: FloatArray) -> None:
+        assert self._model is not None
+        known = self._cells[cell]
+        known.inner[body] = known.engine.add(self._model, base)
+
+    def _remove(self, cell: int, body: int) -> None:
+        known = self._cells[cell]
+        known.engine.remove(known.inner.pop(body))
+
+    def _forget_removed(self, cell: int) -> None:
+        self._cells[cell].engine.forget_removed()
+
+    def _overlapping(self, cell: int, body: int) -> Answer:
+        known = self._cells[cell]
+        return Answer(known.outers(known.engine.find_overlaps(known.inner[body])))
+
+    def _step(self, cells: Sequence[int], steps: int) -> Answer:
+        is_well = True
+        for cell in cells:
+            for _ in range(steps):
+                is_well &= self._cells[cell].engine.step()
+        return Answer(is_well)
+
+    def _read(self, asked: Sequence[tuple[int, Sequence[int]]]) -> Answer:
+        cells = ((self._cells[cell], bodies) for cell, bodies in asked)
+        found = [known.engine.read(known.inners(bodies)) for known, bodies in cells]
+        arrays = [(one.base, one.joint_positions, one.joint_velocities) for one in found]
+        self._states.write([array for three in arrays for array in three])
+        return Answer([(len(one.base), one.joint_positions.size) for one in found])
+
+    def _command(self, told: Sequence[CellTold]) -> None:
+        targets = self._targets.read([count for _, (_, count) in told])
+        for (cell, (bodies, _)), mine in zip(told, targets, strict=True):
+            self._command_one(cell, bodies, mine)
+
+    def _command_one(self, cell: int, bodies: Sequence[int], targets: FloatArray) -> None:
+        known = self._cells[cell]
+        known.engine.command(known.inners(bodies), targets)
+
+
+def main() -> None:
+    """Work until the server ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    line, states, targets = map(int, sys.argv[1:])
+    CellWorker(Connection(line), Board(states), Board(targets)).run()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""Which wheels resist rolling while they stand."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.engines import STEP_NS, advance
+from tests.models import a_body, a_box, a_box_bot, box_bot_at
+from tests.sim_server.physics.bullet import dynamics_of
+from zensim.proto.messages.model_messages import Contact, Joint, Link, Model, Shape
+from zensim.sim_server.physics.blueprint import RigidPart, make_blueprint
+from zensim.sim_server.physics.bullet.bullet_contact import (
+    CONTACT_PROCESSING_M,
+    ROLLING_RESISTANCE,
+    find_rolling_frictions,
+    has_self_collision,
+    limit_static_body_friction,
+    list_self_collision_pairs,
+    make_contact_arguments,
+)
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
+
+DT_S = 0.004
+RIGID = Contact()
+BALL = Shape("sphere", (0.1, 0.0, 0.0))
+
+
+def a_part(contact: Contact = RIGID, friction: float = 0.5) -> RigidPart:
+    return RigidPart(
+        mass_kg=1.0,
+        com=(0.0, 0.0, 0.0),
+        principal=(0.0, 0.0, 0.0, 1.0),
+        inertia=(1.0, 1.0, 1.0),
+        shapes=(BALL,),
+        friction=friction,
+        contact=contact,
+        parent=-1,
+        link=0,
+    )
+
+
+def test_rigid_part_has_its_friction_and_nothing_else() -> None:
+    touch = make_contact_arguments(a_part(), DT_S, is_static=False)
+
+    assert touch == {
+        "lateralFriction": 0.5,
+        "spinningFriction": 0.0,
+        "rollingFriction": 0.0,
+        "restitution": 0.0,
+        "contactProcessingThreshold": CONTACT_PROCESSING_M,
+    }
+
+
+@pytest.mark.parametrize(("damping", "used"), [(1.0, 16.0), (100.0, 100.0)])
+def test_soft_part_is_damped_enough_not_to_jump(damping: float, used: float) -> None:
+    touch = make_contact_arguments(a_part(Contact(1000.0, damping)), DT_S, is_static=False)
+
+    assert touch["contactStiffness"] == 1000.0
+    assert touch["contactDamping"] == pytest.approx(used)
+
+
+@pytest.mark.parametrize(
+    ("along", "across", "most", "shares"),
+    [(0.5, 0.25, 0.5, (1.0, 0.5, 0.5)), (0.2, 0.8, 0.8, (0.25, 1.0, 1.0)), (0, 0, 0, (1, 1, 1))],
+)
+def test_frictions_of_two_directions_are_shares_of_the_greater(
+    along: float, across: float, most: float, shares: tuple[float, float, float]
+) -> None:
+    contact = Contact(direction=(1.0, 0.0, 0.0), friction_across=across)
+
+    touch = make_contact_arguments(a_part(contact, along), DT_S, is_static=False)
+
+    assert touch["lateralFriction"] == most
+    assert touch["anisotropicFriction"] == pytest.approx(shares)
+
+
+@pytest.mark.parametrize(("written", "used"), [(0.3, 0.3), (1.0, 1.0), (100.0, 1.0)])
+def test_what_stands_still_leaves_others_their_friction(written: float, used: float) -> None:
+    assert limit_static_body_friction(written) == used
+    assert (
+        make_contact_arguments(a_part(friction=written), DT_S, is_static=True)["lateralFriction"]
+        == used
+    )
+    assert (
+        make_contact_arguments(a_part(friction=written), DT_S, is_static=False)["lateralFriction"]
+        == written
+    )
+
+
+def a_row(count: int, *asking: int) -> Model:
+    """Links one after another; each but the first has a slippery skin besides."""
+    slick = Shape("sphere", (0.1, 0.0, 0.0), friction=0.0)
+    links = tuple(
+        Link(f"l{i}", a_body(), (BALL, slick) if i else (BALL,), self_collides=i in asking)
+        for i in range(count)
+    )
+    joints = tuple(Joint(f"j{i}", "continuous", f"l{i - 1}", f"l{i}") for i in range(1, count))
+    return Model("row", links, joints)
+
+
+def touching_of(model: Model) -> set[tuple[int, int]]:
+    return {
+        (i, j) for i, j, do_touch in list_self_collision_pairs(make_blueprint(model)) if do_touch
+    }
+
+
+def test_parts_touch_where_either_link_asks_and_no_joint_joins_them() -> None:
+    # Parts -1 to 2 are the links, 3 to 5 the skins of the last three.
+    assert touching_of(a_row(4, 0)) == {(-1, 1), (-1, 2), (-1, 4), (-1, 5)}
+    assert touching_of(a_row(4)) == set()
+
+
+def test_body_touches_itself_only_when_a_link_asks() -> None:
+    assert has_self_collision(a_row(2, 1).links)
+    assert not has_self_collision(a_row(2).links)
+
+
+@pytest.fixture
+def engine() -> Iterator[PyBulletEngine]:
+    found = PyBulletEngine(EngineConfig(STEP_NS))
+    yield found
+    found.close()
+
+
+def test_wheels_with_motors_resist_by_their_radius() -> None:
+    model = a_box_bot()
+
+    holds = dict(find_rolling_frictions(model, make_blueprint(model)))
+
+    assert holds == {
+        0: pytest.approx(ROLLING_RESISTANCE * 0.035),
+        1: pytest.approx(ROLLING_RESISTANCE * 0.035),
+    }
+
+
+def test_what_has_no_motors_rolls_freely() -> None:
+    assert find_rolling_frictions(a_box(), make_blueprint(a_box())) == ()
+
+
+def test_wheels_resist_rolling_while_they_are_told_to_stand(engine: PyBulletEngine) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    born = [part.rolling_friction for part in dynamics_of(engine, body)]
+
+    engine.command([body], np.array([5.0, 5.0]))
+    driven = [part.rolling_friction for part in dynamics_of(engine, body)]
+    engine.command([body], np.zeros(2))
+    stopped = [part.rolling_friction for part in dynamics_of(engine, body)]
+
+    assert born == stopped == [0.0, *[pytest.approx(3.5e-4)] * 2, 0.0]
+    assert driven == [0.0] * 4
+
+
+def test_box_bot_that_has_stopped_does_not_rock(engine: PyBulletEngine) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    engine.command([body], np.array([10.0, 10.0]))
+    advance(engine, 240)
+
+    engine.command([body], np.zeros(2))
+    advance(engine, 240)
+    turns = []
+    for _ in range(120):
+        engine.step()
+        turns.append(np.abs(engine.read([body]).base[0, 10:13]).max())
+
+    assert max(turns) < 2e-3

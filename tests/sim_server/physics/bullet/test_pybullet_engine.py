@@ -1,0 +1,449 @@
+"""PyBulletEngine beyond the contract: masses, frictions, limits, and what Bullet cannot do."""
+
+import ctypes
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator
+
+import msgspec
+import numpy as np
+import pybullet
+import pytest
+
+from tests.engines import STEP_NS, advance
+from tests.models import (
+    a_body,
+    a_box,
+    a_box_bot,
+    a_cart,
+    a_lopsided_box,
+    a_state,
+    an_arm,
+    angle_between,
+    box_bot_at,
+    on_ground,
+)
+from tests.sim_server.physics.bullet import bodies_in, client_of, dynamics_of, next_shape, touching
+from zensim.proto.messages.model_messages import (
+    Inertial,
+    Joint,
+    JointKind,
+    Link,
+    Model,
+    RosBlock,
+    Shape,
+)
+from zensim.sim_server.physics.bullet.pybullet_engine import (
+    MAX_PARTS,
+    PyBulletEngine,
+    suppress_output,
+)
+from zensim.sim_server.physics.engine import EngineRefused
+from zensim.sim_server.physics.engine_config import EngineConfig
+
+
+def print_from_c(text: str) -> None:
+    libc = ctypes.CDLL(None)
+    libc.puts(text.encode())
+
+
+def test_silence_swallows_both_streams_of_c_code(capfd: pytest.CaptureFixture[str]) -> None:
+    with suppress_output():
+        print_from_c("from puts")
+        os.write(1, b"to stdout\n")
+        os.write(2, b"to stderr\n")
+
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+
+
+def test_silence_ends_with_its_block(capfd: pytest.CaptureFixture[str]) -> None:
+    with suppress_output():
+        pass
+    os.write(1, b"to stdout\n")
+    os.write(2, b"to stderr\n")
+
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("to stdout\n", "to stderr\n")
+
+
+def test_silence_keeps_what_was_said_before(capfd: pytest.CaptureFixture[str]) -> None:
+    sys.stdout.write("before\n")
+    print_from_c("before, from C")
+
+    with suppress_output():
+        print_from_c("inside")
+
+    assert set(capfd.readouterr().out.splitlines()) == {"before", "before, from C"}
+
+
+def test_silence_ends_when_something_fails_inside(capfd: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyError), suppress_output():
+        raise KeyError
+
+    os.write(1, b"heard\n")
+
+    assert capfd.readouterr().out == "heard\n"
+
+
+def test_silence_leaves_no_file_open() -> None:
+    before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  a list of numbers, not of paths
+
+    for _ in range(5):
+        with suppress_output():
+            pass
+
+    assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208
+
+
+DT_S = STEP_NS * 1e-9
+
+
+@pytest.fixture
+def engine() -> Iterator[PyBulletEngine]:
+    made = PyBulletEngine(EngineConfig(STEP_NS))
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def space() -> Iterator[PyBulletEngine]:
+    made = PyBulletEngine(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
+    yield made
+    made.close()
+
+
+def a_many_legged(legs: int, kind: JointKind = "revolute") -> Model:
+    links = [Link("base", a_body()), *(Link(f"leg{i}", a_body(0.1)) for i in range(legs))]
+    joints = [Joint(f"hip{i}", kind, "base", f"leg{i}") for i in range(legs)]
+    return Model("many_legged", tuple(links), tuple(joints))
+
+
+def a_model_of(shape: Shape) -> Model:
+    ball = Shape("sphere", (0.123, 0.0, 0.0))
+    return Model("m", (Link("base", a_body(), (ball,)), Link("tip", a_body(), (shape,))), (_pin(),))
+
+
+def _pin() -> Joint:
+    return Joint("pin", "continuous", "base", "tip")
+
+
+def in_namespace(model: Model, namespace: str) -> Model:
+    assert model.drive is not None
+    drive = msgspec.structs.replace(model.drive, ros=RosBlock(namespace))
+    return msgspec.structs.replace(model, drive=drive)
+
+
+@pytest.mark.parametrize("make_model", [a_box_bot, a_cart, a_lopsided_box])
+def test_body_weighs_what_its_model_weighs(
+    engine: PyBulletEngine, make_model: Callable[[], Model]
+) -> None:
+    model = make_model()
+    body = engine.add(model, a_state((0.0, 0.0, 1.0)))
+
+    total = sum(part.mass_kg for part in dynamics_of(engine, body))
+
+    assert total == pytest.approx(model.mass_kg, abs=1e-6)
+
+
+@pytest.mark.parametrize("make_model", [a_box_bot, a_cart, a_lopsided_box])
+def test_body_has_the_inertia_of_its_model(
+    engine: PyBulletEngine, make_model: Callable[[], Model]
+) -> None:
+    model = make_model()
+    body = engine.add(model, a_state((0.0, 0.0, 1.0)))
+
+    for part, link in zip(dynamics_of(engine, body), model.links, strict=False):
+        ixx, ixy, ixz, iyy, iyz, izz = link.inertial.inertia
+        moments = np.linalg.eigvalsh([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        assert sorted(part.inertia) == pytest.approx(moments, rel=1e-9)
+        assert part.com == pytest.approx(link.inertial.com_in_link, abs=1e-9)
+
+
+def test_body_casters_slide_on_a_massless_part_of_their_own(engine: PyBulletEngine) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+
+    chassis, left, right, casters = dynamics_of(engine, body)
+
+    assert [part.friction for part in (chassis, left, right)] == [1.0, 1.0, 1.0]
+    assert (casters.friction, casters.mass_kg) == (0.0, 0.0)
+
+
+def test_body_that_is_driven_neither_bounces_nor_brakes_by_rolling(engine: PyBulletEngine) -> None:
+    body = engine.add(a_cart(), on_ground())
+
+    engine.command([body], np.array([1.0, 0.0]))
+
+    for part in dynamics_of(engine, body):
+        assert (part.restitution, part.rolling_friction, part.spinning_friction) == (0, 0, 0)
+
+
+def test_body_falls_as_gravity_says_when_its_mass_is_off_centre(engine: PyBulletEngine) -> None:
+    start = a_state((1.0, 2.0, 100.0), turn=(0.3, -0.2, 1.0))
+    body = engine.add(a_lopsided_box(), start)
+    steps = 240
+
+    advance(engine, steps)
+
+    row = engine.read([body]).base[0]
+    fallen = 9.81 * DT_S**2 * steps * (steps + 1) / 2.0
+    assert row[:3] == pytest.approx([1.0, 2.0, 100.0 - fallen], abs=1e-9)
+    assert angle_between(row[3:7], start[3:7]) < 1e-7
+    assert row[7:] == pytest.approx([0.0, 0.0, -9.81 * DT_S * steps, 0.0, 0.0, 0.0], abs=1e-9)
+
+
+def test_body_root_circles_its_mass_centre_when_it_spins(space: PyBulletEngine) -> None:
+    centre = np.array([0.3, -0.2, 0.1])
+    inertia = (0.05, 0.0, 0.0, 0.05, 0.0, 0.05)
+    model = Model("m", (Link("base", Inertial(1.0, (0.3, -0.2, 0.1), inertia)),))
+    spin = np.array([0.0, 0.0, 2.0])
+    root_velocity = np.cross(spin, -centre)
+    body = space.add(model, a_state(linear=tuple(root_velocity), angular=tuple(spin)))
+
+    advance(space, 240)
+
+    row = space.read([body]).base[0]
+    angle = 2.0 * DT_S * 240
+    turn = np.array(
+        [[math.cos(angle), -math.sin(angle), 0], [math.sin(angle), math.cos(angle), 0], [0, 0, 1]]
+    )
+    assert row[:3] == pytest.approx(centre - turn @ centre, abs=1e-6)
+    assert row[7:10] == pytest.approx(np.cross(spin, -turn @ centre), abs=1e-6)
+    assert row[10:13] == pytest.approx(spin, abs=1e-9)
+
+
+def test_body_falls_for_ever_when_there_is_no_ground() -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS, has_ground=False))
+    body = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+
+    advance(engine, 480)
+
+    assert engine.read([body]).base[0, 2] < -10.0
+    engine.close()
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 0.8])
+def test_body_is_slowed_by_the_friction_of_its_shape(
+    engine: PyBulletEngine, friction: float
+) -> None:
+    body = engine.add(a_box(friction=friction), a_state((0.0, 0.0, 0.1), linear=(3.0, 0.0, 0.0)))
+
+    advance(engine, 60)
+
+    slowed = 3.0 - engine.read([body]).base[0, 7]
+    assert slowed == pytest.approx(friction * 9.81 * DT_S * 60, rel=0.03, abs=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_joint_stops_at_its_limit(engine: PyBulletEngine, kind: JointKind) -> None:
+    body = engine.add(an_arm(kind), a_state((0.0, 0.0, 5.0)))
+
+    advance(engine, 720)
+
+    found = float(engine.read([body]).joint_positions[0])
+    assert abs(found) == pytest.approx(0.5, abs=0.02)
+
+
+def test_joint_swings_freely_when_nothing_drives_it(engine: PyBulletEngine) -> None:
+    body = engine.add(an_arm("continuous"), a_state((0.0, 0.0, 5.0)))
+
+    angles = []
+    for _ in range(720):
+        engine.step()
+        angles.append(float(engine.read([body]).joint_positions[0]))
+
+    # It hangs along x and falls: it goes through the bottom and comes up on the other side.
+    assert max(angles) > 0.95 * math.pi
+    assert min(angles[360:]) < 0.1 * math.pi
+
+
+def test_joint_is_held_by_its_friction(engine: PyBulletEngine) -> None:
+    body = engine.add(an_arm("continuous", friction=3.0), a_state((0.0, 0.0, 5.0)))
+
+    advance(engine, 480)
+
+    assert engine.read([body]).joint_positions[0] == pytest.approx(0.0, abs=0.01)
+
+
+def test_joint_is_slowed_by_its_damping(engine: PyBulletEngine) -> None:
+    free, damped = (
+        engine.add(an_arm("continuous", damping=damping), a_state((x, 0.0, 5.0)))
+        for x, damping in ((0.0, 0.0), (5.0, 1.0))
+    )
+
+    advance(engine, 60)
+
+    quick, slow = engine.read([free, damped]).joint_velocities
+    assert 0.0 < slow < 0.6 * quick
+
+
+@pytest.mark.parametrize(
+    "shape", [Shape("mesh", mesh="a.stl"), Shape("plane")], ids=lambda shape: shape.kind
+)
+def test_engine_refuses_a_shape_that_it_cannot_make(engine: PyBulletEngine, shape: Shape) -> None:
+    with pytest.raises(EngineRefused, match=rf"model 'm'.*'{shape.kind}'.*use box, sphere"):
+        engine.add(a_model_of(shape), a_state())
+
+    assert bodies_in(engine) == 1
+
+
+def test_engine_refuses_a_robot_of_more_parts_than_bullet_reads_back(
+    engine: PyBulletEngine,
+) -> None:
+    with pytest.raises(EngineRefused, match=rf"{MAX_PARTS + 1} parts.*at most {MAX_PARTS}"):
+        engine.add(a_many_legged(MAX_PARTS), a_state())
+
+    assert bodies_in(engine) == 1
+
+
+def test_engine_simulates_a_robot_of_as_many_parts_as_bullet_reads_back(
+    engine: PyBulletEngine,
+) -> None:
+    body = engine.add(a_many_legged(MAX_PARTS - 1), a_state((0.0, 0.0, 5.0)))
+
+    engine.step()
+
+    assert engine.read([body]).joint_positions.shape == (MAX_PARTS - 1,)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [a_model_of(Shape("mesh", mesh="a.stl")), an_arm("planar"), a_many_legged(MAX_PARTS)],
+    ids=["shape", "joint", "parts"],
+)
+def test_engine_keeps_nothing_of_a_model_that_it_refused(
+    engine: PyBulletEngine, model: Model
+) -> None:
+    before = next_shape(engine)
+
+    for _ in range(3):
+        with pytest.raises(EngineRefused):
+            engine.add(model, a_state())
+
+    assert next_shape(engine) == before
+    assert bodies_in(engine) == 1
+
+
+def test_engine_shares_shapes_among_robots_that_differ_by_namespace(
+    engine: PyBulletEngine,
+) -> None:
+    engine.add(in_namespace(a_box_bot(), "r0"), box_bot_at(0.0))
+    before = next_shape(engine)
+
+    for i in range(1, 5):
+        engine.add(in_namespace(a_box_bot(), f"r{i}"), box_bot_at(float(i)))
+
+    assert next_shape(engine) == before
+
+
+def test_engine_makes_no_more_shapes_when_robots_come_and_go(engine: PyBulletEngine) -> None:
+    engine.remove(engine.add(a_box_bot(), box_bot_at()))
+    before = next_shape(engine)
+
+    for i in range(20):
+        engine.remove(engine.add(in_namespace(a_box_bot(), f"r{i}"), box_bot_at()))
+
+    assert next_shape(engine) == before
+    # The ground, and the one that is parked.
+    assert bodies_in(engine) == 2
+
+
+def test_engine_brings_a_parked_body_back_as_if_new(engine: PyBulletEngine) -> None:
+    fresh = engine.add(a_box_bot(), box_bot_at())
+    engine.command([fresh], np.array([5.0, 3.0]))
+    advance(engine, 240)
+    driven = engine.read([fresh])
+    engine.remove(fresh)
+    advance(engine, 240)
+
+    again = engine.add(a_box_bot(), box_bot_at())
+    assert again == fresh
+    assert engine.read([again]).base[0] == pytest.approx(box_bot_at(), abs=1e-9)
+    engine.command([again], np.array([5.0, 3.0]))
+    advance(engine, 240)
+
+    assert engine.read([again]).base == pytest.approx(driven.base, abs=1e-6)
+    assert engine.read([again]).joint_positions == pytest.approx(driven.joint_positions, abs=1e-6)
+
+
+def test_engine_body_flies_on_although_its_twin_is_parked(space: PyBulletEngine) -> None:
+    space.remove(space.add(a_box(), a_state()))
+    advance(space, 600)
+
+    body = space.add(a_box(), a_state(linear=(2.0, 0.0, 0.0)))
+    advance(space, 240)
+
+    assert space.read([body]).base[0, 0] == pytest.approx(2.0, abs=1e-3)
+
+
+def test_engine_parked_body_is_in_nobodys_way(engine: PyBulletEngine) -> None:
+    gone = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+    engine.remove(gone)
+    falling = engine.add(a_lopsided_box(), a_state((0.0, 0.0, 0.5)))
+
+    advance(engine, 480)
+
+    assert engine.find_overlaps(falling) == []
+    assert engine.read([falling]).base[0, 2] < 0.3
+
+
+def test_engine_robot_still_collides_when_its_twin_was_removed(engine: PyBulletEngine) -> None:
+    twin = engine.add(a_box(), a_state((5.0, 0.0, 0.1)))
+    lower = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+    upper = engine.add(a_box(), a_state((0.0, 0.0, 0.31)))
+
+    engine.remove(twin)
+    advance(engine, 240)
+
+    assert touching(engine, lower, upper) > 0
+    assert engine.read([lower, upper]).base[:, 2] == pytest.approx([0.1, 0.3], abs=2e-3)
+
+
+def test_engine_tells_roots_of_more_bodies_than_it_first_has_room_for(
+    space: PyBulletEngine,
+) -> None:
+    bodies = [space.add(a_lopsided_box(), a_state((float(x), 0.0, 0.0))) for x in range(200)]
+
+    assert space.read(bodies).base[:, :3] == pytest.approx(
+        np.array([[x, 0.0, 0.0] for x in range(200)]), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize("target", [1e3, -1e9, 1e300])
+def test_engine_stays_finite_when_a_target_is_huge(engine: PyBulletEngine, target: float) -> None:
+    mad = engine.add(a_box_bot(), box_bot_at())
+    calm = engine.add(a_box_bot(), box_bot_at(0.0, 5.0))
+
+    engine.command([mad], np.full(2, target))
+    advance(engine, 240)
+    engine.command([mad], np.zeros(2))
+    advance(engine, 480)
+
+    row, other = engine.read([mad, calm]).base
+    assert np.isfinite(row).all()
+    assert abs(row[7:]).max() < 0.02
+    assert other[:3] == pytest.approx([0.0, 5.0, 0.06], abs=1e-4)
+
+
+def test_engine_says_nothing_on_the_terminal(
+    engine: PyBulletEngine, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for model in (a_box_bot(), a_lopsided_box(), an_arm("prismatic")):
+        body = engine.add(model, a_state((0.0, 0.0, 1.0)))
+        advance(engine, 5)
+        engine.remove(body)
+    for refused in (a_model_of(Shape("mesh", mesh="a.stl")), an_arm("planar")):
+        with pytest.raises(EngineRefused):
+            engine.add(refused, a_state())
+
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+
+
+def test_engine_disconnects_when_closed() -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS))
+
+    engine.close()
+
+    assert not pybullet.isConnected(client_of(engine))

@@ -1,0 +1,154 @@
+"""MuJoCo's engine: slots come and go, casts change, and nobody notices."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.engines import STEP_NS, advance
+from tests.models import a_box, a_box_bot, a_cart, a_state, an_arm, box_bot_at, on_ground
+from tests.sim_server.physics.mujoco.test_convex_pieces import a_room
+from zensim.proto.messages.model_messages import Link, Model, Shape
+from zensim.proto.stl import write_corners
+from zensim.sim_server.physics.engine import Engine, EngineRefused
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine, find_near_geometries
+
+
+@pytest.mark.parametrize(("x", "is_near"), [(2.9, True), (3.1, False), (-1.9, True), (-2.1, False)])
+def test_geometry_is_nearby_when_its_ball_reaches_into_that_of_a_body(
+    x: float, *, is_near: bool
+) -> None:
+    centres = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [x, 0.0, 0.0]])
+    radii = np.array([0.5, 0.5, 1.4])
+
+    found = find_near_geometries(centres, radii, np.array([0, 1]))
+
+    assert found.tolist() == ([0, 1, 2] if is_near else [0, 1])
+
+
+def test_nothing_is_near_what_has_no_geometry() -> None:
+    found = find_near_geometries(np.zeros((3, 3)), np.ones(3), np.zeros(0, np.intp))
+
+    assert found.tolist() == []
+
+
+A_DAMPED = msgspec.structs.replace(an_arm("continuous", damping=0.5), is_static=False)
+
+
+@pytest.fixture
+def engine() -> Iterator[Engine]:
+    made = MujocoEngine(EngineConfig(STEP_NS))
+    yield made
+    made.close()
+
+
+def drive_on(*, with_others: bool) -> bytes:
+    """Drive two box_bots into each other while robots of other makes come and go."""
+    engine = MujocoEngine(EngineConfig(STEP_NS))
+    model = a_box_bot()
+    pair = [engine.add(model, box_bot_at(0.0)), engine.add(model, box_bot_at(0.3, 0.01, np.pi))]
+    engine.command(pair, np.array([5.0, 5.5, 5.0, 4.5]))
+    for turn in range(12):
+        advance(engine, 20)
+        if with_others:
+            newcomer = engine.add(
+                (a_cart(), a_box(), a_box_bot(), A_DAMPED)[turn % 4], on_ground(9.0, turn)
+            )
+            advance(engine, 5)
+            if turn % 2:
+                engine.remove(newcomer)
+        else:
+            advance(engine, 5)
+    reading = engine.read(pair)
+    engine.close()
+    return reading.base.tobytes() + reading.joint_positions.tobytes()
+
+
+def test_robots_go_on_bit_by_bit_when_their_cast_is_compiled_anew() -> None:
+    assert drive_on(with_others=True) == drive_on(with_others=False)
+
+
+def test_robots_of_different_makes_push_each_other(engine: Engine) -> None:
+    box = engine.add(a_box(), a_state((0.5, 0.0, 0.1)))
+    cart = engine.add(a_cart(), on_ground())
+
+    engine.command([cart], np.array([6.0, 6.0]))
+    advance(engine, 480)
+
+    x_cart, x_box = engine.read([cart, box]).base[:, 0].tolist()
+    assert x_box > 0.52
+    assert x_box - x_cart > 0.2
+
+
+def test_robot_spawned_inside_another_leaves_both_whole(engine: Engine) -> None:
+    model = a_box_bot()
+    bodies = [engine.add(model, box_bot_at(0.01 * i)) for i in range(3)]
+
+    advance(engine, 240)
+
+    reading = engine.read(bodies)
+    assert np.isfinite(reading.base).all()
+    assert np.abs(reading.base[:, :2]).max() < 1.0
+    assert np.abs(reading.base[:, 2] - 0.055).max() < 0.02
+
+
+def test_engine_says_that_a_broken_body_is_there_and_the_others_go_on(engine: Engine) -> None:
+    model = a_box_bot()
+    broken, other = engine.add(model, box_bot_at()), engine.add(model, box_bot_at(0.101))
+    engine.command([other], np.array([4.0, 4.0]))
+
+    state = box_bot_at()
+    state[7] = np.nan
+    engine.place(broken, state)
+
+    assert not engine.step()
+    advance(engine, 240)
+    base = engine.read([broken, other]).base
+    assert np.isnan(base[0]).any()
+    assert base[1, 0] == pytest.approx(0.101 + 4.0 * 0.035, abs=0.01)
+    engine.place(broken, box_bot_at(-1.0))
+    assert engine.step()
+    assert engine.read([broken]).base[0, 0] == pytest.approx(-1.0, abs=1e-3)
+
+
+def test_forgotten_bodies_leave_no_empty_slots(engine: Engine) -> None:
+    bodies = [engine.add(a_box(), a_state((float(i), 0.0, 0.1))) for i in range(9)]
+    for body in bodies[:8]:
+        engine.remove(body)
+    before = engine.read(bodies[8:])
+
+    engine.forget_removed()
+
+    assert engine.read(bodies[8:]).base.tobytes() == before.base.tobytes()
+    assert engine.add(a_cart(), on_ground(5.0)) not in bodies
+
+
+def a_mesh(folder: Path, corners: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> Shape:
+    (folder / "room.stl").write_bytes(write_corners(corners.reshape(-1, 3, 3)))
+    return Shape("mesh", (1.0, 1.0, 1.0), mesh="room")
+
+
+def test_robot_stands_and_stops_inside_a_room_of_triangles(tmp_path: Path) -> None:
+    engine = MujocoEngine(EngineConfig(STEP_NS, has_ground=False, mesh_folder=str(tmp_path)))
+    room = Model("room", (Link("room", collisions=(a_mesh(tmp_path, a_room()),)),), is_static=True)
+    engine.add(room, a_state())
+    robot = engine.add(a_box_bot(), a_state((3.7, 2.0, 0.06)))
+
+    engine.command([robot], np.array([10.0, 10.0]))
+    advance(engine, 480)
+
+    x, y, z = engine.read([robot]).base[0, :3].tolist()
+    engine.close()
+    assert x == pytest.approx(3.95, abs=0.01)
+    assert y == pytest.approx(2.0, abs=0.05)
+    assert z == pytest.approx(0.06, abs=0.01)
+
+
+def test_mesh_that_is_not_here_is_refused(engine: Engine) -> None:
+    body = Model("m", (Link("m", collisions=(Shape("mesh", mesh="gone"),)),))
+
+    with pytest.raises(EngineRefused, match="'gone' is not here; send it again"):
+        engine.add(body, a_state())

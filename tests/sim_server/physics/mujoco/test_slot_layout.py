@@ -1,0 +1,51 @@
+"""How many slots a cast has, and who gets which."""
+
+import pytest
+
+from tests.models import a_box, a_cart
+from zensim.sim_server.physics.blueprint import make_blueprint
+from zensim.sim_server.physics.mujoco.slot_layout import (
+    SlotAllocator,
+    make_archetype,
+    round_up_slots,
+)
+
+BOX, CART = make_archetype(make_blueprint(a_box())), make_archetype(make_blueprint(a_cart()))
+
+
+@pytest.mark.parametrize(("count", "room"), [(1, 1), (2, 2), (3, 4), (5, 8), (64, 64), (65, 128)])
+def test_room_is_the_next_power_of_two(count: int, room: int) -> None:
+    assert round_up_slots(count) == room
+
+
+def test_slots_are_given_lowest_first() -> None:
+    slots = SlotAllocator()
+    assert [slots.take(BOX, body) for body in range(4)] == [0, 1, 2, 3]
+
+    slots.release(BOX, 2)
+    slots.release(BOX, 1)
+
+    assert [slots.take(BOX, body) for body in (7, 8, 9)] == [1, 2, 4]
+
+
+def test_cast_names_makes_in_the_order_of_their_first_body() -> None:
+    slots = SlotAllocator()
+    for body, make in enumerate((CART, BOX, BOX, CART, BOX)):
+        slots.take(make, body)
+
+    assert slots.cast == ((CART, 2), (BOX, 4))
+
+
+def test_cast_is_told_before_a_slot_is_taken() -> None:
+    slots = SlotAllocator()
+    for body, make in enumerate((CART, BOX, BOX)):
+        foretold = slots.with_one_more(make)
+        slots.take(make, body)
+
+        assert slots.cast == foretold
+
+
+def test_robots_that_differ_in_name_only_are_of_one_make() -> None:
+    assert make_archetype(make_blueprint(a_box("other"))) == BOX
+    assert hash(make_archetype(make_blueprint(a_box("other")))) == hash(BOX)
+    assert make_archetype(make_blueprint(a_box(friction=0.5))) != BOX

@@ -1,0 +1,411 @@
+"""Bodies that hardly move sleep: they cost nothing, and wake when something is about to happen."""
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+import pybullet
+import pytest
+
+from tests.engines import STEP_NS, advance
+from tests.models import a_box, a_box_bot, a_state, an_arm, box_bot_at
+from tests.sim_server.physics.bullet import client_of
+from zensim.proto.messages.model_messages import Decay, Model
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.sleeping_engine import (
+    BRAKED_BODY_THRESHOLDS,
+    FREE_BODY_THRESHOLDS,
+    SleepingEngine,
+    SleepState,
+    SleepTracker,
+    choose_sleep_thresholds,
+    find_initial_sleep_state,
+    find_reachable,
+)
+
+STEPS = 10
+ONE = np.array([3], dtype=np.intp)
+
+
+def a_reading(base: FloatArray, *positions: float) -> BodyStates:
+    return BodyStates(base[None], np.array(positions), np.zeros(len(positions)))
+
+
+def calm_with(model: Model) -> SleepTracker:
+    calm = SleepTracker(STEPS)
+    calm.take(int(ONE[0]), model, 0.2, 0)
+    return calm
+
+
+def is_calm_after(calm: SleepTracker, states: list[FloatArray]) -> bool:
+    """Compare a state at each step, and say whether the last is one of calm."""
+    return bool(
+        [calm.compare(ONE, a_reading(state), step) for step, state in enumerate(states)][-1]
+    )
+
+
+def test_body_is_calm_when_it_has_stayed_for_long_enough() -> None:
+    calm = calm_with(a_box())
+    states = [a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))] * (STEPS + 1)
+
+    assert not is_calm_after(calm, states[:-1])
+    assert is_calm_after(calm_with(a_box()), states)
+
+
+@pytest.mark.parametrize("each_m", [1e-4, 1e-3])
+def test_body_that_drifts_is_never_calm(each_m: float) -> None:
+    states = [a_state((each_m * step, 0.0, 0.0)) for step in range(200)]
+
+    assert not any(is_calm_after(calm_with(a_box()), states[:n]) for n in range(1, 200, 7))
+
+
+def test_body_that_turns_slowly_is_never_calm() -> None:
+    states = [a_state(turn=(0.0, 0.0, 5e-4 * step)) for step in range(50)]
+
+    assert not is_calm_after(calm_with(a_box()), states)
+
+
+def test_body_whose_joint_swings_is_not_calm() -> None:
+    calm = calm_with(an_arm("revolute"))
+    still = a_state()
+
+    found = [calm.compare(ONE, a_reading(still, 0.01 * step), step) for step in range(30)]
+
+    assert not any(is_calm.any() for is_calm in found)
+
+
+def test_robot_with_braked_wheels_may_creep_and_a_box_may_not() -> None:
+    assert choose_sleep_thresholds(a_box_bot()) == BRAKED_BODY_THRESHOLDS
+    assert choose_sleep_thresholds(a_box()) == FREE_BODY_THRESHOLDS
+
+
+def test_body_that_stirs_begins_anew() -> None:
+    calm, states = calm_with(a_box()), [a_state()] * (STEPS + 1)
+    is_calm_after(calm, states)
+
+    calm.mark_moved(int(ONE[0]), STEPS)
+
+    assert not calm.compare(ONE, a_reading(a_state()), STEPS + 1).any()
+
+
+def test_sleeper_keeps_its_pose_and_loses_its_velocity() -> None:
+    calm = calm_with(a_box_bot())
+
+    calm.store_asleep(ONE, a_reading(a_state((1.0, 0.0, 0.0), linear=(1e-4, 0.0, 0.0)), 0.5, -0.5))
+
+    assert calm.state[3] == SleepState.ASLEEP
+    assert calm.base[3].tolist() == a_state((1.0, 0.0, 0.0)).tolist()
+    assert calm.joints_of(ONE).tolist() == [0.5, -0.5]
+
+
+def test_room_is_made_for_more_bodies_and_more_joints() -> None:
+    calm = calm_with(a_box())
+
+    calm.take(500, a_box_bot(), 0.1, 7)
+
+    assert (calm.state[3], calm.state[500], calm.state[499]) == (
+        SleepState.AWAKE,
+        SleepState.AWAKE,
+        SleepState.UNKNOWN,
+    )
+
+
+def test_what_something_acts_on_in_every_step_is_restless() -> None:
+    box = a_box()
+    dragged = msgspec.structs.replace(box.links[0], decay=Decay(0.1, 0.1))
+
+    assert find_initial_sleep_state(box) == SleepState.AWAKE
+    assert find_initial_sleep_state(a_box(is_static=True)) == SleepState.FIXED
+    assert (
+        find_initial_sleep_state(msgspec.structs.replace(box, links=(dragged,)))
+        == SleepState.NEVER_SLEEPS
+    )
+
+
+def test_others_are_reached_by_as_much_as_may_be_driven() -> None:
+    others = np.array([[1.0, 0.0, 0.0], [1.5, 0.0, 0.0], [9.0, 0.0, 0.0]])
+    slow, fast = a_state(), a_state(linear=(4.0, 0.0, 0.0))
+    radius, radii = np.array([0.4]), np.full(3, 0.4)
+
+    near = find_reachable(slow[None], radius, others, radii, 0.2)
+    far = find_reachable(fast[None], radius, others, radii, 0.2)
+
+    assert near.tolist() == [True, False, False]
+    assert far.tolist() == [True, True, False]
+    assert not find_reachable(np.zeros((0, 13)), np.zeros(0), others, radii, 0.2).any()
+
+
+CONFIG = EngineConfig(STEP_NS)
+SECONDS = 240
+STANDING = 2 * SECONDS
+"""Steps after which what stands sleeps."""
+SIZE_M = 0.2
+
+
+class Counting(PyBulletEngine):
+    """Counts the bodies that it reads."""
+
+    def __init__(self, config: EngineConfig = CONFIG) -> None:
+        super().__init__(config)
+        self.readings = 0
+
+    def read(self, bodies: Sequence[int]) -> BodyStates:
+        self.readings += len(bodies)
+        return super().read(bodies)
+
+
+@pytest.fixture
+def inner() -> Counting:
+    return Counting()
+
+
+@pytest.fixture
+def engine(inner: Counting) -> Iterator[SleepingEngine]:
+    found = SleepingEngine(inner, CONFIG)
+    yield found
+    found.close()
+
+
+def box_at(x: float = 0.0, z: float = SIZE_M / 2.0) -> FloatArray:
+    return a_state((x, 0.0, z))
+
+
+def base_of(engine: SleepingEngine, body: int) -> FloatArray:
+    return np.asarray(engine.read((body,)).base[0])
+
+
+def stopped_box_bot(engine: SleepingEngine) -> int:
+    """Drive a robot, and stop it."""
+    body = engine.add(a_box_bot(), box_bot_at())
+    engine.command((body,), np.array([10.0, 10.0]))
+    advance(engine, SECONDS)
+    engine.command((body,), np.zeros(2))
+    return body
+
+
+def test_robot_that_stands_sleeps_where_it_is(engine: SleepingEngine) -> None:
+    body = stopped_box_bot(engine)
+    advance(engine, SECONDS // 2)
+    stopped = base_of(engine, body)
+
+    advance(engine, STANDING)
+    asleep = base_of(engine, body)
+    advance(engine, STANDING)
+
+    assert engine.asleep == (body,)
+    assert asleep[:3] == pytest.approx(stopped[:3], abs=2e-3)
+    assert base_of(engine, body).tolist() == asleep.tolist()
+    assert not asleep[7:].any()
+
+
+def test_sleepers_are_not_read(engine: SleepingEngine, inner: Counting) -> None:
+    bodies = tuple(engine.add(a_box_bot(), box_bot_at(float(i))) for i in range(5))
+    advance(engine, STANDING)
+    inner.readings = 0
+
+    for _ in range(SECONDS):
+        engine.step()
+        engine.read(bodies)
+
+    assert engine.asleep == bodies
+    assert inner.readings == 0
+
+
+def test_reading_has_sleepers_and_others_in_the_order_asked_for(engine: SleepingEngine) -> None:
+    robot, box = engine.add(a_box_bot(), box_bot_at(-3.0)), engine.add(a_box(), box_at(5.0))
+    other = engine.add(a_box_bot(), box_bot_at(3.0))
+    advance(engine, STANDING)
+    engine.command((other,), np.array([5.0, 5.0]))
+    advance(engine, SECONDS)
+
+    reading = engine.read((other, box, robot))
+
+    assert engine.asleep == (robot, box)
+    assert reading.base[:, 0] == pytest.approx([3.0, 5.0, -3.0], abs=0.3)
+    assert reading.joint_velocities == pytest.approx([5.0, 5.0, 0.0, 0.0], abs=0.05)
+    assert reading.joint_positions[:2] == pytest.approx([5.0, 5.0], abs=0.2)
+
+
+def test_sleeper_wakes_on_a_command_and_drives_as_one_that_was_awake(
+    engine: SleepingEngine,
+) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.command((body,), np.array([10.0, 10.0]))
+    advance(engine, SECONDS)
+
+    assert slept == (body,)
+    assert engine.asleep == ()
+    assert base_of(engine, body)[0] == pytest.approx(0.35, abs=0.03)
+
+
+def test_same_command_again_wakes_nobody(engine: SleepingEngine) -> None:
+    body = stopped_box_bot(engine)
+
+    for _ in range(STANDING * 2):
+        engine.command((body,), np.zeros(2))
+        engine.step()
+
+    assert engine.asleep == (body,)
+
+
+def test_robot_that_drives_never_sleeps(engine: SleepingEngine) -> None:
+    body = engine.add(a_box_bot(), box_bot_at())
+    engine.command((body,), np.array([0.02, 0.02]))
+    start = base_of(engine, body)[0]
+
+    advance(engine, 4 * SECONDS)
+
+    assert engine.asleep == ()
+    assert base_of(engine, body)[0] - start == pytest.approx(4 * 0.02 * 0.035, abs=2e-3)
+
+
+def test_sleeper_is_pushed_as_hard_as_one_that_is_awake(engine: SleepingEngine) -> None:
+    body = engine.add(a_box(), box_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+    wrench = np.array([0.0, 0.0, 200.0, 0.0, 0.0, 0.0])
+
+    for _ in range(24):
+        engine.push_link(body, 0, wrench)
+        engine.step()
+    engine.step()
+    pushed = base_of(engine, body)[9]
+
+    awake = PyBulletEngine(CONFIG)
+    twin = awake.add(a_box(), box_at())
+    advance(awake, STANDING)
+    for _ in range(24):
+        awake.push_link(twin, 0, wrench)
+        awake.step()
+    expected = awake.read([twin]).base[0, 9]
+    awake.close()
+    assert slept == (body,)
+    assert pushed == pytest.approx(expected, abs=0.06)
+
+
+def test_sleeper_wakes_before_somebody_drives_into_it(engine: SleepingEngine) -> None:
+    sleeper = engine.add(a_box(friction=0.2), box_at(1.0))
+    robot = engine.add(a_box_bot(), box_bot_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.command((robot,), np.array([15.0, 15.0]))
+    advance(engine, 4 * SECONDS)
+
+    assert sleeper in slept
+    assert base_of(engine, sleeper)[0] > 1.05
+    assert base_of(engine, robot)[0] < base_of(engine, sleeper)[0]
+
+
+def test_sleeper_far_from_a_driver_sleeps_on(engine: SleepingEngine) -> None:
+    far, robot = engine.add(a_box(), box_at(20.0)), engine.add(a_box_bot(), box_bot_at())
+    advance(engine, STANDING)
+
+    engine.command((robot,), np.array([5.0, 5.0]))
+    advance(engine, SECONDS)
+
+    assert engine.asleep == (far,)
+
+
+def test_what_stood_on_something_falls_when_it_is_gone(engine: SleepingEngine) -> None:
+    below, above = engine.add(a_box(), box_at()), engine.add(a_box(), box_at(z=0.3))
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.remove(below)
+    advance(engine, SECONDS)
+
+    assert slept == (below, above)
+    assert base_of(engine, above)[2] == pytest.approx(0.1, abs=0.01)
+
+
+def test_what_stood_on_something_falls_when_it_is_moved_away(engine: SleepingEngine) -> None:
+    below, above = engine.add(a_box(), box_at()), engine.add(a_box(), box_at(z=0.3))
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    engine.place(below, box_at(3.0))
+    advance(engine, SECONDS)
+
+    assert slept == (below, above)
+    assert base_of(engine, above)[2] == pytest.approx(0.1, abs=0.01)
+
+
+def test_tower_sleeps_as_a_whole_and_wakes_as_a_whole(engine: SleepingEngine) -> None:
+    tower = tuple(engine.add(a_box(), box_at(z=0.1 + 0.2 * i)) for i in range(5))
+    advance(engine, 2 * STANDING)
+    slept = engine.asleep
+
+    engine.push_link(tower[2], 0, np.zeros(6))
+
+    assert slept == tower
+    assert engine.asleep == ()
+    advance(engine, STANDING)
+    heights = engine.read(tower).base[:, 2]
+    assert heights == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9], abs=0.01)
+
+
+def test_box_dropped_on_a_sleeper_lands_on_it(engine: SleepingEngine) -> None:
+    below = engine.add(a_box(), box_at())
+    advance(engine, STANDING)
+    slept = engine.asleep
+
+    above = engine.add(a_box(), box_at(z=1.5))
+    advance(engine, 3 * SECONDS)
+
+    assert slept == (below,)
+    assert base_of(engine, above)[2] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.parametrize("speed_mps", [0.001, 0.002, 0.01])
+def test_slow_slide_is_never_frozen(speed_mps: float) -> None:
+    floating = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
+    engine = SleepingEngine(PyBulletEngine(floating), floating)
+    state = a_state((0.0, 0.0, 0.0), linear=(speed_mps, 0.0, 0.0))
+    body = engine.add(a_box(), state)
+
+    advance(engine, 5 * SECONDS)
+
+    assert engine.asleep == ()
+    assert base_of(engine, body)[0] == pytest.approx(5 * speed_mps, rel=0.01)
+    engine.close()
+
+
+def test_sleeper_that_is_put_somewhere_moving_goes_on_moving(engine: SleepingEngine) -> None:
+    body = engine.add(a_box(), box_at())
+    advance(engine, STANDING)
+
+    engine.place(body, a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0)))
+    advance(engine, SECONDS // 2)
+
+    assert base_of(engine, body)[0] == pytest.approx(0.5, abs=0.02)
+
+
+def test_sleeper_stands_still_in_bullet_too(engine: SleepingEngine, inner: Counting) -> None:
+    body = stopped_box_bot(engine)
+    advance(engine, STANDING)
+    before = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
+    advance(engine, SECONDS)
+    after = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
+
+    assert before == after
+
+
+def test_runs_with_sleepers_repeat_bit_for_bit() -> None:
+    def run() -> list[list[float]]:
+        engine = SleepingEngine(PyBulletEngine(CONFIG), CONFIG)
+        bodies = tuple(engine.add(a_box_bot(), box_bot_at(0.3 * i)) for i in range(4))
+        engine.command(bodies[:1], np.array([8.0, 8.0]))
+        found = []
+        for _ in range(40):
+            advance(engine, 24)
+            found.append(engine.read(bodies).base.ravel().tolist())
+        engine.close()
+        return found
+
+    assert run() == run()
