@@ -29,7 +29,7 @@ from zensim.sim_server.pacing.short_turns import ask_for_short_turns
 from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
-from zensim.sim_server.physics.tiers.tiers import Tiers
+from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.descriptions import ReadElsewhere
 from zensim.sim_server.reading.reader import Reader
@@ -200,4 +200,4 @@ def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine
         mesh_folder=mesh_folder,
     )
     full = create_world_engine(asked, config.physics, period_steps=config.control_steps)
-    return Tiers(full, asked, config.physics.dynamics)
+    return TieredEngine(full, asked, config.physics.dynamics)

@@ -13,13 +13,13 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.rotation import multiply, to_yaw
 from zensim.sim_server.physics.actuation import impose_planar_twists, make_actuation
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.clusters.cells import CellsHere
-from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
+from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
+from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
 from zensim.sim_server.physics.engine import BodyStates, Engine, EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
 from zensim.sim_server.physics.sleeping_engine import SleepingEngine
-from zensim.sim_server.physics.tiers.tiers import Tiers
 
 STEP_NS = 4_166_667
 TOUCHING_M = 0.1
@@ -186,18 +186,18 @@ class Clustered:
         self._make = make
 
     def __call__(self, config: EngineConfig) -> Engine:
-        cells = CellsHere(lambda: self._make(config))
-        return Clusters(config, cells, Settings(alone=1, most=2))
+        cells = InProcessCellExecutor(lambda: self._make(config))
+        return CelledEngine(config, cells, CellSettings(alone=1, most=2))
 
 
-class TiersOfFull(Tiers):
+class TiersOfFull(TieredEngine):
     """Two tiers, of which the kinematic one is empty."""
 
     def __init__(self, config: EngineConfig) -> None:
         super().__init__(PyBulletEngine(config), config, "full")
 
 
-class TiersOfAuto(Tiers):
+class TiersOfAuto(TieredEngine):
     """Two tiers: robots are kinematic where they can be."""
 
     def __init__(self, config: EngineConfig) -> None:

@@ -3,8 +3,8 @@
 from zensim.proto.messages import entity_messages
 from zensim.proto.messages.entity_messages import BoundsType
 from zensim.sim_server.desk import Desk
-from zensim.sim_server.geometry.solids import solids_at
 from zensim.sim_server.lookup.regions import BoundsUnsupported, Sight, bounds_of
+from zensim.sim_server.scene.convex_shapes import place_collision_shapes
 
 
 def get_bounds(
@@ -20,5 +20,5 @@ def get_bounds(
         )
     sight = Sight(desk.world.roster(), desk.world.reading(), desk.store.corners)
     links = sight.links_in_base(entity.model, entity.name)
-    solids = list(solids_at(entity.model, links, desk.store.corners))
+    solids = list(place_collision_shapes(entity.model, links, desk.store.corners))
     return entity_messages.GetEntityBoundsResponse(bounds=bounds_of(solids, BoundsType(wanted)))

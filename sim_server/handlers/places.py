@@ -8,10 +8,10 @@ from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import Refused
-from zensim.sim_server.geometry.solids import solids_at
 from zensim.sim_server.later import Later
 from zensim.sim_server.lookup.filters import tags_test
 from zensim.sim_server.lookup.regions import bounds_of, links_at_zero
+from zensim.sim_server.scene.convex_shapes import place_collision_shapes
 
 SHIPPED = "zensim://"
 
@@ -42,7 +42,7 @@ def get_spawnables(
 
 def _spawnable(desk: Desk, order: SpawnEntityOrder) -> spawn_messages.Spawnable:
     model, _ = desk.descriptions.model(order)
-    solids = list(solids_at(model, links_at_zero(model), desk.store.corners))
+    solids = list(place_collision_shapes(model, links_at_zero(model), desk.store.corners))
     bounds = bounds_of(solids, BoundsType.BOX)
     return spawn_messages.Spawnable(order.entity_resource, _in_words(model), bounds)
 

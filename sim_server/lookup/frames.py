@@ -9,7 +9,7 @@ import numpy as np
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.rotation import FloatArray, conjugate, multiply, rotate
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.geometry.kinematics import link_poses
+from zensim.sim_server.scene.forward_kinematics import compute_link_poses
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.poses import WORLD_FRAMES, compose, turned
 from zensim.sim_server.world.world import World
@@ -113,5 +113,5 @@ def _link_pose(world: World, entity: Entity, link: str) -> FloatArray | None:
     reading, roster = world.reading(), world.roster()
     base = reading.base[roster.row[entity.name], :7]
     positions = reading.joint_positions[roster.joints_of(entity.name)]
-    pose = link_poses(entity.model, base[None], positions[None]).get(link)
+    pose = compute_link_poses(entity.model, base[None], positions[None]).get(link)
     return None if pose is None else pose[0]

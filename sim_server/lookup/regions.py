@@ -12,17 +12,17 @@ from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import Vector3
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.geometry.kinematics import link_poses
-from zensim.sim_server.geometry.solids import (
-    CUBE,
-    Corners,
-    Solid,
-    outermost,
-    overlap,
-    reach_of,
-    solids_at,
-)
 from zensim.sim_server.physics.engine import BodyStates
+from zensim.sim_server.scene.convex_shapes import (
+    UNIT_CUBE,
+    ConvexShape,
+    MeshVertices,
+    are_overlapping,
+    find_bounding_radius,
+    find_extreme_points,
+    place_collision_shapes,
+)
+from zensim.sim_server.scene.forward_kinematics import compute_link_poses
 from zensim.sim_server.world.entity import Entity, Roster
 
 BoolArray = npt.NDArray[np.bool_]
@@ -60,7 +60,7 @@ class Region:
         is_box: Whether all between them is inside.
     """
 
-    solid: Solid
+    solid: ConvexShape
     low: FloatArray
     high: FloatArray
     is_box: bool
@@ -82,11 +82,13 @@ def region_of(bounds: Bounds) -> Region | None:
         radius = float(points[1, 0])
         if radius < 0.0:
             raise BoundsRefused(f"radius {radius:g} is negative; use metres as x of point 2")
-        return Region(Solid(points[:1], radius), points[0] - radius, points[0] + radius, False)  # noqa: FBT003
+        return Region(
+            ConvexShape(points[:1], radius), points[0] - radius, points[0] + radius, False
+        )  # noqa: FBT003
     low, high = points.min(axis=0), points.max(axis=0)
     if bounds.type == BoundsType.BOX:
-        points = (low + high) / 2.0 + CUBE * (high - low)
-    return Region(Solid(points), low, high, bounds.type == BoundsType.BOX)
+        points = (low + high) / 2.0 + UNIT_CUBE * (high - low)
+    return Region(ConvexShape(points), low, high, bounds.type == BoundsType.BOX)
 
 
 def _points(bounds: Bounds) -> FloatArray:
@@ -113,23 +115,23 @@ class Sight:
 
     roster: Roster
     reading: BodyStates
-    corners: Corners
+    corners: MeshVertices
 
     def links(self, model: Model, names: list[str]) -> dict[str, FloatArray]:
         """Find where the links of entities of one model are; poses (n, 7) by name of the link."""
         rows = [self.roster.row[name] for name in names]
         joints = [self.reading.joint_positions[self.roster.joints_of(name)] for name in names]
-        return link_poses(model, self.reading.base[rows, :7], np.array(joints))
+        return compute_link_poses(model, self.reading.base[rows, :7], np.array(joints))
 
     def links_in_base(self, model: Model, name: str) -> dict[str, FloatArray]:
         """Find where the links of an entity are in its root link; poses (1, 7) by name."""
         positions = self.reading.joint_positions[self.roster.joints_of(name)]
-        return link_poses(model, AT_ORIGIN, positions[None])
+        return compute_link_poses(model, AT_ORIGIN, positions[None])
 
 
 def links_at_zero(model: Model) -> dict[str, FloatArray]:
     """Find where links are in the root link, all joints at zero; poses (1, 7) by name."""
-    return link_poses(model, AT_ORIGIN, np.zeros((1, len(model.joints))))
+    return compute_link_poses(model, AT_ORIGIN, np.zeros((1, len(model.joints))))
 
 
 def overlapping(sight: Sight, entities: list[Entity], region: Region) -> Iterator[list[str]]:
@@ -149,7 +151,7 @@ def overlapping(sight: Sight, entities: list[Entity], region: Region) -> Iterato
 
 def _within_reach(sight: Sight, group: list[Entity], region: Region) -> list[str]:
     """Name the entities of one model whose root is so near that they may reach into a region."""
-    reach = reach_of(group[0].model, sight.corners)
+    reach = find_bounding_radius(group[0].model, sight.corners)
     rows = [sight.roster.row[entity.name] for entity in group]
     roots = sight.reading.base[rows, :3]
     gap = np.maximum(np.maximum(region.low - roots, roots - region.high), 0.0)
@@ -161,9 +163,9 @@ def _of_one_model(
     sight: Sight, model: Model, names: list[str], region: Region
 ) -> Iterator[list[str]]:
     poses = sight.links(model, names)
-    solids = list(solids_at(model, poses, sight.corners))
+    solids = list(place_collision_shapes(model, poses, sight.corners))
     if not solids:
-        solids = [(Solid(np.zeros((1, 3))), poses[model.links[0].name])]
+        solids = [(ConvexShape(np.zeros((1, 3))), poses[model.links[0].name])]
     is_in: BoolArray = np.zeros(len(names), dtype=np.bool_)
     doubts = []
     for solid, places in solids:
@@ -175,17 +177,17 @@ def _of_one_model(
     for row in np.flatnonzero(~is_in):
         near = [solid.at(places[row]) for solid, places, is_near in doubts if is_near[row]]
         if near:
-            yield [names[row]] if any(overlap(one, region.solid) for one in near) else []
+            yield [names[row]] if any(are_overlapping(one, region.solid) for one in near) else []
 
 
 def _is_within(region: Region, low: FloatArray, high: FloatArray) -> BoolArray:
     """Whether boxes are wholly inside a region; False where that is not easily told."""
     if region.is_box:
         return _all((low >= region.low) & (high <= region.high))
-    if region.solid.ball_m:
+    if region.solid.sphere_radius_m:
         centre = region.solid.points[0]
         far = np.maximum(np.abs(low - centre), np.abs(high - centre))
-        return np.asarray((far * far).sum(axis=1) <= region.solid.ball_m**2)
+        return np.asarray((far * far).sum(axis=1) <= region.solid.sphere_radius_m**2)
     return np.zeros(len(low), dtype=np.bool_)
 
 
@@ -194,7 +196,7 @@ def _all(tests: BoolArray) -> BoolArray:
     return np.asarray(tests.all(axis=1), dtype=np.bool_)
 
 
-def bounds_of(solids: list[tuple[Solid, FloatArray]], wanted: BoundsType) -> Bounds:
+def bounds_of(solids: list[tuple[ConvexShape, FloatArray]], wanted: BoundsType) -> Bounds:
     """Wrap solids, each with its pose (1, 7), in a box along the axes, a hull or a sphere."""
     if not solids or wanted == BoundsType.EMPTY:
         return Bounds()
@@ -209,9 +211,9 @@ def bounds_of(solids: list[tuple[Solid, FloatArray]], wanted: BoundsType) -> Bou
     return Bounds(wanted, _hull(solids))
 
 
-def _hull(solids: list[tuple[Solid, FloatArray]]) -> tuple[Vector3, ...]:
+def _hull(solids: list[tuple[ConvexShape, FloatArray]]) -> tuple[Vector3, ...]:
     points = np.vstack([solid.at(pose[0]).corners() for solid, pose in solids])
-    return tuple(_vector(point) for point in outermost(points))
+    return tuple(_vector(point) for point in find_extreme_points(points))
 
 
 def _vector(point: FloatArray) -> Vector3:

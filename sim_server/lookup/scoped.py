@@ -8,8 +8,8 @@ from zensim.proto.messages.model_messages import Joint, Link
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.errors import Refused
-from zensim.sim_server.geometry.motions import link_states
 from zensim.sim_server.lookup.frames import SCOPE, frame_pose
+from zensim.sim_server.scene.forward_kinematics import compute_link_states
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.world import World
 
@@ -119,7 +119,7 @@ def state_of(world: World, name: str) -> FloatArray:
         return world.state_of(name)
     reading, roster = world.reading(), world.roster()
     joints = roster.joints_of(owner)
-    states = link_states(
+    states = compute_link_states(
         entity.model,
         reading.base[roster.row[owner]][None],
         reading.joint_positions[joints][None],

@@ -1,4 +1,8 @@
-"""Worker process that holds some of the cells of a server: `python -m sim_server.physics.cell_worker LINE STATES TARGETS`."""
+"""Cell worker process: hosts cells of a server and executes its calls.
+
+`python -m zensim.sim_server.physics.cell_worker PIPE STATES TARGETS`: file descriptors of the pipe
+to the server and of the shared memory. It exits when the server closes the pipe.
+"""
 
 import pickle
 import signal
@@ -8,8 +12,11 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.physics.clusters.sharing import Board
-from zensim.sim_server.physics.clusters.worker import Answer, CellTold
+from zensim.sim_server.physics.cells.cell_worker_client import (
+    CellTargetLayout,
+    CellWorkerReply,
+    SharedArray,
+)
 from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray, as_hiding
 from zensim.sim_server.physics.engine_factory import CellConfig
 from zensim.sim_server.physics.memory_trim import release_zero_pages, use_mmap_for_large_blocks
@@ -42,7 +49,9 @@ class HostedCell:
 class CellWorker:
     """Cells by the numbers that the server knows them by."""
 
-    def __init__(self, line: "Connection[Any, Any]", states: Board, targets: Board) -> None:
+    def __init__(
+        self, line: "Connection[Any, Any]", states: SharedArray, targets: SharedArray
+    ) -> None:
         self._line = line
         self._states, self._targets = states, targets
         self._cells: dict[int, HostedCell] = {}
@@ -68,7 +77,7 @@ class CellWorker:
         try:
             answer = getattr(self, f"_{what}")(*given)
         except EngineRefused as refused:
-            answer = Answer(refused=str(refused))
+            answer = CellWorkerReply(refused=str(refused))
         if answer is not None:
             self._line.send(answer)
 
@@ -97,13 +106,13 @@ class CellWorker:
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
 
-    def _prepare(self, cell: int) -> Answer:
+    def _prepare(self, cell: int) -> CellWorkerReply:
         assert self._model is not None
-        return Answer(self._cells[cell].engine.prepare(self._model))
+        return CellWorkerReply(self._cells[cell].engine.prepare(self._model))
 
-    def _add(self, cell: int, body: int, base: FloatArray) -> Answer:
+    def _add(self, cell: int, body: int, base: FloatArray) -> CellWorkerReply:
         self._put_in(cell, body, base)
-        return Answer(value=True)
+        return CellWorkerReply(value=True)
 
     def _add_another(self, cell: int, body: int, base: FloatArray) -> None:
         try:
@@ -124,25 +133,25 @@ class CellWorker:
     def _forget_removed(self, cell: int) -> None:
         self._cells[cell].engine.forget_removed()
 
-    def _overlapping(self, cell: int, body: int) -> Answer:
+    def _overlapping(self, cell: int, body: int) -> CellWorkerReply:
         known = self._cells[cell]
-        return Answer(known.outers(known.engine.find_overlaps(known.inner[body])))
+        return CellWorkerReply(known.outers(known.engine.find_overlaps(known.inner[body])))
 
-    def _step(self, cells: Sequence[int], steps: int) -> Answer:
+    def _step(self, cells: Sequence[int], steps: int) -> CellWorkerReply:
         is_well = True
         for cell in cells:
             for _ in range(steps):
                 is_well &= self._cells[cell].engine.step()
-        return Answer(is_well)
+        return CellWorkerReply(is_well)
 
-    def _read(self, asked: Sequence[tuple[int, Sequence[int]]]) -> Answer:
+    def _read(self, asked: Sequence[tuple[int, Sequence[int]]]) -> CellWorkerReply:
         cells = ((self._cells[cell], bodies) for cell, bodies in asked)
         found = [known.engine.read(known.inners(bodies)) for known, bodies in cells]
         arrays = [(one.base, one.joint_positions, one.joint_velocities) for one in found]
         self._states.write([array for three in arrays for array in three])
-        return Answer([(len(one.base), one.joint_positions.size) for one in found])
+        return CellWorkerReply([(len(one.base), one.joint_positions.size) for one in found])
 
-    def _command(self, told: Sequence[CellTold]) -> None:
+    def _command(self, told: Sequence[CellTargetLayout]) -> None:
         targets = self._targets.read([count for _, (_, count) in told])
         for (cell, (bodies, _)), mine in zip(told, targets, strict=True):
             self._command_one(cell, bodies, mine)
@@ -156,7 +165,7 @@ def main() -> None:
     """Work until the server ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     line, states, targets = map(int, sys.argv[1:])
-    CellWorker(Connection(line), Board(states), Board(targets)).run()
+    CellWorker(Connection(line), SharedArray(states), SharedArray(targets)).run()
 
 
 if __name__ == "__main__":

@@ -5,9 +5,12 @@ from importlib import import_module
 
 import msgspec
 
-from zensim.sim_server.physics.clusters.cells import Cells, CellsHere
-from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
-from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
+from zensim.sim_server.physics.cells.cell_executor import (
+    CellExecutor,
+    InProcessCellExecutor,
+    WorkerCellExecutor,
+)
+from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
 from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import (
     EngineConfig,
@@ -82,21 +85,21 @@ def create_world_engine(
     if workers is None:
         workers = 0 if lets_others_run else _count_usable_cores() - 1
     alone = MAX_SINGLE_CELL_BODIES_PARALLEL if workers or threads > 1 else MAX_SINGLE_CELL_BODIES
-    settings = Settings(
+    settings = CellSettings(
         alone=alone if choice.clusters == "auto" else MAX_CELL_BODIES[name],
         most=MAX_CELL_BODIES[name],
         period_steps=period_steps,
         largest=MAX_CELL_BODIES_LARGE_WORLD[name],
     )
-    return Clusters(
+    return CelledEngine(
         config, _make_cell_stepper(CellConfig(name, config), threads, workers), settings
     )
 
 
-def _make_cell_stepper(orders: CellConfig, threads: int, workers: int) -> Cells:
+def _make_cell_stepper(orders: CellConfig, threads: int, workers: int) -> CellExecutor:
     if workers:
-        return CellsOfWorkers(orders.make, orders, workers=workers)
-    return CellsHere(orders.make, threads=threads)
+        return WorkerCellExecutor(orders.make, orders, workers=workers)
+    return InProcessCellExecutor(orders.make, threads=threads)
 
 
 def _count_usable_cores() -> int:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Decay, Inertial, Model
 from zensim.sim_server.physics.actuation import Actuation, make_actuation
-from zensim.sim_server.physics.clusters.reach import FARTHEST_M, Measure
+from zensim.sim_server.physics.body_reach import MAX_REACH_M, ReachCache
 from zensim.sim_server.physics.command_cache import CommandCache
 from zensim.sim_server.physics.engine import (
     BodyStates,
@@ -237,7 +237,7 @@ class SleepingEngine:
     def __init__(self, engine: SleepCapableEngine, config: EngineConfig) -> None:
         dt_s = config.step_ns * 1e-9
         self._engine = engine
-        self._measure = Measure(config.mesh_folder)
+        self._measure = ReachCache(config.mesh_folder)
         self._every = max(1, round(SLEEP_CHECK_PERIOD_S / dt_s))
         self._ahead_s = LOOKAHEAD_PERIODS * self._every * dt_s
         self._steps = 0
@@ -501,4 +501,4 @@ class SleepingEngine:
         """Find the radius of a ball about the root that holds a body, however far it slides."""
         slides = [joint for joint in model.joints if joint.kind == "prismatic"]
         ways = (max(abs(joint.lower), abs(joint.upper)) for joint in slides)
-        return min(self._measure.reach(model).radius_m + sum(ways) + WAKE_DISTANCE_M, FARTHEST_M)
+        return min(self._measure.reach(model).radius_m + sum(ways) + WAKE_DISTANCE_M, MAX_REACH_M)

@@ -8,8 +8,8 @@ import numpy as np
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Twist, Vector3
 from zensim.proto.rotation import FloatArray
-from zensim.sim_server.geometry.motions import link_states as motion_of
 from zensim.sim_server.lookup.frames import SCOPE
+from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.world import World
 

@@ -12,8 +12,12 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Joint, Model, Origin
 from zensim.sim_server.errors import IncorrectState
-from zensim.sim_server.geometry.kinematics import joint_motion, placed, row_of
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.scene.forward_kinematics import (
+    compose_poses,
+    compute_joint_poses,
+    origin_to_pose,
+)
 from zensim.sim_server.world.entity import Entity, Roster
 
 FARTHEST_M = 1e6
@@ -171,6 +175,8 @@ def _fixed(joint: Joint, position: float) -> Joint:
 
 
 def _moved(joint: Joint, position: float) -> Origin:
-    moved = placed(row_of(joint.origin), joint_motion(joint, np.array([position])))[0]
+    moved = compose_poses(
+        origin_to_pose(joint.origin), compute_joint_poses(joint, np.array([position]))
+    )[0]
     x, y, z, qx, qy, qz, qw = moved.tolist()
     return Origin((x, y, z), (qx, qy, qz, qw))

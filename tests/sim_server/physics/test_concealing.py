@@ -9,36 +9,39 @@ import pytest
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
-from zensim.sim_server.physics.clusters.cells import CellsHere
-from zensim.sim_server.physics.clusters.clusters import Clusters, Settings
-from zensim.sim_server.physics.clusters.workers import CellsOfWorkers
+from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor, WorkerCellExecutor
+from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
 from zensim.sim_server.physics.engine import Engine, SupportsHiding
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import CellConfig
+from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine
-from zensim.sim_server.physics.tiers.tiers import Tiers
 
 CONFIG = EngineConfig(STEP_NS)
 
 
-def tiered() -> Tiers:
-    return Tiers(PyBulletEngine(CONFIG), CONFIG, "full")
+def tiered() -> TieredEngine:
+    return TieredEngine(PyBulletEngine(CONFIG), CONFIG, "full")
 
 
-def clustered(*, most: int) -> Clusters:
-    settings = Settings(alone=most, most=most, period_steps=1)
-    return Clusters(CONFIG, CellsHere(lambda: PyBulletEngine(CONFIG, awake=2)), settings)
+def clustered(*, most: int) -> CelledEngine:
+    settings = CellSettings(alone=most, most=most, period_steps=1)
+    return CelledEngine(
+        CONFIG, InProcessCellExecutor(lambda: PyBulletEngine(CONFIG, awake=2)), settings
+    )
 
 
-def remote() -> Clusters:
+def remote() -> CelledEngine:
     orders = CellConfig("pybullet", CONFIG)
-    cells = CellsOfWorkers(orders.make, orders, workers=1)
-    return Clusters(CONFIG, cells, Settings(alone=1, most=1, period_steps=1))
+    cells = WorkerCellExecutor(orders.make, orders, workers=1)
+    return CelledEngine(CONFIG, cells, CellSettings(alone=1, most=1, period_steps=1))
 
 
-def clustered_mujoco(*, most: int) -> Clusters:
-    settings = Settings(alone=most, most=most, period_steps=1)
-    return Clusters(CONFIG, CellsHere(lambda: MujocoEngine(CONFIG), threads=2), settings)
+def clustered_mujoco(*, most: int) -> CelledEngine:
+    settings = CellSettings(alone=most, most=most, period_steps=1)
+    return CelledEngine(
+        CONFIG, InProcessCellExecutor(lambda: MujocoEngine(CONFIG), threads=2), settings
+    )
 
 
 class Hiding(Engine, SupportsHiding, Protocol):

@@ -1,0 +1,1 @@
+"""Kinematic tier: robots moved by their drives alone, beside an engine with full dynamics."""

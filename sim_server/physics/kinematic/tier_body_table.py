@@ -1,0 +1,294 @@
+"""Columns of all bodies of the two tiers, and index maps that split them by tier."""
+
+import heapq
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.scene.broad_phase import IntArray
+
+IntColumn = npt.NDArray[np.intp]
+BoolColumn = npt.NDArray[np.bool_]
+RowSelection = IntColumn | slice
+"""Which rows: their numbers, or from where to where."""
+INITIAL_ROWS = 64
+
+
+class Tier(IntEnum):
+    """Where a body is simulated."""
+
+    NONE = 0
+    """The row is free."""
+    FULL = 1
+    KINEMATIC = 2
+
+
+class TierBodyTable:
+    """Columns of all bodies; a body's number is its row. What has k numbers a body is (k, n).
+
+    Attributes:
+        tier: One of `Tier`.
+        is_auto: Whether it changes tiers by itself.
+        is_held: Whether it is a robot that may be in the kinematic tier, so that its joints and
+            targets are kept here.
+        is_static: Whether it never moves.
+        full: Its number in the full engine; -1 = none.
+        joint_count, joint_start: Where its joints are in the pool.
+        width, target_start: Where its targets are in the pool.
+        radius: Of its disc [m].
+        centre: (2, n) of the disc in the root link.
+        heights: (2, n) lowest and highest point against the root link.
+        place: (3, n) of the root link.
+        yaw: Heading [rad], and `half`, (2, n) sine and cosine of half of it.
+        tilt: (4, n) orientation of the root link before it is turned by its heading.
+        twist: (3, n) vx, vy, wz along the heading.
+        pace: How fast [m/s] it may become before the next look, at most.
+        is_harsh: Whether it is asked for more than it can do flat.
+    """
+
+    def __init__(self) -> None:
+        self.tier: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
+        self.is_auto: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
+        self.is_held: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
+        self.is_static: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
+        self.full: IntColumn = np.full(INITIAL_ROWS, -1, np.intp)
+        self.joint_count: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
+        self.joint_start: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
+        self.width: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
+        self.target_start: IntColumn = np.zeros(INITIAL_ROWS, np.intp)
+        self.radius: FloatArray = np.zeros(INITIAL_ROWS)
+        self.centre: FloatArray = np.zeros((2, INITIAL_ROWS))
+        self.heights: FloatArray = np.zeros((2, INITIAL_ROWS))
+        self.place: FloatArray = np.zeros((3, INITIAL_ROWS))
+        self.yaw: FloatArray = np.zeros(INITIAL_ROWS)
+        self.half: FloatArray = np.zeros((2, INITIAL_ROWS))
+        self.tilt: FloatArray = np.zeros((4, INITIAL_ROWS))
+        self.twist: FloatArray = np.zeros((3, INITIAL_ROWS))
+        self.pace: FloatArray = np.zeros(INITIAL_ROWS)
+        self.exceeds_limits: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
+        self._free = list(range(INITIAL_ROWS))
+
+    def take(self) -> int:
+        """Take the lowest row that is free, all zeros."""
+        if not self._free:
+            self._grow()
+        row = heapq.heappop(self._free)
+        for column in vars(self).values():
+            if isinstance(column, np.ndarray):
+                column[..., row] = 0
+        self.full[row] = -1
+        return row
+
+    def give_back(self, row: int) -> None:
+        """Free a row."""
+        self.tier[row] = Tier.NONE
+        heapq.heappush(self._free, row)
+
+    def turn_to(self, at: RowSelection, yaw: FloatArray) -> None:
+        """Set headings."""
+        self.yaw[at] = yaw
+        half = yaw * 0.5
+        self.half[0, at] = np.sin(half)
+        self.half[1, at] = np.cos(half)
+
+    def headings(self, at: RowSelection) -> tuple[FloatArray, FloatArray]:
+        """Find cosines and sines (n,) of headings."""
+        sin, cos = self.half[0, at], self.half[1, at]
+        return cos * cos - sin * sin, 2.0 * sin * cos
+
+    def discs(self, at: RowSelection) -> FloatArray:
+        """Find the centres (n, 2) of discs in the world."""
+        x, y = self.centre[0, at], self.centre[1, at]
+        found = np.empty((len(x), 2))
+        found[:, 0], found[:, 1] = self.place[0, at], self.place[1, at]
+        if x.any() or y.any():
+            right, up = rotate_by_heading(x, y, self.headings(at))
+            found[:, 0] += right
+            found[:, 1] += up
+        return found
+
+    def states(self, at: RowSelection) -> FloatArray:
+        """Compose the state rows (n, 13) of kinematic bodies."""
+        sin, cos = self.half[0, at], self.half[1, at]
+        x, y, z, w = (self.tilt[k, at] for k in range(4))
+        vx, vy = rotate_by_heading(self.twist[0, at], self.twist[1, at], self.headings(at))
+        found = np.zeros((len(x), 13))
+        # All at once: number by number would go through memory thirteen times.
+        found.T[:9] = [
+            *(self.place[k, at] for k in range(3)),
+            *(cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z),
+            *(vx, vy),
+        ]
+        found[:, 12] = self.twist[2, at]
+        return found
+
+    def _grow(self) -> None:
+        size = len(self.tier)
+        self._free = list(range(size, 2 * size))
+        for name, column in vars(self).items():
+            if isinstance(column, np.ndarray):
+                setattr(self, name, np.concatenate([column, np.zeros_like(column)], axis=-1))
+
+
+def select_rows(rows: IntColumn) -> RowSelection:
+    """Say where rows are: those that follow one another are reached several times as fast."""
+    if len(rows) and rows[-1] - rows[0] == len(rows) - 1 and bool((np.diff(rows) == 1).all()):
+        return slice(int(rows[0]), int(rows[-1]) + 1)
+    return rows
+
+
+def rotate_by_heading(
+    x: FloatArray, y: FloatArray, heading: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Turn vectors (n,), (n,) by headings, given as their cosines and sines."""
+    cos, sin = heading
+    return cos * x - sin * y, sin * x + cos * y
+
+
+class ArrayPool:
+    """Numbers of bodies, each body's in a row; room that was given back is used again."""
+
+    def __init__(self) -> None:
+        self.numbers: FloatArray = np.zeros(INITIAL_ROWS)
+        self._end = 0
+        self._free: dict[int, list[int]] = {}
+
+    def take(self, count: int) -> int:
+        """Find room for so many; it is the caller's to fill."""
+        if free := self._free.get(count):
+            return heapq.heappop(free)
+        start, self._end = self._end, self._end + count
+        while self._end > len(self.numbers):
+            self.numbers = np.concatenate([self.numbers, np.zeros_like(self.numbers)])
+        return start
+
+    def give_back(self, start: int, count: int) -> None:
+        """Free what was taken."""
+        heapq.heappush(self._free.setdefault(count, []), start)
+
+
+def expand_spans(starts: IntColumn, counts: IntColumn) -> IntColumn:
+    """List the numbers of spans, one after another."""
+    total = int(counts.sum())
+    shifts = np.repeat(starts - (np.cumsum(counts) - counts), counts)
+    return np.asarray(np.arange(total) + shifts)
+
+
+MAX_CACHED_INDEX_MAPS_BY_TIER = 4096
+
+
+@dataclass(frozen=True)
+class TierSlice:
+    """The bodies of a sequence that are in one tier.
+
+    Attributes:
+        rows: Theirs.
+        places: (n,) where they stand in the sequence.
+        joints, targets: Where their numbers stand among all joints and targets of the sequence.
+    """
+
+    rows: IntArray
+    places: IntArray
+    joints: IntArray
+    targets: IntArray
+
+
+@dataclass(frozen=True)
+class TierIndexMap:
+    """A sequence of bodies, parted by tier.
+
+    Attributes:
+        count: How many there are.
+        joint_count: Of all of them.
+        at: Where the rows of the kinematic half are.
+        bodies: Of the full engine.
+        pooled_joints: Where the joints of the kinematic half are in the pool.
+        held: The rows of those robots that may be kinematic.
+        pooled_targets: Where their targets are in the pool.
+        held_targets: And among the targets of the sequence.
+    """
+
+    count: int
+    joint_count: int
+    kinematic: TierSlice
+    full: TierSlice
+    at: RowSelection
+    bodies: tuple[int, ...]
+    pooled_joints: IntArray
+    held: tuple[int, ...]
+    pooled_targets: IntArray
+    held_targets: IntArray
+
+
+def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
+    """Part bodies (n,) by tier."""
+    joints, widths = rows.joint_count[numbers], rows.width[numbers]
+    joint_at, target_at = np.cumsum(joints) - joints, np.cumsum(widths) - widths
+    is_kinematic = rows.tier[numbers] == Tier.KINEMATIC
+
+    def half(places: IntArray) -> TierSlice:
+        return TierSlice(
+            numbers[places],
+            places,
+            expand_spans(joint_at[places], joints[places]),
+            expand_spans(target_at[places], widths[places]),
+        )
+
+    kinematic, full = half(np.flatnonzero(is_kinematic)), half(np.flatnonzero(~is_kinematic))
+    is_held = rows.is_held[numbers]
+    held = numbers[is_held]
+    return TierIndexMap(
+        count=len(numbers),
+        joint_count=int(joints.sum()),
+        kinematic=kinematic,
+        full=full,
+        at=select_rows(kinematic.rows),
+        bodies=tuple(rows.full[full.rows].tolist()),
+        pooled_joints=expand_spans(
+            rows.joint_start[kinematic.rows], rows.joint_count[kinematic.rows]
+        ),
+        held=tuple(held.tolist()),
+        pooled_targets=expand_spans(rows.target_start[held], rows.width[held]),
+        held_targets=expand_spans(target_at[is_held], widths[is_held]),
+    )
+
+
+class TierIndexMapCache:
+    """Mappings of sequences that are asked for again and again."""
+
+    def __init__(self, rows: TierBodyTable) -> None:
+        self._known = rows
+        self._kept: OrderedDict[int, tuple[Sequence[int], IntArray, TierIndexMap | None]] = (
+            OrderedDict()
+        )
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def of(self, bodies: Sequence[int]) -> TierIndexMap:
+        """Part bodies by tier."""
+        if not isinstance(bodies, tuple):
+            return split_by_tier(self._known, np.array(bodies, np.intp))
+        # A tuple never changes: while it is kept here, no other has its number.
+        kept = self._kept.get(id(bodies))
+        if kept is not None and kept[2] is not None:
+            return kept[2]
+        numbers = kept[1] if kept else np.array(bodies, np.intp)
+        mapping = split_by_tier(self._known, numbers)
+        self._kept[id(bodies)] = (bodies, numbers, mapping)
+        if len(self._kept) > MAX_CACHED_INDEX_MAPS_BY_TIER:
+            self._kept.popitem(last=False)
+        return mapping
+
+    def forget(self) -> None:
+        """Note that bodies changed tiers, came or went; what nobody asked for since is gone."""
+        kept = list(self._kept.items())
+        self._kept.clear()
+        for number, (bodies, numbers, mapping) in kept:
+            if mapping is not None:
+                self._kept[number] = (bodies, numbers, None)

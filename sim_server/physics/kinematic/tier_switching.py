@@ -1,0 +1,341 @@
+"""Bodies of both tiers, and when `auto` robots switch between them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zensim.proto.rotation import to_yaw
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.kinematic.kinematic_robots import KinematicRobots
+from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarVehicle
+from zensim.sim_server.physics.kinematic.proximity import (
+    MOVING_M_S,
+    ProximityIndex,
+    ProximityResult,
+)
+from zensim.sim_server.physics.kinematic.tier_body_table import (
+    IntColumn,
+    Tier,
+    TierBodyTable,
+    TierIndexMapCache,
+    expand_spans,
+    rotate_by_heading,
+)
+from zensim.sim_server.scene.footprints import MeshTriangles, find_max_reach, find_outline
+
+if TYPE_CHECKING:
+    from zensim.proto.messages.model_messages import Model
+    from zensim.sim_server.physics.engine import BodyStates, Engine
+    from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan
+
+SETTLED_S = 0.3
+"""For how long a robot has been alone and even before it leaves full dynamics."""
+LEVEL_TOLERANCE = 0.01
+"""Most of the x and y of a quaternion that stands upright."""
+GROUND_TOLERANCE_M = 0.01
+"""How far from the ground the lowest point may be."""
+TWIST_TOLERANCE_M_S, TWIST_TOLERANCE_RAD_S = 0.03, 0.15
+"""How far twists may differ from what the wheels say."""
+MAX_RISE_M_S, MAX_ROCK_RAD_S = 0.005, 0.05
+"""How fast it may still rise, sink and rock."""
+TARGET_TOLERANCE_M_S = 0.05
+"""How far rims may be from the speed that is asked for."""
+
+
+def is_level_on_ground(base: FloatArray, low: float) -> bool:
+    """Whether a root link at `base` stands upright on the ground, its lowest point at `low`."""
+    is_level = bool((np.abs(base[3:5]) < LEVEL_TOLERANCE).all())
+    return is_level and abs(float(base[2]) + low) < GROUND_TOLERANCE_M
+
+
+def matches_planar_twist(base: FloatArray, twist: FloatArray) -> bool:
+    """Whether a root link moves as a twist (3,) along its heading says."""
+    ahead, left = _velocity_along_heading(base)
+    return bool(
+        abs(ahead - twist[0]) < TWIST_TOLERANCE_M_S
+        and abs(left - twist[1]) < TWIST_TOLERANCE_M_S
+        and abs(float(base[9])) < MAX_RISE_M_S
+        and abs(float(base[12]) - twist[2]) < TWIST_TOLERANCE_RAD_S
+        and (np.abs(base[10:12]) < MAX_ROCK_RAD_S).all()
+    )
+
+
+def has_reached_targets(vehicle: PlanarVehicle, told: FloatArray, velocities: FloatArray) -> bool:
+    """Whether wheels turn as told, and nothing else moves."""
+    driven = list(vehicle.driven.joints)
+    radii = np.array([wheel.radius_m for wheel in vehicle.wheels[: len(driven)]])
+    missing = (told[list(vehicle.driven.places)] - velocities[driven]) * radii
+    wheels = {wheel.joint for wheel in vehicle.wheels}
+    others = [joint for joint in range(vehicle.joint_count) if joint not in wheels]
+    return bool(
+        (np.abs(missing) < TARGET_TOLERANCE_M_S).all()
+        and (np.abs(velocities[others]) < TWIST_TOLERANCE_RAD_S).all()
+    )
+
+
+def _velocity_along_heading(base: FloatArray) -> tuple[float, float]:
+    x, y, z, w = base[3:7].tolist()
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    vx, vy = base[7:9].tolist()
+    return vx * np.cos(yaw) + vy * np.sin(yaw), vy * np.cos(yaw) - vx * np.sin(yaw)
+
+
+WAKING_TURN_RAD_S = 1e-9
+"""An engine makes a body that moves anew [rad/s]."""
+MIN_RADIUS_M = 1e-3
+"""Radius of what collides with nothing."""
+
+
+class TieredBodies:
+    """Rows, who drives flat among them, and the full engine that has all others.
+
+    Attributes:
+        numbers: The row of each body of the full engine.
+        movers: Those of them that can move, and `moving_rows` theirs.
+        told: Rows of robots that were commanded since they rested.
+        held: How many may be in the kinematic tier.
+    """
+
+    def __init__(self, full: Engine, corners: MeshTriangles, dt_s: float, period_s: float) -> None:
+        self.rows = TierBodyTable()
+        self.kinematic = KinematicRobots(self.rows, dt_s)
+        self.surroundings = ProximityIndex(self.rows, self.kinematic, period_s)
+        self.mappings = TierIndexMapCache(self.rows)
+        self.models: dict[int, Model] = {}
+        self.numbers: dict[int, int] = {}
+        self.told: set[int] = set()
+        self.held = 0
+        self.movers: tuple[int, ...] = ()
+        self.moving_rows: IntColumn = np.zeros(0, np.intp)
+        self._full = full
+        self._corners = corners
+        self._pending_outlines: dict[int, FloatArray] = {}
+        self._is_gathered = True
+        self._last: tuple[tuple[int, ...], BodyStates] | None = None
+
+    def take(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
+        """Make a row of a body that is in no engine yet."""
+        rows, row = self.rows, self.rows.take()
+        self.models[row] = model
+        rows.tier[row] = Tier.KINEMATIC
+        rows.joint_count[row], rows.width[row] = len(model.joints), model.target_count
+        rows.is_static[row] = model.is_static
+        if plan is not None:
+            vehicle, footprint = plan
+            rows.is_held[row], rows.is_auto[row] = True, is_auto
+            rows.radius[row], rows.centre[:, row] = footprint.radius_m, footprint.centre
+            rows.heights[:, row] = footprint.low, footprint.high
+            self.kinematic.admit(row, vehicle)
+            self.held += 1
+        self._changed()
+        return row
+
+    def give_back(self, row: int) -> None:
+        """Forget a body, in whatever tier it is."""
+        if self.rows.full[row] >= 0:
+            self.move_to_kinematic(row)
+        if self.rows.is_held[row]:
+            self.kinematic.dismiss(row)
+            self.held -= 1
+        self.surroundings.clear(row)
+        self._pending_outlines.pop(row, None)
+        self.told.discard(row)
+        del self.models[row]
+        self.rows.give_back(row)
+        self._changed()
+
+    def belong(self, row: int, number: int) -> None:
+        """Note that a body is one of the full engine."""
+        rows = self.rows
+        rows.full[row], rows.tier[row] = number, Tier.FULL
+        self.numbers[number] = row
+        self._changed()
+
+    def move_to_full(self, row: int, *, at_once: bool = False) -> int:
+        """Find the number of a body in the full engine; put it there if it is not.
+
+        Args:
+            row: Its row.
+            at_once: Whether it must move in the next step: what slept in an engine stands for one.
+        """
+        rows = self.rows
+        if rows.full[row] < 0:
+            number = self.visit(row, WAKING_TURN_RAD_S if at_once else 0.0)
+            positions, velocities = self.kinematic.joints(row)
+            state = rows.states(np.array([row]))[0]
+            self._full.put(number, state, positions, velocities)
+            if row in self.told:
+                self._full.command([number], self.kinematic.told(row))
+            rows.full[row], rows.tier[row] = number, Tier.FULL
+            self.numbers[number] = row
+            self._changed()
+        return int(rows.full[row])
+
+    def visit(self, row: int, turning: float = 0.0) -> int:
+        """Make a body in the full engine where a kinematic one is, turning so fast [rad/s]."""
+        state = self.rows.states(np.array([row]))[0]
+        state[7:12], state[12] = 0.0, turning
+        return self._full.add(self.models[row], state)
+
+    def move_to_kinematic(self, row: int) -> None:
+        """Take a body out of the full engine."""
+        number = int(self.rows.full[row])
+        self._full.remove(number)
+        del self.numbers[number]
+        self.rows.full[row], self.rows.tier[row] = -1, Tier.KINEMATIC
+        self._changed()
+
+    def set_state(self, row: int, base: FloatArray) -> None:
+        """Note where a body was put (13,)."""
+        if self.rows.is_static[row]:
+            self._pending_outlines[row] = base.copy()
+        elif self.held:
+            self.see(np.array([row]), base[None])
+        self.surroundings.moved()
+        self._last = None
+        self._is_gathered = False
+
+    def see(self, rows: IntColumn, base: FloatArray) -> None:
+        """Note where bodies are (n, 13)."""
+        known, yaw = self.rows, to_yaw(base[:, 3:7])
+        known.place[:, rows] = base[:, :3].T
+        known.turn_to(rows, yaw)
+        sin, cos = known.half[:, rows]
+        x, y, z, w = base[:, 3:7].T
+        known.tilt[:, rows] = (
+            *(cos * x + sin * y, cos * y - sin * x),
+            *(cos * z - sin * w, cos * w + sin * z),
+        )
+        cos, sin = known.headings(rows)
+        known.twist[:2, rows] = rotate_by_heading(base[:, 7], base[:, 8], (cos, -sin))
+        known.twist[2, rows] = base[:, 12]
+
+    def stand_still(self, row: int, positions: FloatArray | None) -> None:
+        """Let a robot stand, its joints at `positions` or zero, and told nothing."""
+        count = int(self.rows.joint_count[row])
+        angles = np.zeros(count) if positions is None else positions
+        self.told.discard(row)
+        self.kinematic.set_targets(row, np.zeros(int(self.rows.width[row])))
+        self.kinematic.set_joints(row, angles, np.zeros(count))
+
+    def read_full(self, numbers: tuple[int, ...]) -> BodyStates:
+        """Read bodies of the full engine, those that were asked for last not again in a step."""
+        if self._last is None or self._last[0] != numbers:
+            self._last = (numbers, self._full.read(numbers))
+        return self._last[1]
+
+    def invalidate_reading(self) -> None:
+        """Note that bodies of the full engine are elsewhere."""
+        self._last = None
+
+    def gather(self) -> None:
+        """Find who is where, if that has changed."""
+        if self._is_gathered:
+            return
+        known = self.rows
+        for row, base in self._pending_outlines.items():
+            self.surroundings.stand(row, find_outline(self.models[row], base, self._corners))
+        self._pending_outlines.clear()
+        self.kinematic.gather()
+        self.surroundings.gather()
+        self.moving_rows = np.flatnonzero((known.tier == Tier.FULL) & ~known.is_static)
+        self.movers = tuple(known.full[self.moving_rows].tolist())
+        for row in self.moving_rows[known.radius[self.moving_rows] <= 0.0].tolist():
+            known.radius[row] = max(find_max_reach(self.models[row], self._corners), MIN_RADIUS_M)
+        self._is_gathered = True
+
+    def _changed(self) -> None:
+        self._last = None
+        self._is_gathered = False
+        self.mappings.forget()
+
+
+FALL_MARGIN_M_S2 = 20.0
+"""What anything loose may gain between two looks."""
+
+
+class TierSwitcher:
+    """Moves `auto` robots between the tiers.
+
+    Robots are taken in the order of their rows, so that the same requests give the same bodies.
+    """
+
+    def __init__(self, bodies: TieredBodies, period_s: float) -> None:
+        self._bodies = bodies
+        self._period_s = period_s
+        self._settled_s: dict[int, float] = {}
+        self._seen: dict[int, FloatArray] = {}
+
+    def forget(self, row: int) -> None:
+        """Note that a robot was taken out, or set to rest."""
+        self._settled_s.pop(row, None)
+
+    def look(self) -> None:
+        """See where all are, and change the tiers of those that have to or may."""
+        bodies, rows = self._bodies, self._bodies.rows
+        bodies.gather()
+        self._read_full_bodies()
+        if not rows.is_auto.any():
+            return
+        bodies.kinematic.update_speed_bounds()
+        sight = bodies.surroundings.look()
+        discs = bodies.surroundings.discs
+        needs_full = sight.is_near | rows.exceeds_limits[discs]
+        is_flat = rows.is_auto[discs] & (rows.full[discs] < 0)
+        for row in discs[is_flat & needs_full].tolist():
+            bodies.move_to_full(row)
+        self._release_settled(sight, discs)
+
+    def within(self, row: int) -> tuple[list[int], bool]:
+        """Find whose discs a disc reaches into now, and whether it reaches an edge."""
+        self._bodies.gather()
+        if self._bodies.movers:
+            self._read_full_bodies()
+        return self._bodies.surroundings.within(row)
+
+    def _read_full_bodies(self) -> None:
+        bodies, rows = self._bodies, self._bodies.rows
+        if not bodies.movers:
+            return
+        reading, moving = bodies.read_full(bodies.movers), bodies.moving_rows
+        base = reading.base
+        good = np.isfinite(base).all(axis=1)
+        bodies.see(moving[good], base[good])
+        self._seen = dict(zip(moving.tolist(), base, strict=True))
+        speed = np.linalg.norm(base[:, 7:10], axis=1)
+        falling = np.where(speed > MOVING_M_S, speed + FALL_MARGIN_M_S2 * self._period_s, 0.0)
+        rows.pace[moving] = np.where(good, falling, 0.0)
+        counts = rows.joint_count[moving]
+        is_held = rows.is_held[moving]
+        at = np.cumsum(counts) - counts
+        mine = expand_spans(at[is_held], counts[is_held])
+        pooled = expand_spans(rows.joint_start[moving[is_held]], counts[is_held])
+        bodies.kinematic.positions.numbers[pooled] = reading.joint_positions[mine]
+        bodies.kinematic.velocities[pooled] = reading.joint_velocities[mine]
+
+    def _release_settled(
+        self, sight: ProximityResult, discs: np.ndarray[tuple[int], np.dtype[np.intp]]
+    ) -> None:
+        rows = self._bodies.rows
+        is_full = rows.is_auto[discs] & (rows.full[discs] >= 0)
+        is_calm = is_full & sight.is_alone & ~rows.exceeds_limits[discs]
+        for row in discs[is_full & ~is_calm].tolist():
+            self._settled_s[row] = 0.0
+        for row in discs[is_calm].tolist():
+            calm_s = self._settled_s.get(row, 0.0) + self._period_s
+            if calm_s >= SETTLED_S and self._may_become_kinematic(row):
+                self._bodies.move_to_kinematic(row)
+                calm_s = 0.0
+            self._settled_s[row] = min(calm_s, SETTLED_S)
+
+    def _may_become_kinematic(self, row: int) -> bool:
+        bodies, base = self._bodies, self._seen.get(row)
+        if base is None or not is_level_on_ground(base, float(bodies.rows.heights[0, row])):
+            return False
+        kinematic, vehicle = bodies.kinematic, bodies.kinematic.vehicle(row)
+        _, velocities = kinematic.joints(row)
+        if not has_reached_targets(vehicle, kinematic.told(row), velocities):
+            return False
+        return matches_planar_twist(base, kinematic.twist(row))

@@ -1,0 +1,268 @@
+"""The Engine of two tiers: kinematic robots beside a full engine for what may touch."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from zensim.sim_server.physics.engine import BodyStates, FloatArray, as_async, as_hiding
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlanCache
+from zensim.sim_server.physics.kinematic.tier_body_table import Tier
+from zensim.sim_server.physics.kinematic.tier_switching import (
+    TieredBodies,
+    TierSwitcher,
+    is_level_on_ground,
+    matches_planar_twist,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from zensim.proto.messages.model_messages import Dynamics, Model, TierName
+    from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.physics.kinematic.tier_body_table import TierIndexMap
+
+PROXIMITY_PERIOD_S = 0.02
+"""How often robots look around, or once a step if that is longer."""
+MAX_TRIED_MODELS = 256
+
+
+class TieredEngine:
+    """Robots in the kinematic tier, and all else in a full engine; `auto` robots change over."""
+
+    def __init__(self, full: Engine, config: EngineConfig, default: Dynamics) -> None:
+        self._full = full
+        self._plans = PlanarPlanCache(config, default)
+        gx, gy, gz = config.gravity
+        self._has_flat_ground = config.has_ground and gx == gy == 0.0 and gz < 0.0
+        dt_s = config.step_ns * 1e-9
+        self._every = max(1, round(PROXIMITY_PERIOD_S / dt_s))
+        self._steps_to_check = 0
+        self._bodies = TieredBodies(full, self._plans.corners, dt_s, self._every * dt_s)
+        self._watching = TierSwitcher(self._bodies, self._every * dt_s)
+        self._tried: dict[int, Model] = {}
+
+    @property
+    def name(self) -> str:
+        """See `Engine.name`: that of the full engine."""
+        return self._full.name
+
+    def tier_of(self, body: int) -> TierName:
+        """See `Tiered.tier_of`."""
+        return "kinematic" if self._bodies.rows.tier[body] == Tier.KINEMATIC else "full"
+
+    @property
+    def kinematic_count(self) -> int:
+        """See `Tiered.kinematic_count`."""
+        return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
+
+    def prepare(self, model: Model) -> bool:
+        """See `Engine.prepare`."""
+        return self._full.prepare(model)
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        """See `Engine.add`; refuses also a model that asks for the kinematic tier and cannot."""
+        bodies, plan = self._bodies, self._plans.plan(model)
+        is_auto = self._plans.dynamics(model) == "auto"
+        number = -1
+        if plan is None or (is_auto and not self._starts_kinematic(base, plan[1].low)):
+            number = self._full.add(model, base)
+        else:
+            self._verify_model(model, base)
+        row = bodies.take(model, plan, is_auto=is_auto)
+        if number >= 0:
+            bodies.belong(row, number)
+        bodies.set_state(row, base)
+        return row
+
+    def remove(self, body: int) -> None:
+        """See `Engine.remove`."""
+        self._bodies.give_back(body)
+        self._watching.forget(body)
+
+    def skip_validation(self, model: Model) -> None:
+        """See `Patient.trust`."""
+        if full := as_async(self._full):
+            full.skip_validation(model)
+
+    def hide(self, body: int) -> None:
+        """See `Concealing.conceal`; who is kinematic costs nothing and stands where it will be."""
+        if (full := as_hiding(self._full)) and self._bodies.rows.full[body] >= 0:
+            full.hide(int(self._bodies.rows.full[body]))
+
+    def show(self, bodies: Sequence[int]) -> None:
+        """See `Concealing.reveal`."""
+        if full := as_hiding(self._full):
+            numbers = self._bodies.rows.full[list(bodies)]
+            full.show(numbers[numbers >= 0].tolist())
+
+    def forget_removed(self) -> None:
+        """See `Engine.forget_removed`."""
+        self._full.forget_removed()
+
+    def find_overlaps(self, body: int) -> Sequence[int]:
+        """See `Engine.overlapping`; who is kinematic is asked of the full engine if need be."""
+        bodies = self._bodies
+        full = bodies.rows.full
+        guests, is_by_edge = self._watching.within(body) if bodies.held else ([], False)
+        if full[body] < 0 and not guests and not is_by_edge:
+            return []
+        guests = [row for row in (body, *guests) if full[row] < 0]
+        visits = {row: bodies.visit(row) for row in guests}
+        rows = {**bodies.numbers, **{visit: row for row, visit in visits.items()}}
+        mine = visits.get(body, int(full[body]))
+        found = sorted(rows[other] for other in self._full.find_overlaps(mine))
+        for visit in visits.values():
+            self._full.remove(visit)
+        return found
+
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
+        """See `Patient.overlapping_soon`; where somebody is kinematic it is found at once."""
+        number, full = int(self._bodies.rows.full[body]), as_async(self._full)
+        if full is None or number < 0 or self._bodies.held:
+            found = self.find_overlaps(body)
+            return lambda: found
+        soon, rows = full.find_overlaps_async(number), self._bodies.numbers
+        return lambda: sorted(rows[other] for other in soon() if other in rows)
+
+    def is_idle(self) -> bool:
+        """See `Patient.is_settled`."""
+        full = as_async(self._full)
+        return full is None or full.is_idle()
+
+    def read(self, bodies: Sequence[int]) -> BodyStates:
+        """See `Engine.read`."""
+        mapping = self._bodies.mappings.of(bodies)
+        kinematic, full = mapping.kinematic, mapping.full
+        if not len(kinematic.rows):
+            return self._full.read(mapping.bodies)
+        if not mapping.bodies:
+            return self._read_kinematic(mapping)
+        base = np.empty((mapping.count, 13))
+        positions, velocities = np.empty(mapping.joint_count), np.empty(mapping.joint_count)
+        base[kinematic.places] = self._bodies.rows.states(mapping.at)
+        flat = self._bodies.kinematic
+        positions[kinematic.joints] = flat.positions.numbers[mapping.pooled_joints]
+        velocities[kinematic.joints] = flat.velocities[mapping.pooled_joints]
+        reading = self._bodies.read_full(mapping.bodies)
+        base[full.places] = reading.base
+        positions[full.joints] = reading.joint_positions
+        velocities[full.joints] = reading.joint_velocities
+        return BodyStates(base, positions, velocities)
+
+    def _read_kinematic(self, mapping: TierIndexMap) -> BodyStates:
+        flat = self._bodies.kinematic
+        return BodyStates(
+            self._bodies.rows.states(mapping.at),
+            flat.positions.numbers[mapping.pooled_joints],
+            flat.velocities[mapping.pooled_joints],
+        )
+
+    def place(self, body: int, base: FloatArray) -> None:
+        """See `Engine.place`; who is always kinematic keeps the twist that its wheels give it."""
+        if not self._stays_kinematic(body, base):
+            self._full.place(self._bodies.move_to_full(body), base)
+        self._bodies.set_state(body, base)
+
+    def put(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        """See `Engine.put`."""
+        bodies = self._bodies
+        if bodies.rows.full[body] < 0:
+            bodies.kinematic.set_joints(body, positions, velocities)
+        if not self._stays_kinematic(body, base):
+            self._full.put(bodies.move_to_full(body), base, positions, velocities)
+        bodies.set_state(body, base)
+
+    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.rest`; who may be kinematic there is so from now on."""
+        bodies, rows = self._bodies, self._bodies.rows
+        if rows.is_held[body]:
+            self._watching.forget(body)
+            bodies.stand_still(body, positions)
+            if rows.full[body] >= 0 and self._starts_kinematic(base, float(rows.heights[0, body])):
+                bodies.move_to_kinematic(body)
+            if not self._stays_kinematic(body, base):
+                self._full.rest(bodies.move_to_full(body), base, positions)
+        else:
+            self._full.rest(int(rows.full[body]), base, positions)
+        bodies.set_state(body, base)
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        """See `Engine.command`."""
+        mapping = self._bodies.mappings.of(bodies)
+        if not len(mapping.held):
+            self._full.command(mapping.bodies, targets)
+            return
+        pool = self._bodies.kinematic.targets.numbers
+        pool[mapping.pooled_targets] = targets[mapping.held_targets]
+        self._bodies.told.update(mapping.held)
+        if mapping.bodies:
+            self._full.command(mapping.bodies, targets[mapping.full.targets])
+
+    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.push_link`; who is always kinematic does not mind."""
+        if self._can_be_pushed(body):
+            self._full.push_link(self._bodies.move_to_full(body, at_once=True), link, wrench)
+
+    def push_joint(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.push_joint`; who is always kinematic does not mind."""
+        if self._can_be_pushed(body):
+            self._full.push_joint(self._bodies.move_to_full(body, at_once=True), joint, effort)
+
+    def step(self) -> bool:
+        """See `Engine.step`: look around, go, and then all that is full."""
+        bodies = self._bodies
+        if not bodies.held:
+            return self._full.step()
+        if self._steps_to_check == 0:
+            self._watching.look()
+            self._steps_to_check = self._every
+        self._steps_to_check -= 1
+        bodies.gather()
+        self._go()
+        bodies.invalidate_reading()
+        return self._full.step() if bodies.movers else True
+
+    def close(self) -> None:
+        """See `Engine.close`."""
+        self._full.close()
+
+    def _go(self) -> None:
+        kinematic = self._bodies.kinematic
+        twists, way = kinematic.propose()
+        if way.shape[1]:
+            kinematic.commit(twists, way, self._bodies.surroundings.shares(way))
+
+    def _verify_model(self, model: Model, base: FloatArray) -> None:
+        """See that the full engine takes a model, before it has to."""
+        if id(model) in self._tried:
+            return
+        self._full.remove(self._full.add(model, base))
+        self._tried[id(model)] = model
+        if len(self._tried) > MAX_TRIED_MODELS:
+            del self._tried[next(iter(self._tried))]
+
+    def _starts_kinematic(self, base: FloatArray, low: float) -> bool:
+        return self._is_on_flat_ground(base, low) and not base[7:].any()
+
+    def _is_on_flat_ground(self, base: FloatArray, low: float) -> bool:
+        """Whether a robot put at `base` stands on the plane."""
+        return self._has_flat_ground and is_level_on_ground(base, low)
+
+    def _stays_kinematic(self, body: int, base: FloatArray) -> bool:
+        """Whether a robot put at `base` needs no full engine, if it is not in it now."""
+        rows = self._bodies.rows
+        if rows.full[body] >= 0:
+            return False
+        if not rows.is_auto[body]:
+            return True
+        goes = not base[7:].any() or matches_planar_twist(base, self._bodies.kinematic.twist(body))
+        return goes and self._is_on_flat_ground(base, float(rows.heights[0, body]))
+
+    def _can_be_pushed(self, body: int) -> bool:
+        rows = self._bodies.rows
+        return bool(rows.tier[body] == Tier.FULL or rows.is_auto[body])

@@ -1,0 +1,1 @@
+"""Pure geometry on arrays: link poses, convex shapes, footprints, broad phase."""

@@ -1,0 +1,188 @@
+"""Cells in other processes: nobody can tell, but by the time it takes."""
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import msgspec
+import numpy as np
+import psutil
+import pytest
+
+from tests.engines import STEP_NS, advance
+from tests.models import a_box, a_cart, a_fork, a_puck, a_state, an_arm, on_ground
+from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor, WorkerCellExecutor
+from zensim.sim_server.physics.cells.cell_worker_client import CellWorkerDied, RemoteCell
+from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
+from zensim.sim_server.physics.engine import Engine, EngineRefused
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_factory import CellConfig
+
+SETTINGS = CellSettings(alone=2, most=3, period_steps=3)
+ORDERS = CellConfig("pybullet", EngineConfig(STEP_NS))
+
+
+@contextmanager
+def worked(workers: int) -> Iterator[tuple[CelledEngine, WorkerCellExecutor]]:
+    cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=workers)
+    engine = CelledEngine(ORDERS.config, cells, SETTINGS)
+    try:
+        yield engine, cells
+    finally:
+        engine.close()
+
+
+@contextmanager
+def here() -> Iterator[CelledEngine]:
+    engine = CelledEngine(ORDERS.config, InProcessCellExecutor(ORDERS.make), SETTINGS)
+    try:
+        yield engine
+    finally:
+        engine.close()
+
+
+def a_mixed_crowd(engine: Engine) -> bytes:
+    """Drive all kinds of robots among walls for 2 s, push them, place them and take some out."""
+    draws, model = np.random.default_rng(3), a_cart()
+    engine.add(a_box(side_m=0.5, is_static=True), a_state((0.0, 0.0, 0.25)))
+    places = draws.uniform(-2.0, 2.0, (12, 2)).tolist()
+    bodies = [engine.add(model, on_ground(x, y)) for x, y in places]
+    others = [
+        engine.add(a_puck(), a_state((3.0, 1.0, 0.0))),
+        engine.add(a_fork(), a_state((-3.0, 1.0, 0.0))),
+        engine.add(an_arm("prismatic"), a_state((-3.0, -3.0, 0.0))),
+    ]
+    crowd = tuple(bodies[1:] + others)
+    engine.remove(bodies[0])
+    for turn in range(40):
+        engine.command(crowd, draws.uniform(-6.0, 6.0, 22 + 3 + 2))
+        engine.push_link(bodies[2], 0, draws.uniform(-20.0, 20.0, 6))
+        engine.push_joint(bodies[3], 0, 0.1)
+        if turn == 20:
+            engine.rest(bodies[4], on_ground(5.0, 5.0), np.array([0.1, 0.2]))
+            engine.put(bodies[5], on_ground(5.0, -5.0), np.array([0.1, 0.2]), np.array([5.0, 5.0]))
+            engine.place(bodies[6], on_ground(-5.0, 5.0))
+        advance(engine, 12)
+    touching = [list(engine.find_overlaps(body)) for body in crowd]
+    reading = engine.read(crowd)
+    arrays = (reading.base, reading.joint_positions, reading.joint_velocities)
+    return b"".join(array.tobytes() for array in arrays) + repr(touching).encode()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_workers_give_the_bits_of_one_process_whoever_has_which_cell(workers: int) -> None:
+    with here() as alone, worked(workers) as (shared, cells):
+        assert a_mixed_crowd(shared) == a_mixed_crowd(alone)
+
+        assert len(cells.process_ids) == workers
+
+
+def test_workers_are_not_started_for_one_cell() -> None:
+    with worked(2) as (engine, cells):
+        for x in (0.0, 5.0):
+            engine.add(a_cart(), on_ground(x))
+        advance(engine, 5)
+
+        assert cells.process_ids == []
+
+
+def test_workers_end_with_the_engine() -> None:
+    with worked(1) as (engine, cells):
+        for x in range(4):
+            engine.add(a_cart(), on_ground(5.0 * x))
+        engine.step()
+        (worker,) = cells.process_ids
+        assert psutil.pid_exists(worker)
+
+    assert not psutil.pid_exists(worker)
+
+
+def test_worker_that_dies_is_told_of_in_the_next_step() -> None:
+    with worked(1) as (engine, cells):
+        for x in range(4):
+            engine.add(a_cart(), on_ground(5.0 * x))
+        engine.step()
+
+        os.kill(cells.process_ids[0], signal.SIGKILL)
+
+        with pytest.raises(CellWorkerDied, match="engine worker 1 ended"):
+            advance(engine, 2)
+
+
+def test_worker_refuses_what_its_engine_refuses_and_goes_on() -> None:
+    with worked(1) as (engine, _):
+        carts = tuple(engine.add(a_cart(), on_ground(5.0 * x)) for x in range(8))
+        strange = msgspec.structs.replace(a_cart(), links=an_arm("planar").links)
+        strange = msgspec.structs.replace(strange, joints=an_arm("planar").joints, drive=None)
+
+        for x in range(8):
+            with pytest.raises(EngineRefused, match="planar"):
+                engine.add(strange, on_ground(5.0 * x, 1.0))
+
+        engine.command(carts, np.full(16, 4.0))
+        advance(engine, 240)
+        assert engine.read(carts).base[:, 0] == pytest.approx(
+            [5.0 * x + 0.2 for x in range(8)], abs=0.03
+        )
+
+
+def test_worker_that_does_not_get_on_is_not_waited_for_while_bodies_are_made() -> None:
+    model = a_cart()
+    with worked(1) as (engine, cells):
+        bodies = [engine.add(model, on_ground(5.0 * x)) for x in range(4)]
+        engine.step()
+        (worker,) = cells.process_ids
+        os.kill(worker, signal.SIGSTOP)
+        try:
+            bodies += [engine.add(model, on_ground(5.0 * x)) for x in range(4, 40)]
+            overlapped = [engine.find_overlaps_async(body) for body in bodies[-5:]]
+            was_settled = engine.is_idle()
+        finally:
+            os.kill(worker, signal.SIGCONT)
+
+        assert not was_settled
+        assert [list(named()) for named in overlapped] == [[]] * 5
+        assert engine.is_idle()
+        assert engine.read(bodies).base[:, 0] == pytest.approx([5.0 * x for x in range(40)])
+
+
+def test_overlaps_that_are_asked_for_soon_are_those_that_are_there() -> None:
+    model = a_cart()
+    with worked(1) as (engine, _):
+        bodies = [engine.add(model, on_ground(0.05 * x, 5.0 * (x // 2))) for x in range(8)]
+        soon = [engine.find_overlaps_async(body) for body in bodies]
+
+        assert [list(named()) for named in soon] == [list(engine.find_overlaps(b)) for b in bodies]
+        assert any(named() for named in soon)
+
+
+def test_workers_start_before_the_second_cell_is_needed() -> None:
+    cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=1)
+    engine = CelledEngine(ORDERS.config, cells, CellSettings(alone=10, most=10))
+    try:
+        for x in range(9):
+            engine.add(a_cart(), on_ground(5.0 * x))
+        before = list(cells.process_ids)
+        engine.add(a_cart(), on_ground(-5.0))
+
+        assert before == []
+        assert len(cells.process_ids) == 1
+    finally:
+        engine.close()
+
+
+def test_cells_are_shared_out_as_before_once_others_have_ended() -> None:
+    cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=1)
+    try:
+        first = [cells.make() for _ in range(4)]
+        for cell in first[1:]:
+            cells.end(cell)
+        again = [first[0], *(cells.make() for _ in range(3))]
+
+        assert [isinstance(cell, RemoteCell) for cell in first] == [False, True, True, False]
+        assert [isinstance(cell, RemoteCell) for cell in again] == [False, True, True, False]
+        for cell in again:
+            cells.end(cell)
+    finally:
+        cells.close()

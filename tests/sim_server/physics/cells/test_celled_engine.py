@@ -1,0 +1,242 @@
+"""Worlds in cells: nobody passes through anybody, and nobody can tell that there are cells."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+import pytest
+
+from tests.engines import STEP_NS, advance, running
+from tests.models import a_box, a_box_bot, a_cart, a_state, box_bot_at, on_ground
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor
+from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSettings
+from zensim.sim_server.physics.engine import Engine, FloatArray
+from zensim.sim_server.physics.engine_config import EngineConfig
+
+LONELY = CellSettings(alone=1, most=1, period_steps=3)
+"""Each body has a cell of its own unless it may touch another."""
+PERIOD = 3
+
+
+class CountedCells(InProcessCellExecutor):
+    """Cells, counted."""
+
+    def __init__(self, make: Callable[[], Engine]) -> None:
+        super().__init__(make)
+        self.stepped: list[int] = []
+
+    def step(self, cells: Sequence[Engine], steps: int) -> bool:
+        self.stepped.append(len(cells))
+        return super().step(cells, steps)
+
+
+@contextmanager
+def clustered(
+    settings: CellSettings = LONELY, config: EngineConfig | None = None
+) -> Iterator[tuple[CelledEngine, CountedCells]]:
+    chosen = config or EngineConfig(STEP_NS)
+    cells = CountedCells(partial(PyBulletEngine, chosen, awake=2))
+    engine = CelledEngine(chosen, cells, settings)
+    try:
+        yield engine, cells
+    finally:
+        engine.close()
+
+
+def nearest(places: FloatArray) -> float:
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    return float(apart[np.triu_indices(len(places), 1)].min())
+
+
+def closest_while_driving(engine: Engine, starts: list[FloatArray], steps: int) -> list[float]:
+    """Drive carts straight ahead; find how near two came to each other at each control period."""
+    model = a_cart()
+    bodies = tuple(engine.add(model, start) for start in starts)
+    found = []
+    for _ in range(steps // PERIOD):
+        engine.command(bodies, np.full(2 * len(bodies), 12.0))
+        advance(engine, PERIOD)
+        found.append(nearest(engine.read(bodies).base[:, :2]))
+    return found
+
+
+def head_on() -> list[FloatArray]:
+    return [
+        on_ground(side * 0.8, 3.0 * lane + 0.02 * side, 0.0 if side < 0 else np.pi)
+        for lane in range(4)
+        for side in (-1, 1)
+    ]
+
+
+def a_ring(count: int, radius_m: float) -> list[FloatArray]:
+    """Carts that all look at the centre."""
+    turns = np.arange(count) * 2.0 * np.pi / count
+    return [
+        on_ground(r * np.cos(turn), r * np.sin(turn), turn + np.pi)
+        for turn, r in zip(turns, radius_m * (1.0 + np.arange(count) % 2), strict=True)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("starts", "steps", "most"),
+    [(head_on(), 600, 1), (a_ring(50, 1.7), 600, 4)],
+    ids=["head-on", "pile"],
+)
+def test_clusters_let_nobody_pass_through_anybody(
+    starts: list[FloatArray], steps: int, most: int
+) -> None:
+    with running(PyBulletEngine) as one:
+        in_one = closest_while_driving(one, starts, steps)
+    with clustered(CellSettings(alone=most, most=most, period_steps=PERIOD)) as (engine, cells):
+        in_many = closest_while_driving(engine, starts, steps)
+
+    assert min(in_one) < 0.35
+    assert min(in_many) > min(in_one) - 0.03
+    assert max(cells.stepped) >= len(starts) // most
+    assert cells.stepped[-1] < max(cells.stepped)
+
+
+def test_clusters_keep_the_order_of_carts_that_meet() -> None:
+    with clustered() as (engine, _):
+        closest_while_driving(engine, head_on(), 1200)
+
+        x = engine.read(range(8)).base[:, 0]
+
+    assert (x[0::2] < x[1::2]).all()
+
+
+def test_clusters_let_a_thrown_box_hit_what_stands_in_its_way() -> None:
+    def thrown(engine: Engine) -> FloatArray:
+        target = engine.add(a_box(), a_state((5.0, 0.0, 0.1)))
+        engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+        advance(engine, 20)
+        engine.add(a_box(side_m=0.15), a_state((0.5, 0.02, 0.15), linear=(25.0, 0.0, 0.5)))
+        advance(engine, 240)
+        return np.asarray(engine.read([target]).base[0])
+
+    with running(PyBulletEngine) as one, clustered() as (many, _):
+        assert thrown(one)[0] > 5.2
+        assert thrown(many)[0] == pytest.approx(thrown(one)[0], rel=0.2)
+
+
+def test_clusters_let_a_kicked_box_hit_what_stands_in_its_way() -> None:
+    with clustered() as (engine, _):
+        target = engine.add(a_box(), a_state((1.5, 0.0, 0.1)))
+        kicked = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+        advance(engine, 30)
+
+        engine.push_link(kicked, 0, np.array([6000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        advance(engine, 120)
+
+        assert engine.read([target]).base[0, 0] > 1.6
+
+
+def test_clusters_stop_a_cart_at_a_wall_in_whatever_cell() -> None:
+    with clustered() as (engine, cells):
+        carts = tuple(engine.add(a_cart(), on_ground(0.0, 5.0 * i)) for i in range(4))
+        engine.add(a_box(side_m=1.0, is_static=True), a_state((1.0, 0.0, 0.5)))
+        wall = engine.add(a_box(side_m=1.0, is_static=True), a_state((1.0, 10.0, 0.5)))
+        engine.command(carts, np.full(8, 8.0))
+        advance(engine, 900)
+        stopped = engine.read(carts).base[:, 0]
+        engine.place(wall, a_state((30.0, 10.0, 0.5)))
+        advance(engine, 900)
+        freed = engine.read(carts).base[:, 0]
+
+    assert max(cells.stepped) == 4
+    assert (stopped[[0, 2]] < 0.5).all()
+    assert (stopped[[1, 3]] > 1.0).all()
+    assert freed[0] < 0.5
+    assert freed[2] > 1.0
+
+
+def test_clusters_carry_joints_and_targets_along_when_a_cart_moves_house() -> None:
+    with running(PyBulletEngine) as one, clustered() as (many, cells):
+        rows = []
+        for engine in (one, many):
+            pair = tuple(engine.add(a_cart(), on_ground(0.0, y)) for y in (0.0, 0.55))
+            engine.command(pair, np.array([6.0, 7.0, 7.0, 6.0]))
+            advance(engine, 360)
+            reading = engine.read(pair)
+            rows.append((reading.base, reading.joint_positions, reading.joint_velocities))
+
+    assert {cells.stepped[0], cells.stepped[-1]} == {1, 2}
+    for found, expected in zip(rows[1], rows[0], strict=True):
+        assert found == pytest.approx(expected, abs=2e-3)
+
+
+def test_clusters_of_few_give_the_bits_of_one_world() -> None:
+    def driven(engine: Engine) -> bytes:
+        bodies = tuple(engine.add(a_box_bot(), box_bot_at(0.2 * i)) for i in range(6))
+        draws = np.random.default_rng(1)
+        for _ in range(30):
+            engine.command(bodies, draws.uniform(-8.0, 8.0, 12))
+            advance(engine, 8)
+        engine.remove(bodies[2])
+        advance(engine, 30)
+        left = (*bodies[:2], *bodies[3:])
+        reading = engine.read(left)
+        return reading.base.tobytes() + reading.joint_positions.tobytes()
+
+    with running(PyBulletEngine) as one, clustered(CellSettings()) as (many, cells):
+        assert driven(many) == driven(one)
+
+    assert not cells.stepped
+
+
+def a_crowd(engine: Engine) -> bytes:
+    draws, model = np.random.default_rng(7), a_cart()
+    places = draws.uniform(-2.0, 2.0, (20, 2))
+    bodies = tuple(engine.add(model, on_ground(x, y)) for x, y in places.tolist())
+    for _ in range(40):
+        engine.command(bodies, draws.uniform(-10.0, 10.0, 40))
+        advance(engine, 12)
+    reading = engine.read(bodies)
+    for body in bodies:
+        engine.remove(body)
+    return reading.base.tobytes() + reading.joint_positions.tobytes()
+
+
+def test_clusters_give_the_same_bits_when_everything_is_done_again() -> None:
+    settings = CellSettings(alone=4, most=4, period_steps=3)
+    with clustered(settings) as (first, _), clustered(settings) as (second, _):
+        expected = a_crowd(first)
+
+        assert a_crowd(second) == expected
+
+        first.forget_removed()
+        assert a_crowd(first) == expected
+
+
+def test_clusters_keep_a_body_gone_bad_from_the_others() -> None:
+    with clustered() as (engine, _):
+        bodies = tuple(engine.add(a_cart(), on_ground(5.0 * i)) for i in range(3))
+        advance(engine, 10)
+        engine.place(bodies[1], np.full(13, np.nan))
+
+        is_well = [engine.step() for _ in range(20)]
+
+        base = engine.read(bodies).base
+        assert not all(is_well)
+        assert np.isfinite(base[[0, 2]]).all()
+        engine.remove(bodies[1])
+        engine.command((bodies[0],), np.array([4.0, 4.0]))
+        advance(engine, 240)
+        assert engine.read((bodies[0],)).base[0, 0] == pytest.approx(0.2, abs=0.03)
+
+
+def test_clusters_name_who_overlaps_in_another_cell() -> None:
+    with clustered() as (engine, _):
+        apart = [engine.add(a_box(), a_state((5.0 * i, 0.0, 0.1))) for i in range(3)]
+        wall = engine.add(a_box(is_static=True), a_state((20.0, 0.0, 0.1)))
+        advance(engine, 3)
+
+        between = engine.add(a_box(), a_state((0.1, 0.0, 0.1)))
+        at_the_wall = engine.add(a_box(), a_state((20.1, 0.0, 0.1)))
+
+        assert list(engine.find_overlaps(between)) == [apart[0]]
+        assert list(engine.find_overlaps(at_the_wall)) == [wall]
+        assert list(engine.find_overlaps(wall)) == [at_the_wall]
+        assert list(engine.find_overlaps(apart[2])) == []

@@ -1,0 +1,154 @@
+"""Discs that stop before each other and before edges, whatever they want."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.physics.kinematic.collision_limits import (
+    STOPPING_GAP_M,
+    DiscMotions,
+    find_distances_to_edges,
+    limit_by_edges,
+    limit_by_other_discs,
+)
+from zensim.sim_server.scene.broad_phase import find_close_pairs, find_near_points, make_point_grid
+
+MANY = 30
+places = arrays(np.float64, (MANY, 2), elements=st.floats(-3.0, 3.0))
+ways = arrays(np.float64, (MANY, 2), elements=st.floats(-2.0, 2.0))
+radii = arrays(np.float64, MANY, elements=st.floats(0.05, 0.5))
+
+
+def some_moves(start: FloatArray, way: FloatArray, radius: FloatArray) -> DiscMotions:
+    count = len(radius)
+    reach = radius + np.linalg.norm(way, axis=1) + STOPPING_GAP_M
+    return DiscMotions(start, way, radius, np.zeros(count), reach, np.ones(count, np.bool_))
+
+
+def all_pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
+    one, other = np.triu_indices(count, 1)
+    return one, other
+
+
+def nearest(start: FloatArray, way: FloatArray, pairs: tuple[np.ndarray, np.ndarray]) -> FloatArray:
+    """The least distance of pairs on their ways, by looking often."""
+    one, other = pairs
+    apart, closing = start[one] - start[other], way[one] - way[other]
+    times = np.linspace(0.0, 1.0, 101)[:, None, None]
+    return np.asarray(np.linalg.norm(apart + closing * times, axis=2).min(axis=0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(start=places, way=ways, radius=radii)
+def test_no_two_discs_come_nearer_than_they_may(
+    start: FloatArray, way: FloatArray, radius: FloatArray
+) -> None:
+    pairs = all_pairs(MANY)
+
+    shares = limit_by_other_discs(some_moves(start, way, radius), *pairs, np.ones(MANY))
+
+    one, other = pairs
+    before = np.linalg.norm(start[one] - start[other], axis=1)
+    least = np.minimum(before, radius[one] + radius[other])
+    assert (nearest(start, way * shares[:, None], pairs) >= least - 1e-6).all()
+    assert ((shares >= 0.0) & (shares <= 1.0)).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(start=places, way=ways, radius=radii)
+def test_who_has_nobody_near_goes_all_the_way(
+    start: FloatArray, way: FloatArray, radius: FloatArray
+) -> None:
+    pairs = all_pairs(MANY)
+    one, other = pairs
+    reach = np.linalg.norm(way, axis=1) + radius + 0.01
+    meets = np.linalg.norm(start[one] - start[other], axis=1) < reach[one] + reach[other]
+
+    shares = limit_by_other_discs(some_moves(start, way, radius), *pairs, np.ones(MANY))
+
+    alone = np.setdiff1d(np.arange(MANY), np.concatenate([one[meets], other[meets]]))
+    assert (shares[alone] == 1.0).all()
+
+
+def test_leader_goes_on_when_its_follower_runs_into_it() -> None:
+    moves = some_moves(
+        np.array([[0.0, 0.0], [0.21, 0.0]]), np.array([[0.5, 0.0], [0.1, 0.0]]), np.full(2, 0.1)
+    )
+
+    shares = limit_by_other_discs(moves, np.array([0]), np.array([1]), np.ones(2))
+
+    assert shares[1] == 1.0
+    assert 0.0 < shares[0] < 0.3
+
+
+def test_discs_that_overlap_may_part_and_come_no_nearer() -> None:
+    start = np.array([[0.0, 0.0], [0.1, 0.0]])
+
+    parting = some_moves(start, np.array([[-0.1, 0.0], [0.0, 0.0]]), np.full(2, 0.1))
+    closing = some_moves(start, np.array([[0.05, 0.0], [0.0, 0.0]]), np.full(2, 0.1))
+
+    pair = np.array([0]), np.array([1])
+    assert (limit_by_other_discs(parting, *pair, np.ones(2)) == 1.0).all()
+    assert limit_by_other_discs(closing, *pair, np.ones(2))[0] == 0.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    start=places,
+    way=ways,
+    radius=radii,
+    ends=arrays(np.float64, (5, 4), elements=st.floats(-3.0, 3.0)),
+)
+def test_no_disc_goes_through_an_edge(
+    start: FloatArray, way: FloatArray, radius: FloatArray, ends: FloatArray
+) -> None:
+    disc, edge = (part.ravel() for part in np.meshgrid(np.arange(MANY), np.arange(5)))
+    moves = some_moves(start, way, radius)
+
+    shares = limit_by_edges(moves, disc, ends[edge], np.zeros(len(edge)))
+
+    _, before = find_distances_to_edges(start[disc], ends[edge])
+    for part in np.linspace(0.0, 1.0, 51):
+        at = start + way * shares[:, None] * part
+        _, apart = find_distances_to_edges(at[disc], ends[edge])
+        assert (apart >= np.minimum(before, radius[disc]) - 1e-6).all()
+
+
+def test_disc_goes_along_a_wall_that_it_touches() -> None:
+    moves = some_moves(np.array([[0.0, 0.101]]), np.array([[1.0, 0.0]]), np.array([0.1]))
+
+    shares = limit_by_edges(moves, np.array([0]), np.array([[-5.0, 0.0, 5.0, 0.0]]), np.zeros(1))
+
+    assert shares[0] == 1.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(start=places, radius=radii, big=st.integers(0, MANY - 1))
+def test_grid_finds_the_pairs_that_looking_at_all_finds(
+    start: FloatArray, radius: FloatArray, big: int
+) -> None:
+    radius = radius.copy()
+    radius[big] *= 20.0
+    one, other = all_pairs(MANY)
+    touch = np.linalg.norm(start[one] - start[other], axis=1) <= radius[one] + radius[other]
+
+    found = find_close_pairs(start, radius)
+
+    assert set(zip(*(part.tolist() for part in found), strict=True)) == set(
+        zip(one[touch].tolist(), other[touch].tolist(), strict=True)
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(points=places, queries=arrays(np.float64, (9, 2), elements=st.floats(-9.0, 9.0)))
+def test_cells_find_the_points_that_looking_at_all_finds(
+    points: FloatArray, queries: FloatArray
+) -> None:
+    apart = np.linalg.norm(queries[:, None] - points[None], axis=2)
+
+    found = find_near_points(make_point_grid(points, 0.7), points, queries, 0.7)
+
+    expected = np.argwhere(apart <= 0.7).tolist()
+    assert sorted(map(list, zip(*(part.tolist() for part in found), strict=True))) == expected

@@ -1,0 +1,72 @@
+"""Sequences of bodies, parted by tier."""
+
+import numpy as np
+
+from zensim.sim_server.physics.kinematic.tier_body_table import (
+    Tier,
+    TierBodyTable,
+    TierIndexMapCache,
+    split_by_tier,
+)
+
+
+def three_rows() -> TierBodyTable:
+    """A kinematic robot with two joints, a full box, and a full robot with one joint."""
+    rows = TierBodyTable()
+    for tier, joints, width, full in (
+        (Tier.KINEMATIC, 2, 2, -1),
+        (Tier.FULL, 0, 0, 7),
+        (Tier.FULL, 1, 3, 9),
+    ):
+        row = rows.take()
+        rows.tier[row], rows.joint_count[row], rows.width[row] = tier, joints, width
+        rows.full[row], rows.is_held[row] = full, joints > 0
+    rows.joint_start[:3], rows.target_start[:3] = (10, 0, 12), (20, 0, 22)
+    return rows
+
+
+def test_sequence_is_parted_and_every_number_has_its_place() -> None:
+    found = split_by_tier(three_rows(), np.array([2, 0, 1]))
+
+    assert found.bodies == (9, 7)
+    assert (found.count, found.joint_count, found.held) == (3, 3, (2, 0))
+    assert found.kinematic.places.tolist() == [1]
+    assert found.kinematic.joints.tolist() == [1, 2]
+    assert found.full.joints.tolist() == [0]
+    assert found.pooled_joints.tolist() == [10, 11]
+    assert found.full.targets.tolist() == [0, 1, 2]
+    assert found.pooled_targets.tolist() == [22, 23, 24, 20, 21]
+    assert found.held_targets.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_mapping_is_made_once_and_anew_after_a_change() -> None:
+    rows = three_rows()
+    mappings, bodies = TierIndexMapCache(rows), (0, 1)
+    first = mappings.of(bodies)
+
+    assert mappings.of(bodies) is first
+    rows.tier[0], rows.full[0] = Tier.FULL, 3
+    mappings.forget()
+
+    assert mappings.of(bodies).bodies == (3, 7)
+
+
+def test_mapping_of_a_list_is_never_an_old_one() -> None:
+    mappings, bodies = TierIndexMapCache(three_rows()), [0]
+    mappings.of(bodies)
+
+    bodies[0] = 1
+
+    assert mappings.of(bodies).bodies == (7,)
+
+
+def test_sequences_that_nobody_asks_for_are_forgotten() -> None:
+    mappings = TierIndexMapCache(three_rows())
+    for number in range(50):
+        mappings.of((0, 1, number % 3))
+        mappings.forget()
+
+    mappings.forget()
+    mappings.forget()
+
+    assert len(mappings) == 0

@@ -1,0 +1,177 @@
+"""Robots that change tiers by themselves: in time, evenly, and back again."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.models import a_box, a_box_bot, a_state, box_bot_at
+from tests.sim_server.physics.kinematic.flat import DT_S, places, steps, two_tiers, with_dynamics
+from zensim.proto.messages.model_messages import Dynamics
+
+EITHER: tuple[Dynamics, ...] = ("auto", "full")
+ALL: tuple[Dynamics, ...] = ("", "full", "kinematic", "auto")
+SPEED = 15.0
+AHEAD = SPEED * 0.035
+
+
+def test_robot_alone_is_kinematic_and_so_is_who_stands_beside_another() -> None:
+    with two_tiers() as engine:
+        alone = engine.add(a_box_bot(), box_bot_at())
+        pair = [engine.add(a_box_bot(), box_bot_at(5.0, y)) for y in (0.0, 0.15)]
+
+        engine.command((alone,), np.full(2, SPEED))
+        steps(engine, 100)
+
+        assert [engine.tier_of(body) for body in (alone, *pair)] == ["kinematic"] * 3
+
+
+def test_robots_are_full_before_they_touch_and_push_each_other_as_full_ones_do() -> None:
+    found = []
+    for default in EITHER:
+        with two_tiers(default) as engine:
+            left = engine.add(a_box_bot(), box_bot_at(0.0))
+            right = engine.add(a_box_bot(), box_bot_at(1.0, 0.0, math.pi))
+            engine.command((left, right), np.full(4, SPEED))
+            while np.diff(places(engine, [left, right])[:, 0])[0] > 0.19:
+                engine.step()
+            assert engine.tier_of(left) == engine.tier_of(right) == "full"
+            steps(engine, 200)
+            found.append(places(engine, [left, right]))
+            assert engine.tier_of(left) == "full"
+    assert np.diff(found[0][:, 0]) == pytest.approx(np.diff(found[1][:, 0]), abs=0.02)
+
+
+def test_robot_passes_another_without_a_jump_and_is_kinematic_again() -> None:
+    with two_tiers() as engine:
+        body = engine.add(a_box_bot(), box_bot_at())
+        engine.add(a_box_bot(), box_bot_at(2.0, 0.195))
+        engine.command((body,), np.full(2, SPEED))
+        steps(engine, 60)
+        tiers = []
+        before = engine.read((body,))
+        for _ in range(600):
+            engine.step()
+            after = engine.read((body,))
+            assert np.hypot(*(after.base[0, :2] - before.base[0, :2])) == pytest.approx(
+                AHEAD * DT_S, abs=2e-4
+            )
+            assert after.base[0, 7:] == pytest.approx(before.base[0, 7:], abs=0.005)
+            assert after.joint_positions - before.joint_positions == pytest.approx(
+                [SPEED * DT_S] * 2, abs=1e-3
+            )
+            tiers.append(engine.tier_of(body))
+            before = after
+        assert tiers[0] == tiers[-1] == "kinematic"
+        assert "full" in tiers
+        assert sum(one != other for one, other in pairwise(tiers)) == 2
+
+
+def test_wrench_makes_a_robot_full_until_it_has_settled() -> None:
+    with two_tiers() as engine:
+        body = engine.add(a_box_bot(), box_bot_at())
+        steps(engine, 5)
+
+        engine.push_link(body, 0, np.array([0.0, 40.0, 0.0, 0.0, 0.0, 0.0]))
+
+        assert engine.tier_of(body) == "full"
+        steps(engine, 1)
+        assert engine.read((body,)).base[0, 8] > 0.1
+        steps(engine, 200)
+        assert engine.tier_of(body) == "kinematic"
+
+
+def test_robot_that_falls_is_full_until_it_stands() -> None:
+    with two_tiers() as engine:
+        body = engine.add(a_box_bot(), a_state((0.0, 0.0, 0.5)))
+
+        assert engine.tier_of(body) == "full"
+        steps(engine, 300)
+
+        assert engine.tier_of(body) == "kinematic"
+        assert engine.read((body,)).base[0, 2] == pytest.approx(0.06, abs=0.002)
+
+
+def test_box_that_falls_on_a_robot_meets_a_full_one() -> None:
+    with two_tiers() as engine:
+        body = engine.add(a_box_bot(), box_bot_at())
+        box = engine.add(a_box(), a_state((0.0, 0.0, 1.0)))
+
+        steps(engine, 300)
+
+        assert engine.tier_of(body) == "full"
+        assert engine.read((box,)).base[0, 2] > 0.15
+
+
+def test_robot_that_turns_too_fast_for_its_grip_is_full() -> None:
+    with two_tiers() as engine:
+        body = engine.add(a_box_bot(), box_bot_at())
+        engine.command((body,), np.array([40.0, 75.0]))
+
+        steps(engine, 150)
+
+        assert engine.tier_of(body) == "full"
+
+
+def test_removed_and_rested_robots_leave_nothing_behind() -> None:
+    with two_tiers() as engine:
+        first, second = (engine.add(a_box_bot(), box_bot_at(x)) for x in (0.0, 0.3))
+        engine.command((first,), np.full(2, SPEED))
+        steps(engine, 60)
+        assert engine.tier_of(first) == "full"
+
+        engine.remove(second)
+        engine.rest(first, box_bot_at())
+        steps(engine, 60)
+
+        assert engine.tier_of(first) == "kinematic"
+        assert engine.read((first,)).base[0].tolist() == box_bot_at().tolist()
+        assert engine.add(a_box_bot(), box_bot_at(1.0)) == second
+
+
+def a_meeting() -> bytes:
+    with two_tiers() as engine:
+        bodies = tuple(
+            engine.add(a_box_bot(), box_bot_at(0.4 * (i % 5), 0.4 * (i // 5), 1.3 * i))
+            for i in range(20)
+        )
+        box = engine.add(a_box(), a_state((0.2, 0.2, 0.1)))
+        draw = np.random.default_rng(3)
+        for _ in range(6):
+            engine.command(bodies, draw.uniform(-12.0, 14.0, 40))
+            steps(engine, 25)
+        reading = engine.read((*bodies, box))
+        return reading.base.tobytes() + reading.joint_positions.tobytes()
+
+
+def test_two_tiers_give_the_same_bits_when_everything_is_done_again() -> None:
+    assert a_meeting() == a_meeting()
+
+
+def test_each_robot_has_the_dynamics_that_it_asks_for() -> None:
+    with two_tiers("full") as engine:
+        bodies = [
+            engine.add(with_dynamics(a_box_bot(), asked), box_bot_at(float(x)))
+            for x, asked in enumerate(ALL)
+        ]
+
+        assert [engine.tier_of(body) for body in bodies] == [
+            "full",
+            "full",
+            "kinematic",
+            "kinematic",
+        ]
+        assert engine.kinematic_count == 2
+        assert list(engine.find_overlaps(bodies[2])) == []
+
+
+def test_overlaps_are_told_between_tiers() -> None:
+    with two_tiers("full") as engine:
+        box = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+        near = engine.add(with_dynamics(a_box_bot(), "auto"), box_bot_at(0.1))
+        beside = engine.add(with_dynamics(a_box_bot(), "auto"), box_bot_at(0.25, 0.0))
+
+        assert list(engine.find_overlaps(near)) == [box]
+        assert list(engine.find_overlaps(box)) == [near]
+        assert list(engine.find_overlaps(beside)) == []

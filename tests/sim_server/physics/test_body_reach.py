@@ -1,0 +1,90 @@
+"""How far models reach."""
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.models import TRACK_M, a_box, a_cart, a_fork, a_puck, an_arm
+from zensim.proto.messages.model_messages import Link, Model, Origin, Shape
+from zensim.proto.stl import write_corners
+from zensim.sim_server.physics.body_reach import MAX_REACH_M, SHAPE_MARGIN_M, ReachCache, can_move
+
+
+def radius(model: Model, folder: str = "") -> float:
+    return ReachCache(folder).reach(model).radius_m - SHAPE_MARGIN_M
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (Shape("box", (2.0, 2.0, 1.0)), 1.5),
+        (Shape("sphere", (0.5, 0.0, 0.0)), 0.5),
+        (Shape("cylinder", (3.0, 8.0, 0.0)), 5.0),
+        (Shape("capsule", (1.0, 4.0, 0.0)), 3.0),
+        (Shape("sphere", (0.5, 0.0, 0.0), Origin((3.0, 4.0, 0.0))), 5.5),
+        (Shape("plane"), MAX_REACH_M - SHAPE_MARGIN_M),
+    ],
+    ids=lambda value: getattr(value, "kind", None),
+)
+def test_reach_holds_a_shape(shape: Shape, expected: float) -> None:
+    assert radius(Model("m", (Link("base", collisions=(shape,)),))) == pytest.approx(expected)
+
+
+def test_reach_holds_a_mesh_at_its_scale(tmp_path: Path) -> None:
+    corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
+    Path(tmp_path, "abc.stl").write_bytes(write_corners(corners))
+    model = Model("m", (Link("base", collisions=(Shape("mesh", (1.0, 2.0, 1.0), mesh="abc"),)),))
+
+    assert radius(model, str(tmp_path)) == pytest.approx(4.0)
+
+
+def test_reach_holds_wheels_and_casters() -> None:
+    assert radius(a_cart()) >= max(TRACK_M / 2.0 + 0.05, math.hypot(0.125, 0.1))
+
+
+def test_reach_names_what_slides() -> None:
+    assert ReachCache("").reach(an_arm("prismatic")).slides == (0,)
+    assert ReachCache("").reach(an_arm("revolute")).slides == ()
+
+
+def test_reach_knows_how_fast_wheels_roll() -> None:
+    levers = ReachCache("").reach(a_cart()).levers
+
+    assert levers == pytest.approx([0.05, 0.05])
+
+
+def test_reach_knows_that_a_twist_is_a_speed() -> None:
+    ahead, left, _ = ReachCache("").reach(a_puck()).levers
+
+    assert (ahead, left) == (1.0, 1.0)
+
+
+def test_what_has_no_joint_that_moves_and_is_static_never_moves() -> None:
+    assert not can_move(a_box(is_static=True))
+    assert not can_move(msgspec.structs.replace(an_arm("fixed"), is_static=True))
+    assert can_move(a_box())
+    assert can_move(a_fork())
+
+
+def test_meshes_are_measured_one_at_a_time_before_they_are_needed(tmp_path: Path) -> None:
+    corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
+    for name in ("a", "b"):
+        Path(tmp_path, f"{name}.stl").write_bytes(write_corners(corners))
+    shapes = tuple(Shape("mesh", (1.0, 1.0, 1.0), mesh=name) for name in "aba")
+    model, measure = Model("m", (Link("base", collisions=shapes),)), ReachCache(str(tmp_path))
+
+    answers = [measure.prepare(model) for _ in range(3)]
+    for file in tmp_path.iterdir():
+        file.unlink()
+
+    assert answers == [False, False, True]
+    assert measure.reach(model).radius_m == pytest.approx(2.0 + SHAPE_MARGIN_M)
+
+
+def test_mesh_that_is_not_there_is_prepared_by_nobody(tmp_path: Path) -> None:
+    shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="gone")
+
+    assert ReachCache(str(tmp_path)).prepare(Model("m", (Link("base", collisions=(shape,)),)))

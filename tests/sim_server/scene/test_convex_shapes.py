@@ -1,0 +1,145 @@
+"""Solids: extents, corners, and whether two overlap, against what geometry says."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.models import an_arm
+from zensim.proto.messages.model_messages import JointKind, Link, Model, Origin, Shape
+from zensim.proto.rotation import FloatArray, from_rpy
+from zensim.sim_server.description.model_geometry import NO_MESHES
+from zensim.sim_server.scene.convex_shapes import (
+    UNIT_CUBE,
+    ConvexShape,
+    are_overlapping,
+    find_bounding_radius,
+    find_extreme_points,
+    list_collision_shapes,
+    place_collision_shapes,
+)
+from zensim.sim_server.scene.forward_kinematics import compute_link_poses
+
+numbers = st.floats(-2.0, 2.0)
+points = st.tuples(numbers, numbers, numbers)
+sizes = st.floats(0.01, 1.5)
+
+
+def solid_of(shape: Shape) -> ConvexShape:
+    ((_, solid),) = list_collision_shapes(Model("m", (Link("l", collisions=(shape,)),)), NO_MESHES)
+    return solid
+
+
+def at(*place: float, turn: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> FloatArray:
+    return np.concatenate([place, from_rpy(*turn)])
+
+
+def ball(centre: tuple[float, float, float], radius: float) -> ConvexShape:
+    return ConvexShape(np.array([centre]), sphere_radius_m=radius)
+
+
+@pytest.mark.parametrize(
+    ("shape", "high"),
+    [
+        (Shape("box", (0.2, 0.4, 0.6)), (0.1, 0.2, 0.3)),
+        (Shape("sphere", (0.5, 0.0, 0.0)), (0.5, 0.5, 0.5)),
+        (Shape("cylinder", (0.5, 2.0, 0.0)), (0.5, 0.5, 1.0)),
+        (Shape("capsule", (0.5, 2.0, 0.0)), (0.5, 0.5, 1.5)),
+    ],
+)
+def test_extents_are_those_of_the_shape(shape: Shape, high: tuple[float, float, float]) -> None:
+    low_found, high_found = solid_of(shape).extents(at(1.0, 0.0, 0.0)[None])
+
+    assert high_found[0] == pytest.approx([1.0 + high[0], high[1], high[2]])
+    assert low_found[0] == pytest.approx([1.0 - high[0], -high[1], -high[2]])
+
+
+def test_extents_of_a_turned_cylinder_are_exact() -> None:
+    solid = solid_of(Shape("cylinder", (0.5, 2.0, 0.0)))
+
+    _, high = solid.extents(at(0.0, 0.0, 0.0, turn=(math.pi / 4.0, 0.0, 0.0))[None])
+
+    assert high[0] == pytest.approx([0.5, 1.5 * math.sqrt(0.5), 1.5 * math.sqrt(0.5)])
+
+
+def test_planes_are_no_solids() -> None:
+    assert (
+        list(
+            list_collision_shapes(Model("m", (Link("l", collisions=(Shape("plane"),)),)), NO_MESHES)
+        )
+        == []
+    )
+
+
+@settings(max_examples=40)
+@given(points, sizes)
+def test_a_ball_and_a_box_overlap_when_the_nearest_point_is_near(
+    centre: tuple[float, float, float], radius: float
+) -> None:
+    gap = math.hypot(*(max(abs(part) - 0.5, 0.0) for part in centre))
+
+    found = are_overlapping(ConvexShape(UNIT_CUBE), ball(centre, radius))
+
+    assert found == (gap <= radius) or abs(gap - radius) < 1e-4
+
+
+@settings(max_examples=40)
+@given(points, sizes)
+def test_a_ball_and_a_cylinder_overlap_when_the_nearest_point_is_near(
+    centre: tuple[float, float, float], radius: float
+) -> None:
+    x, y, z = centre
+    gap = math.hypot(max(math.hypot(x, y) - 0.4, 0.0), max(abs(z) - 0.5, 0.0))
+
+    found = are_overlapping(solid_of(Shape("cylinder", (0.4, 1.0, 0.0))), ball(centre, radius))
+
+    assert found == (gap <= radius) or abs(gap - radius) < 1e-4
+
+
+@settings(max_examples=25)
+@given(st.lists(points, min_size=1, max_size=9), st.lists(points, min_size=1, max_size=9))
+def test_overlap_is_the_same_both_ways_and_holds_for_shared_points(
+    one: list[tuple[float, float, float]], other: list[tuple[float, float, float]]
+) -> None:
+    left, right = ConvexShape(np.array(one)), ConvexShape(np.array(other))
+    shared = ConvexShape(np.vstack([right.points, left.points.mean(axis=0)]))
+
+    assert are_overlapping(left, right) == are_overlapping(right, left)
+    assert are_overlapping(left, shared)
+
+
+def test_outermost_points_are_the_corners_of_a_box() -> None:
+    inner = np.random.default_rng(1).uniform(-0.4, 0.4, (200, 3))
+
+    found = find_extreme_points(np.vstack([inner, UNIT_CUBE]))
+
+    assert sorted(found.tolist()) == sorted(UNIT_CUBE.tolist())
+
+
+@given(
+    st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=1),
+    st.sampled_from(["revolute", "prismatic"]),
+)
+def test_reach_is_never_less_than_where_a_collision_is(position: float, kind: JointKind) -> None:
+    arm = an_arm(kind)
+    tip = Link("arm", collisions=(Shape("box", (0.1, 0.2, 0.3), Origin((0.4, 0.0, 0.0))),))
+    model = msgspec.structs.replace(arm, links=(arm.links[0], tip))
+
+    poses = compute_link_poses(model, at(0.0, 0.0, 0.0)[None], np.array([[position]]))
+
+    (solid, places), *_ = place_collision_shapes(model, poses, NO_MESHES)
+    farthest = np.linalg.norm(solid.at(places[0]).points, axis=1).max()
+    assert farthest <= find_bounding_radius(model, NO_MESHES) + 1e-9
+
+
+def test_reach_of_a_joint_without_limits_has_none() -> None:
+    arm = an_arm("prismatic")
+    free = msgspec.structs.replace(arm.joints[0], lower=0.0, upper=0.0)
+    tip = Link("arm", collisions=(Shape("sphere", (0.1, 0.0, 0.0)),))
+
+    model = msgspec.structs.replace(arm, links=(arm.links[0], tip), joints=(free,))
+
+    assert find_bounding_radius(model, NO_MESHES) == math.inf
