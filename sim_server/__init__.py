@@ -1,1 +1,1 @@
-"""The sim server: one process, one world, answered over the network."""
+"""The simulation server: one process that runs one world and serves it over the network."""

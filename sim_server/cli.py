@@ -1,4 +1,4 @@
-"""`zensim serve`."""
+"""Command line of the server: `zensim serve`."""
 
 import logging
 import sys
@@ -15,15 +15,8 @@ from zensim.proto.cli_options import RosOptions, options_from
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.stop_signal import StopFlag
-from zensim.sim_server.config import (
-    CONTROL_HZ,
-    AlreadyServed,
-    ConfigError,
-    ServerConfig,
-    server_bus,
-)
 from zensim.sim_server.journal.ledger import JournalError
-from zensim.sim_server.pacing.lockstep import TIMEOUT_S, LockstepSettings, OnMiss
+from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
     Clustering,
     EngineName,
@@ -32,51 +25,58 @@ from zensim.sim_server.physics.engine_config import (
     find_installed_engines,
     parse_engine_name,
 )
+from zensim.sim_server.server_config import (
+    CONTROL_HZ,
+    ConfigError,
+    ServerConfig,
+    WorldAlreadyServed,
+    make_server_bus_config,
+)
 
 SERVER_EXTRA = ("yourdfpy", "lxml", "scipy", "trimesh")
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
 
-class MissingExtra(Exception):
+class MissingServerExtra(Exception):
     """The server's packages are not installed."""
 
 
-Connect = Annotated[
+ServeConnect = Annotated[
     str, typer.Option(help="Join this router instead of being one.", envvar="ZENSIM_CONNECT")
 ]
-WorldName = Annotated[
+ServeWorldName = Annotated[
     str, typer.Option(help="What the world is called on the network.", envvar="ZENSIM_WORLD")
 ]
-StepHz = Annotated[
+ServeStepHz = Annotated[
     float | None,
     typer.Option(help="Physics steps a simulated second.", show_default="the world's, or 240"),
 ]
-ControlHz = Annotated[
+ServeControlHz = Annotated[
     float, typer.Option(help="How often agents are told of a simulated second, at most.")
 ]
-Factor = Annotated[
+ServeRealTimeFactor = Annotated[
     float | None,
     typer.Option(help="Real-time factor to hold; 0 = flat out.", show_default="the world's, or 1"),
 ]
-ModelPath = Annotated[
+ServeModelPath = Annotated[
     list[Path] | None,
     typer.Option(
         help="Folder to look for a world's included models in.", envvar="GAZEBO_MODEL_PATH"
     ),
 ]
-Wait = Annotated[float, typer.Option(min=0.0, help="Seconds to wait for the router to join.")]
-Strict = Annotated[
+ServeWait = Annotated[float, typer.Option(min=0.0, help="Seconds to wait for the router to join.")]
+ServeStrict = Annotated[
     bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
 ]
-Journal = Annotated[
+ServeJournal = Annotated[
     Path | None,
     typer.Option(
         help="Folder that keeps the world; a server that finds one there goes on with it.",
         envvar="ZENSIM_JOURNAL",
     ),
 ]
-Engine = Annotated[
+ServeEngine = Annotated[
     str,
     typer.Option(
         help="pybullet or mujoco: what computes physics.",
@@ -84,7 +84,7 @@ Engine = Annotated[
         envvar="ZENSIM_ENGINE",
     ),
 ]
-DynamicsWord = Annotated[
+ServeDynamics = Annotated[
     str,
     typer.Option(
         "--dynamics",
@@ -92,23 +92,23 @@ DynamicsWord = Annotated[
         "where they may touch.",
     ),
 ]
-Locked = Annotated[
+ServeLockstep = Annotated[
     bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
 ]
-LockstepTimeout = Annotated[
+ServeLockstepTimeout = Annotated[
     float, typer.Option(help="Seconds that an agent has for its command, at requested steps too.")
 ]
-OnMissWord = Annotated[
+ServeOnMiss = Annotated[
     str,
     typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
 ]
-Clusters = Annotated[
+ServeClusters = Annotated[
     str,
     typer.Option(
         help="Step robots that cannot touch apart: auto (when there are many), on or off."
     ),
 ]
-EngineWorkers = Annotated[
+ServeEngineWorkers = Annotated[
     int | None,
     typer.Option(
         min=0,
@@ -118,7 +118,7 @@ EngineWorkers = Annotated[
 ]
 
 
-def clustering_of(word: str) -> Clustering:
+def parse_clustering(word: str) -> Clustering:
     """Read when worlds are to be clustered.
 
     Raises:
@@ -132,7 +132,7 @@ def clustering_of(word: str) -> Clustering:
     )
 
 
-def dynamics_of(word: str) -> Dynamics:
+def parse_dynamics(word: str) -> Dynamics:
     """Read how entities move that do not ask for any dynamics.
 
     Raises:
@@ -145,7 +145,7 @@ def dynamics_of(word: str) -> Dynamics:
     raise typer.BadParameter(f"--dynamics {word!r} is unknown; use {kinds}")
 
 
-def on_miss_of(word: str) -> OnMiss:
+def parse_on_miss(word: str) -> OnMiss:
     """Read what is to be done when an agent is late.
 
     Raises:
@@ -157,7 +157,7 @@ def on_miss_of(word: str) -> OnMiss:
     raise typer.BadParameter(f"--on-miss {word!r} is unknown; use {', '.join(get_args(OnMiss))}")
 
 
-def engine_asked_for(word: str) -> EngineName | None:
+def parse_engine(word: str) -> EngineName | None:
     """Read which engine is asked for.
 
     Raises:
@@ -174,25 +174,25 @@ class ServeOptions(RosOptions):
     """What a server is told."""
 
     listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = ""
-    connect: Connect = ""
-    wait: Wait = 30.0
+    connect: ServeConnect = ""
+    wait: ServeWait = 30.0
     world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty"
-    world_name: WorldName = "default"
-    step_hz: StepHz = None
-    control_hz: ControlHz = CONTROL_HZ
-    rtf: Factor = None
+    world_name: ServeWorldName = "default"
+    step_hz: ServeStepHz = None
+    control_hz: ServeControlHz = CONTROL_HZ
+    rtf: ServeRealTimeFactor = None
     paused: Annotated[bool, typer.Option("--paused", help="Start with time standing.")] = False
     seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0
-    model_path: ModelPath = None
-    strict: Strict = False
-    dynamics: DynamicsWord = "full"
-    journal: Journal = None
-    engine: Engine = ""
-    lockstep: Locked = False
-    lockstep_timeout: LockstepTimeout = TIMEOUT_S
-    on_miss: OnMissWord = "hold"
-    clusters: Clusters = "auto"
-    engine_workers: EngineWorkers = None
+    model_path: ServeModelPath = None
+    strict: ServeStrict = False
+    dynamics: ServeDynamics = "full"
+    journal: ServeJournal = None
+    engine: ServeEngine = ""
+    lockstep: ServeLockstep = False
+    lockstep_timeout: ServeLockstepTimeout = LOCKSTEP_TIMEOUT_S
+    on_miss: ServeOnMiss = "hold"
+    clusters: ServeClusters = "auto"
+    engine_workers: ServeEngineWorkers = None
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
 
 
@@ -200,19 +200,19 @@ class ServeOptions(RosOptions):
 @options_from(ServeOptions)
 def serve(given: ServeOptions) -> None:
     """Run a world and serve it on the network."""
-    _log(is_verbose=given.verbose)
+    _configure_logging(is_verbose=given.verbose)
     stop = StopFlag()
     with exit_on_failure("serve"):
-        config = _config(given)
-    _serve(config, stop)
+        config = _make_server_config(given)
+    _run_server(config, stop)
 
 
-def _config(given: ServeOptions) -> ServerConfig:
+def _make_server_config(given: ServeOptions) -> ServerConfig:
     if given.listen and given.connect:
         raise typer.BadParameter("--listen and --connect exclude each other; give one")
-    on_miss = on_miss_of(given.on_miss)
+    on_miss = parse_on_miss(given.on_miss)
     return ServerConfig(
-        bus=server_bus(given.listen, given.connect),
+        bus=make_server_bus_config(given.listen, given.connect),
         world=given.world_name,
         world_file=given.world,
         step_hz=given.step_hz,
@@ -227,15 +227,15 @@ def _config(given: ServeOptions) -> ServerConfig:
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
         physics=EngineOptions(
-            engine=engine_asked_for(given.engine),
-            clusters=clustering_of(given.clusters),
-            dynamics=dynamics_of(given.dynamics),
+            engine=parse_engine(given.engine),
+            clusters=parse_clustering(given.clusters),
+            dynamics=parse_dynamics(given.dynamics),
             workers=given.engine_workers,
         ),
     )
 
 
-def _log(*, is_verbose: bool) -> None:
+def _configure_logging(*, is_verbose: bool) -> None:
     logging.basicConfig(
         level=logging.INFO if is_verbose else logging.WARNING,
         format="%(levelname)s %(name)s %(message)s",
@@ -243,7 +243,7 @@ def _log(*, is_verbose: bool) -> None:
     )
 
 
-def _serve(config: ServerConfig, stop: StopFlag) -> None:
+def _run_server(config: ServerConfig, stop: StopFlag) -> None:
     def announce(bus: Bus, config: ServerConfig) -> None:
         typer.echo(
             f"zensim serve: world '{config.world}' at {bus.endpoint} "
@@ -252,13 +252,15 @@ def _serve(config: ServerConfig, stop: StopFlag) -> None:
             err=True,
         )
 
-    with exit_on_failure("serve", ConfigError, AlreadyServed, JournalError, MissingExtra):
+    with exit_on_failure(
+        "serve", ConfigError, WorldAlreadyServed, JournalError, MissingServerExtra
+    ):
         _import_server()(config, stop, announce)
 
 
 def _import_server() -> Callable[..., None]:
     with server_extra():
-        from zensim.sim_server.server import serve as run_server
+        from zensim.sim_server.server import run_server
     return run_server
 
 
@@ -274,6 +276,6 @@ def server_extra() -> Iterator[None]:
     except ModuleNotFoundError as error:
         if error.name not in SERVER_EXTRA:
             raise
-        raise MissingExtra(
+        raise MissingServerExtra(
             f"{error.name} is not installed; use pip install 'zensim[server]'"
         ) from error

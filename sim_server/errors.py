@@ -1,4 +1,4 @@
-"""Why the server refuses: one root, one class for each kind of refusal."""
+"""Refusals of the server: one root exception, one class for each kind."""
 
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 
@@ -79,7 +79,7 @@ class IncorrectState(SimError):
     code = ResultCode.INCORRECT_STATE
 
 
-class Unsupported(SimError):
+class UnsupportedFeature(SimError):
     """A feature of the vocabulary that this server does not have."""
 
     code = ResultCode.FEATURE_UNSUPPORTED
@@ -94,7 +94,7 @@ class AssetRefused(SimError):
         self.code = code
 
 
-class Refused(SimError):
+class RequestRefused(SimError):
     """Any other refusal, with the code of its service."""
 
     def __init__(self, code: int, message: str) -> None:

@@ -1,4 +1,4 @@
-"""The composition root: bus, engine, world and loop of one server process."""
+"""Composition root: connect the bus, the world, the journal and the loop of one server process."""
 
 import gc
 import logging
@@ -16,16 +16,13 @@ from zensim.proto.bus import Bus, NoServer, open_bus_with_retry
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
-from zensim.sim_server.config import AlreadyServed, ServerConfig, checked
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
-from zensim.sim_server.desk import Desk
 from zensim.sim_server.journal.opening import Journal, open_journal
 from zensim.sim_server.loading.beginning import begin
 from zensim.sim_server.loading.founding import founding
 from zensim.sim_server.loading.world_files import LoadedWorld, furnish
 from zensim.sim_server.pacing.lockstep import Lockstep
-from zensim.sim_server.pacing.meter import Meter
-from zensim.sim_server.pacing.short_turns import ask_for_short_turns
+from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
@@ -33,19 +30,22 @@ from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.descriptions import ReadElsewhere
 from zensim.sim_server.reading.reader import Reader
-from zensim.sim_server.traffic.inbox import BusInbox
-from zensim.sim_server.traffic.loop import Loop
-from zensim.sim_server.traffic.outlets import BusOutlet
-from zensim.sim_server.traffic.ros_side import ros_side
+from zensim.sim_server.ros2_node.server_node import start_server_node
+from zensim.sim_server.runtime.inbox import BusInbox
+from zensim.sim_server.runtime.linux_scheduling import request_short_time_slice
+from zensim.sim_server.runtime.loop import ServerLoop
+from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
+from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed, validate_config
+from zensim.sim_server.server_context import ServerContext
 from zensim.sim_server.world.world import World
 from zensim.sim_server.worlds.atlas import Atlas, start_file
 
-ASK_TIMEOUT_S = 2.0
-READER_START_S, READER_POLL_S = 30.0, 0.005
+INFO_TIMEOUT_S = 2.0
+PARSER_START_TIMEOUT_S, PARSER_POLL_S = 30.0, 0.005
 LOG = logging.getLogger(__name__)
 
 
-class WallClock:
+class HostClock:
     """The host's monotonic clock."""
 
     def now_ns(self) -> int:
@@ -61,7 +61,7 @@ class WallClock:
         time.sleep(seconds)
 
 
-def serve(
+def run_server(
     config: ServerConfig,
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
@@ -74,31 +74,33 @@ def serve(
         BusError: The network cannot be joined.
         JournalError: The journal cannot be used.
     """
-    config = msgspec.structs.replace(checked(config), asked=config)
+    config = msgspec.structs.replace(validate_config(config), asked=config)
     with ExitStack() as ending:
         journal = open_journal(config.journal) if config.journal else None
         if journal is not None:
             ending.callback(journal.close)
         loaded, config = begin(config, journal)
         if journal is not None:
-            journal.leave_out_deadly(partial(_engine, config, loaded.model, str(journal.files)))
+            journal.leave_out_deadly(
+                partial(_make_engine, config, loaded.model, str(journal.files))
+            )
         bus = ending.enter_context(open_bus_with_retry(config.bus, config.wait_s))
-        if _is_served(bus, config.world):
-            raise AlreadyServed(
+        if _has_server(bus, config.world):
+            raise WorldAlreadyServed(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
                 "stop it, or use --world-name with another"
             )
-        _spare_what_stays()
-        ask_for_short_turns()
+        _freeze_garbage_collector()
+        request_short_time_slice()
         _run(config, loaded, journal, bus, should_stop, on_ready)
 
 
-def _is_served(bus: Bus, world: str) -> bool:
+def _has_server(bus: Bus, world: str) -> bool:
     """Whether another server answers for a world; a router of our own is too young to have one."""
     if bus.config.mode == "router":
         return False
     try:
-        bus.call(INFO, InfoRequest(), world=world, timeout_s=ASK_TIMEOUT_S)
+        bus.call(INFO, InfoRequest(), world=world, timeout_s=INFO_TIMEOUT_S)
     except NoServer:
         return bool(bus.list_tokens(keys.alive_server(world)))
     except TimeoutError:
@@ -114,36 +116,38 @@ def _run(
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
-    clock = WallClock()
+    clock = HostClock()
     with ExitStack() as ending:
         store = AssetStore()
         ending.callback(store.close)
         reader = Reader(store, clock.now_ns)
         ending.callback(reader.close)
-        world = _world(config, loaded, store, journal)
+        world = _make_world(config, loaded, store, journal)
         ending.callback(world.close)
-        desk = _desk(config, loaded, world, reader, store)
+        desk = _make_context(config, loaded, world, reader, store)
         if journal is not None:
             ending.callback(journal.record(desk).close)
         if journal is None or journal.contents is None:
-            _wait_for_reader(reader, clock, should_stop)
-        side = ros_side(bus, config.ros)
+            _wait_for_parser(reader, clock, should_stop)
+        side = start_server_node(bus, config.ros)
         ending.callback(side.close)
         inbox = BusInbox(bus, config.world, side.sources)
-        loop = Loop(desk, inbox, BusOutlet(bus, config.world, side.faces, side.heed), clock)
+        loop = ServerLoop(
+            desk, inbox, BusWorldPublisher(bus, config.world, side.faces, side.on_progress), clock
+        )
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
 
 
-def _desk(
+def _make_context(
     config: ServerConfig, loaded: LoadedWorld, world: World, reader: Reader, store: AssetStore
-) -> Desk:
-    now_ns = WallClock().now_ns
-    desk = Desk(
+) -> ServerContext:
+    now_ns = HostClock().now_ns
+    desk = ServerContext(
         world,
-        Meter(now_ns()),
+        LoopStats(now_ns()),
         now_ns,
         ReadElsewhere(reader, store, world.prepare, now_ns),
         store,
@@ -153,32 +157,32 @@ def _desk(
         lockstep=Lockstep(config.lockstep),
     )
     desk.source = loaded.model
-    desk.atlas = Atlas([*map(Path, config.model_paths)], start_file(config.world_file))
-    desk.resource = desk.atlas.started(config.world_file, loaded.model.name)
-    desk.founding = founding(config, partial(_engine, mesh_folder=store.folder))
+    desk.world_catalog = Atlas([*map(Path, config.model_paths)], start_file(config.world_file))
+    desk.resource = desk.world_catalog.started(config.world_file, loaded.model.name)
+    desk.world_factory = founding(config, partial(_make_engine, mesh_folder=store.folder))
     return desk
 
 
-def _spare_what_stays() -> None:
+def _freeze_garbage_collector() -> None:
     """Let Python's collector pass over what is here by now: it would hold steps up."""
     gc.collect()
     gc.freeze()
 
 
-def _wait_for_reader(reader: Reader, clock: WallClock, should_stop: Callable[[], bool]) -> None:
+def _wait_for_parser(reader: Reader, clock: HostClock, should_stop: Callable[[], bool]) -> None:
     """Serve only once descriptions can be read, so that no spawn pays for the reader's start."""
-    give_up_ns = clock.now_ns() + round(READER_START_S * NANOSECONDS)
+    give_up_ns = clock.now_ns() + round(PARSER_START_TIMEOUT_S * NANOSECONDS)
     while not (reader.is_ready or should_stop() or clock.now_ns() > give_up_ns):
         reader.poll()
-        clock.sleep(READER_POLL_S)
+        clock.sleep(PARSER_POLL_S)
 
 
-def _world(
+def _make_world(
     config: ServerConfig, loaded: LoadedWorld, store: AssetStore, journal: Journal | None
 ) -> World:
     for name, data in loaded.meshes.items():
         store.pin(name, data)
-    engine = _engine(config, loaded.model, store.folder)
+    engine = _make_engine(config, loaded.model, store.folder)
     world = World(
         engine, name=config.world, step_ns=config.step_ns, control_steps=config.control_steps
     )
@@ -191,7 +195,7 @@ def _world(
     return world
 
 
-def _engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
+def _make_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
     asked = EngineConfig(
         config.step_ns,
         model.gravity,

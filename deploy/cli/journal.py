@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.sim_server.cli import MissingExtra, server_extra
+from zensim.sim_server.cli import MissingServerExtra, server_extra
 from zensim.sim_server.journal.ledger import JournalError, reading_ledger
 from zensim.spawner.cli.session import AsJson
 
@@ -34,7 +34,7 @@ def journal(
     as_json: AsJson = False,
 ) -> None:
     """Show, verify or export what a server keeps."""
-    with exit_on_failure("journal", JournalError, MissingExtra):
+    with exit_on_failure("journal", JournalError, MissingServerExtra):
         with server_extra():
             from zensim.sim_server.journal.restoring import contents_of
             from zensim.sim_server.journal.showing import exported, page, summary

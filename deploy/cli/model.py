@@ -9,7 +9,7 @@ import typer
 from zensim.proto.cli_options import options_from
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.cli import MissingExtra, server_extra
+from zensim.sim_server.cli import MissingServerExtra, server_extra
 from zensim.sim_server.errors import ModelError, SimError
 from zensim.spawner.cli.options import Reading
 from zensim.spawner.cli.session import AsJson
@@ -34,7 +34,7 @@ class ModelOptions(Reading):
 @options_from(ModelOptions)
 def model(given: ModelOptions) -> None:
     """Show what a description says, without any server."""
-    with exit_on_failure("model", SimError, MissingExtra):
+    with exit_on_failure("model", SimError, MissingServerExtra):
         text, found = _read(given)
         if given.strict:
             _refuse_suspicious(found)

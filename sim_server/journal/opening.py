@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.sim_server.durable import Told
 from zensim.sim_server.journal.keeping import Keeper
 from zensim.sim_server.journal.ledger import FILES, Ledger, as_one_line, open_ledger, sync_folder
 from zensim.sim_server.journal.probing import deadly
@@ -26,14 +25,15 @@ from zensim.sim_server.journal.restoring import (
 )
 from zensim.sim_server.journal.rows import AsideRow
 from zensim.sim_server.journal.writer import Writer
+from zensim.sim_server.journal_protocol import JournaledResponse
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from zensim.sim_server.desk import Desk
     from zensim.sim_server.journal.records import Kept
     from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.reading.assets import AssetStore
+    from zensim.sim_server.server_context import ServerContext
     from zensim.sim_server.world.world import World
 
 LOG = logging.getLogger(__name__)
@@ -95,30 +95,30 @@ class Journal:
         self._mark.unlink()
         return tuple(row.entity.name for row in restored.refused)
 
-    def prepare(self, desk: Desk, now_s: float) -> None:
+    def prepare(self, context: ServerContext, now_s: float) -> None:
         """Give a desk what is no part of its world: answers, bonds, and what was read."""
-        desk.told = self._told(now_s)
+        context.told = self._told(now_s)
         if self.contents is not None:
-            desk.resource = self.contents.world.resource
+            context.resource = self.contents.world.resource
         for kept in self.kept:
             if kept.reading is not None:
-                desk.descriptions.remember(kept.reading, kept.entity.model)
+                context.descriptions.remember(kept.reading, kept.entity.model)
             if kept.bond:
-                held = desk.bonded.setdefault(kept.bond, [])
+                held = context.bonded_entities.setdefault(kept.bond, [])
                 held.append((kept.entity.name, kept.entity.born_ns))
 
-    def record(self, desk: Desk) -> Recorder:
+    def record(self, context: ServerContext) -> Recorder:
         """Go on where the journal ended."""
-        self.prepare(desk, time.time())
-        keeper = Keeper(self.ledger, desk.store.folder)
+        self.prepare(context, time.time())
+        keeper = Keeper(self.ledger, context.store.folder)
         with as_one_line(self.ledger.folder):
             keeper.sweep()
         writer = Writer(keeper, self.ledger.position)
         writer.start()
         self._is_handed_over = True
         position = self.ledger.position
-        recorder = Recorder(desk, writer, position=position, known=self.kept, wall_s=time.time)
-        desk.journal = recorder
+        recorder = Recorder(context, writer, position=position, known=self.kept, wall_s=time.time)
+        context.journal = recorder
         return recorder
 
     def close(self) -> None:
@@ -126,12 +126,12 @@ class Journal:
         if not self._is_handed_over:
             self.ledger.close()
 
-    def _told(self, now_s: float) -> tuple[Told, ...]:
+    def _told(self, now_s: float) -> tuple[JournaledResponse, ...]:
         """What was answered not too long ago."""
         answers = self.contents.answers if self.contents else ()
         oldest_s = now_s - ANSWERS_S
         return tuple(
-            Told(row.service, row.request_id, row.payload, row.encoding)
+            JournaledResponse(row.service, row.request_id, row.payload, row.encoding)
             for row in answers
             if row.at_s >= oldest_s
         )

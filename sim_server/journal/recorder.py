@@ -23,9 +23,9 @@ from zensim.sim_server.world.birth import Birth
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from zensim.sim_server.desk import Desk
-    from zensim.sim_server.durable import Told
+    from zensim.sim_server.journal_protocol import JournaledResponse
     from zensim.sim_server.physics.engine import FloatArray
+    from zensim.sim_server.server_context import ServerContext
 
 LOG = logging.getLogger(__name__)
 MOTION_S = 0.4
@@ -67,7 +67,7 @@ class Recorder:
 
     def __init__(
         self,
-        desk: Desk,
+        context: ServerContext,
         log: Log,
         *,
         position: int,
@@ -76,7 +76,7 @@ class Recorder:
     ) -> None:
         self.position = position
         """Of the newest record."""
-        self._desk = desk
+        self._context = context
         self._log = log
         self._wall_s = wall_s
         self._generation = 0
@@ -91,7 +91,7 @@ class Recorder:
         self._motion_due_ns = 0
         self._is_failing = False
         self._commits = 0
-        self._bonds_due_ns = desk.now_ns() + round(BONDS_S * NANOSECONDS)
+        self._bonds_due_ns = context.now_ns() + round(BONDS_S * NANOSECONDS)
 
     @property
     def durable(self) -> int:
@@ -103,12 +103,12 @@ class Recorder:
         """Whether the disk refused the last record, and has taken none since."""
         if self._is_failing and self._log.commits > self._commits:
             self._is_failing = False
-            LOG.warning("journal written again world=%s", self._desk.world.name)
+            LOG.warning("journal written again world=%s", self._context.world.name)
         return self._is_failing
 
     def note(
         self,
-        answer: Told | None = None,
+        answer: JournaledResponse | None = None,
         forgotten: tuple[tuple[str, bytes], ...] = (),
         *,
         is_asked: bool = False,
@@ -167,7 +167,7 @@ class Recorder:
         self._record_motion()
         return self._log.close()
 
-    def _answer_row(self, answer: Told | None) -> AnswerRow | None:
+    def _answer_row(self, answer: JournaledResponse | None) -> AnswerRow | None:
         if answer is None:
             return None
         return AnswerRow(
@@ -188,11 +188,11 @@ class Recorder:
 
     def _end_lost_bonds(self) -> None:
         """End what hung on bonds whose holders did not come back after a restart."""
-        if not self._bonds_due_ns or self._desk.now_ns() < self._bonds_due_ns:
+        if not self._bonds_due_ns or self._context.now_ns() < self._bonds_due_ns:
             return
         self._bonds_due_ns = 0
-        for bond in self._desk.bonded.keys() - self._desk.alive_bonds:
-            self._desk.end_bond(bond)
+        for bond in self._context.bonded_entities.keys() - self._context.alive_bonds:
+            self._context.delete_bonded_entities(bond)
 
     def _drop_durable(self) -> None:
         durable = self._log.durable
@@ -201,17 +201,17 @@ class Recorder:
 
     def _glance(self) -> tuple[object, ...]:
         """What cannot stay the same when something has changed; costs nothing."""
-        world = self._desk.world
-        factor = self._desk.target_real_time_factor
-        return (world.roster_number, world.epoch, world.state, factor, id(self._desk.source))
+        world = self._context.world
+        factor = self._context.target_real_time_factor
+        return (world.roster_number, world.epoch, world.state, factor, id(self._context.source))
 
     def _places(self) -> tuple[int, ...]:
-        world = self._desk.world
+        world = self._context.world
         return (world.placed, world.epoch)
 
     def _changes(self) -> tuple[Change, ...]:
         self._seen = self._glance()
-        present = {entity.name: entity for entity in self._desk.world.entities}
+        present = {entity.name: entity for entity in self._context.world.entities}
         changes = [
             Change(name, kept, None) for name, kept in self._known.items() if name not in present
         ]
@@ -223,7 +223,7 @@ class Recorder:
                 self._ordinal_of(before, entity.born_ns),
                 entity,
                 self._bond_of(name),
-                self._desk.descriptions.reading_of(entity.model),
+                self._context.descriptions.reading_of(entity.model),
             )
             if before is None or not before.is_same(after):
                 changes.append(Change(name, before, after))
@@ -240,14 +240,14 @@ class Recorder:
         return self._next_ordinal - 1
 
     def _bond_of(self, name: str) -> str:
-        born_ns = self._desk.world.entity(name).born_ns
-        for bond, held in self._desk.bonded.items():
+        born_ns = self._context.world.entity(name).born_ns
+        for bond, held in self._context.bonded_entities.items():
             if (name, born_ns) in held:
                 return bond
         return ""
 
     def _new_world(self) -> WorldRow | None:
-        desk = self._desk
+        desk = self._context
         if self._world is not None and self._world.source is desk.source:
             return None
         self._world = WorldRow(
@@ -260,8 +260,8 @@ class Recorder:
         return self._world
 
     def _new_clock(self) -> ClockRow | None:
-        world, last = self._desk.world, self._clock
-        factor = self._desk.target_real_time_factor
+        world, last = self._context.world, self._clock
+        factor = self._context.target_real_time_factor
         state = int(world.state)
         if last is not None and world.state in PASSING:
             state = last.state
@@ -275,22 +275,22 @@ class Recorder:
 
     def _is_motion_due(self) -> bool:
         """Whether to record: best at a step that agents are told of, as reading costs the most."""
-        late_ns = self._desk.now_ns() - self._motion_due_ns
-        return late_ns >= (0 if self._desk.world.is_control_step else PATIENCE_NS)
+        late_ns = self._context.now_ns() - self._motion_due_ns
+        return late_ns >= (0 if self._context.world.is_control_step else PATIENCE_NS)
 
     def _record_motion(self) -> None:
-        self._motion_due_ns = self._desk.now_ns() + round(MOTION_S * NANOSECONDS)
+        self._motion_due_ns = self._context.now_ns() + round(MOTION_S * NANOSECONDS)
         if self._is_failing:
             self._seen = ()  # what stands although it could not be kept is handed over again
             self.note()
-        world, last = self._desk.world, self._motion
+        world, last = self._context.world, self._motion
         is_old = last is None or (last.epoch, last.steps) != (world.epoch, world.steps)
         is_old = is_old or last is None or last.names != world.roster().names
         if is_old or self._places() != self._motion_seen or self._is_failing:
             self._submit(Record(self._generation, self.position, motion=self._take_motion()))
 
     def _take_motion(self) -> Motion:
-        world = self._desk.world
+        world = self._context.world
         roster, reading = world.roster(), world.reading()
         self._motion_seen = self._places()
         self._motion = Motion(world.epoch, world.steps, roster.names, roster.joint_count, reading)
@@ -328,7 +328,7 @@ class Recorder:
                 self._undo(change, record.former)
 
     def _undo(self, change: Change, former: Motion | None) -> None:
-        name, world, before, after = change.name, self._desk.world, change.before, change.after
+        name, world, before, after = change.name, self._context.world, change.before, change.after
         is_there = any(entity.name == name for entity in world.entities)
         if before is not None and after is not None and before.ordinal == after.ordinal:
             if is_there:
@@ -340,7 +340,7 @@ class Recorder:
             self._put_back(before, former)
 
     def _put_back(self, kept: Kept, former: Motion | None) -> None:
-        entity, world = kept.entity, self._desk.world
+        entity, world = kept.entity, self._context.world
         try:
             again = world.spawn(
                 Birth(

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.sim_server.config import paced
 from zensim.sim_server.journal.ledger import JournalError
 from zensim.sim_server.loading.world_files import LoadedWorld, WorldOrder, doubts, loaded_elsewhere
+from zensim.sim_server.server_config import fill_pace
 
 if TYPE_CHECKING:
-    from zensim.sim_server.config import ServerConfig
     from zensim.sim_server.journal.opening import Journal
     from zensim.sim_server.journal.restoring import Contents
+    from zensim.sim_server.server_config import ServerConfig
 
 LOG = logging.getLogger(__name__)
 SAME_HZ = 1e-6
@@ -34,7 +34,7 @@ def begin(config: ServerConfig, journal: Journal | None) -> tuple[LoadedWorld, S
     for fault in doubts(loaded.model.report):
         LOG.warning("world=%s %s", config.world_file, fault)
     pace = loaded.model.pace
-    return loaded, paced(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
+    return loaded, fill_pace(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
 
 
 def _resumed(config: ServerConfig, contents: Contents) -> ServerConfig:

@@ -5,30 +5,30 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.sim_server.config import ConfigError, paced
-from zensim.sim_server.desk import Founded
-from zensim.sim_server.errors import Refused
+from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.loading.world_files import furnishing
+from zensim.sim_server.server_config import ConfigError, fill_pace
+from zensim.sim_server.server_context import BuiltWorld
 from zensim.sim_server.world.world import World
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from zensim.sim_server.config import ServerConfig
     from zensim.sim_server.description.sdf.sdf_world import WorldModel
-    from zensim.sim_server.desk import Founding
     from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.server_config import ServerConfig
+    from zensim.sim_server.server_context import WorldFactory
 
 
 def founding(
     config: ServerConfig, make_engine: Callable[[ServerConfig, WorldModel], Engine]
-) -> Founding:
+) -> WorldFactory:
     """Make worlds as this server makes them: what its start did not fix, each world chooses."""
     asked = config.asked or config
 
-    def found(model: WorldModel) -> Iterator[Founded | None]:
+    def found(model: WorldModel) -> Iterator[BuiltWorld | None]:
         pace = model.pace
-        chosen = paced(asked, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
+        chosen = fill_pace(asked, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
         world = World(
             make_engine(chosen, model),
             name=chosen.world,
@@ -40,10 +40,10 @@ def founding(
             yield from furnishing(world, model)
             is_whole = True
         except ConfigError as error:
-            raise Refused(ResultCode.OPERATION_FAILED, str(error)) from error
+            raise RequestRefused(ResultCode.OPERATION_FAILED, str(error)) from error
         finally:
             if not is_whole:
                 world.close()
-        yield Founded(world, chosen.real_time_factor or 0.0)
+        yield BuiltWorld(world, chosen.real_time_factor or 0.0)
 
     return found

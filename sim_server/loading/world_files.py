@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
-from zensim.sim_server.config import ConfigError
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.sdf.sdf_world import WorldModel, read_world
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.server_config import ConfigError
 from zensim.sim_server.world.birth import Birth
 
 if TYPE_CHECKING:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from zensim.sim_server.config import ConfigError
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.pipeline import parse_world
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.loading.world_files import LoadedWorld, WorldOrder, WorldOutcome, doubts
 from zensim.sim_server.reading.process import die_with_parent
+from zensim.sim_server.server_config import ConfigError
 from zensim.sim_server.worlds.model_path import bytes_in, models_in
 
 if TYPE_CHECKING:

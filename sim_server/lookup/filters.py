@@ -7,11 +7,10 @@ import msgspec
 
 from zensim.proto.messages.entity_messages import MAX_TAGS, EntityFilters, FilterMode, TagsFilter
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.later import Later
 from zensim.sim_server.lookup.patterns import Pattern
 from zensim.sim_server.lookup.regions import Region, Sight, overlapping, region_of
+from zensim.sim_server.server_context import DeferredResponse, ServerContext
 from zensim.sim_server.world.entity import Entity
 
 Answer = TypeVar("Answer", bound=msgspec.Struct)
@@ -35,10 +34,10 @@ class SearchTooLong(SimError):
 
 
 def passing(
-    desk: Desk,
+    context: ServerContext,
     filters: EntityFilters,
     answer: Callable[[tuple[str, ...]], Answer],
-) -> Answer | Later:
+) -> Answer | DeferredResponse:
     """Answer with the names that pass, in the order of spawning: at once, or some turns later.
 
     Either way they are those that pass at the moment of asking.
@@ -48,15 +47,15 @@ def passing(
     """
     region = region_of(filters.bounds)
     pattern = Pattern(filters.filter) if filters.filter else None
-    found = _told_apart(desk.world.entities, filters)
+    found = _told_apart(context.world.entities, filters)
     if region is None and pattern is None:
         return answer(tuple(entity.name for entity in found))
-    sight = Sight(desk.world.roster(), desk.world.reading(), desk.store.corners)
-    search = _Search(sight, found, desk.now_ns, desk.meter.share_ns(SLICE_NS))
+    sight = Sight(context.world.roster(), context.world.reading(), context.store.corners)
+    search = _Search(sight, found, context.now_ns, context.loop_stats.work_budget_ns(SLICE_NS))
     search.begin(pattern, region)
     if search.go_on():
         return answer(search.outcome())
-    return Later(search.go_on, lambda: answer(search.outcome()))
+    return DeferredResponse(search.go_on, lambda: answer(search.outcome()))
 
 
 class _Search:

@@ -7,7 +7,7 @@ import numpy as np
 from zensim.proto.messages.model_messages import Joint, Link
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.rotation import FloatArray
-from zensim.sim_server.errors import Refused
+from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.lookup.frames import SCOPE, frame_pose
 from zensim.sim_server.scene.forward_kinematics import compute_link_states
 from zensim.sim_server.world.entity import Entity
@@ -65,12 +65,12 @@ def link_of(world: World, name: str) -> ScopedLink:
         return ScopedLink(entity, names.index(inner))
     for frame in entity.model.frames:
         if frame.name == inner:
-            raise Refused(
+            raise RequestRefused(
                 ResultCode.NOT_FOUND,
                 f"link {name[:SHOWN]!r} does not move by itself: it is merged into its parent, as "
                 f"fixed joints are; use '{owner}{SCOPE}{_moving(entity, frame.parent)}'",
             )
-    raise Refused(ResultCode.NOT_FOUND, f"link {name[:SHOWN]!r} {_instead(owner, names)}")
+    raise RequestRefused(ResultCode.NOT_FOUND, f"link {name[:SHOWN]!r} {_instead(owner, names)}")
 
 
 def joint_of(world: World, name: str) -> ScopedJoint:
@@ -93,14 +93,16 @@ def joint_of(world: World, name: str) -> ScopedJoint:
         return found[0]
     if found:
         owners = ", ".join(f"'{one.entity.name}{SCOPE}{wanted}'" for one in found[:NAMED])
-        raise Refused(
+        raise RequestRefused(
             ResultCode.OPERATION_FAILED,
             f"{len(found)} entities have a joint {name[:SHOWN]!r}; use {owners}",
         )
     if scope:
         names = [joint.name for joint in entities[0].model.joints]
-        raise Refused(ResultCode.NOT_FOUND, f"joint {name[:SHOWN]!r} {_instead(owner, names)}")
-    raise Refused(
+        raise RequestRefused(
+            ResultCode.NOT_FOUND, f"joint {name[:SHOWN]!r} {_instead(owner, names)}"
+        )
+    raise RequestRefused(
         ResultCode.NOT_FOUND,
         f"no entity has a joint {name[:SHOWN]!r}; name it as 'entity{SCOPE}joint'",
     )

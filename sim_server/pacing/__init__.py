@@ -1,1 +1,1 @@
-"""How steps follow one another: goals, lockstep, and how the loop is doing."""
+"""When steps are made: requested steps, lockstep with agents, statistics of the loop."""

@@ -1,4 +1,4 @@
-"""Which agents owe an answer to the newest drive state they were told. No clock, no network."""
+"""Lockstep: which agents have not answered the newest drive state. No clock, no network."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -7,8 +7,8 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 OnMiss = Literal["wait", "hold", "fail"]
-TIMEOUT_S = 1.0
-LONGEST_LOOK_NS = 20_000_000
+LOCKSTEP_TIMEOUT_S = 1.0
+MAX_CHECK_INTERVAL_NS = 20_000_000
 """Most that one look counts as waiting: a server that was stopped itself has not waited."""
 
 
@@ -24,12 +24,12 @@ class LockstepSettings:
     """
 
     is_on: bool = False
-    timeout_s: float = TIMEOUT_S
+    timeout_s: float = LOCKSTEP_TIMEOUT_S
     on_miss: OnMiss = "hold"
 
 
 @dataclass
-class _Told:
+class _SentState:
     """What an agent was told last, and whether time waits for its answer."""
 
     epoch: int
@@ -38,7 +38,7 @@ class _Told:
     is_awaited: bool
     waited_ns: int = 0
 
-    def is_answered_by(self, command: DriveCommand) -> bool:
+    def matches(self, command: DriveCommand) -> bool:
         return (command.epoch, command.step, command.claims) == (self.epoch, self.step, self.claims)
 
 
@@ -47,28 +47,28 @@ class Lockstep:
 
     def __init__(self, settings: LockstepSettings | None = None) -> None:
         self.settings = settings or LockstepSettings()
-        self._told: dict[str, _Told] = {}
-        self._owing: set[str] = set()
+        self._told: dict[str, _SentState] = {}
+        self._awaited: set[str] = set()
         self._misses: dict[str, int] = {}
-        self._silent: set[str] = set()
-        self._looked_ns = 0
+        self._unresponsive: set[str] = set()
+        self._last_check_ns = 0
 
     @property
     def awaited(self) -> tuple[str, ...]:
         """Agents that owe an answer."""
-        return tuple(sorted(self._owing))
+        return tuple(sorted(self._awaited))
 
     @property
     def is_waiting(self) -> bool:
         """Whether any agent owes an answer."""
-        return bool(self._owing)
+        return bool(self._awaited)
 
     @property
     def misses(self) -> dict[str, int]:
         """States that were not answered in time, by agent."""
         return dict(self._misses)
 
-    def has_told(self, agent: str, state: DriveState) -> bool:
+    def has_sent(self, agent: str, state: DriveState) -> bool:
         """Whether an agent knows what it drives, in this epoch."""
         told = self._told.get(agent)
         return told is not None and (told.epoch, told.claims) == (state.epoch, state.claims)
@@ -79,16 +79,16 @@ class Lockstep:
         Returns:
             False when its answer should be awaited, but the agent has been silent too long for it.
         """
-        if not self._owing:
-            self._looked_ns = now_ns
-        self._owing.discard(agent)
-        self._told[agent] = _Told(state.epoch, state.step, state.claims, state.is_awaited)
+        if not self._awaited:
+            self._last_check_ns = now_ns
+        self._awaited.discard(agent)
+        self._told[agent] = _SentState(state.epoch, state.step, state.claims, state.is_awaited)
         if not state.is_awaited:
             return True
-        if self.settings.on_miss == "hold" and agent in self._silent:
+        if self.settings.on_miss == "hold" and agent in self._unresponsive:
             self._misses[agent] += 1
             return False
-        self._owing.add(agent)
+        self._awaited.add(agent)
         return True
 
     def answer(self, agent: str, command: DriveCommand) -> bool:
@@ -96,12 +96,12 @@ class Lockstep:
 
         A state that is awaited has one answer: a command for another one is not carried out.
         """
-        self._silent.discard(agent)
+        self._unresponsive.discard(agent)
         if (told := self._told.get(agent)) is None:
             return True
-        if not told.is_answered_by(command):
+        if not told.matches(command):
             return not told.is_awaited
-        self._owing.discard(agent)
+        self._awaited.discard(agent)
         return True
 
     def look(self, now_ns: int) -> tuple[str, ...]:
@@ -109,9 +109,9 @@ class Lockstep:
 
         With `wait` they go on owing it, and their time begins anew.
         """
-        passed_ns = min(now_ns - self._looked_ns, LONGEST_LOOK_NS)
-        self._looked_ns = now_ns
-        for agent in self._owing:
+        passed_ns = min(now_ns - self._last_check_ns, MAX_CHECK_INTERVAL_NS)
+        self._last_check_ns = now_ns
+        for agent in self._awaited:
             self._told[agent].waited_ns += passed_ns
         late = tuple(agent for agent in self.awaited if self._is_late(agent))
         for agent in late:
@@ -124,13 +124,13 @@ class Lockstep:
         """Owe nothing: the agent has gone, or drives nothing any more."""
         self._told.pop(agent, None)
         self._misses.pop(agent, None)
-        self._owing.discard(agent)
-        self._silent.discard(agent)
+        self._awaited.discard(agent)
+        self._unresponsive.discard(agent)
 
     def _is_late(self, agent: str) -> bool:
         return self._told[agent].waited_ns >= self.settings.timeout_s * NANOSECONDS
 
     def _give_up(self, agent: str) -> None:
         self._misses[agent] = self._misses.get(agent, 0) + 1
-        self._silent.add(agent)
-        self._owing.discard(agent)
+        self._unresponsive.add(agent)
+        self._awaited.discard(agent)

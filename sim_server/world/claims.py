@@ -7,7 +7,7 @@ import numpy as np
 
 from zensim.proto.messages.agent_messages import DriveCommand, OnRelease
 from zensim.proto.messages.result_messages import ClaimCode
-from zensim.sim_server.errors import Refused
+from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.world.entity import Entity, Fleet, Hold, Roster, fleet_of
 
@@ -53,7 +53,7 @@ class Claims:
             Refused: Another agent drives the entity.
         """
         if (holder := self.agent_of(name)) not in ("", agent):
-            raise Refused(
+            raise RequestRefused(
                 ClaimCode.ALREADY_CLAIMED,
                 f"entity '{name}' is driven by agent '{holder}'; stop that agent first",
             )

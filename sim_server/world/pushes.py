@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.sim_server.errors import Refused
+from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.entity import Entity
 
@@ -98,7 +98,7 @@ class Pushes:
             Refused: There are too many.
         """
         if len(self._pushes) >= MOST:
-            raise Refused(
+            raise RequestRefused(
                 ResultCode.OPERATION_FAILED,
                 f"{MOST} wrenches and efforts last already; clear some first",
             )

@@ -17,7 +17,7 @@ from zensim.proto.messages.spawn_messages import Resource
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.strict_parsing import MAX_BYTES
-from zensim.sim_server.errors import Refused
+from zensim.sim_server.errors import RequestRefused
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -105,7 +105,7 @@ class Atlas:
             Refused: It names nothing that may be loaded.
         """
         if not (resource.uri or resource.resource_string):
-            raise Refused(
+            raise RequestRefused(
                 LoadWorldCode.NO_RESOURCE,
                 "world_resource is empty; give a uri that get_available_worlds lists, or SDF",
             )
@@ -127,7 +127,7 @@ class Atlas:
         """
         try:
             found = self.find(Resource(name)).resource
-        except Refused:  # restored, and its file has gone
+        except RequestRefused:  # restored, and its file has gone
             found = WorldResource()
         if found.name == model_name:
             return found
@@ -162,25 +162,25 @@ class Atlas:
     def _from_file(self, name: str, uri: str) -> WorldText:
         file, folders = self._file(name)
         if file is None:
-            raise Refused(
+            raise RequestRefused(
                 ResultCode.NOT_FOUND,
                 f"no world {uri[:120]!r} comes with the server or lies below --model-path; "
                 "get_available_worlds lists those that do",
             )
         if file.suffix not in ENDINGS:
-            raise Refused(
+            raise RequestRefused(
                 LoadWorldCode.UNSUPPORTED_FORMAT,
                 f"world {uri[:120]!r} ends in {file.suffix[:20]!r}; use .world or .sdf, both SDF",
             )
         try:
             if file.stat().st_size > MAX_BYTES:
-                raise Refused(
+                raise RequestRefused(
                     LoadWorldCode.RESOURCE_PARSE_ERROR,
                     f"world {uri[:120]!r} has more than {MAX_BYTES} bytes; make it smaller",
                 )
             text = file.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
-            raise Refused(
+            raise RequestRefused(
                 LoadWorldCode.RESOURCE_PARSE_ERROR,
                 f"world {uri[:120]!r} cannot be read as text: {type(error).__name__}",
             ) from error

@@ -23,7 +23,7 @@ from tests.benchmark.figures import Asked, Figure, written
 from tests.benchmark.fleet import CIRCLE, MILLISECONDS
 from tests.benchmark.plain import PlainLoop, Turn
 from tests.benchmark.served import Served, Spent, served
-from zensim.sim_server.config import CONTROL_HZ, ServerConfig
+from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
 TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1
 TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 4, 3

@@ -3,14 +3,14 @@
 import numpy as np
 
 from tests.benchmark.fleet import SPACING_M
-from zensim.sim_server.config import ServerConfig, server_bus
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.server_config import ServerConfig, make_server_bus_config
 
-CONFIG = ServerConfig(bus=server_bus("", ""))
+CONFIG = ServerConfig(bus=make_server_bus_config("", ""))
 """As a server that is told nothing."""
 HEIGHT_M = 0.06
 """Of the root, when the wheels touch the ground."""

@@ -16,8 +16,8 @@ from zensim.deploy.cli import main
 from zensim.deploy.parent import die_with_parent
 from zensim.proto.bus import Publisher
 from zensim.proto.messages.simulation_messages import State
-from zensim.sim_server.traffic import outlets
-from zensim.sim_server.traffic.driving import Driving
+from zensim.sim_server.runtime import world_publisher
+from zensim.sim_server.runtime.agent_sessions import AgentSessions
 from zensim.sim_server.world.world import World
 
 ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
@@ -81,9 +81,9 @@ class Watch:
         for owner, name, part in (
             (World, "reading", "read-back"),
             (World, "snapshot", "messages"),
-            (outlets, "encode", "encode"),
+            (world_publisher, "encode", "encode"),
             (Publisher, "send", "put"),
-            (Driving, "serve", "take"),
+            (AgentSessions, "serve", "take"),
         ):
             setattr(owner, name, watch.timed(part, getattr(owner, name)))
         told = watch.timed_each("messages", World.drive_states)

@@ -9,7 +9,7 @@ import pytest
 from tests.contract.repository import ROOT, text_of
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.service_catalog import SERVICES
-from zensim.sim_server.handlers.offers import OFFERS
+from zensim.sim_server.services.service_registry import SERVICE_TABLE
 
 ROW = re.compile(r"^\| `(\w+)` \|.*$", re.MULTILINE)
 EXAMPLE = re.compile(r"\| `(\{.*\})` \|$")
@@ -23,7 +23,7 @@ def page_rows() -> dict[str, str]:
 def row_without_example(name: str) -> str:
     """Write the row of a service but for its last column."""
     service = SERVICES[name]
-    (features,) = (one.features for one in OFFERS if one.service.name == name)
+    (features,) = (one.features for one in SERVICE_TABLE if one.service.name == name)
     codes = ", ".join(f"{code.name} {code.value}" for code in service.codes)
     messages = f"{service.request.__name__} → {service.response.__name__}"
     return f"| `{name}` | {messages} | {codes} | {', '.join(f.name for f in features)} |"

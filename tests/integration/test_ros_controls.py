@@ -28,7 +28,7 @@ from zensim.proto.messages.standard_messages import Odometry
 from zensim.proto.ros2.ros_graph import Topic
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.sample_messages import make_sample_message
-from zensim.sim_server.traffic.ros_side import ros_side
+from zensim.sim_server.ros2_node.server_node import start_server_node
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 ODOM_KEY = f"0/r1/odom/nav_msgs::msg::dds_::Odometry_/{hash_of_message(ODOMETRY)}"
@@ -157,7 +157,7 @@ def telling(ways: Ways) -> Iterator[Bus]:
     """Tell odometry and answer services, on a network with its ways."""
     with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
         bus = cast("Bus", BrokenBus(router, ways))
-        side, is_over = ros_side(bus, RosSettings()), threading.Event()
+        side, is_over = start_server_node(bus, RosSettings()), threading.Event()
         odom = side.faces.publisher(Topic("r1/odom", Odometry))
         response, message = (
             encode(DeleteEntityResponse(), Format.CDR),

@@ -16,20 +16,20 @@ from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Event
-from zensim.sim_server.config import ServerConfig
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
-from zensim.sim_server.desk import Desk
 from zensim.sim_server.loading.founding import founding
-from zensim.sim_server.pacing.meter import Meter
+from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.reading.assets import AssetStore
 from zensim.sim_server.reading.descriptions import Reading
 from zensim.sim_server.reading.messages import ReadRequest, TextRead
 from zensim.sim_server.reading.process import read
-from zensim.sim_server.traffic.calls import Call
-from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.runtime.inbox import IncomingCall
+from zensim.sim_server.runtime.loop import ServerLoop
+from zensim.sim_server.server_config import ServerConfig
+from zensim.sim_server.server_context import ServerContext
 from zensim.sim_server.world.birth import Birth
 from zensim.sim_server.world.world import World
 
@@ -124,7 +124,7 @@ class ScriptedInbox:
     agents: list[tuple[str, bool]] = field(default_factory=list)
     bonds: list[tuple[str, bool]] = field(default_factory=list)
 
-    def take_calls(self) -> list[Call]:
+    def take_calls(self) -> list[IncomingCall]:
         taken, self.calls = self.calls, []
         return taken  # type: ignore[return-value]
 
@@ -156,7 +156,7 @@ class RecordingOutlet:
     def tell(self, topic: str, message: msgspec.Struct) -> None:
         self.told.append((topic, message))
 
-    def tell_agent(self, agent: str, state: DriveState) -> None:
+    def publish_drive_state(self, agent: str, state: DriveState) -> None:
         self.drive_states.append((agent, state))
 
     def forget_agent(self, agent: str) -> None:
@@ -173,10 +173,10 @@ class Stage:
     wall: WallTime
     engine: TimedEngine
     world: World
-    desk: Desk
+    context: ServerContext
     inbox: ScriptedInbox
     outlet: RecordingOutlet
-    loop: Loop
+    loop: ServerLoop
 
     def ask(
         self, service: str, request: msgspec.Struct, format_: Format = Format.MSGPACK
@@ -219,15 +219,24 @@ def a_stage(*names: str, factor: float = 1.0, cost_ns: int = 0) -> Stage:
     world = a_world(*names, engine=engine)
     desk = a_desk(world, wall, factor=factor)
     inbox, outlet = ScriptedInbox(), RecordingOutlet()
-    return Stage(wall, engine, world, desk, inbox, outlet, Loop(desk, inbox, outlet, wall))
+    return Stage(wall, engine, world, desk, inbox, outlet, ServerLoop(desk, inbox, outlet, wall))
 
 
-def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> Desk:
+def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> ServerContext:
     clock = wall or WallTime()
     store = AssetStore()
-    return Desk(
-        *(world, Meter(clock.now_ns()), clock.now_ns, ReadHere(store), store, "empty", factor, 7),
-        founding=founding(
+    return ServerContext(
+        *(
+            world,
+            LoopStats(clock.now_ns()),
+            clock.now_ns,
+            ReadHere(store),
+            store,
+            "empty",
+            factor,
+            7,
+        ),
+        world_factory=founding(
             ServerConfig(bus=BusConfig()),
             lambda config, _: ObedientEngine(EngineConfig(config.step_ns)),
         ),

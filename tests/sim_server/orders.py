@@ -4,8 +4,8 @@ import math
 
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder, SpawnEntityReport
 from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped, Quaternion
-from zensim.sim_server.desk import Desk
-from zensim.sim_server.handlers.table import handle
+from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.services.service_registry import handle_request
 
 BOX_BOT = Resource(uri="box_bot")
 LYING = Quaternion(math.sin(math.pi / 4.0), 0.0, 0.0, math.cos(math.pi / 4.0))
@@ -30,8 +30,8 @@ def an_order(
     )
 
 
-def spawned(desk: Desk, order: SpawnEntityOrder) -> SpawnEntityReport:
-    report = handle(desk, order)
+def spawned(context: ServerContext, order: SpawnEntityOrder) -> SpawnEntityReport:
+    report = handle_request(context, order)
     assert isinstance(report, SpawnEntityReport)
     return report
 

@@ -12,9 +12,9 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
-from zensim.sim_server.traffic.inbox import BusInbox
-from zensim.sim_server.traffic.loop import Loop
-from zensim.sim_server.traffic.outlets import BusOutlet
+from zensim.sim_server.runtime.inbox import BusInbox
+from zensim.sim_server.runtime.loop import ServerLoop
+from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
 from zensim.spawner.client import SimClient
 
 
@@ -26,8 +26,11 @@ class Served:
         bus = cast("Bus", self.bus)
         self.world = a_world(*names)
         wall = WallTime()
-        loop = Loop(
-            a_desk(self.world, wall), BusInbox(bus, "default"), BusOutlet(bus, "default"), wall
+        loop = ServerLoop(
+            a_desk(self.world, wall),
+            BusInbox(bus, "default"),
+            BusWorldPublisher(bus, "default"),
+            wall,
         )
         self.bus.pumps.append(loop.turn)
         self.client = SimClient(bus)

@@ -12,9 +12,9 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsResponse,
     StepsProgress,
 )
-from zensim.sim_server.traffic.inbox import BusInbox
-from zensim.sim_server.traffic.loop import Loop
-from zensim.sim_server.traffic.outlets import BusOutlet
+from zensim.sim_server.runtime.inbox import BusInbox
+from zensim.sim_server.runtime.loop import ServerLoop
+from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
 from zensim.spawner.client import SimClient
 from zensim.spawner.goals import OnProgress, reach_goal
 
@@ -33,7 +33,7 @@ class Served:
         self.world.pause()
         wall = WallTime()
         desk = a_desk(self.world, wall)
-        loop = Loop(desk, BusInbox(bus, "default"), BusOutlet(bus, "default"), wall)
+        loop = ServerLoop(desk, BusInbox(bus, "default"), BusWorldPublisher(bus, "default"), wall)
         self.bus.pumps.append(loop.turn)
         self.client = SimClient(bus)
 

@@ -12,7 +12,7 @@ from zensim.sim_server.journal.recorder import Recorder
 from zensim.sim_server.journal.records import Record
 from zensim.sim_server.journal.restoring import Contents, contents_of
 from zensim.sim_server.reading.assets import AssetStore
-from zensim.sim_server.traffic.loop import Loop
+from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.world.world import World
 
 DISK_FULL = "database or disk is full"
@@ -73,26 +73,26 @@ class Journalled:
         self.ledger: Ledger = open_ledger(folder)
         journal = Journal(self.ledger, contents_of(self.ledger))
         world = world or a_world(*(names if journal.contents is None else ()))
-        self.desk = a_desk(world, wall)
-        self.refused = journal.restore(world, self.desk.store, wall.now_ns())
-        keeper = Keeper(self.ledger, self.desk.store.folder)
+        self.context = a_desk(world, wall)
+        self.refused = journal.restore(world, self.context.store, wall.now_ns())
+        keeper = Keeper(self.ledger, self.context.store.folder)
         self.disk = Disk(keeper, self.ledger.position)
         self.recorder = Recorder(
-            self.desk,
+            self.context,
             self.disk,
             position=self.ledger.position,
             known=journal.kept,
             wall_s=lambda: wall.now_ns() * 1e-9,
         )
-        self.desk.journal = self.recorder
-        journal.prepare(self.desk, now_s=wall.now_ns() * 1e-9)
+        self.context.journal = self.recorder
+        journal.prepare(self.context, now_s=wall.now_ns() * 1e-9)
         inbox, outlet = ScriptedInbox(), RecordingOutlet()
-        loop = Loop(self.desk, inbox, outlet, wall)
-        self.stage = Stage(wall, None, world, self.desk, inbox, outlet, loop)  # type: ignore[arg-type]
+        loop = ServerLoop(self.context, inbox, outlet, wall)
+        self.stage = Stage(wall, None, world, self.context, inbox, outlet, loop)  # type: ignore[arg-type]
 
     @property
     def world(self) -> World:
-        return self.desk.world
+        return self.context.world
 
     def crash(self) -> None:
         """Lose everything that is not on the disk."""

@@ -87,11 +87,11 @@ def test_delete_is_kept_however_it_came(kept: Journalled, how: str) -> None:
         ask(kept, "delete_entity", DeleteEntityRequest("r0"))
     elif how == "bond":
         born_ns = kept.world.entity("r0").born_ns
-        kept.desk.alive_bonds.add("b")
-        kept.desk.bonded["b"] = [("r0", born_ns)]
+        kept.context.alive_bonds.add("b")
+        kept.context.bonded_entities["b"] = [("r0", born_ns)]
         kept.stage.inbox.bonds.append(("b", False))
     else:
-        kept.desk.alive_agents.add("a")
+        kept.context.alive_agents.add("a")
         kept.world.claim("a", ("r0",), "delete")
         kept.stage.inbox.agents.append(("a", False))
     turn(kept)
@@ -233,7 +233,7 @@ def test_pause_stands_and_is_kept_once_the_disk_has_room(kept: Journalled) -> No
 
 
 def test_bond_that_ended_while_the_disk_was_full_ends_for_good(kept: Journalled) -> None:
-    kept.desk.alive_bonds.add("b")
+    kept.context.alive_bonds.add("b")
     spawn(kept, "r2", bond="b")
     turn(kept)
     kept.disk.is_full = True
@@ -264,7 +264,7 @@ def test_retry_gets_the_same_answer_and_no_second_robot_after_a_restart(kept: Jo
 
 
 def test_bond_whose_holder_did_not_come_back_ends(kept: Journalled) -> None:
-    kept.desk.alive_bonds.update({"gone", "there"})
+    kept.context.alive_bonds.update({"gone", "there"})
     spawn(kept, "g", bond="gone")
     spawn(kept, "t", bond="there")
     turn(kept)

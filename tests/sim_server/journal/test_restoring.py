@@ -97,13 +97,13 @@ def test_description_that_was_read_need_not_be_read_again(tmp_path: Path) -> Non
     kept.recorder.note()
     entity = kept.world.spawn(a_birth("r0"))
     reading = Reading("<robot/>", "gazebo11", allow_missing=True, assets=())
-    kept.desk.descriptions.remember(reading, entity.model)
+    kept.context.descriptions.remember(reading, entity.model)
     kept.recorder.note()
 
     again = restart(kept)
 
     model = again.world.entity("r0").model
-    assert again.desk.descriptions.reading_of(model) == reading
+    assert again.context.descriptions.reading_of(model) == reading
 
 
 def test_robot_stands_and_what_nobody_drives_moves_on(tmp_path: Path) -> None:
@@ -263,7 +263,7 @@ class AnyHistory(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         self.kept.crash()
-        self.kept.desk.store.close()
+        self.kept.context.store.close()
         self.folder.cleanup()
 
 

@@ -8,10 +8,10 @@ import pytest
 from tests.engines import STEP_NS
 from tests.sim_server.journal.stage import Journalled
 from zensim.proto.bus import BusConfig
-from zensim.sim_server.config import ServerConfig
 from zensim.sim_server.journal.ledger import JournalError
 from zensim.sim_server.journal.opening import Journal, open_journal
 from zensim.sim_server.loading.beginning import begin
+from zensim.sim_server.server_config import ServerConfig
 
 CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
 
@@ -19,7 +19,7 @@ CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
 @pytest.fixture
 def journal(tmp_path: Path) -> Journal:
     kept = Journalled(tmp_path, "r0")
-    kept.desk.target_real_time_factor = 2.0
+    kept.context.target_real_time_factor = 2.0
     kept.recorder.note()
     kept.crash()
     return open_journal(str(tmp_path))

@@ -9,11 +9,11 @@ import trimesh
 from tests.sim_server.description.meshes.test_mesh_conversion_meshes import exported
 from tests.sim_server.fakes import a_world
 from zensim.proto.messages.model_messages import Shape
-from zensim.sim_server.config import ConfigError
 from zensim.sim_server.description.builtin_models import list_builtin_worlds
 from zensim.sim_server.loading import world_files
 from zensim.sim_server.loading.world_files import WorldOrder, doubts, furnish, loaded_elsewhere
 from zensim.sim_server.loading.world_loading import load_world
+from zensim.sim_server.server_config import ConfigError
 
 CRATE = (
     "<model name='crate'><link name='box'><inertial><mass>1</mass><inertia><ixx>0.1</ixx>"

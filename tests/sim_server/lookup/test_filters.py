@@ -17,11 +17,10 @@ from zensim.proto.messages.entity_messages import (
     TagsFilter,
 )
 from zensim.proto.messages.standard_messages import Vector3
-from zensim.sim_server.desk import Desk
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.handlers.table import handle
-from zensim.sim_server.later import Later
 from zensim.sim_server.lookup.filters import LONGEST_NS, SLICE_NS, SearchTooLong
+from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.services.service_registry import handle_request
 from zensim.sim_server.world.world import World
 
 
@@ -37,9 +36,9 @@ def a_tagged_world() -> World:
     return world
 
 
-def found(desk: Desk, filters: EntityFilters) -> tuple[str, ...]:
-    response = handle(desk, entity_messages.GetEntitiesRequest(filters))
-    if isinstance(response, Later):
+def found(context: ServerContext, filters: EntityFilters) -> tuple[str, ...]:
+    response = handle_request(context, entity_messages.GetEntitiesRequest(filters))
+    if isinstance(response, DeferredResponse):
         while not response.is_ready():
             pass
         response = response.outcome()
@@ -150,10 +149,10 @@ class SlowWall(WallTime):
 
 def test_a_long_search_is_made_in_turns_and_tells_of_the_moment_of_asking() -> None:
     world = a_tagged_world()
-    response = handle(
+    response = handle_request(
         a_desk(world, SlowWall()), entity_messages.GetEntitiesRequest(EntityFilters(LARGE))
     )
-    assert isinstance(response, Later)
+    assert isinstance(response, DeferredResponse)
     world.delete("r0")
 
     turns = 1
@@ -167,8 +166,8 @@ def test_a_long_search_is_made_in_turns_and_tells_of_the_moment_of_asking() -> N
 def test_a_search_without_end_is_given_up() -> None:
     names = [f"r{i}" for i in range(200)]
     desk = a_desk(a_world(*names), wall := SlowWall())
-    response = handle(desk, entity_messages.GetEntitiesRequest(EntityFilters("r")))
-    assert isinstance(response, Later)
+    response = handle_request(desk, entity_messages.GetEntitiesRequest(EntityFilters("r")))
+    assert isinstance(response, DeferredResponse)
 
     wall.pace_ns = 2 * LONGEST_NS
     while not response.is_ready():

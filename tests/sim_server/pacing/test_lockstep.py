@@ -3,7 +3,12 @@
 import pytest
 
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
-from zensim.sim_server.pacing.lockstep import LONGEST_LOOK_NS, Lockstep, LockstepSettings, OnMiss
+from zensim.sim_server.pacing.lockstep import (
+    MAX_CHECK_INTERVAL_NS,
+    Lockstep,
+    LockstepSettings,
+    OnMiss,
+)
 
 SECOND = 1_000_000_000
 CLAIMS = b"\x01\0\0\0"
@@ -26,7 +31,7 @@ def a_lockstep(on_miss: OnMiss = "hold") -> Lockstep:
 def look_for(lockstep: Lockstep, seconds: float, start_ns: int = 0) -> list[str]:
     """Look again and again for so long; name those who became late."""
     late: list[str] = []
-    for now_ns in range(start_ns, start_ns + round(seconds * SECOND), LONGEST_LOOK_NS // 2):
+    for now_ns in range(start_ns, start_ns + round(seconds * SECOND), MAX_CHECK_INTERVAL_NS // 2):
         late += lockstep.look(now_ns)
     return late
 
@@ -138,10 +143,10 @@ def test_time_in_which_the_server_itself_was_stopped_does_not_count() -> None:
 
 def test_agent_knows_what_it_was_told_in_this_epoch() -> None:
     lockstep = a_lockstep()
-    unknown = lockstep.has_told("a", state(3))
+    unknown = lockstep.has_sent("a", state(3))
     lockstep.tell("a", state(3), 0)
 
     assert not unknown
-    assert lockstep.has_told("a", state(6))
-    assert not lockstep.has_told("a", state(6, epoch=1))
-    assert not lockstep.has_told("a", state(6, claims=b""))
+    assert lockstep.has_sent("a", state(6))
+    assert not lockstep.has_sent("a", state(6, epoch=1))
+    assert not lockstep.has_sent("a", state(6, claims=b""))

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, Stage, a_birth
-from tests.sim_server.traffic.test_loop_lockstep import TIMEOUT_S, a_locked_stage, answer_states
+from tests.sim_server.runtime.test_loop_lockstep import TIMEOUT_S, a_locked_stage, answer_states
 from zensim.proto.messages.agent_messages import ClaimEntityRequest
 from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.pacing.lockstep import OnMiss
@@ -56,7 +56,7 @@ def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
     for what, whom in acts:
         act(stage, what, whom)
         moments.append((stage.world.epoch, stage.world.steps))
-        assert set(stage.desk.lockstep.awaited) <= set(stage.world.claims.agents)
+        assert set(stage.context.lockstep.awaited) <= set(stage.world.claims.agents)
 
     assert moments == sorted(moments)
     if stage.world.state == State.PAUSED:

@@ -9,8 +9,8 @@ from zensim.proto.messages.simulation_messages import (
     SimulationState,
     State,
 )
-from zensim.sim_server.errors import Refused
-from zensim.sim_server.handlers.table import handle
+from zensim.sim_server.errors import RequestRefused
+from zensim.sim_server.services.service_registry import handle_request
 from zensim.sim_server.world.phases import ENTERED, LEADS_TO, NAMES
 
 STANDING = {State.STOPPED, State.PAUSED}
@@ -32,9 +32,9 @@ def test_state_follows_another_as_the_table_says(present: State, wanted: State) 
     desk.world.state = present
 
     try:
-        handle(desk, asked(wanted))
+        handle_request(desk, asked(wanted))
         code = None
-    except Refused as refused:
+    except RequestRefused as refused:
         code = refused.code
 
     if wanted == present:
@@ -51,8 +51,8 @@ def test_state_that_is_none_is_refused_with_those_that_are(present: State, wante
     desk = a_desk(a_world())
     desk.world.state = present
 
-    with pytest.raises(Refused, match=f"{wanted}, which is no state; use") as refused:
-        handle(desk, asked(wanted))
+    with pytest.raises(RequestRefused, match=f"{wanted}, which is no state; use") as refused:
+        handle_request(desk, asked(wanted))
 
     assert refused.value.code == SetSimulationStateCode.INCORRECT_TRANSITION
 
@@ -65,9 +65,9 @@ def test_world_is_never_asked_for_as_a_state() -> None:
 def test_stop_goes_back_to_the_start() -> None:
     desk = a_desk(a_world("r0"))
     desk.world.step()
-    goal = desk.stepping.add(5)
+    goal = desk.step_goals.add(5)
 
-    handle(desk, asked(State.STOPPED))
+    handle_request(desk, asked(State.STOPPED))
 
     assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (0, 1, [])
     assert goal.is_over
@@ -78,6 +78,6 @@ def test_pause_keeps_everything_where_it_is() -> None:
     desk = a_desk(a_world("r0"))
     desk.world.step()
 
-    handle(desk, asked(State.PAUSED))
+    handle_request(desk, asked(State.PAUSED))
 
     assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (1, 0, ["r0"])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.engines import STEP_NS
 from tests.models import a_box, a_state
 from tests.sim_server.fakes import a_birth, a_world
-from zensim.sim_server.errors import Refused
+from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.world.pushes import MOST, JointPush, LinkPush, Pushes, Span, span_of
 from zensim.sim_server.world.world import World
 
@@ -120,5 +120,5 @@ def test_pushes_are_refused_when_there_are_too_many() -> None:
     for _ in range(MOST):
         pushes.add(LinkPush("b", 0, PULL, FOREVER))
 
-    with pytest.raises(Refused, match="clear some first"):
+    with pytest.raises(RequestRefused, match="clear some first"):
         pushes.add(LinkPush("b", 0, PULL, FOREVER))

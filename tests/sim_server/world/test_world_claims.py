@@ -15,7 +15,7 @@ from tests.sim_server.fakes import (
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.proto.messages.result_messages import ClaimCode
 from zensim.proto.messages.simulation_messages import ResetScope
-from zensim.sim_server.errors import EntityNotFound, Refused
+from zensim.sim_server.errors import EntityNotFound, RequestRefused
 from zensim.sim_server.world.world import World
 
 
@@ -162,7 +162,9 @@ def test_world_refuses_all_of_a_claim_when_another_agent_drives_one() -> None:
     world = a_world("r0", "r1")
     world.claim("a", ("r1",), "stop")
 
-    with pytest.raises(Refused, match="'r1' is driven by agent 'a'; stop that agent") as refused:
+    with pytest.raises(
+        RequestRefused, match="'r1' is driven by agent 'a'; stop that agent"
+    ) as refused:
         world.claim("b", ("r0", "r1"), "stop")
 
     assert refused.value.code == ClaimCode.ALREADY_CLAIMED

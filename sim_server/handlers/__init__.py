@@ -1,1 +1,0 @@
-"""What each service does with a request."""

@@ -1,0 +1,67 @@
+"""Statistics of the loop over windows of a second: real-time factor, step times, lateness. Wall times are passed in."""
+
+from zensim.proto.messages.standard_messages import NANOSECONDS
+
+STEP_SHARE = 4
+
+
+class LoopStats:
+    """Sums over windows of about a second."""
+
+    def __init__(self, now_ns: int) -> None:
+        self.real_time_factor = 0.0
+        self.step_time_s = 0.0
+        self.step_time_max_s = 0.0
+        self.late_max_s = 0.0
+        self.busy_max_s = 0.0
+        self.slipped_ns = 0
+        self.requests = 0
+        self._since_ns = now_ns
+        self._simulated_ns = 0
+        self._steps = 0
+        self._stepping_ns = 0
+        self._longest_ns = 0
+        self._latest_ns = 0
+        self._backlog_ns = 0
+        self._busiest_ns = 0
+
+    def note_turn(self, *, busy_ns: int, paced_ns: int) -> None:
+        """Count one turn.
+
+        Args:
+            busy_ns: CPU time that it took.
+            paced_ns: Wall time that its step stands for; 0 when none was due, so none is late.
+        """
+        self._backlog_ns = busy_ns + (self._backlog_ns if paced_ns else 0)
+        self._busiest_ns = max(self._busiest_ns, self._backlog_ns)
+        self._backlog_ns = max(0, self._backlog_ns - paced_ns) if paced_ns else 0
+
+    def note_step(self, *, simulated_ns: int, took_ns: int, late_ns: int) -> None:
+        """Count one step."""
+        self._steps += 1
+        self._simulated_ns += simulated_ns
+        self._stepping_ns += took_ns
+        self._longest_ns = max(self._longest_ns, took_ns)
+        self._latest_ns = max(self._latest_ns, late_ns)
+
+    def work_budget_ns(self, least_ns: int) -> int:
+        """Say for how long work that can be parted may hold up the loop at each turn.
+
+        A quarter of a step where steps take long, so that it ends some time.
+        """
+        return max(least_ns, round(self.step_time_s * NANOSECONDS / STEP_SHARE))
+
+    def close_window(self, now_ns: int) -> bool:
+        """Turn the sums into figures once a second has passed; say whether it has."""
+        elapsed_ns = now_ns - self._since_ns
+        if elapsed_ns < NANOSECONDS:
+            return False
+        self.real_time_factor = self._simulated_ns / elapsed_ns
+        self.step_time_s = self._stepping_ns / max(self._steps, 1) * 1e-9
+        self.step_time_max_s = self._longest_ns * 1e-9
+        self.late_max_s = self._latest_ns * 1e-9
+        self.busy_max_s = self._busiest_ns * 1e-9
+        self._since_ns = now_ns
+        self._simulated_ns = self._steps = self._stepping_ns = 0
+        self._longest_ns = self._latest_ns = self._busiest_ns = 0
+        return True

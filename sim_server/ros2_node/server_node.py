@@ -1,0 +1,207 @@
+"""The ROS 2 node of the server: its services over rmw_zenoh and zenoh-bridge-ros2dds, its topics and its action."""
+
+import logging
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final, Protocol, TypeVar
+
+import msgspec
+
+from zensim.proto import bus as network
+from zensim.proto.bus import Bus
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.ros2 import action_messages as action
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
+from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
+from zensim.proto.ros2.ros_service_catalog import (
+    CDR_ENCODING_NAME,
+    ROS_SERVICES,
+    RosService,
+    find_served_keys,
+    index_by_bridge_key,
+    index_by_key,
+)
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.ros2.type_hash import find_service_type, hash_service
+from zensim.proto.topic_endpoints import TopicFactory, TopicPublisher
+from zensim.sim_server.ros2_node.simulate_steps_action import ActionQuery, SimulateStepsAction
+from zensim.sim_server.runtime.inbox import CallSource, IncomingCall
+
+LOG = logging.getLogger(__name__)
+Message = TypeVar("Message", bound=msgspec.Struct)
+NO_REQUEST_ID: Final = b""
+
+
+class Ros2Call:
+    """A request that came on a key of rmw_zenoh or of a bridge; see `IncomingCall`."""
+
+    def __init__(
+        self, call: network.Call, forms: tuple[RosService, ...], attachment: Attachment | None
+    ) -> None:
+        self._call = call
+        self._forms = forms
+        self._form = forms[0]
+        self._attachment = attachment
+        self.name = forms[0].service
+        self.payload, self.size, self.encoding = call.payload, call.size, CDR_ENCODING_NAME
+        self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
+
+    def read(self, kind: type[Message]) -> Message:
+        """See `IncomingCall`: the first form that fits."""
+        for form in self._forms[:-1]:
+            with suppress(MalformedPayload):
+                return self._read(form, kind)
+        return self._read(self._forms[-1], kind)
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        """See `IncomingCall`: with the attachment by which ROS finds who asked."""
+        del key
+        answer = self._form.answer(payload, encoding)
+        back = b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
+        self._call.reply(answer, CDR_ENCODING_NAME, attachment=back)
+
+    def drop(self) -> None:
+        """See `IncomingCall`."""
+        self._call.drop()
+
+    def _read(self, form: RosService, kind: type[Message]) -> Message:
+        request = form.read(self.payload)
+        self._form = form
+        return _widen_request(request, kind)
+
+
+class Ros2CallQueues:
+    """All requests that come in forms of ROS 2."""
+
+    def __init__(
+        self, queues: tuple[network.CallQueue, ...], forms: Mapping[str, tuple[RosService, ...]]
+    ) -> None:
+        self._queues = queues
+        self._forms = forms
+
+    def take(self) -> list[IncomingCall]:
+        """Take what has come; what no form fits is let go, since nobody serves it."""
+        found: list[IncomingCall] = []
+        for queue in self._queues:
+            for call in queue.take():
+                forms = self._forms.get(call.key)
+                if forms is None:
+                    LOG.info("no such service of ros key=%s", call.key)
+                    call.drop()
+                else:
+                    found.append(Ros2Call(call, forms, read_attachment(call.request_id)))
+        return found
+
+
+def serve_rmw_calls(bus: network.Bus, domain: int) -> Ros2CallQueues:
+    """Serve what rmw_zenoh asks for in a domain."""
+    return Ros2CallQueues(
+        tuple(bus.serve(key) for key in find_served_keys(domain)), index_by_key(domain)
+    )
+
+
+def serve_bridge_calls(bus: network.Bus) -> Ros2CallQueues:
+    """Serve what zenoh-bridge-ros2dds asks for."""
+    forms = index_by_bridge_key()
+    return Ros2CallQueues(tuple(bus.serve(key) for key in forms), forms)
+
+
+def announce_services(node: RosNode) -> None:
+    """Say that a node offers every service, in each form that its distribution has."""
+    has_hashes = node.graph.settings.has_hashes
+    for form in ROS_SERVICES:
+        if has_hashes or form.is_humble_form:
+            type_hash = form.type_hash if has_hashes else NO_HASH
+            node.join(
+                "SS", form.name, form.ros_type, type_hash=type_hash, bridge_key=form.bridge_key
+            )
+
+
+def _make_request_id(attachment: Attachment) -> bytes:
+    return attachment.gid + attachment.sequence_number.to_bytes(8, "little", signed=True)
+
+
+def _stamp_now(attachment: Attachment) -> Attachment:
+    return msgspec.structs.replace(attachment, source_time_ns=time.time_ns())
+
+
+def _widen_request(request: msgspec.Struct, kind: type[Message]) -> Message:
+    """Give what a type of ours adds to the interface its defaults."""
+    if isinstance(request, kind):
+        return request
+    return kind(**{name: getattr(request, name) for name in request.__struct_fields__})
+
+
+NODE_NAME: Final = "zensim"
+"""What the server is called in ROS 2."""
+
+
+class QuerySource(Protocol):
+    """Requests on a key expression."""
+
+    def take(self) -> Sequence[ActionQuery]:
+        """Take what has come."""
+
+
+@dataclass(frozen=True)
+class MergedQueries:
+    """Requests on several keys, as if on one."""
+
+    queues: tuple[QuerySource, ...]
+
+    def take(self) -> list[ActionQuery]:
+        """Take what has come, queue by queue."""
+        return [query for queue in self.queues for query in queue.take()]
+
+
+@dataclass(frozen=True)
+class ServerNode:
+    """What the loop's inbox and outlet need of it.
+
+    Attributes:
+        heed: Hears of the progress of steps.
+        close: Withdraws everything.
+    """
+
+    sources: tuple[CallSource, ...]
+    faces: TopicFactory
+    on_progress: Callable[[StepsProgress], None]
+    close: Callable[[], None]
+
+
+def start_server_node(bus: Bus, settings: RosSettings) -> ServerNode:
+    """Show the server to ROS 2, as far as the settings want it."""
+    graph = RosGraph(bus, settings)
+    node = graph.node("", NODE_NAME)
+    faces = TopicFactory(bus, node, settings)
+    if node is None:
+        return ServerNode((), faces, lambda _: None, graph.close)
+    announce_services(node)
+    steps = _make_steps_action(bus, node, faces)
+    sources: tuple[CallSource, ...] = (serve_rmw_calls(bus, node.domain), steps)
+    if settings.is_bridged:
+        sources = (*sources, serve_bridge_calls(bus))
+    return ServerNode(sources, faces, steps.note, graph.close)
+
+
+def _make_steps_action(bus: Bus, node: RosNode, faces: TopicFactory) -> SimulateStepsAction:
+    settings = node.graph.settings
+    node.announce_action(action.ACTION_NAME, action.ACTION_TYPE)
+    queues = {}
+    for name, (request, response) in action.ACTION_SERVICES.items():
+        kind = find_service_type(request)
+        type_hash = hash_service(request, response) if settings.has_hashes else NO_HASH
+        node.join("SS", name, kind, type_hash=type_hash)
+        keys = [make_data_key(node.domain, name, kind, ANY_HASH)]
+        if settings.is_bridged:
+            keys.append(name.strip("/"))
+        queues[name] = MergedQueries(tuple(bus.serve(key) for key in keys))
+    tellers: dict[str, TopicPublisher] = {
+        name: faces.publisher(Topic(name.strip("/"), kind, is_latched=name == action.STATUS_TOPIC))
+        for name, kind in action.ACTION_TOPICS.items()
+    }
+    return SimulateStepsAction(queues, tellers)

@@ -1,0 +1,306 @@
+"""Server of the ROS 2 action SimulateSteps, over zensim's own step services."""
+
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final, Protocol, TypeVar
+
+import msgspec
+
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
+    CancelStepsRequest,
+    CancelStepsResponse,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    StepsProgress,
+)
+from zensim.proto.messages.standard_messages import Time, ns_from_time, time_from_ns
+from zensim.proto.ros2 import action_messages as action
+from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
+from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
+from zensim.sim_server.runtime.inbox import IncomingCall
+
+CDR_ENCODING: Final = str(Format.CDR.value)
+MSGPACK_ENCODING: Final = str(Format.MSGPACK.value)
+MAX_FINISHED_ACTION_GOALS: Final = 256
+"""Goals that are over and whose results can still be had."""
+MAX_RESULT_QUERIES: Final = 64
+"""Who wait for the result of one goal."""
+FINAL_STATUSES: Final = {
+    "succeeded": action.GoalStatusCode.SUCCEEDED,
+    "canceled": action.GoalStatusCode.CANCELED,
+    "aborted": action.GoalStatusCode.ABORTED,
+}
+CANCEL_CODES: Final = {
+    int(ResultCode.OK): action.CancelCode.NONE,
+    int(ResultCode.NOT_FOUND): action.CancelCode.UNKNOWN_GOAL_ID,
+    int(ResultCode.INCORRECT_STATE): action.CancelCode.GOAL_TERMINATED,
+}
+Message = TypeVar("Message", bound=msgspec.Struct)
+
+
+class ActionQuery(Protocol):
+    """A request as the network hands it out."""
+
+    payload: bytes
+    request_id: bytes
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        """Answer."""
+
+
+class ActionQueries(Protocol):
+    """Requests that have come."""
+
+    def take(self) -> Sequence[ActionQuery]:
+        """Take them."""
+
+
+class ActionTopic(Protocol):
+    """A topic on all its faces."""
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether anybody listens."""
+
+    def send(self, payload: bytes) -> None:
+        """Put one message."""
+
+    def answer(self, payload: Callable[[], bytes]) -> None:
+        """Tell the value of now to those who come late."""
+
+
+@dataclass
+class ActionGoal:
+    """One goal, from the wish to its result."""
+
+    goal_id: action.GoalId
+    stamp: Time
+    asked: ActionQuery | None
+    """Who waits to hear whether it is accepted."""
+    status: action.GoalStatusCode = action.GoalStatusCode.ACCEPTED
+    result: Result = field(default_factory=Result)
+    waiting: list[ActionQuery] = field(default_factory=list)
+    """Who waits for its result."""
+
+    @property
+    def info(self) -> action.GoalInfo:
+        """What ROS 2 calls it."""
+        return action.GoalInfo(self.goal_id, self.stamp)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its result is known."""
+        return self.status in FINAL_STATUSES.values()
+
+
+@dataclass
+class CancelBatch:
+    """What became of several goals that one request would end."""
+
+    awaited: int
+    """Of which it is not known yet."""
+    ended: list[str] = field(default_factory=list)
+
+
+class ActionCall:
+    """A request that this action makes of the server; see `IncomingCall`."""
+
+    payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
+
+    def __init__(
+        self, name: str, request: msgspec.Struct, on_reply: Callable[[bytes, str], None]
+    ) -> None:
+        self.name = name
+        self._request = request
+        self._on_reply = on_reply
+
+    def read(self, kind: type[Message]) -> Message:
+        """See `IncomingCall`."""
+        assert isinstance(self._request, kind)
+        return self._request
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        """See `IncomingCall`: there is nobody on the network who could have asked otherwise."""
+        del key
+        self._on_reply(payload, encoding)
+
+    def drop(self) -> None:
+        """See `IncomingCall`."""
+
+
+class SimulateStepsAction:
+    """All goals that ROS 2 sent."""
+
+    def __init__(
+        self, queues: Mapping[str, ActionQueries], tellers: Mapping[str, ActionTopic]
+    ) -> None:
+        """Take the channels.
+
+        Args:
+            queues: One for each of `ros_actions.SERVICES`.
+            tellers: One for each of `ros_actions.TOPICS`.
+        """
+        self._queues = queues
+        self._tellers = tellers
+        self._goals: OrderedDict[str, ActionGoal] = OrderedDict()
+        self._new: list[ActionGoal] = []
+
+    def take(self) -> list[IncomingCall]:
+        """Take what has come, as requests of the server's own; results are told at once."""
+        self._tellers[action.STATUS_TOPIC].answer(self.statuses)
+        while self._new:
+            self._accept(self._new.pop())  # what was refused was so before this turn
+        calls: list[IncomingCall] = []
+        for query in self._queues[action.SEND_GOAL_SERVICE].take():
+            calls += self._begin(query)
+        for query in self._queues[action.CANCEL_GOAL_SERVICE].take():
+            calls += self._on_cancel_goal(query)
+        for query in self._queues[action.GET_RESULT_SERVICE].take():
+            self._on_get_result(query)
+        return calls
+
+    def note(self, progress: StepsProgress) -> None:
+        """Tell of the progress of a goal, if it is one of these."""
+        goal = self._goals.get(progress.goal_id)
+        if goal is None:
+            return
+        self._accept(goal)
+        if (teller := self._tellers[action.FEEDBACK_TOPIC]).is_matched:
+            steps = action.StepsFeedback(progress.completed_steps, progress.remaining_steps)
+            teller.send(encode(action.FeedbackMessage(goal.goal_id, steps), Format.CDR))
+
+    def _end(self, goal: ActionGoal, payload: bytes, encoding: str) -> None:
+        """Take the answer to a goal: what is refused was never accepted."""
+        response = decode(SimulateStepsResponse, payload, encoding)
+        is_refused = response.result.result != ResultCode.OK and not response.goal_id
+        if goal.asked is not None and is_refused:
+            del self._goals[goal_id_to_hex(goal.goal_id)]
+            self._answer(goal.asked, action.SendGoalResponse())
+            goal.asked = None
+            return
+        self._accept(goal)
+        goal.status, goal.result = FINAL_STATUSES[response.status], response.result
+        for query in goal.waiting:
+            self._reply_result(query, goal)
+        goal.waiting.clear()
+        self._forget_oldest()
+        self._publish_status()
+
+    def _reply_canceled(self, asked: ActionQuery, payload: bytes, encoding: str) -> None:
+        told = decode(CancelStepsResponse, payload, encoding)
+        code = CANCEL_CODES.get(told.result.result, action.CancelCode.REJECTED)
+        self._answer(asked, action.CancelGoalResponse(code, self._infos(told.goal_ids)))
+
+    def _infos(self, names: Sequence[str]) -> tuple[action.GoalInfo, ...]:
+        return tuple(self._goals[name].info for name in names if name in self._goals)
+
+    def _begin(self, query: ActionQuery) -> list[IncomingCall]:
+        request = _decode_query(action.SendGoalRequest, query)
+        name = "" if request is None else goal_id_to_hex(request.goal_id)
+        if request is None or not name or name in self._goals:
+            self._answer(query, action.SendGoalResponse())
+            return []
+        goal = ActionGoal(request.goal_id, time_from_ns(time.time_ns()), query)
+        self._goals[name] = goal
+        self._new.append(goal)
+        asked = SimulateStepsRequest(request.goal.steps, name)
+        return [ActionCall(SIMULATE_STEPS.name, asked, partial(self._end, goal))]
+
+    def _on_cancel_goal(self, query: ActionQuery) -> list[IncomingCall]:
+        """End the goal of an id, those begun until a time, both, or when neither is told all."""
+        request = _decode_query(action.CancelGoalRequest, query)
+        if request is None:
+            rejected = action.CancelGoalResponse(action.CancelCode.REJECTED)
+            self._answer(query, rejected)
+            return []
+        name, until_ns = (
+            goal_id_to_hex(request.goal_info.goal_id),
+            ns_from_time(request.goal_info.stamp),
+        )
+        if name and not until_ns:
+            tell = partial(self._reply_canceled, query)
+            return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(name), tell)]
+        return self._cancel_many(query, name, until_ns)
+
+    def _cancel_many(self, query: ActionQuery, name: str, until_ns: int) -> list[IncomingCall]:
+        wanted = [
+            one
+            for one, goal in self._goals.items()
+            if not goal.is_over
+            and (one == name or not until_ns or ns_from_time(goal.stamp) <= until_ns)
+        ]
+        if not wanted:
+            self._answer(query, action.CancelGoalResponse(action.CancelCode.NONE))
+        gather = partial(self._collect_canceled, query, CancelBatch(len(wanted)))
+        return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(one), gather) for one in wanted]
+
+    def _collect_canceled(
+        self, asked: ActionQuery, gathered: "CancelBatch", payload: bytes, encoding: str
+    ) -> None:
+        gathered.ended += decode(CancelStepsResponse, payload, encoding).goal_ids
+        gathered.awaited -= 1
+        if not gathered.awaited:
+            ended = self._infos(gathered.ended)
+            self._answer(asked, action.CancelGoalResponse(action.CancelCode.NONE, ended))
+
+    def _on_get_result(self, query: ActionQuery) -> None:
+        request = _decode_query(action.GetResultRequest, query)
+        goal = None if request is None else self._goals.get(goal_id_to_hex(request.goal_id))
+        if goal is None or len(goal.waiting) >= MAX_RESULT_QUERIES:
+            self._answer(query, action.GetResultResponse(action.GoalStatusCode.UNKNOWN))
+        elif goal.is_over:
+            self._reply_result(query, goal)
+        else:
+            goal.waiting.append(query)
+
+    def _accept(self, goal: ActionGoal) -> None:
+        if (asked := goal.asked) is None:
+            return
+        goal.asked, goal.status = None, action.GoalStatusCode.EXECUTING
+        self._answer(asked, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
+        self._publish_status()
+
+    def _reply_result(self, query: ActionQuery, goal: ActionGoal) -> None:
+        result = action.StepsResult(goal.result)
+        self._answer(query, action.GetResultResponse(goal.status, result))
+
+    def _publish_status(self) -> None:
+        if (teller := self._tellers[action.STATUS_TOPIC]).is_matched:
+            teller.send(self.statuses())
+
+    def statuses(self) -> bytes:
+        """Write how far all goals are, as the status topic tells it."""
+        goals = [one for one in self._goals.values() if one.asked is None]
+        told = tuple(action.GoalStatusMessage(goal.info, goal.status) for goal in goals)
+        return encode(action.GoalStatusArray(told), Format.CDR)
+
+    def _answer(self, query: ActionQuery, response: msgspec.Struct) -> None:
+        attachment = read_attachment(query.request_id)
+        back = b"" if attachment is None else write_attachment(_restamp(attachment))
+        query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=back)
+
+    def _forget_oldest(self) -> None:
+        over = [name for name, goal in self._goals.items() if goal.is_over]
+        for name in over[: max(0, len(over) - MAX_FINISHED_ACTION_GOALS)]:
+            del self._goals[name]
+
+
+def goal_id_to_hex(goal_id: action.GoalId) -> str:
+    """Write a goal's id as our services know it; empty for none."""
+    return "" if goal_id.uuid == action.NO_GOAL_ID else bytes(goal_id.uuid).hex()
+
+
+def _decode_query(kind: type[Message], query: ActionQuery) -> Message | None:
+    try:
+        return decode(kind, query.payload, CDR_ENCODING)
+    except MalformedPayload:
+        return None
+
+
+def _restamp(attachment: Attachment) -> Attachment:
+    return msgspec.structs.replace(attachment, source_time_ns=time.time_ns())

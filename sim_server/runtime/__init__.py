@@ -1,0 +1,1 @@
+"""The server loop and its input and output at each turn."""

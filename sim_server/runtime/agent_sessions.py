@@ -1,0 +1,174 @@
+"""Sessions of agents: publish drive states, apply drive commands, follow liveliness, wait in lockstep."""
+
+import logging
+
+import msgspec
+
+from zensim.proto.bus import Sample
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.keys import parse_agent
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.telemetry_messages import Event
+from zensim.sim_server.runtime.inbox import Inbox
+from zensim.sim_server.runtime.world_publisher import WorldPublisher
+from zensim.sim_server.server_context import ServerContext
+
+MIN_STATE_INTERVAL_NS = 2_000_000
+"""Wall time between two states that nobody waits for: an agent answers no more often."""
+RESEND_AFTER_NS = 20_000_000
+"""Wall time after which an agent that has not answered is told anew: something may be lost."""
+LOG = logging.getLogger(__name__)
+
+
+class AgentSessions:
+    """Tells agents where their entities are, takes their commands, and waits where it must."""
+
+    def __init__(self, context: ServerContext, inbox: Inbox, outlet: WorldPublisher) -> None:
+        self._context = context
+        self._world = context.world
+        self._lockstep = context.lockstep
+        self._inbox = inbox
+        self._outlet = outlet
+        self._published_version = self._seen
+        self._told_ns = -MIN_STATE_INTERVAL_NS
+        self._has_unsent_states = False
+        """Whether a control step has passed that somebody was not told of."""
+        self._awaited_since_ns: dict[str, int] = {}
+        """Wall time when agents were told whose answer is still to come."""
+
+    def serve(self) -> None:
+        """Take in who came and went, and what was commanded."""
+        for agent, is_alive in self._inbox.take_agents():
+            self._on_agent_liveliness(agent, is_alive=is_alive)
+        for bond, is_alive in self._inbox.take_bonds():
+            self._on_bond_liveliness(bond, is_alive=is_alive)
+        for sample in self._inbox.take_commands():
+            self._command(sample)
+
+    def tell(self) -> None:
+        """Tell every agent: this is a control step.
+
+        When time runs faster than the wall clock they are told no more often than they answer.
+        """
+        now_ns = self._context.now_ns()
+        runs_fast = self._is_unpaced
+        if runs_fast and now_ns - self._told_ns < MIN_STATE_INTERVAL_NS:
+            self._has_unsent_states = True
+            return
+        self._told_ns = now_ns
+        busy = self._find_busy_agents(now_ns) if runs_fast else frozenset()
+        self._has_unsent_states = bool(busy)
+        for agent, state in self._world.drive_states(busy):
+            self._tell(agent, state)
+        self._published_version = self._seen
+
+    def publish_changed_claims(self) -> None:
+        """Tell those whose claims or whose epoch are others than when they were told last."""
+        if self._has_unsent_states and self._world.state != State.PLAYING:
+            self.tell()
+        if self._published_version == self._seen:
+            return
+        for agent, state in self._world.drive_states():
+            if not self._lockstep.has_sent(agent, state):
+                self._tell(agent, state)
+        self._published_version = self._seen
+
+    def must_wait(self) -> bool:
+        """Whether time stands until agents have answered; those that are too late are dealt with.
+
+        What to do then is `LockstepSettings.on_miss`.
+        """
+        if not self._lockstep.is_waiting:
+            return False
+        late = self._lockstep.look(self._context.now_ns())
+        if late and self._lockstep.settings.on_miss == "wait":
+            self._publish_again(late)
+        elif late:
+            self._miss(late)
+        return self._lockstep.is_waiting
+
+    @property
+    def _is_awaited(self) -> bool:
+        return self._lockstep.settings.is_on or len(self._context.step_goals) > 0
+
+    @property
+    def _is_unpaced(self) -> bool:
+        is_paced = 0.0 < self._context.target_real_time_factor <= 1.0
+        return not (is_paced or self._is_awaited) and self._world.state == State.PLAYING
+
+    @property
+    def _seen(self) -> tuple[int, int]:
+        return self._world.epoch, self._world.claims.changes
+
+    def _find_busy_agents(self, now_ns: int) -> frozenset[str]:
+        """Find who has a state to answer yet: another would only take its place."""
+        asked = self._awaited_since_ns.items()
+        return frozenset(agent for agent, told_ns in asked if now_ns - told_ns < RESEND_AFTER_NS)
+
+    def _tell(self, agent: str, state: DriveState) -> None:
+        told = msgspec.structs.replace(
+            state,
+            newest_claim=self._world.claims.newest,
+            is_awaited=self._is_awaited,
+        )
+        self._outlet.publish_drive_state(agent, told)
+        self._awaited_since_ns[agent] = self._context.now_ns()
+        if not told.claims:
+            self._lockstep.forget(agent)
+        elif not self._lockstep.tell(agent, told, self._context.now_ns()):
+            self._context.step_goals.note_late((agent,))
+
+    def _publish_again(self, late: tuple[str, ...]) -> None:
+        """Repeat what may have been lost on the way: a congested network drops messages."""
+        for agent, state in self._world.drive_states():
+            if agent in late:
+                self._tell(agent, state)
+
+    def _miss(self, late: tuple[str, ...]) -> None:
+        settings, step = self._lockstep.settings, self._world.steps
+        for agent in late:
+            text = f"agent '{agent}' did not answer step {step} within {settings.timeout_s:g} s"
+            LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
+            event = Event("missed", "", agent, step, self._world.epoch, text)
+            self._outlet.tell("events", event)
+        if settings.on_miss == "fail":
+            self._abort_and_pause(f"{text}; see that it runs, and go on")
+        else:
+            self._context.step_goals.note_late(late)
+
+    def _abort_and_pause(self, reason: str) -> None:
+        self._context.step_goals.abort(reason)
+        if self._world.state == State.PLAYING:
+            self._world.pause()
+
+    def _on_agent_liveliness(self, agent: str, *, is_alive: bool) -> None:
+        if is_alive:
+            self._context.alive_agents.add(agent)
+            return
+        self._context.alive_agents.discard(agent)
+        self._context.pools.pop(agent, None)
+        self._world.release(agent)
+        self._lockstep.forget(agent)
+        self._awaited_since_ns.pop(agent, None)
+        self._outlet.forget_agent(agent)
+
+    def _on_bond_liveliness(self, bond: str, *, is_alive: bool) -> None:
+        if is_alive:
+            self._context.alive_bonds.add(bond)
+        else:
+            self._context.delete_bonded_entities(bond)
+
+    def _command(self, sample: Sample) -> None:
+        agent = parse_agent(sample.key)
+        self._awaited_since_ns.pop(agent, None)
+        try:
+            command = decode(DriveCommand, sample.payload, sample.encoding)
+        except MalformedPayload as error:
+            self._world.claims.dropped += 1
+            LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
+            return
+        if not self._lockstep.answer(agent, command):
+            self._world.claims.dropped += 1
+        elif self._world.command(agent, command):
+            self._world.note_ready(agent, self._context.now_ns())

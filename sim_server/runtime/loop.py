@@ -1,0 +1,172 @@
+"""The server loop: requests, commands, physics and telemetry, in this order, paced to a real-time factor."""
+
+import logging
+from collections.abc import Callable
+from typing import Protocol
+
+from zensim.proto.messages.simulation_messages import State
+from zensim.sim_server.runtime.agent_sessions import AgentSessions
+from zensim.sim_server.runtime.inbox import Inbox
+from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
+from zensim.sim_server.runtime.world_publisher import WorldPublisher
+from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
+from zensim.sim_server.server_context import ServerContext
+
+LOG = logging.getLogger(__name__)
+
+POLL_S = 0.0003
+IDLE_POLL_S = 0.001
+MAX_EVENTS_PER_TURN = 128
+"""That are told at a turn: a fleet brings more, and steps come between."""
+MAX_LAG_NS = 50_000_000
+"""How far the loop may run behind and still catch up; beyond, the deadline slips."""
+
+
+class LoopClock(Protocol):
+    """Wall time, and the thread's share of it."""
+
+    def now_ns(self) -> int:
+        """Monotonic time."""
+
+    def used_ns(self) -> int:
+        """CPU time of this thread."""
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+
+
+class ServerLoop:
+    """Drives one world."""
+
+    def __init__(
+        self, context: ServerContext, inbox: Inbox, outlet: WorldPublisher, clock: LoopClock
+    ) -> None:
+        self._context = context
+        self._world = context.world
+        self._loop_stats = context.loop_stats
+        self._inbox = inbox
+        self._outlet = outlet
+        self._clock = clock
+        self._telemetry = WorldTelemetry(context)
+        self._deadline_ns = clock.now_ns()
+        self._paced_ns = 0
+        self._factor = context.target_real_time_factor
+        self._dispatcher = RequestDispatcher(context, self._telemetry)
+        self._agent_sessions = AgentSessions(context, inbox, outlet)
+
+    def run(self, should_stop: Callable[[], bool]) -> None:
+        """Go on until told to stop, or to quit by a request: its reply has gone out by then."""
+        while not (should_stop() or self._has_quit):
+            self.turn()
+
+    @property
+    def _has_quit(self) -> bool:
+        return self._world.state == State.QUITTING and not self._dispatcher.has_unsent_replies
+
+    def turn(self) -> None:
+        """Serve what has come, then step if it is time, else wait a little."""
+        began_ns, self._paced_ns = self._clock.used_ns(), 0
+        self.serve()
+        if self._agent_sessions.must_wait():
+            self._clock.sleep(POLL_S)
+        else:
+            self._finish_goals()
+            self._advance(self._clock.now_ns())
+        self.publish()
+        busy_ns = self._clock.used_ns() - began_ns
+        self._loop_stats.note_turn(busy_ns=busy_ns, paced_ns=self._paced_ns)
+
+    def serve(self) -> None:
+        """Take in everything that has come."""
+        self._context.due_ns = self._deadline_ns
+        # Calls are taken before tokens and answered after them: an agent's token comes first.
+        calls = self._inbox.take_calls()
+        self._agent_sessions.serve()
+        for call in calls:
+            self._dispatcher.take(call)
+        self._context.has_new_descriptions = self._context.descriptions.poll()
+        self._dispatcher.reply_to_ready()
+        self._agent_sessions.publish_changed_claims()
+
+    def tick(self, now_ns: int) -> None:
+        """Advance by one step and tell the agents."""
+        self._world.step()
+        took_ns = self._clock.now_ns() - now_ns
+        self._loop_stats.note_step(
+            simulated_ns=self._world.step_ns,
+            took_ns=took_ns,
+            late_ns=max(0, now_ns - self._deadline_ns),
+        )
+        if self._world.is_control_step:
+            self._agent_sessions.tell()
+
+    def publish(self) -> None:
+        """Tell everybody what is due."""
+        for event in self._world.take_events(MAX_EVENTS_PER_TURN):
+            LOG.info(
+                "event kind=%s entity=%s agent=%s message=%s",
+                event.kind,
+                event.entity,
+                event.agent,
+                event.message,
+            )
+            self._outlet.tell("events", event)
+        now_ns = self._clock.now_ns()
+        self._publish_progress(now_ns)
+        if self._loop_stats.close_window(now_ns) and self._outlet.is_wanted("stats"):
+            self._outlet.tell("stats", self._telemetry.stats())
+        for topic in self._telemetry.due(now_ns):
+            if self._outlet.is_wanted(topic):
+                self._outlet.tell(topic, self._telemetry.message(topic))
+
+    def _advance(self, now_ns: int) -> None:
+        self._apply_speed_change(now_ns)
+        if self._context.step_goals.has_steps_left:
+            self._make_requested_step(now_ns)
+        elif self._world.state != State.PLAYING:
+            self._deadline_ns = now_ns
+            self._clock.sleep(IDLE_POLL_S)
+        elif now_ns >= self._deadline_ns:
+            self.tick(now_ns)
+            self._set_deadline()
+        else:
+            self._clock.sleep(min(POLL_S, (self._deadline_ns - now_ns) * 1e-9))
+
+    def _apply_speed_change(self, now_ns: int) -> None:
+        """Begin to pace anew when the speed was changed: the old deadline may be far off."""
+        if self._factor != self._context.target_real_time_factor:
+            self._factor = self._context.target_real_time_factor
+            self._deadline_ns = now_ns
+
+    def _set_deadline(self) -> None:
+        now_ns = self._clock.now_ns()
+        if self._factor <= 0.0:
+            self._deadline_ns = now_ns
+            return
+        self._paced_ns = round(self._world.step_ns / self._factor)
+        self._deadline_ns += self._paced_ns
+        if (lag_ns := now_ns - self._deadline_ns) > MAX_LAG_NS:
+            self._loop_stats.slipped_ns += lag_ns
+            self._deadline_ns, self._paced_ns = now_ns, 0
+
+    def _make_requested_step(self, now_ns: int) -> None:
+        self._deadline_ns = now_ns
+        self.tick(now_ns)
+        self._context.step_goals.note_step()
+        if not self._context.lockstep.is_waiting:
+            self._finish_goals()
+
+    def _finish_goals(self) -> None:
+        """End the goals whose steps are made and whose agents have answered; answer for them."""
+        if not self._context.step_goals:
+            return
+        if self._world.state not in (State.PAUSED, State.PLAYING):
+            self._context.step_goals.abort(f"the simulation is {self._world.state_name}")
+        self._context.step_goals.finish_completed()
+        # Progress first: who hears of the end may then be sure that nothing more comes.
+        self._publish_progress(self._clock.now_ns())
+        self._dispatcher.reply_to_ready()
+
+    def _publish_progress(self, now_ns: int) -> None:
+        for progress in self._context.step_goals.due_progress(now_ns):
+            self._outlet.tell("simulate_steps_feedback", progress)

@@ -1,0 +1,180 @@
+"""Messages of a world's topics and when each is due; Gazebo's model_states and link_states among them."""
+
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import (
+    NANOSECONDS,
+    Point,
+    Pose,
+    Quaternion,
+    Twist,
+    Vector3,
+    time_from_ns,
+)
+from zensim.proto.messages.telemetry_messages import Stats, WorldClock
+from zensim.proto.rotation import FloatArray
+from zensim.sim_server.lookup.frames import SCOPE
+from zensim.sim_server.physics.engine import SupportsTiers
+from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
+from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.world import World
+
+
+def make_model_states(world: World) -> ModelStates:
+    """Tell of entities in the order of spawning."""
+    return ModelStates(world.roster().names, *_to_poses_and_twists(world.reading().base))
+
+
+def make_link_states(world: World) -> LinkStates:
+    """Tell of links, entity by entity, in the order of `Model.links`."""
+    names: list[str] = []
+    rows = np.zeros((sum(len(one.model.links) for one in world.entities), 13))
+    start = {}
+    for entity in world.entities:
+        start[entity.name] = len(names)
+        names.extend(entity.name + SCOPE + link.name for link in entity.model.links)
+    for alike in _group_by_model(world.entities):
+        first = np.array([start[entity.name] for entity in alike])
+        states = _compute_link_states(world, alike)
+        for number, link in enumerate(alike[0].model.links):
+            rows[first + number] = states[link.name]
+    return LinkStates(tuple(names), *_to_poses_and_twists(rows))
+
+
+def _group_by_model(entities: Sequence[Entity]) -> list[list[Entity]]:
+    # By identity: entities that were spawned alike share one model, and hashing one is slow.
+    groups: dict[int, list[Entity]] = {}
+    for entity in entities:
+        groups.setdefault(id(entity.model), []).append(entity)
+    return list(groups.values())
+
+
+def _compute_link_states(world: World, alike: Sequence[Entity]) -> dict[str, FloatArray]:
+    reading, roster = world.reading(), world.roster()
+    rows = [roster.row[entity.name] for entity in alike]
+    first = roster.joint_start[rows]
+    joints = first[:, None] + np.arange(len(alike[0].model.joints), dtype=np.intp)
+    return motion_of(
+        # Merged links are not told, and cost as much as the others.
+        msgspec.structs.replace(alike[0].model, frames=()),
+        reading.base[rows],
+        reading.joint_positions[joints],
+        reading.joint_velocities[joints],
+    )
+
+
+def _to_poses_and_twists(rows: FloatArray) -> tuple[tuple[Pose, ...], tuple[Twist, ...]]:
+    poses, twists = [], []
+    for x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz in rows.tolist():
+        poses.append(Pose(Point(x, y, z), Quaternion(qx, qy, qz, qw)))
+        twists.append(Twist(Vector3(vx, vy, vz), Vector3(wx, wy, wz)))
+    return tuple(poses), tuple(twists)
+
+
+CLOCK_HZ = 100
+SNAPSHOT_HZ = 30
+PAUSED_HZ = 2
+GAZEBO_HZ = 20
+GETTABLE_TOPICS = ("clock", "snapshot", "stats", "model_states", "link_states")
+"""Topics that also answer a get with their value of now."""
+
+
+class TopicTimer:
+    """Says when a topic is due in wall time."""
+
+    def __init__(self, period_ns: int) -> None:
+        self._period_ns = period_ns
+        self._next_ns = 0
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether a period has passed; if so the next one starts."""
+        if now_ns < self._next_ns:
+            return False
+        # From the old deadline where possible, so that the rate holds although polls come late.
+        self._next_ns = max(self._next_ns + self._period_ns, now_ns + self._period_ns // 2)
+        return True
+
+
+class WorldTelemetry:
+    """Decides what is due."""
+
+    def __init__(self, context: ServerContext) -> None:
+        self._context = context
+        self._world = context.world
+        self._loop_stats = context.loop_stats
+        self._clock = TopicTimer(NANOSECONDS // CLOCK_HZ)
+        self._snapshot = TopicTimer(NANOSECONDS // SNAPSHOT_HZ)
+        self._gazebo = TopicTimer(NANOSECONDS // GAZEBO_HZ)
+        self._idle = TopicTimer(NANOSECONDS // PAUSED_HZ)
+        self._shown = (-1, -1, -1, -1)
+
+    def due(self, now_ns: int) -> Iterator[str]:
+        """Name the topics of motion that are due now."""
+        world = self._world
+        seen = (world.epoch, world.steps, world.roster_number, world.placed)
+        has_changed = seen != self._shown or self._idle.is_due(now_ns)
+        if has_changed and self._clock.is_due(now_ns):
+            yield "clock"
+        # Agents are told at the next control step: to read all back for viewers before is a waste.
+        if world.state == State.PLAYING and not world.is_control_step:
+            return
+        if has_changed and self._gazebo.is_due(now_ns):
+            yield "model_states"
+            yield "link_states"
+        if has_changed and self._snapshot.is_due(now_ns):
+            self._shown = seen
+            yield "snapshot"
+
+    def message(self, topic: str) -> msgspec.Struct:
+        """Make the message of a topic."""
+        if topic == "clock":
+            return self.clock()
+        if topic == "snapshot":
+            return self._world.snapshot(self._real_time_factor())
+        if topic == "model_states":
+            return make_model_states(self._world)
+        if topic == "link_states":
+            return make_link_states(self._world)
+        return self.stats()
+
+    def clock(self) -> WorldClock:
+        """Simulation time."""
+        world = self._world
+        return WorldClock(time_from_ns(world.time_ns), world.steps, world.epoch)
+
+    def stats(self) -> Stats:
+        """How the loop is doing."""
+        world, meter, engine = self._world, self._loop_stats, self._world.engine
+        return Stats(
+            world=world.name,
+            sim_time_s=world.time_ns * 1e-9,
+            steps=world.steps,
+            real_time_factor=self._real_time_factor(),
+            state=world.state_name,
+            entities=len(world.entities),
+            agents=len(world.claims.agents),
+            claimed=len(world.claims),
+            step_time_s=meter.step_time_s,
+            step_time_max_s=meter.step_time_max_s,
+            late_max_s=meter.late_max_s,
+            slipped_s=meter.slipped_ns * 1e-9,
+            requests=meter.requests,
+            commands=world.claims.taken,
+            dropped=world.claims.dropped,
+            ready_s=dict(world.ready_s),
+            target_real_time_factor=self._context.target_real_time_factor,
+            awaited=self._context.lockstep.awaited,
+            misses=self._context.lockstep.misses,
+            kinematic=engine.kinematic_count if isinstance(engine, SupportsTiers) else 0,
+            busy_max_s=meter.busy_max_s,
+        )
+
+    def _real_time_factor(self) -> float:
+        is_playing = self._world.state == State.PLAYING
+        return self._loop_stats.real_time_factor if is_playing else 0.0

@@ -1,0 +1,127 @@
+"""Configuration of a server, and its validation."""
+
+import msgspec
+
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.names import check_name
+from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.sim_server.pacing.lockstep import LockstepSettings
+from zensim.sim_server.physics.engine_config import (
+    EngineMissing,
+    EngineOptions,
+    choose_engine,
+    find_installed_engines,
+)
+
+CONTROL_HZ = 100.0
+"""Agents are told at this rate at most unless asked for, as a Gazebo drive updates by default."""
+STEP_HZ = 240.0
+REAL_TIME_FACTOR = 1.0
+MAX_STEP_HZ = 10_000.0
+MAX_REAL_TIME_FACTOR = 1000.0
+MIN_LOCKSTEP_TIMEOUT_S, MAX_LOCKSTEP_TIMEOUT_S = 0.01, 3600.0
+
+
+class ConfigError(ValueError):
+    """A start that cannot work."""
+
+
+class WorldAlreadyServed(Exception):
+    """Another server has this world."""
+
+
+class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
+    """One world, its clock, and how it joins the network."""
+
+    bus: BusConfig
+    world: str = "default"
+    world_file: str = "empty"
+    step_hz: float | None = None
+    """None = as the world file says, else 240."""
+    control_hz: float = CONTROL_HZ
+    """How often agents are told of a simulated second, at most: each time all is read back."""
+    real_time_factor: float | None = None
+    """0 = as fast as it can; None = as the world file says, else 1."""
+    model_paths: tuple[str, ...] = ()
+    """Folders where the world file's includes are looked for."""
+    is_strict: bool = False
+    """Refuse a world of which something is suspicious."""
+    is_paused: bool = False
+    lockstep: LockstepSettings = LockstepSettings()
+    physics: EngineOptions = EngineOptions()
+    seed: int = 0
+    asked: "ServerConfig | None" = None
+    """What was asked for, before a world filled in the rest."""
+    journal: str = ""
+    """Folder that keeps the world for the next start; empty = it is lost."""
+    wait_s: float = 30.0
+    """How long to wait for the router to join."""
+    ros: RosSettings = NO_ROS
+
+    @property
+    def step_ns(self) -> int:
+        """Length of a step; an integer, so that time never drifts."""
+        return round(NANOSECONDS / (self.step_hz or STEP_HZ))
+
+    @property
+    def control_steps(self) -> int:
+        """Steps between two drive states."""
+        return max(1, -int(-(self.step_hz or STEP_HZ) // self.control_hz))
+
+
+def validate_config(config: ServerConfig) -> ServerConfig:
+    """Return the configuration if a server can start with it.
+
+    Raises:
+        ConfigError: A value is out of range.
+    """
+    try:
+        check_name(config.world, "world")
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    if config.step_hz is not None and not 1.0 <= config.step_hz <= MAX_STEP_HZ:
+        raise ConfigError(f"--step-hz {config.step_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}")
+    if not 1.0 <= config.control_hz <= MAX_STEP_HZ:
+        raise ConfigError(
+            f"--control-hz {config.control_hz:g} is out of range; use 1 to {MAX_STEP_HZ:g}"
+        )
+    factor = config.real_time_factor
+    if factor is not None and not 0.0 <= factor <= MAX_REAL_TIME_FACTOR:
+        raise ConfigError(
+            f"--rtf {factor:g} is out of range; use 0 (flat out) or up to {MAX_REAL_TIME_FACTOR:g}"
+        )
+    if config.seed < 0:
+        raise ConfigError(f"--seed {config.seed} is negative; use 0 or more")
+    try:
+        choose_engine(config.physics, find_installed_engines())
+    except EngineMissing as error:
+        raise ConfigError(str(error)) from error
+    _check_lockstep_timeout(config.lockstep.timeout_s)
+    return config
+
+
+def _check_lockstep_timeout(timeout_s: float) -> None:
+    if not MIN_LOCKSTEP_TIMEOUT_S <= timeout_s <= MAX_LOCKSTEP_TIMEOUT_S:
+        raise ConfigError(
+            f"--lockstep-timeout {timeout_s:g} is out of range; use {MIN_LOCKSTEP_TIMEOUT_S:g} to "
+            f"{MAX_LOCKSTEP_TIMEOUT_S:g} seconds"
+        )
+
+
+def fill_pace(
+    config: ServerConfig, *, step_s: float | None, real_time_factor: float | None
+) -> ServerConfig:
+    """Fill in what was not asked for with what the world file says [s per step], else the usual."""
+    step_hz = config.step_hz or (1.0 / step_s if step_s else STEP_HZ)
+    factor = REAL_TIME_FACTOR if real_time_factor is None else real_time_factor
+    if config.real_time_factor is not None:
+        factor = config.real_time_factor
+    return msgspec.structs.replace(config, step_hz=step_hz, real_time_factor=factor)
+
+
+def make_server_bus_config(listen: str, connect: str) -> BusConfig:
+    """Say how a server joins: it is the router itself unless it connects to one."""
+    if connect:
+        return BusConfig(mode="client", connect=(connect,))
+    return BusConfig(mode="router", listen=(listen or DEFAULT_ENDPOINT,))

@@ -1,0 +1,1 @@
+"""Handlers of the services, and the registry that lists them."""

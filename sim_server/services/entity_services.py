@@ -1,0 +1,170 @@
+"""Services on entities: list, models, state, info, bounds, delete."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from zensim.proto.messages import entity_messages, telemetry_messages
+from zensim.proto.messages.entity_messages import BoundsType
+from zensim.proto.messages.result_messages import Result, SetEntityStateCode
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.messages.standard_messages import Header, time_from_ns
+from zensim.proto.rotation import FloatArray
+from zensim.sim_server.errors import PoseRefused, RequestRefused, UnsupportedFeature
+from zensim.sim_server.lookup.filters import passing
+from zensim.sim_server.lookup.frames import frame_pose, in_world, seen_from, twist_in_world
+from zensim.sim_server.lookup.regions import BoundsUnsupported, Sight, bounds_of
+from zensim.sim_server.physics.engine import SupportsTiers
+from zensim.sim_server.scene.convex_shapes import place_collision_shapes
+from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.world.infos import checked
+from zensim.sim_server.world.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
+from zensim.sim_server.world.world import World
+
+
+def get_entity_bounds(
+    context: ServerContext, request: entity_messages.GetEntityBoundsOrder
+) -> entity_messages.GetEntityBoundsResponse:
+    """Tell the bounds of an entity's collisions, in the frame of its base link."""
+    entity = context.world.entity(request.entity)
+    wanted = BoundsType.BOX if request.type == entity_messages.ANY_BOUNDS else request.type
+    if wanted not in set(BoundsType) or wanted == BoundsType.EMPTY:
+        raise BoundsUnsupported(
+            f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
+            f"or {entity_messages.ANY_BOUNDS} (any)"
+        )
+    sight = Sight(context.world.roster(), context.world.reading(), context.store.corners)
+    links = sight.links_in_base(entity.model, entity.name)
+    solids = list(place_collision_shapes(entity.model, links, context.store.corners))
+    return entity_messages.GetEntityBoundsResponse(bounds=bounds_of(solids, BoundsType(wanted)))
+
+
+def get_entity_info(
+    context: ServerContext, request: entity_messages.GetEntityInfoRequest
+) -> entity_messages.GetEntityInfoReport:
+    """Tell what an entity is."""
+    entity, engine = context.world.entity(request.entity), context.world.engine
+    tier = engine.tier_of(entity.body) if isinstance(engine, SupportsTiers) else "full"
+    return entity_messages.GetEntityInfoReport(info=entity.info, dynamics=tier)
+
+
+def set_entity_info(
+    context: ServerContext, request: entity_messages.SetEntityInfoRequest
+) -> entity_messages.SetEntityInfoResponse:
+    """Say what an entity is."""
+    context.world.entity(request.entity)
+    context.world.describe(request.entity, checked(request.info))
+    return entity_messages.SetEntityInfoResponse()
+
+
+def delete_entity(context: ServerContext, request: DeleteEntityRequest) -> DeleteEntityResponse:
+    """Take an entity out."""
+    context.world.delete(request.entity)
+    return DeleteEntityResponse()
+
+
+def get_entities(
+    context: ServerContext, request: entity_messages.GetEntitiesRequest
+) -> entity_messages.GetEntitiesResponse | DeferredResponse:
+    """Name the entities that pass the filters."""
+    return passing(
+        context, request.filters, lambda names: entity_messages.GetEntitiesResponse(entities=names)
+    )
+
+
+def get_models(
+    context: ServerContext, request: telemetry_messages.GetModelsRequest
+) -> telemetry_messages.GetModelsResponse:
+    """Tell how entities look."""
+    wanted = request.entities or context.world.roster().names
+    entities = [context.world.entity(name) for name in wanted]
+    number = {model: i for i, model in enumerate(dict.fromkeys(e.model for e in entities))}
+    return telemetry_messages.GetModelsResponse(
+        Result(),
+        context.world.roster_number,
+        tuple(
+            telemetry_messages.EntityModel(
+                entity.name,
+                entity.namespace,
+                number[entity.model],
+                context.world.claims.agent_of(entity.name),
+                pose_of(entity.initial),
+            )
+            for entity in entities
+        ),
+        tuple(number),
+        context.source.scene,
+    )
+
+
+def get_entity_state(
+    context: ServerContext, request: entity_messages.GetEntityStateOrder
+) -> entity_messages.GetEntityStateResponse:
+    """Tell where an entity is; accelerations are not measured and told as 0.
+
+    In the world's frame it is where agents were told that it is, at their last control step.
+    """
+    world = context.world
+    if request.reference_frame in WORLD_FRAMES:
+        row, time_ns = world.told_of(request.entity)
+        header = Header(time_from_ns(time_ns), "world")
+        return entity_messages.GetEntityStateResponse(state=_make_entity_state(header, row))
+    row = world.state_of(request.entity)
+    (state,) = _FrameView(world, request.reference_frame).states(row[None])
+    return entity_messages.GetEntityStateResponse(state=state)
+
+
+def get_entities_states(
+    context: ServerContext, request: entity_messages.GetEntitiesStatesOrder
+) -> entity_messages.GetEntitiesStatesResponse | DeferredResponse:
+    """Tell where the entities are that pass the filters, all at one step."""
+    view = _FrameView(context.world, request.reference_frame)
+    base, row = context.world.reading().base, context.world.roster().row
+
+    def answer(names: tuple[str, ...]) -> entity_messages.GetEntitiesStatesResponse:
+        states = view.states(base[[row[name] for name in names]]) if names else []
+        return entity_messages.GetEntitiesStatesResponse(entities=names, states=tuple(states))
+
+    return passing(context, request.filters, answer)
+
+
+class _FrameView:
+    """Entities as seen from a frame, at one step; how the frame moves itself is left out."""
+
+    def __init__(self, world: World, frame_id: str) -> None:
+        self._frame = None if frame_id in WORLD_FRAMES else frame_pose(world, frame_id)
+        name = "world" if self._frame is None else frame_id
+        self._header = Header(time_from_ns(world.time_ns), name)
+
+    def states(self, rows: FloatArray) -> Sequence[entity_messages.EntityState]:
+        """Write state rows (n, 13) of the world down."""
+        if self._frame is not None:
+            rows = seen_from(self._frame, rows)
+        return [_make_entity_state(self._header, row) for row in rows]
+
+
+def _make_entity_state(header: Header, row: FloatArray) -> entity_messages.EntityState:
+    return entity_messages.EntityState(header, pose_of(row), twist_of(row))
+
+
+def set_entity_state(
+    context: ServerContext, request: entity_messages.SetEntityStateRequest
+) -> entity_messages.SetEntityStateResponse:
+    """Put an entity somewhere."""
+    row = context.world.state_of(request.entity).copy()
+    # A request of version 1 has no flags and means both.
+    is_version_1 = not (request.set_pose or request.set_twist or request.set_acceleration)
+    if request.set_acceleration:
+        raise UnsupportedFeature(
+            "acceleration cannot be set: it follows from forces; set the pose or the twist"
+        )
+    frame_id = request.state.header.frame_id
+    try:
+        if request.set_pose or is_version_1:
+            row[:7] = in_world(context.world, frame_id, pose_row(request.state.pose))
+        if request.set_twist or is_version_1:
+            row[7:13] = twist_in_world(context.world, frame_id, twist_row(request.state.twist))
+    except PoseRefused as error:
+        raise RequestRefused(SetEntityStateCode.INVALID_POSE, str(error)) from error
+    context.world.place(request.entity, np.asarray(row))
+    return entity_messages.SetEntityStateResponse()

@@ -1,0 +1,395 @@
+"""Gazebo's classic services: entity states, physics pause, wrenches and efforts, joint and link properties."""
+
+import math
+
+import msgspec
+import numpy as np
+
+from zensim.proto.messages import entity_messages, gazebo_messages
+from zensim.proto.messages.gazebo_messages import JointType
+from zensim.proto.messages.model_messages import Inertial, Joint, Link
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
+    ResetScope,
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
+from zensim.proto.messages.standard_messages import (
+    Duration,
+    Header,
+    Point,
+    Pose,
+    Quaternion,
+    Time,
+    Vector3,
+    ns_from_time,
+    time_from_ns,
+)
+from zensim.proto.rotation import FloatArray, conjugate, rotate
+from zensim.sim_server.errors import RequestRefused
+from zensim.sim_server.lookup.frames import SCOPE, frame_pose, seen_from
+from zensim.sim_server.lookup.scoped import ScopedJoint, ScopedLink, joint_of, link_of, state_of
+from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.services.entity_services import set_entity_state
+from zensim.sim_server.services.simulation_services import set_simulation_state
+from zensim.sim_server.world.poses import MAX_POSITION_M, WORLD_FRAMES, pose_of, pose_row, twist_of
+from zensim.sim_server.world.pushes import JointPush, LinkPush, Span, span_of
+from zensim.sim_server.world.world import World
+
+MAX_FORCE = 1e6
+"""Of a force [N], a torque or an effort [N m]."""
+
+
+def apply_link_wrench(
+    context: ServerContext, request: gazebo_messages.ApplyLinkWrenchRequest
+) -> gazebo_messages.ApplyLinkWrenchReport:
+    """Push a link: the wrench keeps the direction in the world that it has now."""
+    target = link_of(context.world, request.link_name)
+    force, torque = (
+        _to_vector(request.wrench.force, "force"),
+        _to_vector(request.wrench.torque, "torque"),
+    )
+    wrench = _wrench_at_com(context.world, target, request, force, torque)
+    span = _make_span(context.world, request.start_time, request.duration)
+    if span is None:
+        return gazebo_messages.ApplyLinkWrenchReport(
+            success=True, status_message="duration 0: nothing done"
+        )
+    context.world.pushes.add(LinkPush(target.entity.name, target.number, wrench, span))
+    return gazebo_messages.ApplyLinkWrenchReport(success=True, status_message=_describe_span(span))
+
+
+def clear_link_wrenches(
+    context: ServerContext, request: gazebo_messages.ClearLinkWrenchesRequest
+) -> gazebo_messages.ClearLinkWrenchesReport:
+    """Push a link no more; none to clear is fine."""
+    target = link_of(context.world, request.link_name)
+    context.world.pushes.clear_link(target.entity.name, target.number)
+    return gazebo_messages.ClearLinkWrenchesReport()
+
+
+def apply_joint_effort(
+    context: ServerContext, request: gazebo_messages.ApplyJointEffortRequest
+) -> gazebo_messages.ApplyJointEffortReport:
+    """Push a joint along its axis."""
+    target = joint_of(context.world, request.joint_name)
+    if target.joint.kind == "fixed":
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"joint {request.joint_name[:80]!r} is fixed; name one that moves",
+        )
+    (effort,) = _check_range((request.effort,), "effort")
+    span = _make_span(context.world, request.start_time, request.duration)
+    if span is None:
+        return gazebo_messages.ApplyJointEffortReport(
+            success=True, status_message="duration 0: nothing done"
+        )
+    context.world.pushes.add(JointPush(target.entity.name, target.number, effort, span))
+    return gazebo_messages.ApplyJointEffortReport(success=True, status_message=_describe_span(span))
+
+
+def clear_joint_efforts(
+    context: ServerContext, request: gazebo_messages.ClearJointEffortsRequest
+) -> gazebo_messages.ClearJointEffortsReport:
+    """Push a joint no more; none to clear is fine."""
+    target = joint_of(context.world, request.joint_name)
+    context.world.pushes.clear_joint(target.entity.name, target.number)
+    return gazebo_messages.ClearJointEffortsReport()
+
+
+def _wrench_at_com(
+    world: World,
+    target: ScopedLink,
+    request: gazebo_messages.ApplyLinkWrenchRequest,
+    force: FloatArray,
+    torque: FloatArray,
+) -> FloatArray:
+    """Turn a wrench at a point of a frame into one (6,) at the centre of mass, world axes."""
+    point = _to_vector(request.reference_point, "reference_point", MAX_POSITION_M)
+    if request.reference_frame in WORLD_FRAMES:
+        return np.concatenate([force, torque + np.cross(point, force)])
+    frame = frame_pose(world, request.reference_frame)
+    force, torque = rotate(frame[3:], force), rotate(frame[3:], torque)
+    link = state_of(world, f"{target.entity.name}::{target.link.name}")
+    mass = link[:3] + rotate(link[3:7], np.array(target.link.inertial.com_in_link))
+    arm = frame[:3] + rotate(frame[3:], point) - mass
+    return np.concatenate([force, torque + np.cross(arm, force)])
+
+
+def _make_span(world: World, start: Time, duration: Duration) -> Span | None:
+    return span_of(
+        now_ns=world.time_ns,
+        start_ns=ns_from_time(start),
+        duration_ns=ns_from_time(duration),
+        step_ns=world.step_ns,
+    )
+
+
+def _describe_span(span: Span) -> str:
+    end = "for ever" if span.end_ns is None else f"to {span.end_ns * 1e-9:.9g} s"
+    return f"from {span.start_ns * 1e-9:.9g} s {end} of simulation time"
+
+
+def _to_vector(vector: Vector3 | Point, what: str, most: float = MAX_FORCE) -> FloatArray:
+    return np.array(_check_range((vector.x, vector.y, vector.z), what, most))
+
+
+def _check_range(
+    numbers: tuple[float, ...], what: str, most: float = MAX_FORCE
+) -> tuple[float, ...]:
+    for number in numbers:
+        if not (math.isfinite(number) and abs(number) <= most):
+            raise RequestRefused(
+                ResultCode.OPERATION_FAILED,
+                f"{what} {number:g} is out of range; use a finite number, {most:g} at most",
+            )
+    return numbers
+
+
+JOINT_TYPES = {
+    "revolute": JointType.REVOLUTE,
+    "continuous": JointType.CONTINUOUS,
+    "prismatic": JointType.PRISMATIC,
+    "fixed": JointType.FIXED,
+}
+LIMITED_JOINTS = ("revolute", "prismatic")
+ODE_FIELDS = ("erp", "cfm", "stop_erp", "stop_cfm", "fudge_factor", "vel")
+"""Settings of a solver that is not here."""
+MAX_PROPERTY = 1e6
+
+
+def get_joint_properties(
+    context: ServerContext, request: gazebo_messages.GetJointPropertiesRequest
+) -> gazebo_messages.GetJointPropertiesReport:
+    """Tell how a joint moves, and where it is."""
+    target = joint_of(context.world, request.joint_name)
+    joint = target.joint
+    if joint.kind == "fixed":
+        return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
+    reading = context.world.reading()
+    place = context.world.roster().joints_of(target.entity.name).start + target.number
+    is_limited = joint.kind in LIMITED_JOINTS
+    return gazebo_messages.GetJointPropertiesReport(
+        type=JOINT_TYPES[joint.kind],
+        damping=(joint.damping,),
+        position=(float(reading.joint_positions[place]),),
+        rate=(float(reading.joint_velocities[place]),),
+        success=True,
+        lower=(joint.lower,) if is_limited else (),
+        upper=(joint.upper,) if is_limited else (),
+        friction=(joint.friction,),
+    )
+
+
+def set_joint_properties(
+    context: ServerContext, request: gazebo_messages.SetJointPropertiesRequest
+) -> gazebo_messages.SetJointPropertiesReport:
+    """Change damping, friction and limits of a joint."""
+    target = joint_of(context.world, request.joint_name)
+    _change_joint(context, target, _apply_joint_request(target.joint, request))
+    return gazebo_messages.SetJointPropertiesReport(success=True)
+
+
+def get_link_properties(
+    context: ServerContext, request: gazebo_messages.GetLinkPropertiesRequest
+) -> gazebo_messages.GetLinkPropertiesReport:
+    """Tell what a link weighs; the moments are about the link's own axes."""
+    link = link_of(context.world, request.link_name).link
+    return gazebo_messages.GetLinkPropertiesReport(
+        Pose(Point(*link.inertial.com_in_link), Quaternion()),
+        link.weightless == Inertial(),
+        link.inertial.mass_kg,
+        *link.inertial.inertia,
+        success=True,
+    )
+
+
+def set_link_properties(
+    context: ServerContext, request: gazebo_messages.SetLinkPropertiesRequest
+) -> gazebo_messages.SetLinkPropertiesReport:
+    """Change what a link weighs, and whether gravity pulls it."""
+    target = link_of(context.world, request.link_name)
+    if target.entity.model.is_static and target.number == 0:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"link {request.link_name[:80]!r} never moves: its model is static; nothing to weigh",
+        )
+    inertial = _to_inertial(request)
+    weightless = Inertial() if request.gravity_mode else inertial
+    _change_link(
+        context,
+        target,
+        msgspec.structs.replace(target.link, inertial=inertial, weightless=weightless),
+    )
+    return gazebo_messages.SetLinkPropertiesReport(success=True)
+
+
+def _change_joint(context: ServerContext, target: ScopedJoint, joint: Joint) -> None:
+    joints = list(target.entity.model.joints)
+    joints[target.number] = joint
+    model = msgspec.structs.replace(target.entity.model, joints=tuple(joints))
+    if model != target.entity.model:
+        context.world.remodel(target.entity.name, model)
+
+
+def _change_link(context: ServerContext, target: ScopedLink, link: Link) -> None:
+    links = list(target.entity.model.links)
+    links[target.number] = link
+    model = msgspec.structs.replace(target.entity.model, links=tuple(links))
+    if model != target.entity.model:
+        context.world.remodel(target.entity.name, model)
+
+
+def _apply_joint_request(joint: Joint, request: gazebo_messages.SetJointPropertiesRequest) -> Joint:
+    wanted, name = request.ode_joint_config, request.joint_name[:80]
+    for field in ODE_FIELDS:
+        if getattr(wanted, field):
+            raise RequestRefused(
+                ResultCode.FEATURE_UNSUPPORTED,
+                f"{field} of joint {name!r} is of ODE's solver; set damping, fmax, lo_stop, "
+                "hi_stop and leave the others empty",
+            )
+    if joint.kind == "fixed" and wanted != gazebo_messages.ODEJointProperties():
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED, f"joint {name!r} is fixed; nothing can be set"
+        )
+    lower, upper = _read_single(wanted.lo_stop, "lo_stop"), _read_single(wanted.hi_stop, "hi_stop")
+    damping, friction = _read_single(wanted.damping, "damping"), _read_single(wanted.fmax, "fmax")
+    for what, number in (("damping", damping), ("fmax", friction)):
+        if number is not None and number < 0.0:
+            raise RequestRefused(
+                ResultCode.OPERATION_FAILED, f"{what} {number:g} is negative; use 0"
+            )
+    if (lower, upper) != (None, None):
+        _check_limits(joint, name, lower, upper)
+    return msgspec.structs.replace(
+        joint,
+        damping=joint.damping if damping is None else damping,
+        friction=joint.friction if friction is None else friction,
+        lower=joint.lower if lower is None else lower,
+        upper=joint.upper if upper is None else upper,
+    )
+
+
+def _check_limits(joint: Joint, name: str, lower: float | None, upper: float | None) -> None:
+    if joint.kind not in LIMITED_JOINTS:
+        raise RequestRefused(
+            ResultCode.FEATURE_UNSUPPORTED,
+            f"joint {name!r} is {joint.kind} and has no limits; make it revolute in its model",
+        )
+    low = joint.lower if lower is None else lower
+    high = joint.upper if upper is None else upper
+    if low > high:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"lo_stop {low:g} of joint {name!r} is above hi_stop {high:g}; set both",
+        )
+
+
+def _read_single(numbers: tuple[float, ...], what: str) -> float | None:
+    if not numbers:
+        return None
+    if len(numbers) > 1 or not math.isfinite(numbers[0]) or abs(numbers[0]) > MAX_PROPERTY:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"{what} has {len(numbers)} numbers, the first {numbers[0]:g}; "
+            f"use one finite number, {MAX_PROPERTY:g} at most: each joint here has one axis",
+        )
+    return numbers[0]
+
+
+def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
+    moments = (request.ixx, request.ixy, request.ixz, request.iyy, request.iyz, request.izz)
+    numbers = (request.mass, *moments)
+    if not all(math.isfinite(number) and abs(number) <= MAX_PROPERTY for number in numbers):
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"mass or a moment is out of range; use finite numbers, {MAX_PROPERTY:g} at most",
+        )
+    if request.mass <= 0.0:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"mass {request.mass:g} is not positive; every field counts: get them, then set them",
+        )
+    com = pose_row(request.com)
+    ixx, ixy, ixz, iyy, iyz, izz = moments
+    matrix = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+    if float(np.linalg.eigvalsh(matrix).min()) < 0.0:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED, "a moment of inertia is negative; use what a body can have"
+        )
+    # The moments are given about the axes of `com`; those of a model are about the link's.
+    axes = rotate(conjugate(com[3:]), np.eye(3))
+    turned = axes @ matrix @ axes.T
+    x, y, z = com[:3].tolist()
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = turned.tolist()
+    return Inertial(request.mass, (x, y, z), (xx, xy, xz, yy, yz, zz))
+
+
+def pause_physics(
+    context: ServerContext, _: gazebo_messages.PausePhysicsRequest
+) -> gazebo_messages.EmptyReport:
+    """Pause; paused already is fine, as it is to Gazebo."""
+    return _change_state(context, State.PAUSED)
+
+
+def unpause_physics(
+    context: ServerContext, _: gazebo_messages.UnpausePhysicsRequest
+) -> gazebo_messages.EmptyReport:
+    """Play; playing already is fine, as it is to Gazebo."""
+    return _change_state(context, State.PLAYING)
+
+
+def reset_world(
+    context: ServerContext, _: gazebo_messages.ResetWorldRequest
+) -> gazebo_messages.EmptyReport:
+    """Put every entity back to its start; time goes on, and what was spawned stays."""
+    context.world.reset(ResetScope.STATE)
+    return gazebo_messages.EmptyReport()
+
+
+def get_gazebo_state(
+    context: ServerContext, request: gazebo_messages.GazeboGetEntityStateRequest
+) -> gazebo_messages.GazeboGetEntityStateReport:
+    """Tell where an entity or a link is, and how it moves against the frame."""
+    row = state_of(context.world, request.name)
+    frame_id = request.reference_frame
+    if frame_id not in WORLD_FRAMES:
+        frame = state_of(context.world, frame_id)
+        row = row.copy()
+        row[7:] -= frame[7:]
+        row = seen_from(frame[:7], row[None])[0]
+    frame_id = frame_id or "world"
+    return gazebo_messages.GazeboGetEntityStateReport(
+        Header(time_from_ns(context.world.time_ns), frame_id),
+        gazebo_messages.GazeboEntityState(request.name, pose_of(row), twist_of(row), frame_id),
+        success=True,
+    )
+
+
+def set_gazebo_state(
+    context: ServerContext, request: gazebo_messages.GazeboSetEntityStateRequest
+) -> gazebo_messages.GazeboSetEntityStateReport:
+    """Put an entity somewhere; a link goes where its entity goes."""
+    state = request.state
+    name, scope, _ = state.name.partition(SCOPE)
+    if scope and link_of(context.world, state.name).number:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"link {state.name[:80]!r} hangs on joints and cannot be put anywhere by itself; "
+            f"use '{name}'",
+        )
+    wanted = entity_messages.EntityState(
+        Header(frame_id=state.reference_frame), state.pose, state.twist
+    )
+    set_entity_state(
+        context, entity_messages.SetEntityStateRequest(name, wanted, set_pose=True, set_twist=True)
+    )
+    return gazebo_messages.GazeboSetEntityStateReport(success=True)
+
+
+def _change_state(context: ServerContext, state: State) -> gazebo_messages.EmptyReport:
+    if context.world.state != state:
+        set_simulation_state(context, SetSimulationStateRequest(SimulationState(state)))
+    return gazebo_messages.EmptyReport(Result())

@@ -1,0 +1,229 @@
+"""Services that control the simulation: state, steps, speed, reset; and server information."""
+
+from importlib.metadata import version
+
+from zensim.proto.messages import simulation_messages, telemetry_messages
+from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import (
+    GetSimulationStateRequest,
+    GetSimulationStateResponse,
+    ResetScope,
+    ResetSimulationRequest,
+    ResetSimulationResponse,
+    SetSimulationStateRequest,
+    SetSimulationStateResponse,
+    SimulationState,
+    State,
+    StepSimulationRequest,
+    StepSimulationResponse,
+)
+from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time, time_from_ns
+from zensim.sim_server.errors import IncorrectState, RequestRefused, SimError, UnsupportedFeature
+from zensim.sim_server.pacing.step_goals import StepGoal
+from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.world.phases import LEADS_TO, NAMES, why_not
+
+VERSION = version("zensim")
+
+
+def get_server_info(
+    context: ServerContext, _: telemetry_messages.InfoRequest
+) -> telemetry_messages.Info:
+    """Say who this is, and how it goes."""
+    world, is_playing = context.world, context.world.state == State.PLAYING
+    return telemetry_messages.Info(
+        world=world.name,
+        version=VERSION,
+        sim_time_s=world.time_ns * 1e-9,
+        steps=world.steps,
+        epoch=world.epoch,
+        step_ns=world.step_ns,
+        real_time_factor=context.loop_stats.real_time_factor if is_playing else 0.0,
+        target_real_time_factor=context.target_real_time_factor,
+        entities=len(world.entities),
+        agents=len(world.claims.agents),
+        claimed=len(world.claims),
+        state=world.state_name,
+        engine=world.engine.name,
+        world_model=context.world_model,
+        seed=context.seed,
+        is_lockstep=context.lockstep.settings.is_on,
+    )
+
+
+MAX_STEPS = 10_000_000
+MAX_GOALS = 64
+"""Goals that wait at a time."""
+MIN_SPEED, MAX_SPEED = 0.01, 1000.0
+
+
+def step_simulation(context: ServerContext, request: StepSimulationRequest) -> DeferredResponse:
+    """Make steps of a paused world, and answer when the agents have answered the last."""
+    goal = _add_goal(context, request.steps)
+    return DeferredResponse(
+        lambda: goal.is_over, lambda: StepSimulationResponse(_make_goal_result(goal))
+    )
+
+
+def simulate_steps(
+    context: ServerContext, request: simulation_messages.SimulateStepsRequest
+) -> DeferredResponse:
+    """Make steps of a paused world, tell of their progress, and answer at the end."""
+    goal_id = _check_goal_id(request.goal_id)
+    goal = context.step_goals.known(goal_id)
+    if goal is None:
+        goal = _add_goal(context, request.steps, goal_id)
+    elif goal.steps != request.steps:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"goal {goal_id!r} has {goal.steps} steps; choose another id, or ask for those steps",
+        )
+    return DeferredResponse(lambda: goal.is_over, lambda: _make_steps_response(goal))
+
+
+def cancel_steps(
+    context: ServerContext, request: simulation_messages.CancelStepsRequest
+) -> simulation_messages.CancelStepsResponse:
+    """End a goal, or all, before the last step."""
+    canceled = context.step_goals.cancel(request.goal_id)
+    if not canceled and request.goal_id:
+        known = context.step_goals.known(request.goal_id)
+        raise RequestRefused(
+            ResultCode.NOT_FOUND if known is None else ResultCode.INCORRECT_STATE,
+            f"goal {request.goal_id[:80]!r} {'is unknown' if known is None else 'is over'}; "
+            "nothing was canceled",
+        )
+    return simulation_messages.CancelStepsResponse(
+        goal_ids=tuple(goal.goal_id for goal in canceled)
+    )
+
+
+def run_to(context: ServerContext, request: simulation_messages.RunToRequest) -> DeferredResponse:
+    """Make steps of a paused world until a time is reached; a reset meanwhile ends the run."""
+    world = context.world
+    if context.step_goals:
+        raise IncorrectState("steps that were asked for before wait; try again when they are made")
+    wanted_ns, epoch = ns_from_time(request.time), world.epoch
+    if wanted_ns < world.time_ns:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"{wanted_ns / NANOSECONDS:g} s is past: it is {world.time_ns / NANOSECONDS:g} s; "
+            "reset to go back",
+        )
+    steps = -((world.time_ns - wanted_ns) // world.step_ns)
+    goal = _add_goal(context, steps, least=0)
+
+    def is_over() -> bool:
+        if world.epoch != epoch:
+            context.step_goals.abort_goal(goal, "the simulation was reset, and time went back")
+        return goal.is_over
+
+    return DeferredResponse(
+        is_over,
+        lambda: simulation_messages.RunToResponse(
+            _make_goal_result(goal), time_from_ns(world.time_ns), goal.made
+        ),
+    )
+
+
+def set_speed(
+    context: ServerContext, request: simulation_messages.SetSpeedRequest
+) -> simulation_messages.SetSpeedResponse:
+    """Choose the real-time factor to hold."""
+    factor = request.real_time_factor
+    if not (factor == 0.0 or MIN_SPEED <= factor <= MAX_SPEED):
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"real_time_factor={factor:g} is out of range; use 0 (flat out) or {MIN_SPEED:g} "
+            f"to {MAX_SPEED:g}",
+        )
+    context.target_real_time_factor = factor
+    return simulation_messages.SetSpeedResponse()
+
+
+def _add_goal(context: ServerContext, steps: int, goal_id: str = "", *, least: int = 1) -> StepGoal:
+    context.world.require_paused()
+    if not least <= steps <= MAX_STEPS:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"steps={steps} is out of range; use {least} to {MAX_STEPS}",
+        )
+    if len(context.step_goals) >= MAX_GOALS:
+        raise IncorrectState(f"{MAX_GOALS} goals wait already; try again when one is over")
+    return context.step_goals.add(steps, goal_id)
+
+
+def _check_goal_id(goal_id: str) -> str:
+    if len(goal_id) <= simulation_messages.MAX_GOAL_ID_LENGTH and goal_id.isprintable():
+        return goal_id
+    raise RequestRefused(
+        ResultCode.OPERATION_FAILED,
+        f"goal_id {goal_id[:80]!r} is not valid; use at most {simulation_messages.MAX_GOAL_ID_LENGTH} printable "
+        "characters",
+    )
+
+
+def _make_steps_response(goal: StepGoal) -> simulation_messages.SimulateStepsResponse:
+    return simulation_messages.SimulateStepsResponse(
+        _make_goal_result(goal), goal.goal_id, goal.status, goal.made, goal.left
+    )
+
+
+def _make_goal_result(goal: StepGoal) -> Result:
+    if goal.status == "canceled":
+        text = f"canceled after {goal.made} of {goal.steps} steps"
+        return Result(ResultCode.OPERATION_FAILED, text)
+    if goal.status == "aborted":
+        text = f"ended after {goal.made} of {goal.steps} steps: {goal.reason}"
+        return Result(ResultCode.OPERATION_FAILED, text)
+    if goal.late:
+        names = ", ".join(sorted(goal.late))
+        return Result(ResultCode.OK, f"not all steps were answered in time by: {names}")
+    return Result()
+
+
+def reset_simulation(
+    context: ServerContext, request: ResetSimulationRequest
+) -> ResetSimulationResponse:
+    """Go back to the start."""
+    known = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
+    if request.scope not in (ResetScope.ALL, request.scope & known):
+        raise UnsupportedFeature(
+            f"scope {request.scope} has unknown bits; use 0, 255 or a sum of 1, 2, 4"
+        )
+    context.world.reset(request.scope)
+    return ResetSimulationResponse()
+
+
+def get_simulation_state(
+    context: ServerContext, _: GetSimulationStateRequest
+) -> GetSimulationStateResponse:
+    """Tell whether time runs."""
+    return GetSimulationStateResponse(SimulationState(context.world.state))
+
+
+def set_simulation_state(
+    context: ServerContext, request: SetSimulationStateRequest
+) -> SetSimulationStateResponse:
+    """Play, pause, stop or quit."""
+    wanted, present = request.state.state, context.world.state
+    if wanted == present:
+        raise RequestRefused(
+            SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
+            f"the simulation is {context.world.state_name} already",
+        )
+    if wanted not in LEADS_TO[present]:
+        raise RequestRefused(SetSimulationStateCode.INCORRECT_TRANSITION, why_not(wanted, present))
+    if wanted in (State.STOPPED, State.QUITTING):
+        context.step_goals.abort(f"the simulation is {NAMES[State(wanted)]}")
+    if wanted == State.STOPPED:
+        _reset_to_start(context)
+    context.world.enter(State(wanted))
+    return SetSimulationStateResponse()
+
+
+def _reset_to_start(context: ServerContext) -> None:
+    try:
+        context.world.reset(ResetScope.ALL)
+    except SimError as error:
+        raise RequestRefused(SetSimulationStateCode.STATE_TRANSITION_ERROR, str(error)) from error

@@ -1,0 +1,221 @@
+"""Services on worlds: load, unload, list, and the named poses of the current world."""
+
+from collections.abc import Callable, Iterator
+
+from zensim.proto.messages import entity_messages, spawn_messages, world_messages
+from zensim.proto.messages.model_messages import ReportEntry
+from zensim.proto.messages.result_messages import (
+    GetAvailableWorldsCode,
+    GetCurrentWorldCode,
+    LoadWorldCode,
+    Result,
+    ResultCode,
+    SpawnCode,
+    UnloadWorldCode,
+)
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
+from zensim.sim_server.lookup.filters import tags_test
+from zensim.sim_server.reading.messages import TextRead
+from zensim.sim_server.server_context import BuiltWorld, DeferredResponse, ServerContext
+from zensim.sim_server.worlds.atlas import ONLINE, Search
+from zensim.sim_server.worlds.world_reading import WorldReading
+
+EMPTY_WORLD = WorldModel("", gravity=(0.0, 0.0, 0.0))
+MAX_FAULTS_SHOWN = 3
+WORLD_BUILD_SLICE_NS = 5 * NANOSECONDS // 1000
+"""What making a world takes of each turn of the loop; the part last begun is finished."""
+MAX_SOURCES = 64
+MISSING_TEXT = "is not on the server"
+
+
+def load_world(
+    context: ServerContext, request: world_messages.LoadWorldRequest
+) -> DeferredResponse:
+    """Read a world while time stands, then put it in the place of this one; or leave this one."""
+    former = context.world.state
+    if former in (State.LOADING_WORLD, State.QUITTING):
+        raise IncorrectState(f"the simulation is {context.world.state_name}; try again later")
+    found = context.world_catalog.find(request.world_resource)
+    is_lenient = request.ignore_missing_or_unsupported_assets
+    reading = WorldReading(
+        found.text, found.folders, context.descriptions, context.store, allow_missing=is_lenient
+    )
+    context.step_goals.abort("another world is being loaded")
+    context.world.enter(State.LOADING_WORLD)
+    building = _WorldBuild(context, lambda answer: _check_parsed_world(answer, request))
+
+    def put() -> world_messages.LoadWorldReport:
+        try:
+            model, founded = building.outcome()
+        except SimError:
+            if context.world.state == State.LOADING_WORLD:
+                context.world.enter(former)
+            raise
+        context.replace_world(founded, model, found.resource)
+        return world_messages.LoadWorldReport(Result(), context.resource, model.report)
+
+    return DeferredResponse(lambda: building.go_on(reading.answer), put)
+
+
+class _WorldBuild:
+    """A world that is made while requests are answered."""
+
+    def __init__(self, context: ServerContext, checked: Callable[[TextRead], WorldModel]) -> None:
+        self._context = context
+        self._check_parsed = checked
+        self._model = EMPTY_WORLD
+        self._parts: Iterator[BuiltWorld | None] | None = None
+        self._outcome: BuiltWorld | SimError | None = None
+
+    def go_on(self, answer: TextRead | None) -> bool:
+        """Make some parts once the world is read; say whether that was the last."""
+        if answer is None:
+            return False
+        end_ns = self._context.now_ns() + WORLD_BUILD_SLICE_NS
+        try:
+            if self._parts is None:
+                self._model = self._check_parsed(answer)
+                self._parts = self._context.world_factory(self._model)
+            while self._outcome is None:
+                self._outcome = next(self._parts)
+                if self._context.now_ns() >= end_ns:
+                    break
+        except SimError as error:
+            self._outcome = error
+        return self._outcome is not None
+
+    def outcome(self) -> tuple[WorldModel, BuiltWorld]:
+        """Give the world; raises SimError where it could not be made."""
+        assert self._outcome is not None
+        if isinstance(self._outcome, SimError):
+            raise self._outcome
+        return self._model, self._outcome
+
+
+def unload_world(
+    context: ServerContext, _: world_messages.UnloadWorldRequest
+) -> world_messages.UnloadWorldResponse:
+    """Leave nothing: no entities, no ground, no time."""
+    if context.world.state == State.NO_WORLD:
+        raise RequestRefused(
+            UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to do"
+        )
+    if context.world.state in (State.LOADING_WORLD, State.QUITTING):
+        raise IncorrectState(f"the simulation is {context.world.state_name}; try again later")
+    context.step_goals.abort("the world was unloaded")
+    nothing = list(context.world_factory(EMPTY_WORLD))[-1]
+    assert nothing is not None
+    context.replace_world(nothing, EMPTY_WORLD, world_messages.WorldResource())
+    return world_messages.UnloadWorldResponse()
+
+
+def get_current_world(
+    context: ServerContext, _: world_messages.GetCurrentWorldRequest
+) -> world_messages.GetCurrentWorldResponse:
+    """Tell which world is there."""
+    if context.world.state == State.NO_WORLD:
+        raise RequestRefused(
+            GetCurrentWorldCode.NO_WORLD_LOADED, "no world is loaded; load one with load_world"
+        )
+    return world_messages.GetCurrentWorldResponse(world=context.resource)
+
+
+def get_available_worlds(
+    context: ServerContext, request: world_messages.GetAvailableWorldsRequest
+) -> DeferredResponse:
+    """List the worlds that can be loaded, those of the server first; a few files at each turn."""
+    sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
+    if len(sources) > MAX_SOURCES:
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"{len(sources)} sources are too many; use {MAX_SOURCES} or less",
+        )
+    search = context.world_catalog.search(sources)
+    return DeferredResponse(
+        lambda: search.is_over or search.go_on(), lambda: _make_worlds_response(search, request)
+    )
+
+
+def _is_skipped(source: str, request: world_messages.GetAvailableWorldsRequest) -> bool:
+    return request.offline_only and source.startswith(ONLINE)
+
+
+def _make_worlds_response(
+    search: Search, request: world_messages.GetAvailableWorldsRequest
+) -> world_messages.GetAvailableWorldsResponse:
+    reasons = "; ".join(failure.reason for failure in search.failures[:MAX_FAULTS_SHOWN])
+    if search.failures and not request.continue_on_error:
+        is_own = any(failure.is_own for failure in search.failures)
+        raise RequestRefused(
+            GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED if is_own else ResultCode.NOT_FOUND,
+            f"{reasons}; set continue_on_error to do without",
+        )
+    found = {world.world_resource.uri: world for world in search.worlds}
+    wanted = tuple(world for world in found.values() if _matches_tags(world, request.filter))
+    return world_messages.GetAvailableWorldsResponse(Result(ResultCode.OK, reasons), wanted)
+
+
+def _matches_tags(world: world_messages.WorldResource, wanted: entity_messages.TagsFilter) -> bool:
+    asks = all if wanted.filter_mode else any
+    return not wanted.tags or asks(tag in world.tags for tag in wanted.tags)
+
+
+def _check_parsed_world(answer: TextRead, request: world_messages.LoadWorldRequest) -> WorldModel:
+    """Take what was read, unless the request is stricter.
+
+    Raises:
+        SimError: It cannot be used.
+    """
+    if answer.world is None:
+        raise ModelError(answer.message, code=_to_load_code(answer.code), slug=answer.slug)
+    report = answer.world.report
+    if not request.ignore_missing_or_unsupported_assets:
+        missing = [entry for entry in report if MISSING_TEXT in entry.reason]
+        _refuse_entries(missing, LoadWorldCode.MISSING_ASSETS, "missing")
+        unusable = [ReportEntry("suspicious", "mesh", reason) for reason in answer.unusable]
+        _refuse_entries(unusable, LoadWorldCode.UNSUPPORTED_ASSETS, "unusable")
+    if request.fail_on_unsupported_element:
+        others = [entry for entry in report if entry.status != "applied"]
+        _refuse_entries(others, LoadWorldCode.UNSUPPORTED_ELEMENTS, "unsupported")
+    return answer.world
+
+
+def _refuse_entries(entries: list[ReportEntry], code: LoadWorldCode, what: str) -> None:
+    if not entries:
+        return
+    named = "; ".join(f"{entry.subject}: {entry.reason}" for entry in entries[:MAX_FAULTS_SHOWN])
+    more = (
+        f"; and {len(entries) - MAX_FAULTS_SHOWN} more" if len(entries) > MAX_FAULTS_SHOWN else ""
+    )
+    raise ModelError(f"{len(entries)} {what}: {named}{more}", code=code, slug=f"world.{what}")
+
+
+def _to_load_code(code: int) -> int:
+    """Translate a code of SpawnEntity into one of LoadWorld; those of every service stay."""
+    names = {code.value: code.name for code in SpawnCode}
+    return LoadWorldCode[names[code]] if code in names else code
+
+
+def get_named_poses(
+    context: ServerContext, request: spawn_messages.GetNamedPosesRequest
+) -> spawn_messages.GetNamedPosesResponse:
+    """List the named poses of the world whose tags pass."""
+    passes = tags_test(request.tags)
+    found = (place.pose for place in context.source.places if passes(place.pose.tags))
+    return spawn_messages.GetNamedPosesResponse(poses=tuple(found))
+
+
+def get_named_pose_bounds(
+    context: ServerContext, request: spawn_messages.GetNamedPoseBoundsRequest
+) -> spawn_messages.GetNamedPoseBoundsResponse:
+    """Tell how much room a named pose has."""
+    for place in context.source.places:
+        if place.pose.name == request.name:
+            return spawn_messages.GetNamedPoseBoundsResponse(bounds=place.bounds)
+    raise RequestRefused(
+        ResultCode.NOT_FOUND,
+        f"no pose {request.name[:80]!r} in this world; 'get_named_poses' lists those there are",
+    )

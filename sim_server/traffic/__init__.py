@@ -1,1 +1,0 @@
-"""What comes in and goes out at each turn of the loop."""

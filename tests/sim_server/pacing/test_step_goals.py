@@ -1,0 +1,130 @@
+"""Goals of steps: their order, their ends, their progress."""
+
+import pytest
+
+from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.sim_server.pacing.step_goals import MAX_FINISHED_GOALS, StepGoals
+
+SECOND = 1_000_000_000
+
+
+def make(step_goals: StepGoals, steps: int) -> None:
+    for _ in range(steps):
+        step_goals.note_step()
+        step_goals.finish_completed()
+
+
+def told(step_goals: StepGoals, now_ns: int) -> list[StepsProgress]:
+    return list(step_goals.due_progress(now_ns))
+
+
+def test_goals_are_reached_one_after_another() -> None:
+    stepping = StepGoals()
+    first, second = stepping.add(2), stepping.add(1)
+
+    make(stepping, 2)
+    between = (first.status, second.status, len(stepping))
+    make(stepping, 1)
+
+    assert between == ("succeeded", "executing", 1)
+    assert second.status == "succeeded"
+    assert not stepping.has_steps_left
+
+
+def test_goal_is_not_over_before_it_is_settled() -> None:
+    stepping = StepGoals()
+    goal = stepping.add(1)
+
+    stepping.note_step()
+
+    assert (goal.left, goal.is_over, stepping.has_steps_left) == (0, False, False)
+
+
+def test_goal_of_no_steps_is_over_when_it_is_settled() -> None:
+    stepping = StepGoals()
+    goal = stepping.add(0)
+
+    stepping.finish_completed()
+
+    assert goal.status == "succeeded"
+
+
+def test_cancel_ends_the_goal_of_an_id_and_leaves_the_others() -> None:
+    stepping = StepGoals()
+    first, second = stepping.add(10, "a"), stepping.add(10, "b")
+    make(stepping, 4)
+
+    canceled = stepping.cancel("a")
+
+    assert canceled == [first]
+    assert (first.status, first.made, first.left) == ("canceled", 4, 6)
+    assert second.status == "executing"
+
+
+def test_cancel_without_an_id_ends_all_goals() -> None:
+    stepping = StepGoals()
+    goals = [stepping.add(1), stepping.add(1, "b")]
+
+    assert stepping.cancel("") == goals
+    assert not stepping
+
+
+def test_abort_ends_all_goals_with_a_reason() -> None:
+    stepping = StepGoals()
+    goal = stepping.add(5, "a")
+
+    stepping.abort("no more time")
+
+    assert (goal.status, goal.reason) == ("aborted", "no more time")
+
+
+def test_progress_is_told_ten_times_a_second_at_most_and_at_the_end() -> None:
+    stepping = StepGoals()
+    stepping.add(300, "a")
+    seen = []
+
+    for step in range(300):
+        make(stepping, 1)
+        seen += told(stepping, step * SECOND // 100)
+
+    assert len(seen) == pytest.approx(31, abs=1)
+    assert seen[-1] == StepsProgress("a", 300, 0, "succeeded")
+    assert all(one.completed_steps + one.remaining_steps == 300 for one in seen)
+
+
+def test_progress_of_goals_without_an_id_is_not_told() -> None:
+    stepping = StepGoals()
+    stepping.add(1)
+
+    first = told(stepping, 0)
+    make(stepping, 1)
+
+    assert first + told(stepping, SECOND) == []
+
+
+def test_progress_of_a_canceled_goal_is_told_once() -> None:
+    stepping = StepGoals()
+    stepping.add(5, "a")
+    stepping.cancel("a")
+
+    assert told(stepping, 0) == [StepsProgress("a", 0, 5, "canceled")]
+    assert told(stepping, SECOND) == []
+
+
+def test_goals_that_are_over_are_known_until_many_others_are() -> None:
+    stepping = StepGoals()
+    for i in range(MAX_FINISHED_GOALS + 10):
+        stepping.add(1, f"goal{i}")
+        make(stepping, 1)
+
+    assert stepping.known("goal0") is None
+    assert stepping.known(f"goal{MAX_FINISHED_GOALS + 9}") is not None
+
+
+def test_late_agents_are_noted_for_the_goal_that_is_under_way() -> None:
+    stepping = StepGoals()
+    first, second = stepping.add(1), stepping.add(1)
+
+    stepping.note_late(("a",))
+
+    assert (first.late, second.late) == ({"a"}, set())

@@ -1,0 +1,68 @@
+"""Short turns: asked of the kernel that runs these tests, in threads that end with them."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from zensim.sim_server.runtime.linux_scheduling import (
+    TIME_SLICE_NS,
+    read_time_slice_ns,
+    request_short_time_slice,
+)
+
+T = TypeVar("T")
+ORDINARY_NS = read_time_slice_ns()
+"""0 where the kernel does not tell."""
+SHORT_NS = min(TIME_SLICE_NS, ORDINARY_NS)
+TELL = "from zensim.sim_server.runtime.linux_scheduling import turn_ns; print(turn_ns())"
+
+
+def aside(call: Callable[[], T]) -> T:
+    """Call in a thread of its own."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(call).result()
+
+
+def test_turns_are_short_when_asked_for() -> None:
+    def asked() -> tuple[bool, int]:
+        return request_short_time_slice(), read_time_slice_ns()
+
+    found = aside(asked)
+
+    assert found == (True, SHORT_NS)
+
+
+def test_niceness_stays_when_turns_become_short() -> None:
+    def asked() -> tuple[int, int]:
+        os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + 1)
+        before = os.getpriority(os.PRIO_PROCESS, 0)
+        request_short_time_slice()
+        return before, os.getpriority(os.PRIO_PROCESS, 0)
+
+    before, after = aside(asked)
+
+    assert after == before
+
+
+def test_what_is_started_has_ordinary_turns() -> None:
+    def started() -> int:
+        request_short_time_slice()
+        command = [sys.executable, "-c", TELL]
+        return int(subprocess.run(command, capture_output=True, check=True).stdout)
+
+    found = aside(started)
+
+    assert found == ORDINARY_NS
+
+
+def test_thread_with_a_policy_of_its_own_keeps_it() -> None:
+    def asked() -> tuple[bool, int]:
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+        return request_short_time_slice(), os.sched_getscheduler(0)
+
+    found = aside(asked)
+
+    assert found == (False, os.SCHED_BATCH)

@@ -1,0 +1,274 @@
+"""Loop: replies in kind, retries, topics that are asked for, and bytes that are no request."""
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import Stage, a_stage, answer_of, names_in
+from zensim.proto.bus import MAX_REQUEST_BYTES
+from zensim.proto.codec.message_codec import Format, detect_format, encode, make_encoding
+from zensim.proto.messages.entity_messages import GetEntitiesRequest, GetEntitiesResponse
+from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.messages.simulation_messages import State, StepSimulationRequest
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
+from zensim.proto.messages.telemetry_messages import (
+    GetModelsRequest,
+    GetModelsResponse,
+    Info,
+    InfoRequest,
+    Snapshot,
+    Stats,
+    WorldClock,
+)
+from zensim.proto.service_catalog import SERVICES
+
+FORMATS = list(Format)
+
+
+def refusal_in(call: MemoryCall) -> tuple[int, str]:
+    response = answer_of(call, DeleteEntityResponse)
+    assert isinstance(response, DeleteEntityResponse)
+    return response.result.result, response.result.error_message
+
+
+def served(stage: Stage, service: str, payload: bytes, encoding: str = "") -> MemoryCall:
+    call = stage.send(service, payload, encoding)
+    stage.loop.turn()
+    return call
+
+
+@pytest.mark.parametrize("wanted", FORMATS)
+def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
+    stage = a_stage("r0", "r1")
+    call = stage.ask("get_entities", GetEntitiesRequest(), wanted)
+
+    stage.loop.turn()
+
+    assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
+    assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0", "r1"))
+
+
+@pytest.mark.parametrize("wanted", FORMATS)
+def test_loop_replies_in_the_format_that_the_first_byte_tells(wanted: Format) -> None:
+    call = served(a_stage("r0"), "get_entities", encode(GetEntitiesRequest(), wanted))
+
+    assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
+
+
+@pytest.mark.parametrize("wanted", FORMATS)
+def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
+    stage = a_stage()
+    call = stage.ask("delete_entity", DeleteEntityRequest("r9"), wanted)
+
+    stage.loop.turn()
+
+    assert call.answers[0].encoding == make_encoding(DeleteEntityResponse, wanted)
+    assert refusal_in(call)[0] == ResultCode.NOT_FOUND
+
+
+@pytest.mark.parametrize("wanted", FORMATS)
+def test_loop_takes_an_empty_request_as_one_of_defaults(wanted: Format) -> None:
+    call = served(a_stage("r0"), "get_entities", b"", wanted.value)
+
+    assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
+    assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0",))
+
+
+def test_loop_replies_in_messagepack_when_cdr_cannot_tell_the_answer() -> None:
+    call = served(a_stage("r0"), "get_models", encode(GetModelsRequest(), Format.CDR))
+
+    assert call.answers[0].encoding == Format.MSGPACK.value
+    response = answer_of(call, GetModelsResponse)
+    assert isinstance(response, GetModelsResponse)
+    assert [one.entity for one in response.entities] == ["r0"]
+
+
+@pytest.mark.parametrize("wanted", [Format.MSGPACK, Format.JSON])
+def test_loop_says_that_a_service_is_unknown_and_names_those_that_are_not(wanted: Format) -> None:
+    call = served(a_stage(), "make_coffee", encode(InfoRequest(), wanted))
+
+    code, message = refusal_in(call)
+    assert code == ResultCode.FEATURE_UNSUPPORTED
+    assert "'make_coffee' is unknown; there are spawn_entity, " in message
+    assert ", delete_entity, " in message
+    assert call.answers[0].encoding == wanted.value
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"{", "not simulation_interfaces/srv/DeleteEntity_Request in JSON"),
+        (b'{"entity": 5}', "entity"),
+        (b"\x81", "in MSGPACK"),
+        (b"\x81\xa6entity\x05", "entity"),
+        (b"\x00\x01\x00\x00\xff\xff\xff\xff", "in CDR"),
+        (b"\x00", "in CDR"),
+        (b"hello", "first byte 0x68 begins no message; use CDR"),
+    ],
+)
+def test_loop_refuses_a_malformed_request_with_its_reason(payload: bytes, reason: str) -> None:
+    stage = a_stage("r0")
+
+    call = served(stage, "delete_entity", payload)
+
+    code, message = refusal_in(call)
+    assert code == ResultCode.OPERATION_FAILED
+    assert message.startswith("malformed request: ")
+    assert reason in message
+    assert names_in(stage.world) == ["r0"]
+
+
+def test_loop_refuses_bytes_that_are_not_what_their_encoding_says() -> None:
+    call = served(a_stage(), "delete_entity", b'{"entity": "r0"}', "application/cdr")
+
+    code, message = refusal_in(call)
+    assert code == ResultCode.OPERATION_FAILED
+    assert "Encoding is 'application/cdr', but the bytes begin as JSON" in message
+
+
+@pytest.mark.parametrize("kind", [Info, Snapshot, Stats, WorldClock], ids=lambda one: one.__name__)
+def test_loop_tells_its_topics_to_who_asks(kind: type[msgspec.Struct]) -> None:
+    name = {Info: "info", Snapshot: "snapshot", Stats: "stats", WorldClock: "clock"}[kind]
+    stage = a_stage("r0")
+
+    for wanted in (Format.MSGPACK, Format.JSON):
+        call = served(stage, name, b"", wanted.value)
+
+        assert isinstance(answer_of(call, kind), kind)
+        assert call.answers[0].encoding == wanted.value
+
+
+def test_loop_replies_on_its_own_key() -> None:
+    stage = a_stage("r0")
+    call = MemoryCall("sim/*/info", b"", "", b"")
+    stage.inbox.calls.append(call)
+
+    stage.loop.turn()
+
+    assert call.answers[0].key == "sim/default/info"
+
+
+@pytest.mark.parametrize("key", ["sim/default/*", "sim/**", "**", "sim/default/$*_entity"])
+def test_loop_answers_a_pattern_that_names_no_service(key: str) -> None:
+    stage = a_stage("r0")
+    call = MemoryCall(key, b"", "", b"")
+    stage.inbox.calls.append(call)
+
+    stage.loop.turn()
+
+    assert refusal_in(call)[0] == ResultCode.FEATURE_UNSUPPORTED
+
+
+def test_loop_counts_requests() -> None:
+    stage = a_stage()
+    for name in ("info", "info", "nonsense", "clock"):
+        stage.send(name, b"")
+
+    stage.loop.turn()
+
+    assert stage.context.loop_stats.requests == 4
+
+
+def test_loop_answers_in_the_order_of_asking() -> None:
+    stage = a_stage("r0")
+    before = stage.ask("get_entities", GetEntitiesRequest())
+    stage.ask("delete_entity", DeleteEntityRequest("r0"))
+    after = stage.ask("get_entities", GetEntitiesRequest())
+
+    stage.loop.turn()
+
+    assert answer_of(before, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0",))
+    assert answer_of(after, GetEntitiesResponse) == GetEntitiesResponse(entities=())
+
+
+def test_loop_deletes_once_when_a_delete_is_sent_again() -> None:
+    stage = a_stage("r0")
+    first = stage.ask("delete_entity", DeleteEntityRequest("r0"))
+    second = stage.ask("delete_entity", DeleteEntityRequest("r0"))
+    first.request_id = second.request_id = b"the same"
+
+    stage.loop.turn()
+
+    assert refusal_in(first)[0] == refusal_in(second)[0] == ResultCode.OK
+
+
+def test_loop_gives_models_as_bytes_of_any_size() -> None:
+    stage = a_stage(*(f"r{i}" for i in range(50)))
+    call = stage.ask("get_models", GetModelsRequest())
+
+    stage.loop.turn()
+
+    assert len(call.answers[0].payload) > 1000
+
+
+@given(
+    service=st.sampled_from([*SERVICES, "clock", "stats", "snapshot", "*", "", "é"]),
+    payload=st.one_of(
+        st.binary(max_size=60),
+        st.binary(max_size=60).map(lambda tail: b"\x00\x01\x00\x00" + tail),
+        st.binary(max_size=60).map(lambda tail: b"{" + tail),
+        st.binary(max_size=60).map(lambda tail: b"\x81" + tail),
+    ),
+    encoding=st.sampled_from(
+        ["", "application/cdr", "application/cdr;x/y", "application/json", "text/plain", "💥"]
+    ),
+    request_id=st.sampled_from([b"", b"1", b"\xff" * 40]),
+)
+def test_loop_answers_any_bytes(
+    service: str, payload: bytes, encoding: str, request_id: bytes
+) -> None:
+    stage = a_stage("r0", factor=0.0)
+    call = stage.send(service, payload, encoding)
+    call.request_id = request_id
+
+    stage.loop.turn()
+
+    (answer,) = call.answers
+    assert detect_format(answer.payload, answer.encoding) in FORMATS
+    # An empty payload is an empty request, which rightly pauses, stops or unloads.
+    assert stage.world.steps == (stage.world.state == State.PLAYING)
+
+
+def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
+    stage = a_stage()
+    stage.world.pause()
+    call = MemoryCall(
+        "sim/*/step_simulation", encode(StepSimulationRequest(2), Format.JSON), "", b""
+    )
+    stage.inbox.calls.append(call)
+
+    for _ in range(2):
+        stage.loop.turn()
+
+    assert call.answers[0].key == "sim/default/step_simulation"
+    assert stage.world.steps == 2
+
+
+@pytest.mark.parametrize(
+    ("service", "code"),
+    [
+        ("spawn_entity", SpawnCode.RESOURCE_PARSE_ERROR),
+        ("get_entities", ResultCode.OPERATION_FAILED),
+        ("make_coffee", ResultCode.OPERATION_FAILED),
+    ],
+)
+def test_loop_refuses_a_request_that_is_too_large_to_decode(service: str, code: int) -> None:
+    call = served(a_stage("r0"), service, b"\xff" * (MAX_REQUEST_BYTES + 1))
+
+    assert refusal_in(call)[0] == code
+    assert refusal_in(call)[1].startswith(f"request.size: a request of {MAX_REQUEST_BYTES + 1}")
+
+
+def test_request_of_another_service_does_not_take_the_place_of_one_that_waits() -> None:
+    stage = a_stage()
+    stage.world.pause()
+    steps = stage.ask("step_simulation", StepSimulationRequest(2))
+    other = stage.ask("get_entities", GetEntitiesRequest())
+    steps.request_id = other.request_id = b"same"
+
+    for _ in range(6):
+        stage.loop.turn()
+
+    assert (len(steps.answers), len(other.answers)) == (1, 1)

@@ -1,0 +1,181 @@
+"""Telemetry: what is due when, at which rates, and what it says."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.models import on_ground
+from tests.sim_server.fakes import a_birth, a_desk, a_stage, a_world, names_in
+from zensim.proto.messages.simulation_messages import ResetScope
+from zensim.proto.messages.standard_messages import Time
+from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
+from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, TopicTimer, WorldTelemetry
+from zensim.sim_server.world.world import World
+
+SECOND = 1_000_000_000
+MILLISECOND = 1_000_000
+CHANGES: dict[str, Callable[[World], object]] = {
+    "spawn": lambda world: world.spawn(a_birth("r1")),
+    "delete": lambda world: world.delete("r0"),
+    "reset": lambda world: world.reset(ResetScope.STATE),
+    "place": lambda world: world.place("r0", on_ground(5.0)),
+}
+
+
+def due(telemetry: WorldTelemetry, now_ns: int) -> list[str]:
+    return list(telemetry.due(now_ns))
+
+
+def counts(seconds: float, *, is_paused: bool = False) -> dict[str, int]:
+    """Count what a loop tells in some wall time."""
+    stage = a_stage("r0")
+    if is_paused:
+        stage.world.pause()
+    stage.turn_for(seconds)
+    return {topic: len(stage.outlet.on(topic)) for topic in (*GETTABLE_TOPICS, "events")}
+
+
+def test_topics_are_told_at_their_rates_while_time_runs() -> None:
+    told = counts(5.0)
+
+    assert told["clock"] == pytest.approx(500, abs=10)
+    assert told["clock"] <= 501
+    assert told["snapshot"] == pytest.approx(150, abs=2)
+    assert told["stats"] == pytest.approx(5, abs=1)
+
+
+def test_topics_are_told_twice_a_second_while_time_stands() -> None:
+    told = counts(5.0, is_paused=True)
+
+    assert told["clock"] == pytest.approx(10, abs=2)
+    assert told["snapshot"] == pytest.approx(10, abs=2)
+    assert told["stats"] == pytest.approx(5, abs=1)
+    assert told["events"] == 1
+
+
+@pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
+def test_snapshot_follows_a_change_at_once_while_time_stands(
+    change: Callable[[World], object],
+) -> None:
+    stage = a_stage("r0")
+    stage.world.pause()
+    stage.turn_for(0.1)
+    stage.outlet.told.clear()
+
+    change(stage.world)
+    stage.turn_for(0.036)
+
+    snapshot = stage.outlet.on("snapshot")[-1]
+    assert isinstance(snapshot, Snapshot)
+    assert list(snapshot.names) == names_in(stage.world)
+    assert snapshot.base == stage.world.reading().base.tobytes()
+
+
+def test_topics_are_not_made_when_nobody_listens() -> None:
+    stage = a_stage("r0")
+    stage.outlet.unwanted = set(GETTABLE_TOPICS)
+
+    stage.turn_for(2.0)
+
+    assert stage.outlet.told == []
+
+
+def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
+    stage = a_stage("r0", factor=0.0, cost_ns=MILLISECOND)
+
+    stage.turn_for(2.0)
+
+    assert stage.world.steps == pytest.approx(2000, abs=2)
+    assert len(stage.outlet.on("snapshot")) == pytest.approx(60, abs=2)
+    assert len(stage.outlet.on("clock")) == pytest.approx(200, abs=4)
+
+
+def test_telemetry_tells_clock_and_where_everything_is_when_something_has_changed() -> None:
+    world = a_world("r0")
+    telemetry = WorldTelemetry(a_desk(world))
+    for i in range(5):
+        due(telemetry, SECOND + i * 100 * MILLISECOND)
+    nothing = due(telemetry, SECOND + 500 * MILLISECOND)
+
+    world.step()
+    between = due(telemetry, SECOND + 501 * MILLISECOND)
+    while not world.is_control_step:
+        world.step()
+
+    assert nothing == []
+    assert between == ["clock"]
+    assert due(telemetry, SECOND + 511 * MILLISECOND) == [
+        "clock",
+        "model_states",
+        "link_states",
+        "snapshot",
+    ]
+
+
+def test_clock_tells_time_step_and_epoch() -> None:
+    world = a_world()
+    world.reset(ResetScope.TIME)
+    for _ in range(240):
+        world.step()
+
+    clock = WorldTelemetry(a_desk(world)).message("clock")
+
+    assert clock == WorldClock(Time(1, 80), 240, 1)
+
+
+def test_stats_tell_how_the_loop_is_doing() -> None:
+    world, meter = a_world("r0", "r1"), LoopStats(0)
+    world.claim("a", ("r0",), "stop")
+    world.claims.dropped, world.claims.taken, meter.requests = 3, 4, 5
+    meter.note_step(simulated_ns=SECOND // 2, took_ns=2 * MILLISECOND, late_ns=MILLISECOND)
+    meter.slipped_ns = SECOND
+    meter.close_window(SECOND)
+
+    stats = WorldTelemetry(replace(a_desk(world), loop_stats=meter)).message("stats")
+
+    assert isinstance(stats, Stats)
+    assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
+    assert (stats.dropped, stats.commands, stats.requests) == (3, 4, 5)
+    assert (stats.real_time_factor, stats.slipped_s) == (0.5, 1.0)
+    assert (stats.step_time_s, stats.step_time_max_s, stats.late_max_s) == (0.002, 0.002, 0.001)
+
+
+@pytest.mark.parametrize("topic", ["stats", "snapshot"])
+def test_real_time_factor_is_zero_while_time_stands(topic: str) -> None:
+    world, meter = a_world(), LoopStats(0)
+    meter.real_time_factor = 1.0
+    world.pause()
+
+    message = WorldTelemetry(replace(a_desk(world), loop_stats=meter)).message(topic)
+
+    assert isinstance(message, (Stats, Snapshot))
+    assert message.real_time_factor == 0.0
+
+
+@given(
+    gaps_ns=st.lists(st.integers(0, 40 * MILLISECOND), min_size=1, max_size=300),
+    period_ns=st.sampled_from([SECOND // 100, SECOND // 30, SECOND // 2]),
+)
+def test_timer_is_never_due_more_often_than_its_rate(gaps_ns: list[int], period_ns: int) -> None:
+    timer, now_ns, moments = TopicTimer(period_ns), SECOND, []
+
+    for gap_ns in gaps_ns:
+        now_ns += gap_ns
+        if timer.is_due(now_ns):
+            moments.append(now_ns)
+
+    # The first may be early by half a period, so that late polls do not lower the rate.
+    span_ns = moments[-1] - moments[0] if moments else 0
+    assert len(moments) <= span_ns / period_ns + 2.0
+
+
+def test_timer_keeps_its_rate_when_it_is_asked_late() -> None:
+    timer = TopicTimer(10 * MILLISECOND)
+
+    dues = sum(timer.is_due(SECOND + i * 3 * MILLISECOND) for i in range(1000))
+
+    assert dues == pytest.approx(300, abs=2)

@@ -1,0 +1,228 @@
+"""What entities are, how much room they take, and where they are from elsewhere."""
+
+import math
+from itertools import product
+
+import msgspec
+import pytest
+
+from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck, an_arm, on_ground
+from tests.sim_server.fakes import a_birth, a_desk, a_world
+from tests.sim_server.orders import an_order, spawned
+from zensim.proto.messages import entity_messages
+from zensim.proto.messages.entity_messages import (
+    Bounds,
+    BoundsType,
+    Category,
+    EntityCategory,
+    EntityFilters,
+    EntityInfo,
+)
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.simulation_messages import ResetScope, ResetSimulationRequest
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Vector3
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.services.service_registry import handle_request
+
+HUMAN = EntityInfo(EntityCategory(Category.HUMAN), "walks about", ("slow", "tall"))
+
+
+def info_of(context: ServerContext, name: str) -> EntityInfo:
+    response = handle_request(context, entity_messages.GetEntityInfoRequest(name))
+    assert isinstance(response, entity_messages.GetEntityInfoResponse)
+    return response.info
+
+
+def bounds_of(context: ServerContext, name: str, kind: int = entity_messages.ANY_BOUNDS) -> Bounds:
+    response = handle_request(context, entity_messages.GetEntityBoundsOrder(name, kind))
+    assert isinstance(response, entity_messages.GetEntityBoundsResponse)
+    return response.bounds
+
+
+def corners(bounds: Bounds) -> list[tuple[float, float, float]]:
+    return [(point.x, point.y, point.z) for point in bounds.points]
+
+
+@pytest.mark.parametrize(
+    ("model", "category"),
+    [
+        (a_cart(), Category.ROBOT),
+        (a_puck(), Category.ROBOT),
+        (a_box(), Category.OBJECT),
+        (a_box(is_static=True), Category.STATIC_OBJECT),
+    ],
+)
+def test_info_follows_from_the_model_unless_somebody_says_it(
+    model: Model, category: Category
+) -> None:
+    world = a_world()
+    world.spawn(a_birth("e", model=model))
+
+    info = info_of(a_desk(world), "e")
+
+    assert info == EntityInfo(EntityCategory(category), model.name)
+
+
+def test_info_is_set_and_kept_through_a_reset_of_states() -> None:
+    desk = a_desk(a_world("r0"))
+
+    handle_request(desk, entity_messages.SetEntityInfoRequest("r0", HUMAN))
+    handle_request(desk, ResetSimulationRequest(ResetScope.STATE))
+
+    assert info_of(desk, "r0") == HUMAN
+
+
+def test_info_may_come_with_the_spawn() -> None:
+    desk = a_desk(a_world())
+
+    spawned(desk, SpawnEntityOrder("r", entity_resource=an_order().entity_resource, info=HUMAN))
+
+    assert info_of(desk, "r") == HUMAN
+
+
+def test_tags_are_kept_once_each() -> None:
+    desk = a_desk(a_world("r0"))
+
+    handle_request(
+        desk, entity_messages.SetEntityInfoRequest("r0", EntityInfo(tags=("a", "b", "a")))
+    )
+
+    assert info_of(desk, "r0").tags == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("info", "words"),
+    [
+        (EntityInfo(EntityCategory(3)), "category 3 is not known; use 0 .OBJECT., 1 .ROBOT."),
+        (EntityInfo(description="x" * 5000), "5000 characters is too long"),
+        (EntityInfo(tags=tuple(f"t{i}" for i in range(65))), "65 tags"),
+        (EntityInfo(tags=("",)), "use at most 64 of 1 to 128 characters"),
+        (EntityInfo(tags=("x" * 129,)), "use at most 64 of 1 to 128 characters"),
+    ],
+)
+def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -> None:
+    desk = a_desk(a_world("r0"))
+
+    with pytest.raises(SimError, match=words):
+        handle_request(desk, entity_messages.SetEntityInfoRequest("r0", info))
+
+    assert info_of(desk, "r0").category.category == Category.ROBOT
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        entity_messages.GetEntityInfoRequest("r9"),
+        entity_messages.SetEntityInfoRequest("r9", HUMAN),
+        entity_messages.GetEntityBoundsOrder("r9"),
+        entity_messages.GetEntityStateOrder("r9"),
+        entity_messages.GetEntityStateOrder("r0", "r9"),
+        entity_messages.GetEntitiesStatesOrder(EntityFilters(), "r9"),
+    ],
+)
+def test_what_does_not_exist_is_not_found(request_: msgspec.Struct) -> None:
+    with pytest.raises(SimError, match="does not exist") as error:
+        handle_request(a_desk(a_world("r0")), request_)
+
+    assert error.value.code == 2
+
+
+def test_box_is_of_the_collisions_in_the_frame_of_the_base_upper_corner_first() -> None:
+    world = a_world()
+    world.spawn(a_birth("e", model=a_puck(), base=on_ground(7.0, 8.0, 1.0)))
+
+    bounds = bounds_of(a_desk(world), "e")
+
+    assert bounds.type == BoundsType.BOX
+    upper, lower = corners(bounds)
+    assert upper == pytest.approx((0.2, 0.1, 0.1))
+    assert lower == pytest.approx((-0.1, -0.1, 0.0))
+
+
+def test_bounds_follow_the_joints() -> None:
+    desk = a_desk(a_world("r0"))
+    upper, lower = corners(bounds_of(desk, "r0"))
+
+    assert upper == pytest.approx((0.125, 0.15 + WHEEL_RADIUS_M, WHEEL_RADIUS_M))
+    assert lower[1] == pytest.approx(-0.15 - WHEEL_RADIUS_M)
+
+
+def test_hull_of_a_box_is_its_corners() -> None:
+    world = a_world()
+    world.spawn(a_birth("e", model=a_box(side_m=0.2), base=on_ground(7.0)))
+
+    hull = bounds_of(a_desk(world), "e", BoundsType.CONVEX_HULL)
+
+    assert hull.type == BoundsType.CONVEX_HULL
+    found = {tuple(round(part, 9) for part in corner) for corner in corners(hull)}
+    assert found == set(product((-0.1, 0.1), repeat=3))
+    assert len(hull.points) == 8
+
+
+def test_sphere_holds_the_box() -> None:
+    world = a_world()
+    world.spawn(a_birth("e", model=a_box(side_m=0.2)))
+
+    sphere = bounds_of(a_desk(world), "e", BoundsType.SPHERE)
+
+    assert sphere.points[0] == Vector3()
+    assert sphere.points[1].x == pytest.approx(0.1 * math.sqrt(3.0))
+
+
+def test_bounds_are_empty_where_nothing_collides() -> None:
+    world = a_world()
+    world.spawn(a_birth("e", model=an_arm("continuous")))
+
+    assert bounds_of(a_desk(world), "e") == Bounds()
+
+
+@pytest.mark.parametrize("kind", [0, 4, 200])
+def test_bounds_of_no_type_are_unsupported(kind: int) -> None:
+    with pytest.raises(SimError, match=r"cannot be asked for; use 1 \(box\)") as error:
+        bounds_of(a_desk(a_world("r0")), "r0", kind)
+
+    assert error.value.code == 0
+
+
+def test_state_is_told_in_the_frame_of_another_entity() -> None:
+    world = a_world("r0", "r1")
+    world.place("r1", on_ground(1.0, 2.0, math.pi / 2.0))
+
+    response = handle_request(a_desk(world), entity_messages.GetEntityStateOrder("r0", "r1"))
+
+    assert isinstance(response, entity_messages.GetEntityStateResponse)
+    assert response.state.header.frame_id == "r1"
+    place = response.state.pose.position
+    assert (place.x, place.y, place.z) == pytest.approx((-2.0, 1.0, 0.0))
+
+
+def test_states_of_all_that_pass_are_told_at_once() -> None:
+    desk = a_desk(a_world("r0", "r1", "x"))
+
+    response = handle_request(desk, entity_messages.GetEntitiesStatesOrder(EntityFilters("^r")))
+
+    assert isinstance(response, entity_messages.GetEntitiesStatesResponse)
+    assert response.entities == ("r0", "r1")
+    assert [state.pose.position for state in response.states] == [
+        Point(0.0, 0.0, WHEEL_RADIUS_M),
+        Point(1.0, 0.0, WHEEL_RADIUS_M),
+    ]
+
+
+def test_states_of_nobody_are_none() -> None:
+    response = handle_request(
+        a_desk(a_world("r0")), entity_messages.GetEntitiesStatesOrder(EntityFilters("x"))
+    )
+
+    assert response == entity_messages.GetEntitiesStatesResponse()
+
+
+def test_acceleration_cannot_be_set() -> None:
+    desk = a_desk(a_world("r0"))
+
+    with pytest.raises(SimError, match="acceleration cannot be set") as error:
+        handle_request(desk, entity_messages.SetEntityStateRequest("r0", set_acceleration=True))
+
+    assert error.value.code == 0

@@ -1,0 +1,385 @@
+"""Gazebo's own services: what they do, and how they refuse."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from tests.engines import STEP_NS
+from tests.models import a_body, a_box, a_state, an_arm
+from tests.sim_server.fakes import a_birth, a_desk, a_world, names_in
+from zensim.proto.messages import gazebo_messages
+from zensim.proto.messages.gazebo_messages import GazeboEntityState, JointType, ODEJointProperties
+from zensim.proto.messages.model_messages import Inertial
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import (
+    Duration,
+    Point,
+    Pose,
+    Quaternion,
+    Time,
+    Twist,
+    Vector3,
+    Wrench,
+)
+from zensim.proto.service_catalog import SERVICES
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.runtime.world_telemetry import make_link_states, make_model_states
+from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.services.service_registry import handle_request, make_refusal
+
+DT_S = STEP_NS * 1e-9
+HALF = math.sqrt(0.5)
+LEFT = (0.0, 0.0, math.pi / 2.0)
+"""A quarter turn."""
+FOR_EVER = Duration(-1)
+
+
+@pytest.fixture
+def desk() -> ServerContext:
+    """A box that looks along y, and an arm."""
+    world = a_world()
+    world.spawn(a_birth("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))
+    world.spawn(a_birth("arm", model=an_arm("revolute"), base=a_state((5.0, 0.0, 0.0))))
+    world.take_events()
+    return a_desk(world)
+
+
+def a_push(link: str = "box::base", **changes: object) -> gazebo_messages.ApplyLinkWrenchRequest:
+    force = Wrench(Vector3(2.0, 0.0, 0.0))
+    plain = gazebo_messages.ApplyLinkWrenchRequest(link, wrench=force, duration=FOR_EVER)
+    return msgspec.structs.replace(plain, **changes)
+
+
+def gained(context: ServerContext, request: gazebo_messages.ApplyLinkWrenchRequest) -> list[float]:
+    """Push for a step, and find by how much each velocity grew for each newton [m/s^2]."""
+    report = handle_request(context, request)
+    assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
+    assert report.success
+    before = context.world.state_of("box").copy()
+    context.world.step()
+    change: list[float] = ((context.world.state_of("box") - before)[7:] / DT_S).tolist()
+    return change
+
+
+def test_time_is_paused_and_played_however_often(context: ServerContext) -> None:
+    for request, state in (
+        (gazebo_messages.PausePhysicsRequest(), State.PAUSED),
+        (gazebo_messages.UnpausePhysicsRequest(), State.PLAYING),
+    ):
+        assert handle_request(context, request) == gazebo_messages.EmptyReport()
+        assert handle_request(context, request) == gazebo_messages.EmptyReport()
+        assert context.world.state == state
+
+
+def test_world_is_reset_without_its_time(context: ServerContext) -> None:
+    context.world.place("box", a_state((9.0, 9.0, 9.0)))
+    context.world.step()
+
+    handle_request(context, gazebo_messages.ResetWorldRequest())
+
+    assert context.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
+    assert (context.world.steps, names_in(context.world)) == (1, ["box", "arm"])
+
+
+def test_state_is_told_in_the_frame_of_another_entity(context: ServerContext) -> None:
+    context.world.place("box", a_state((1.0, 2.0, 0.5), turn=LEFT, linear=(1.0, 0.0, 0.0)))
+    context.world.place("arm", a_state((1.0, 3.0, 0.5), linear=(1.0, 1.0, 0.0)))
+
+    report = handle_request(context, gazebo_messages.GazeboGetEntityStateRequest("arm", "box"))
+
+    assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
+    assert report.success
+    assert (report.header.frame_id, report.state.reference_frame) == ("box", "box")
+    at, go = report.state.pose.position, report.state.twist.linear
+    assert (at.x, at.y, at.z) == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
+    assert (go.x, go.y, go.z) == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_state_of_a_link_is_told_in_the_world(context: ServerContext) -> None:
+    report = handle_request(context, gazebo_messages.GazeboGetEntityStateRequest("arm::arm"))
+
+    assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
+    states = make_link_states(context.world)
+    place = states.name.index("arm::arm")
+    assert (report.state.pose, report.state.twist) == (states.pose[place], states.twist[place])
+    assert report.header.frame_id == "world"
+
+
+def test_entity_is_put_beside_another(context: ServerContext) -> None:
+    pose = Pose(Point(1.0, 0.0, 0.0), Quaternion())
+    state = GazeboEntityState("arm", pose, Twist(Vector3(1.0)), "box")
+
+    assert handle_request(context, gazebo_messages.GazeboSetEntityStateRequest(state)) == (
+        gazebo_messages.GazeboSetEntityStateReport(success=True)
+    )
+
+    row = context.world.state_of("arm")
+    assert row[:3] == pytest.approx([1.0, 3.0, 0.5])
+    assert row[7:10] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
+
+
+def test_wrench_without_a_frame_acts_at_the_centre_of_mass_in_the_world(
+    context: ServerContext,
+) -> None:
+    assert gained(context, a_push())[:3] == pytest.approx([2.0, 0.0, 0.0])
+
+
+def test_wrench_is_turned_with_its_frame_and_keeps_its_direction(context: ServerContext) -> None:
+    assert gained(context, a_push(reference_frame="box"))[:3] == pytest.approx([0.0, 2.0, 0.0])
+    context.world.place("box", a_state((1.0, 2.0, 0.5)))
+    context.world.step()
+    context.world.step()
+    assert context.world.state_of("box")[8] == pytest.approx(4.0 * DT_S)
+
+
+def test_wrench_beside_the_centre_of_mass_turns_the_link(context: ServerContext) -> None:
+    moment = a_body().inertia[5]
+
+    change = gained(context, a_push(reference_point=Point(0.0, 0.5, 0.0)))
+
+    assert change[3:] == pytest.approx([0.0, 0.0, -1.0 / moment])
+
+
+def test_wrench_at_a_point_of_a_frame_turns_the_link_by_its_arm(context: ServerContext) -> None:
+    moment = a_body().inertia[5]
+    at_origin = a_push(reference_frame="box::base")
+
+    assert gained(context, at_origin)[3:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    context.world.pushes.forget_all()
+    aside = a_push(reference_frame="box::base", reference_point=Point(0.0, 0.5, 0.0))
+    assert gained(context, aside)[5] == pytest.approx(-1.0 / moment)
+
+
+def test_wrench_of_no_duration_does_nothing(context: ServerContext) -> None:
+    report = handle_request(context, a_push(duration=Duration()))
+
+    assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
+    assert (report.success, len(context.world.pushes)) == (True, 0)
+
+
+def test_wrench_begins_and_ends_in_simulation_time(context: ServerContext) -> None:
+    begin = Time(0, 10 * STEP_NS)
+    handle_request(context, a_push(start_time=begin, duration=Duration(0, 5 * STEP_NS)))
+
+    speeds = []
+    for _ in range(20):
+        context.world.step()
+        speeds.append(float(context.world.state_of("box")[7]))
+
+    assert speeds[9] == 0.0
+    assert speeds[-1] == speeds[14] == pytest.approx(10.0 * DT_S)
+
+
+def test_wrenches_are_cleared_by_link(context: ServerContext) -> None:
+    handle_request(context, a_push())
+
+    handle_request(context, gazebo_messages.ClearLinkWrenchesRequest("arm::arm"))
+    assert len(context.world.pushes) == 1
+    handle_request(context, gazebo_messages.ClearLinkWrenchesRequest("box::base"))
+    assert len(context.world.pushes) == 0
+
+
+def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(context: ServerContext) -> None:
+    for name in ("swing", "arm::swing"):
+        request = gazebo_messages.ApplyJointEffortRequest(name, 0.5, duration=FOR_EVER)
+        report = handle_request(context, request)
+        assert isinstance(report, gazebo_messages.ApplyJointEffortReport)
+        assert report.success
+        assert report.status_message.endswith("for ever of simulation time")
+    context.world.step()
+
+    assert context.world.reading().joint_velocities[0] == pytest.approx(DT_S)
+    handle_request(context, gazebo_messages.ClearJointEffortsRequest("swing"))
+    assert len(context.world.pushes) == 0
+
+
+def test_joint_is_changed_and_tells_so(context: ServerContext) -> None:
+    wanted = ODEJointProperties(damping=(0.3,), lo_stop=(-0.1,), hi_stop=(0.2,), fmax=(0.05,))
+    number = context.world.roster_number
+
+    handle_request(context, gazebo_messages.SetJointPropertiesRequest("swing", wanted))
+
+    report = handle_request(context, gazebo_messages.GetJointPropertiesRequest("arm::swing"))
+    assert report == gazebo_messages.GetJointPropertiesReport(
+        JointType.REVOLUTE,
+        damping=(0.3,),
+        position=(0.0,),
+        rate=(0.0,),
+        success=True,
+        lower=(-0.1,),
+        upper=(0.2,),
+        friction=(0.05,),
+    )
+    assert context.world.roster_number > number
+
+
+def test_entity_goes_on_where_it_was_when_it_is_changed(context: ServerContext) -> None:
+    context.world.claim("a", ("arm",), "stop")
+    context.world.place("arm", a_state((3.0, 0.0, 0.0), linear=(1.0, 0.0, 0.0)), np.array([0.3]))
+    before = context.world.state_of("arm").copy()
+
+    handle_request(
+        context,
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.3,))),
+    )
+
+    assert context.world.state_of("arm") == pytest.approx(before)
+    assert context.world.reading().joint_positions[-1] == pytest.approx(0.3)
+    assert context.world.claims.agent_of("arm") == "a"
+
+
+def test_link_is_weighed_and_weighed_anew(context: ServerContext) -> None:
+    found = handle_request(context, gazebo_messages.GetLinkPropertiesRequest("box::base"))
+    assert isinstance(found, gazebo_messages.GetLinkPropertiesReport)
+    assert (found.mass, found.izz, found.gravity_mode) == (1.0, 0.01, True)
+
+    com = Pose(Point(0.1, 0.0, 0.0), Quaternion(0.0, 0.0, HALF, HALF))
+    request = gazebo_messages.SetLinkPropertiesRequest(
+        "box::base", com, gravity_mode=False, mass=4.0, ixx=0.1, iyy=0.2, izz=0.25
+    )
+    handle_request(context, request)
+
+    again = handle_request(context, gazebo_messages.GetLinkPropertiesRequest("box::base"))
+    assert isinstance(again, gazebo_messages.GetLinkPropertiesReport)
+    assert (again.mass, again.gravity_mode, again.com.position.x) == (4.0, False, 0.1)
+    assert (again.ixx, again.iyy, again.izz) == pytest.approx((0.2, 0.1, 0.25))
+    link = context.world.entity("box").model.links[0]
+    assert link.weightless == link.inertial != Inertial()
+
+
+def test_topics_tell_every_entity_and_every_link(context: ServerContext) -> None:
+    models, links = make_model_states(context.world), make_link_states(context.world)
+
+    assert models.name == ("box", "arm")
+    assert links.name == ("box::base", "arm::post", "arm::arm")
+    assert models.pose[0] == links.pose[0]
+    assert models.pose[0].position == Point(1.0, 2.0, 0.5)
+    assert len(links.pose) == len(links.twist) == 3
+
+
+REFUSED = {
+    "push nobody": (a_push("nobody::link"), ResultCode.NOT_FOUND, "'nobody' does not exist"),
+    "push an entity": (a_push("box"), ResultCode.NOT_FOUND, "use 'box::base'"),
+    "push no link": (a_push("arm::leg"), ResultCode.NOT_FOUND, "use 'arm::post', 'arm::arm'"),
+    "push in no frame": (a_push(reference_frame="moon"), ResultCode.NOT_FOUND, "frame 'moon'"),
+    "push with no number": (
+        a_push(wrench=Wrench(Vector3(math.nan))),
+        ResultCode.OPERATION_FAILED,
+        "force nan is out of range",
+    ),
+    "push too hard": (
+        a_push(wrench=Wrench(torque=Vector3(1e9))),
+        ResultCode.OPERATION_FAILED,
+        r"torque 1e\+09 is out of range",
+    ),
+    "push far away": (
+        a_push(reference_point=Point(math.inf)),
+        ResultCode.OPERATION_FAILED,
+        "reference_point inf is out of range",
+    ),
+    "turn no joint": (
+        gazebo_messages.ApplyJointEffortRequest("knee", 1.0),
+        ResultCode.NOT_FOUND,
+        "no entity has a joint 'knee'",
+    ),
+    "turn no joint of one": (
+        gazebo_messages.ApplyJointEffortRequest("arm::knee", 1.0),
+        ResultCode.NOT_FOUND,
+        "use 'arm::swing'",
+    ),
+    "turn what has none": (
+        gazebo_messages.ClearJointEffortsRequest("box::knee"),
+        ResultCode.NOT_FOUND,
+        "entity 'box' has none",
+    ),
+    "turn by no number": (
+        gazebo_messages.ApplyJointEffortRequest("swing", math.inf),
+        ResultCode.OPERATION_FAILED,
+        "effort inf is out of range",
+    ),
+    "tell nobody's state": (
+        gazebo_messages.GazeboGetEntityStateRequest("nobody"),
+        ResultCode.NOT_FOUND,
+        "'nobody' does not exist",
+    ),
+    "tell no link's state": (
+        gazebo_messages.GazeboGetEntityStateRequest("arm::leg"),
+        ResultCode.NOT_FOUND,
+        "frame 'arm::leg' does not exist",
+    ),
+    "put a hanging link": (
+        gazebo_messages.GazeboSetEntityStateRequest(GazeboEntityState("arm::arm")),
+        ResultCode.OPERATION_FAILED,
+        "hangs on joints.*use 'arm'",
+    ),
+    "set ODE's solver": (
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(erp=(0.2,))),
+        ResultCode.FEATURE_UNSUPPORTED,
+        "erp of joint 'swing' is of ODE's solver",
+    ),
+    "damp two axes": (
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.2, 0.1))),
+        ResultCode.OPERATION_FAILED,
+        "damping has 2 numbers",
+    ),
+    "damp below zero": (
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(-1.0,))),
+        ResultCode.OPERATION_FAILED,
+        "damping -1 is negative",
+    ),
+    "cross the limits": (
+        gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(lo_stop=(2.0,))),
+        ResultCode.OPERATION_FAILED,
+        "lo_stop 2 of joint 'swing' is above hi_stop 0.5",
+    ),
+    "weigh nothing": (
+        gazebo_messages.SetLinkPropertiesRequest("box::base"),
+        ResultCode.OPERATION_FAILED,
+        "mass 0 is not positive",
+    ),
+    "weigh a moment below zero": (
+        gazebo_messages.SetLinkPropertiesRequest("box::base", mass=1.0, ixx=-1.0),
+        ResultCode.OPERATION_FAILED,
+        "a moment of inertia is negative",
+    ),
+}
+
+
+@pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
+def test_request_is_refused(
+    context: ServerContext, request_: msgspec.Struct, code: int, message: str
+) -> None:
+    before = context.world.reading().base.tobytes()
+
+    with pytest.raises(SimError, match=message) as refused:
+        handle_request(context, request_)
+
+    assert refused.value.code == code
+    assert context.world.reading().base.tobytes() == before
+    assert len(context.world.pushes) == 0
+
+
+def test_joint_that_several_entities_have_is_named_in_full(context: ServerContext) -> None:
+    context.world.spawn(a_birth("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
+
+    with pytest.raises(SimError, match="use 'arm::swing', 'other::swing'"):
+        handle_request(context, gazebo_messages.ApplyJointEffortRequest("swing", 1.0))
+
+
+GAZEBO = [
+    name
+    for name, one in SERVICES.items()
+    if one.request.__module__ == "zensim.proto.messages.gazebo_messages"
+]
+
+
+@pytest.mark.parametrize("name", GAZEBO)
+def test_refusal_says_so_in_gazebos_way_and_in_ours(name: str) -> None:
+    said = make_refusal(name, ResultCode.NOT_FOUND, "nobody is there")
+
+    assert said.result.result == ResultCode.NOT_FOUND  # type: ignore[attr-defined]
+    assert getattr(said, "success", False) is False
+    assert getattr(said, "status_message", "nobody is there") == "nobody is there"

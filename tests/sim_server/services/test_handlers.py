@@ -1,0 +1,280 @@
+"""Handlers: what each service does; all but spawning and refusals."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.models import WHEEL_RADIUS_M, on_ground
+from tests.proto.strategies import messages_of
+from tests.sim_server.fakes import a_command, a_desk, a_world, names_in, wheel_speeds
+from tests.sim_server.orders import an_order, spawned
+from zensim.proto.codec.message_codec import Format, encode, supports_format
+from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.simulation_messages import (
+    GetSimulationStateRequest,
+    GetSimulationStateResponse,
+    GetSimulatorFeaturesRequest,
+    GetSimulatorFeaturesResponse,
+    ResetScope,
+    ResetSimulationRequest,
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest
+from zensim.proto.messages.standard_messages import Header, Point, Pose, Time, Twist, Vector3
+from zensim.proto.service_catalog import SERVICES, Service
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.server_context import DeferredResponse
+from zensim.sim_server.services.service_registry import (
+    FEATURES,
+    HANDLERS,
+    handle_request,
+    make_refusal,
+)
+
+
+def state_at(
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    *,
+    linear: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    frame_id: str = "",
+) -> entity_messages.EntityState:
+    return entity_messages.EntityState(
+        Header(frame_id=frame_id), Pose(Point(*place)), Twist(Vector3(*linear))
+    )
+
+
+@pytest.mark.parametrize("service", SERVICES.values(), ids=SERVICES)
+def test_service_has_a_handler(service: Service[msgspec.Struct, msgspec.Struct]) -> None:
+    assert service.request in HANDLERS
+
+
+def test_handlers_are_of_services_only() -> None:
+    assert set(HANDLERS) == {service.request for service in SERVICES.values()}
+
+
+def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
+    response = handle_request(a_desk(a_world()), GetSimulatorFeaturesRequest())
+
+    assert isinstance(response, GetSimulatorFeaturesResponse)
+    assert set(response.features.features) == {int(feature) for feature in FEATURES}
+    assert response.features.spawn_formats == ("urdf", "sdf")
+    assert response.features.custom_info.startswith("zensim ")
+
+
+def test_delete_takes_an_entity_out() -> None:
+    desk = a_desk(a_world("r0", "r1"))
+
+    handle_request(desk, DeleteEntityRequest("r0"))
+
+    assert names_in(desk.world) == ["r1"]
+
+
+def test_get_entities_names_all_in_the_order_of_spawning() -> None:
+    response = handle_request(
+        a_desk(a_world("r2", "r0", "r1")), entity_messages.GetEntitiesRequest()
+    )
+
+    assert isinstance(response, entity_messages.GetEntitiesResponse)
+    assert response.entities == ("r2", "r0", "r1")
+
+
+def test_get_state_tells_pose_twist_and_time_in_the_world() -> None:
+    world = a_world("r0")
+    world.claim("a", ("r0",), "stop")
+    world.command("a", a_command(world, "a", 4.0, 4.0))
+    for _ in range(240):
+        world.step()
+
+    response = handle_request(a_desk(world), entity_messages.GetEntityStateOrder("r0"))
+
+    assert isinstance(response, entity_messages.GetEntityStateResponse)
+    assert response.state.header == Header(Time(1, 80), "world")
+    assert response.state.pose.position.x == pytest.approx(4.0 * WHEEL_RADIUS_M, abs=1e-3)
+    assert response.state.twist.linear.x == pytest.approx(4.0 * WHEEL_RADIUS_M)
+
+
+def test_set_state_of_version_1_sets_pose_and_twist() -> None:
+    desk = a_desk(a_world("r0"))
+    state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
+
+    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state))
+
+    row = desk.world.state_of("r0")
+    assert (row[0], row[2], row[7]) == (3.0, 0.5, 1.0)
+
+
+def test_set_state_sets_only_the_pose_when_only_that_is_asked_for() -> None:
+    desk = a_desk(a_world("r0"))
+    state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
+
+    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state, set_pose=True))
+
+    row = desk.world.state_of("r0")
+    assert (row[0], row[7]) == (3.0, 0.0)
+
+
+def test_set_state_sets_only_the_twist_when_only_that_is_asked_for() -> None:
+    desk = a_desk(a_world("r0"))
+    state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
+
+    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state, set_twist=True))
+
+    row = desk.world.state_of("r0")
+    assert (row[0], row[7]) == (0.0, 1.0)
+
+
+def test_set_state_takes_pose_and_twist_in_the_frame_of_another_entity() -> None:
+    world = a_world("r0", "r1")
+    world.place("r1", on_ground(5.0, 0.0, math.pi / 2.0))
+    state = state_at((1.0, 0.0, 0.0), linear=(2.0, 0.0, 0.0), frame_id="r1")
+
+    handle_request(a_desk(world), entity_messages.SetEntityStateRequest("r0", state))
+
+    row = world.state_of("r0")
+    assert row[:3] == pytest.approx([5.0, 1.0, WHEEL_RADIUS_M])
+    assert row[7:10] == pytest.approx([0.0, 2.0, 0.0])
+
+
+def test_set_state_does_not_change_where_a_reset_goes_back_to() -> None:
+    desk = a_desk(a_world("r0"))
+    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state_at((3.0, 0.0, 0.5))))
+
+    handle_request(desk, ResetSimulationRequest(ResetScope.STATE))
+
+    assert desk.world.state_of("r0") == pytest.approx(on_ground())
+
+
+def test_simulation_is_paused_and_played() -> None:
+    desk = a_desk(a_world())
+
+    handle_request(desk, SetSimulationStateRequest(SimulationState(State.PAUSED)))
+
+    response = handle_request(desk, GetSimulationStateRequest())
+    assert isinstance(response, GetSimulationStateResponse)
+    assert response.state.state == State.PAUSED
+    handle_request(desk, SetSimulationStateRequest(SimulationState(State.PLAYING)))
+    assert desk.world.state == State.PLAYING
+
+
+@pytest.mark.parametrize("scope", [0, 1, 2, 3, 4, 5, 6, 7, 255])
+def test_reset_takes_every_sum_of_known_bits(scope: int) -> None:
+    desk = a_desk(a_world("r0"))
+
+    handle_request(desk, ResetSimulationRequest(scope))
+
+    assert desk.world.epoch == 1
+    assert bool(names_in(desk.world)) == (scope in (1, 2, 3))
+
+
+def test_claim_tells_model_and_clock() -> None:
+    desk = a_desk(a_world("r0"))
+    desk.alive_agents.add("a")
+
+    response = handle_request(desk, agent_messages.ClaimEntityRequest("a", ("r0",)))
+
+    assert isinstance(response, agent_messages.ClaimEntityResponse)
+    assert [claim.entity for claim in response.grants] == ["r0"]
+    assert (response.step_ns, response.control_steps) == (desk.world.step_ns, 3)
+
+
+def test_claim_ends_as_it_was_asked_to() -> None:
+    desk = a_desk(a_world("r0"))
+    desk.alive_agents.add("a")
+
+    handle_request(desk, agent_messages.ClaimEntityRequest("a", ("r0",), "delete"))
+    desk.world.release("a")
+
+    assert names_in(desk.world) == []
+
+
+def test_models_are_told_once_for_all_that_share_them() -> None:
+    desk = a_desk(a_world("r0", "r1"))
+    spawned(desk, an_order("r2"))
+
+    response = handle_request(desk, telemetry_messages.GetModelsRequest())
+
+    assert isinstance(response, telemetry_messages.GetModelsResponse)
+    assert [(one.entity, one.model) for one in response.entities] == [
+        ("r0", 0),
+        ("r1", 0),
+        ("r2", 1),
+    ]
+    assert [model.name for model in response.models] == ["cart", "box_bot"]
+    assert response.roster == desk.world.roster_number
+
+
+def test_models_of_some_entities_are_told_when_they_are_named() -> None:
+    desk = a_desk(a_world("r0", "r1"))
+    desk.world.claim("a", ("r1",), "stop")
+
+    response = handle_request(desk, telemetry_messages.GetModelsRequest(("r1",)))
+
+    assert isinstance(response, telemetry_messages.GetModelsResponse)
+    (one,) = response.entities
+    assert (one.entity, one.namespace, one.model, one.agent) == ("r1", "r1", 0, "a")
+    assert one.initial_pose.position == Point(1.0, 0.0, WHEEL_RADIUS_M)
+
+
+def test_info_tells_who_is_there() -> None:
+    desk = a_desk(a_world("r0", "r1"), factor=2.0)
+    desk.world.claim("a", ("r0", "r1"), "stop")
+    desk.world.step()
+    desk.loop_stats.real_time_factor = 0.9
+
+    info = handle_request(desk, telemetry_messages.InfoRequest())
+
+    assert isinstance(info, telemetry_messages.Info)
+    assert (info.entities, info.agents, info.claimed) == (2, 1, 2)
+    assert (info.steps, info.state, info.seed) == (1, "playing", 7)
+    assert (info.real_time_factor, info.target_real_time_factor) == (0.9, 2.0)
+    assert (info.engine, info.world_model) == ("obedient", "empty")
+
+
+def test_info_tells_a_real_time_factor_of_zero_when_paused() -> None:
+    desk = a_desk(a_world())
+    desk.loop_stats.real_time_factor = 0.9
+    desk.world.pause()
+
+    info = handle_request(desk, telemetry_messages.InfoRequest())
+
+    assert isinstance(info, telemetry_messages.Info)
+    assert (info.real_time_factor, info.state) == (0.0, "paused")
+
+
+@pytest.mark.parametrize("name", [*SERVICES, "no_such_service"])
+def test_refusal_is_a_response_with_a_result(name: str) -> None:
+    response = make_refusal(name, ResultCode.OPERATION_FAILED, "given, wrong, works")
+
+    result = getattr(response, "result", None)
+    assert (result.result, result.error_message) == (4, "given, wrong, works")  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("service", SERVICES.values(), ids=SERVICES)
+@given(data=st.data())
+def test_service_answers_any_request_or_refuses_it(
+    service: Service[msgspec.Struct, msgspec.Struct], data: st.DataObject
+) -> None:
+    desk = a_desk(a_world("r0"))
+    desk.alive_agents.add("a")
+    request = data.draw(messages_of(service.request))
+
+    try:
+        response = handle_request(desk, request)
+        if isinstance(response, DeferredResponse):
+            while not response.is_ready():
+                desk.descriptions.poll()
+            response = response.outcome()
+    except SimError as error:
+        response = make_refusal(service.name, error.code, str(error))
+
+    for wanted in (one for one in Format if supports_format(type(response), one)):
+        assert encode(response, wanted)
+    assert np.isfinite(desk.world.reading().base).all()
+    assert np.isfinite(wheel_speeds(desk.world)).all()

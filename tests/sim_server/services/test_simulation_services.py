@@ -1,0 +1,335 @@
+"""Services of time: goals with progress, canceled, joined and fetched; runs to a time; speed."""
+
+from typing import TypeVar
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.engines import STEP_NS
+from tests.fakes import MemoryCall
+from tests.sim_server.fakes import Stage, a_stage, answer_of
+from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.simulation_messages import (
+    CancelStepsRequest,
+    CancelStepsResponse,
+    ResetScope,
+    RunToRequest,
+    RunToResponse,
+    SetSpeedRequest,
+    SetSpeedResponse,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    State,
+    StepSimulationRequest,
+    StepsProgress,
+)
+from zensim.proto.messages.standard_messages import Time, ns_from_time, time_from_ns
+from zensim.proto.messages.telemetry_messages import Info, InfoRequest
+from zensim.sim_server.services.simulation_services import MAX_GOALS, MAX_STEPS
+
+Answer = TypeVar("Answer", bound=msgspec.Struct)
+
+
+def a_paused_stage(*names: str) -> Stage:
+    stage = a_stage(*names)
+    stage.world.pause()
+    return stage
+
+
+def simulate(stage: Stage, steps: int, goal_id: str = "g") -> MemoryCall:
+    return stage.ask("simulate_steps", SimulateStepsRequest(steps, goal_id))
+
+
+def read(call: MemoryCall, kind: type[Answer]) -> Answer:
+    answer = answer_of(call, kind)
+    assert isinstance(answer, kind)
+    return answer
+
+
+def turn(stage: Stage, turns: int) -> None:
+    for _ in range(turns):
+        stage.loop.turn()
+
+
+def progress_in(stage: Stage) -> list[StepsProgress]:
+    told = stage.outlet.on("simulate_steps_feedback")
+    return [one for one in told if isinstance(one, StepsProgress)]
+
+
+def test_goal_is_answered_when_its_last_step_is_made() -> None:
+    stage = a_paused_stage()
+    call = simulate(stage, 5)
+
+    turn(stage, 5)
+
+    assert read(call, SimulateStepsResponse) == SimulateStepsResponse(
+        Result(), "g", "succeeded", 5, 0
+    )
+    assert stage.world.steps == 5
+
+
+def test_goal_tells_of_its_progress_first_and_of_its_end_before_the_answer() -> None:
+    stage = a_paused_stage()
+    simulate(stage, 5)
+
+    turn(stage, 1)
+    first = progress_in(stage)
+    turn(stage, 4)
+
+    assert first == [StepsProgress("g", 0, 5)]
+    assert progress_in(stage)[-1] == StepsProgress("g", 5, 0, "succeeded")
+
+
+def test_goal_that_is_canceled_says_how_far_it_came() -> None:
+    stage = a_paused_stage()
+    goal = simulate(stage, 100)
+    turn(stage, 7)
+
+    cancel = stage.ask("cancel_steps", CancelStepsRequest("g"))
+    turn(stage, 2)
+
+    answer = read(goal, SimulateStepsResponse)
+    assert (answer.status, answer.completed_steps, answer.remaining_steps) == ("canceled", 7, 93)
+    assert answer.result == Result(ResultCode.OPERATION_FAILED, "canceled after 7 of 100 steps")
+    assert read(cancel, CancelStepsResponse).goal_ids == ("g",)
+    assert stage.world.steps == 7
+
+
+def test_cancel_without_an_id_ends_requested_steps_of_every_kind() -> None:
+    stage = a_paused_stage()
+    stage.ask("step_simulation", StepSimulationRequest(100))
+    simulate(stage, 100)
+    turn(stage, 1)
+
+    cancel = stage.ask("cancel_steps", CancelStepsRequest())
+    turn(stage, 5)
+
+    assert read(cancel, CancelStepsResponse).goal_ids == ("", "g")
+    assert stage.world.steps == 1
+
+
+@pytest.mark.parametrize(
+    ("goal_id", "code"), [("other", ResultCode.NOT_FOUND), ("g", ResultCode.INCORRECT_STATE)]
+)
+def test_cancel_is_refused_for_a_goal_that_is_not_under_way(goal_id: str, code: int) -> None:
+    stage = a_paused_stage()
+    simulate(stage, 1)
+    turn(stage, 2)
+
+    call = stage.ask("cancel_steps", CancelStepsRequest(goal_id))
+    turn(stage, 1)
+
+    assert read(call, CancelStepsResponse).result.result == code
+
+
+def test_goal_that_is_asked_for_again_is_joined() -> None:
+    stage = a_paused_stage()
+    first = simulate(stage, 10)
+    turn(stage, 3)
+
+    second = simulate(stage, 10)
+    turn(stage, 7)
+
+    assert read(first, SimulateStepsResponse) == read(second, SimulateStepsResponse)
+    assert stage.world.steps == 10
+
+
+def test_result_of_a_goal_that_is_over_is_fetched_by_asking_again() -> None:
+    stage = a_paused_stage()
+    first = simulate(stage, 10)
+    turn(stage, 12)
+
+    second = simulate(stage, 10)
+    turn(stage, 1)
+
+    assert read(second, SimulateStepsResponse) == read(first, SimulateStepsResponse)
+    assert stage.world.steps == 10
+
+
+def test_goal_of_the_same_id_and_other_steps_is_refused() -> None:
+    stage = a_paused_stage()
+    simulate(stage, 10)
+    call = simulate(stage, 11)
+
+    turn(stage, 1)
+
+    result = read(call, SimulateStepsResponse).result
+    assert result.result == ResultCode.OPERATION_FAILED
+    assert "has 10 steps" in result.error_message
+
+
+@pytest.mark.parametrize("goal_id", ["x" * 65, "a\nb", "\0"])
+def test_goal_id_that_is_none_is_refused(goal_id: str) -> None:
+    stage = a_paused_stage()
+    call = simulate(stage, 1, goal_id)
+
+    turn(stage, 1)
+
+    assert read(call, SimulateStepsResponse).result.result == ResultCode.OPERATION_FAILED
+    assert stage.world.steps == 0
+
+
+@pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
+def test_goal_of_too_many_or_no_steps_is_refused(steps: int) -> None:
+    stage = a_paused_stage()
+    call = simulate(stage, steps)
+
+    turn(stage, 1)
+
+    assert read(call, SimulateStepsResponse).result.result == ResultCode.OPERATION_FAILED
+
+
+def test_goals_beyond_the_limit_are_refused() -> None:
+    stage = a_paused_stage()
+    calls = [simulate(stage, 10, f"g{i}") for i in range(MAX_GOALS + 1)]
+
+    turn(stage, 1)
+
+    assert [call.is_over for call in calls] == [False] * MAX_GOALS + [True]
+    assert read(calls[-1], SimulateStepsResponse).result.result == ResultCode.INCORRECT_STATE
+
+
+def test_goal_is_refused_while_time_runs() -> None:
+    stage = a_stage()
+    call = simulate(stage, 1)
+
+    turn(stage, 1)
+
+    assert read(call, SimulateStepsResponse).result.result == ResultCode.INCORRECT_STATE
+
+
+def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
+    stage = a_paused_stage()
+    call = simulate(stage, 100)
+    turn(stage, 3)
+
+    stage.world.state = State.STOPPED
+    turn(stage, 1)
+
+    answer = read(call, SimulateStepsResponse)
+    assert (answer.status, answer.completed_steps) == ("aborted", 3)
+    assert answer.result.error_message == "ended after 3 of 100 steps: the simulation is stopped"
+
+
+@pytest.mark.parametrize(
+    ("wanted_ns", "steps"),
+    [(0, 0), (1, 1), (STEP_NS, 1), (STEP_NS + 1, 2), (240 * STEP_NS, 240)],
+)
+def test_run_goes_to_the_first_step_at_or_after_a_time(wanted_ns: int, steps: int) -> None:
+    stage = a_paused_stage()
+    call = stage.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
+
+    turn(stage, max(1, steps))
+
+    answer = read(call, RunToResponse)
+    assert (answer.result, answer.completed_steps) == (Result(), steps)
+    assert ns_from_time(answer.time) == stage.world.time_ns == steps * STEP_NS
+
+
+@given(st.integers(0, 3 * 10**9), st.integers(0, 50))
+def test_run_reaches_any_time_and_makes_no_step_too_many(wanted_ns: int, before: int) -> None:
+    stage = a_paused_stage()
+    for _ in range(before):
+        stage.world.step()
+    call = stage.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
+
+    while not call.is_over:
+        stage.loop.turn()
+
+    is_past = wanted_ns < before * STEP_NS
+    code = ResultCode.OPERATION_FAILED if is_past else ResultCode.OK
+    assert read(call, RunToResponse).result.result == code
+    assert is_past or 0 <= stage.world.time_ns - wanted_ns < STEP_NS
+
+
+def test_run_to_a_time_that_is_past_is_refused() -> None:
+    stage = a_paused_stage()
+    for _ in range(240):
+        stage.world.step()
+    call = stage.ask("run_to", RunToRequest(Time(0, 500_000_000)))
+
+    turn(stage, 1)
+
+    result = read(call, RunToResponse).result
+    assert result.result == ResultCode.OPERATION_FAILED
+    assert result.error_message == "0.5 s is past: it is 1 s; reset to go back"
+
+
+def test_run_is_refused_while_other_steps_wait() -> None:
+    stage = a_paused_stage()
+    simulate(stage, 10)
+    call = stage.ask("run_to", RunToRequest(Time(1)))
+
+    turn(stage, 1)
+
+    assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
+
+
+def test_run_is_refused_while_time_runs() -> None:
+    stage = a_stage()
+    call = stage.ask("run_to", RunToRequest(Time(1)))
+
+    turn(stage, 1)
+
+    assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
+
+
+def test_run_ends_when_time_goes_back() -> None:
+    stage = a_paused_stage()
+    call = stage.ask("run_to", RunToRequest(Time(1)))
+    turn(stage, 5)
+
+    stage.world.reset(ResetScope.TIME)
+    turn(stage, 5)
+
+    result = read(call, RunToResponse).result
+    assert result.result == ResultCode.OPERATION_FAILED
+    assert "ended after 5 of 240 steps: the simulation was reset" in result.error_message
+    assert stage.world.steps == 0
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 1000.0])
+def test_speed_is_held_from_now_on(factor: float) -> None:
+    stage = a_stage(factor=0.02)
+    stage.turn_for(0.1)
+    before_ns = stage.world.time_ns
+    call = stage.ask("set_speed", SetSpeedRequest(factor))
+
+    seconds = 100.0 * STEP_NS * 1e-9 / factor
+    stage.turn_for(seconds)
+
+    assert read(call, SetSpeedResponse).result == Result()
+    made = (stage.world.time_ns - before_ns) / STEP_NS
+    assert made == pytest.approx(100, abs=4) or factor > 2.0
+
+
+def test_speed_of_zero_is_flat_out() -> None:
+    stage = a_stage(factor=1.0)
+    stage.ask("set_speed", SetSpeedRequest(0.0))
+
+    turn(stage, 50)
+
+    assert stage.world.steps >= 49
+
+
+def test_info_tells_the_speed_that_was_set() -> None:
+    stage = a_stage()
+    stage.ask("set_speed", SetSpeedRequest(4.0))
+    call = stage.ask("info", InfoRequest())
+
+    turn(stage, 1)
+
+    assert read(call, Info).target_real_time_factor == 4.0
+
+
+@pytest.mark.parametrize("factor", [-1.0, 0.009, 1001.0, float("inf"), float("nan")])
+def test_speed_out_of_range_is_refused(factor: float) -> None:
+    stage = a_stage()
+    call = stage.ask("set_speed", SetSpeedRequest(factor))
+
+    turn(stage, 1)
+
+    assert read(call, SetSpeedResponse).result.result == ResultCode.OPERATION_FAILED
+    assert stage.context.target_real_time_factor == 1.0

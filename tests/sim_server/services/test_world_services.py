@@ -1,0 +1,385 @@
+"""Loading, unloading and listing of worlds, with every refusal that there is."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events, names_in
+from tests.sim_server.orders import an_order
+from zensim.proto.messages import entity_messages, world_messages
+from zensim.proto.messages.entity_messages import TagsFilter
+from zensim.proto.messages.result_messages import (
+    GetAvailableWorldsCode,
+    GetCurrentWorldCode,
+    LoadWorldCode,
+    ResultCode,
+    UnloadWorldCode,
+)
+from zensim.proto.messages.simulation_messages import (
+    ResetSimulationRequest,
+    State,
+    StepSimulationRequest,
+)
+from zensim.proto.messages.spawn_messages import Resource
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.errors import SimError
+from zensim.sim_server.server_context import BuiltWorld, DeferredResponse, ServerContext
+from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.services.world_services import WORLD_BUILD_SLICE_NS
+from zensim.sim_server.worlds.atlas import FILES_A_TURN, Atlas, described
+
+GROUND = "<include><uri>model://ground_plane</uri></include>"
+CRATE = (
+    "<model name='crate'><link name='box'><inertial><mass>1</mass><inertia><ixx>0.1</ixx>"
+    "<iyy>0.1</iyy><izz>0.1</izz></inertia></inertial>{}</link></model>"
+)
+MESH = "<collision name='c'><geometry><mesh><uri>{}</uri></mesh></geometry></collision>"
+
+
+def sdf(inside: str = "", name: str = "w") -> str:
+    return f"<sdf version='1.6'><world name='{name}'>{GROUND}{inside}</world></sdf>"
+
+
+def loading(uri: str = "", text: str = "", **wishes: bool) -> world_messages.LoadWorldRequest:
+    return world_messages.LoadWorldRequest(Resource(uri, text), **wishes)
+
+
+def loaded(
+    context: ServerContext, request: world_messages.LoadWorldRequest
+) -> world_messages.LoadWorldReport:
+    later = handle_request(context, request)
+    assert isinstance(later, DeferredResponse)
+    while not later.is_ready():
+        context.descriptions.poll()
+    report = later.outcome()
+    assert isinstance(report, world_messages.LoadWorldReport)
+    return report
+
+
+def listed(context: ServerContext, request: world_messages.GetAvailableWorldsRequest) -> list[str]:
+    return [world.world_resource.uri for world in available(context, request)]
+
+
+def available(
+    context: ServerContext, request: world_messages.GetAvailableWorldsRequest
+) -> tuple[world_messages.WorldResource, ...]:
+    later = handle_request(context, request)
+    assert isinstance(later, DeferredResponse)
+    while not later.is_ready():
+        pass
+    response = later.outcome()
+    assert isinstance(response, world_messages.GetAvailableWorldsResponse)
+    return response.worlds
+
+
+@pytest.fixture
+def desk() -> ServerContext:
+    return a_desk(a_world("r0", "r1"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, context: ServerContext) -> Path:
+    (tmp_path / "outside.world").write_text(sdf())
+    folder = tmp_path / "given"
+    folder.mkdir()
+    context.world_catalog = Atlas([folder])
+    return folder
+
+
+def test_world_takes_the_place_of_another(context: ServerContext) -> None:
+    context.world.step()
+    context.world.claim("a", ("r0",), "stop")
+    context.world.take_events()
+
+    report = loaded(context, loading("walls"))
+
+    assert (report.world.name, report.world.world_resource.uri) == ("walls", "walls")
+    assert names_in(context.world) == ["outer_walls", "inner_walls"]
+    assert (context.world.state, context.world.steps, context.world.epoch) == (State.STOPPED, 0, 1)
+    assert len(context.world.claims) == 0
+    assert (context.world_model, context.source.name) == ("walls", "walls")
+    kinds = kinds_of_events(context.world)
+    assert kinds == ["loading", "deleted", "deleted", "loaded", "spawned", "spawned"]
+
+
+def test_world_stands_while_another_is_read(context: ServerContext) -> None:
+    handle_request(context, loading("walls"))
+
+    assert context.world.state == State.LOADING_WORLD
+    assert names_in(context.world) == ["r0", "r1"]
+    for request in (an_order("r9"), loading("empty"), world_messages.UnloadWorldRequest()):
+        with pytest.raises(SimError) as refused:
+            handle_request(context, request)
+        assert refused.value.code == ResultCode.INCORRECT_STATE
+
+
+def test_world_is_made_over_some_turns_and_is_there_at_once() -> None:
+    wall = WallTime()
+    desk = a_desk(a_world("r0"), wall)
+    made = desk.world_factory
+
+    def slowly(model: WorldModel) -> Iterator[BuiltWorld | None]:
+        for part in made(model):
+            wall.ns += WORLD_BUILD_SLICE_NS
+            yield part
+
+    desk.world_factory = slowly
+    later = handle_request(desk, loading("walls"))
+    assert isinstance(later, DeferredResponse)
+    seen = []
+    while not later.is_ready():
+        desk.descriptions.poll()
+        seen.append(names_in(desk.world))
+    later.outcome()
+
+    assert len(seen) > 1
+    assert all(names == ["r0"] for names in seen)
+    assert names_in(desk.world) == ["outer_walls", "inner_walls"]
+
+
+def test_world_keeps_its_own_pace() -> None:
+    desk = a_desk(a_world())
+    pace = "<physics type='ode'><max_step_size>0.002</max_step_size>"
+    pace += "<real_time_factor>0.5</real_time_factor></physics>"
+
+    loaded(desk, loading(text=sdf(pace)))
+
+    assert (desk.world.step_ns, desk.target_real_time_factor) == (2_000_000, 0.5)
+    assert desk.world.control_steps == 5
+
+
+@pytest.mark.parametrize("state", [State.PLAYING, State.PAUSED, State.STOPPED, State.NO_WORLD])
+def test_world_stays_as_it_was_when_another_cannot_be_loaded(
+    context: ServerContext, state: State
+) -> None:
+    context.world.step()
+    context.world.state = state
+    before = (context.world.steps, context.world.epoch, names_in(context.world))
+
+    with pytest.raises(SimError, match=r"xml\.syntax"):
+        loaded(context, loading(text="<sdf"))
+
+    assert context.world.state == state
+    assert (context.world.steps, context.world.epoch, names_in(context.world)) == before
+
+
+REFUSED = {
+    "nothing": (loading(), LoadWorldCode.NO_RESOURCE, "world_resource is empty"),
+    "a name that is none": (loading("moon"), ResultCode.NOT_FOUND, "no world 'moon'"),
+    "any file": (loading("/etc/passwd"), ResultCode.NOT_FOUND, "no world '/etc/passwd'"),
+    "a file by URI": (loading("file:///etc/hosts"), ResultCode.NOT_FOUND, "no world 'file:"),
+    "a file above": (loading("../outside.world"), ResultCode.NOT_FOUND, "no world '../out"),
+    "a file by a link": (loading("link.world"), ResultCode.NOT_FOUND, "no world 'link.w"),
+    "no SDF": (loading("notes.txt"), LoadWorldCode.UNSUPPORTED_FORMAT, "ends in '.txt'"),
+    "a robot": (loading(text="<robot name='r'/>"), LoadWorldCode.UNSUPPORTED_FORMAT, "sdf.root"),
+    "a model": (
+        loading(text="<sdf version='1.6'><model name='m'/></sdf>"),
+        LoadWorldCode.UNSUPPORTED_FORMAT,
+        "sdf.world: .*holds <model>",
+    ),
+    "no text": (loading("noise.sdf"), LoadWorldCode.RESOURCE_PARSE_ERROR, "cannot be read as text"),
+    "a missing model": (
+        loading(text=sdf("<include><uri>model://tree</uri></include>")),
+        LoadWorldCode.MISSING_ASSETS,
+        "sdf.include: it includes 'model://tree'",
+    ),
+    "a missing mesh": (
+        loading(text=sdf(CRATE.format(MESH.format("model://a/a.stl")))),
+        LoadWorldCode.MISSING_ASSETS,
+        "world.missing: 1 missing: .*'model://a/a.stl' is not on the server",
+    ),
+    "an unusable mesh": (
+        loading(text=sdf(CRATE.format(MESH.format("bad.stl")))),
+        LoadWorldCode.UNSUPPORTED_ASSETS,
+        "world.unusable: 1 unusable: mesh: mesh",
+    ),
+    "a gravity that tears all apart": (
+        loading(text=sdf("<gravity>0 0 1e300</gravity>")),
+        LoadWorldCode.RESOURCE_PARSE_ERROR,
+        r"sdf\.gravity: gravity 0 0 1e\+300 is out of range",
+    ),
+    "a strange element": (
+        loading(text=sdf("<wind/>"), fail_on_unsupported_element=True),
+        LoadWorldCode.UNSUPPORTED_ELEMENTS,
+        "world.unsupported: 1 unsupported: world: <wind>",
+    ),
+}
+
+
+@pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
+def test_world_is_refused(
+    context: ServerContext,
+    folder: Path,
+    request_: world_messages.LoadWorldRequest,
+    code: int,
+    message: str,
+) -> None:
+    (folder / "notes.txt").write_text(sdf())
+    (folder / "noise.sdf").write_bytes(b"\xff\xfe\xff")
+    (folder / "bad.stl").write_bytes(b"no mesh")
+    (folder / "link.world").symlink_to(folder.parent / "outside.world")
+
+    with pytest.raises(SimError, match=message) as refused:
+        loaded(context, request_)
+
+    assert refused.value.code == code
+    assert names_in(context.world) == ["r0", "r1"]
+
+
+def test_world_does_without_what_may_be_missing(context: ServerContext, folder: Path) -> None:
+    (folder / "bad.stl").write_bytes(b"no mesh")
+    lacking = sdf(
+        "<include><uri>model://tree</uri></include>"
+        + CRATE.format(MESH.format("bad.stl"))
+        + CRATE.format(MESH.format("model://a/a.stl")).replace("'crate'", "'other'")
+    )
+
+    report = loaded(context, loading(text=lacking, ignore_missing_or_unsupported_assets=True))
+
+    assert names_in(context.world) == ["other"]
+    reasons = " ".join(f"{entry.subject}: {entry.reason}" for entry in report.report)
+    assert "include 'model://tree': left out: it is not here" in reasons
+    assert "model 'crate': left out" in reasons
+
+
+def test_world_includes_what_lies_in_the_operators_folders(
+    context: ServerContext, folder: Path
+) -> None:
+    inner = "<include><uri>model://inner</uri></include><joint name='j' type='fixed'>"
+    inner += "<parent>box</parent><child>crate::box</child></joint>"
+    for name, inside in (("outer", inner), ("inner", "")):
+        (folder / name).mkdir()
+        text = f"<sdf version='1.6'>{CRATE.format('').replace('</model>', inside + '</model>')}"
+        (folder / name / "model.sdf").write_text(text + "</sdf>")
+    (folder / "yard.world").write_text(
+        sdf("<include><uri>model://outer</uri><name>big</name></include>", "yard")
+    )
+
+    report = loaded(context, loading("yard"))
+
+    assert report.world.name == "yard"
+    assert names_in(context.world) == ["big"]
+    assert context.world.entity("big").model.mass_kg == 2.0
+
+
+def test_world_is_unloaded_with_everything_in_it(context: ServerContext) -> None:
+    handle_request(context, world_messages.UnloadWorldRequest())
+
+    assert (context.world.state, names_in(context.world)) == (State.NO_WORLD, [])
+    for request, code in (
+        (world_messages.UnloadWorldRequest(), UnloadWorldCode.NO_WORLD_LOADED),
+        (world_messages.GetCurrentWorldRequest(), GetCurrentWorldCode.NO_WORLD_LOADED),
+        (an_order("r9"), ResultCode.INCORRECT_STATE),
+        (StepSimulationRequest(1), ResultCode.INCORRECT_STATE),
+        (ResetSimulationRequest(), ResultCode.INCORRECT_STATE),
+    ):
+        with pytest.raises(SimError) as refused:
+            handle_request(context, request)
+        assert refused.value.code == code
+    assert (
+        handle_request(context, entity_messages.GetEntitiesRequest())
+        == entity_messages.GetEntitiesResponse()
+    )
+
+    loaded(context, loading("empty"))
+
+    assert context.world.state == State.STOPPED
+
+
+def test_current_world_is_told_as_it_is_asked_for(context: ServerContext) -> None:
+    text = sdf("<zensim:tags> a b </zensim:tags>", "yard")
+    loaded(context, loading(text=text))
+
+    response = handle_request(context, world_messages.GetCurrentWorldRequest())
+
+    assert isinstance(response, world_messages.GetCurrentWorldResponse)
+    assert response.world == world_messages.WorldResource(
+        "yard", Resource("", text), "", ("a", "b")
+    )
+
+
+def test_worlds_are_listed_by_folder_and_tag(context: ServerContext, folder: Path) -> None:
+    (folder / "deep").mkdir()
+    (folder / "deep" / "a.world").write_text(sdf("<zensim:tags>indoor cold</zensim:tags>"))
+    (folder / "b.sdf").write_text(sdf("<zensim:tags>cold</zensim:tags>"))
+    (folder / "model.sdf").write_text("<sdf version='1.6'><model name='m'/></sdf>")
+    (folder / "link.world").symlink_to(folder.parent / "outside.world")
+    ask = world_messages.GetAvailableWorldsRequest
+
+    assert listed(context, ask()) == ["empty", "walls", "warehouse", "b.sdf", "deep/a.world"]
+    assert listed(context, ask(filter=TagsFilter(("cold", "no")))) == ["b.sdf", "deep/a.world"]
+    assert listed(context, ask(filter=TagsFilter(("cold", "indoor"), 1))) == ["deep/a.world"]
+    assert "deep/a.world" in listed(context, ask(additional_sources=("deep",)))
+
+
+def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(
+    context: ServerContext,
+) -> None:
+    found = available(context, world_messages.GetAvailableWorldsRequest())
+
+    empty = next(world for world in found if world.world_resource.uri == "empty")
+    assert (empty.description, empty.tags) == (
+        "Flat ground and nothing on it.",
+        ("outdoor", "small"),
+    )
+    nameless = sdf("<frame name='f'><zensim:tags>parking</zensim:tags></frame>")
+    assert loaded(context, loading(text=nameless)).world.tags == ()
+
+
+def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
+    # Seconds, were each of the frames to look for an end of its own.
+    text = "<world name='w'><zensim:tags>a, b</zensim:tags>" + "<frame>" * 10_000
+
+    assert described(Resource(), text).tags == ("a", "b")
+
+
+def test_many_files_are_looked_at_a_few_at_a_turn(context: ServerContext, folder: Path) -> None:
+    for number in range(3 * FILES_A_TURN):
+        (folder / f"{number:03}.world").write_text(sdf())
+    later = handle_request(context, world_messages.GetAvailableWorldsRequest())
+    assert isinstance(later, DeferredResponse)
+
+    turns = 1
+    while not later.is_ready():
+        turns += 1
+
+    assert turns > 3
+    assert len(later.outcome().worlds) == 3 + 3 * FILES_A_TURN  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])
+def test_source_outside_the_operators_folders_is_not_looked_into(
+    context: ServerContext, folder: Path, source: str
+) -> None:
+    with pytest.raises(SimError, match="is no folder below those of --model-path") as refused:
+        listed(context, world_messages.GetAvailableWorldsRequest(additional_sources=(source,)))
+
+    assert refused.value.code == ResultCode.NOT_FOUND
+    lenient = world_messages.GetAvailableWorldsRequest(
+        additional_sources=(source,), continue_on_error=True
+    )
+    assert listed(context, lenient) == ["empty", "walls", "warehouse"]
+    assert folder.is_dir()
+
+
+def test_online_source_is_passed_over_when_only_offline_ones_are_wanted(
+    context: ServerContext,
+) -> None:
+    request = world_messages.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
+
+    assert listed(context, request) == ["empty", "walls", "warehouse"]
+
+
+def test_worlds_are_not_listed_when_an_operators_folder_has_gone(
+    context: ServerContext, folder: Path
+) -> None:
+    folder.rmdir()
+
+    with pytest.raises(SimError, match="cannot be looked into") as refused:
+        listed(context, world_messages.GetAvailableWorldsRequest())
+
+    assert refused.value.code == GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED
+    assert (
+        len(listed(context, world_messages.GetAvailableWorldsRequest(continue_on_error=True))) == 3
+    )

@@ -1,0 +1,119 @@
+"""Configuration: what a server can start with."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
+from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.sim_server.pacing.lockstep import LockstepSettings
+from zensim.sim_server.server_config import (
+    CONTROL_HZ,
+    ConfigError,
+    ServerConfig,
+    fill_pace,
+    make_server_bus_config,
+    validate_config,
+)
+
+DEFAULTS = ServerConfig(bus=BusConfig())
+
+
+def test_config_defaults_can_be_started_with() -> None:
+    assert validate_config(DEFAULTS) == DEFAULTS
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"world": "my world"}, "world 'my world' is not valid; use a letter"),
+        ({"world": ""}, "world '' is not valid; use a letter"),
+        ({"step_hz": 0.0}, "--step-hz 0 is out of range; use 1 to 10000"),
+        ({"step_hz": -240.0}, "--step-hz -240 is out of range"),
+        ({"step_hz": 1e6}, r"--step-hz 1e\+06 is out of range"),
+        ({"step_hz": float("nan")}, "--step-hz nan is out of range"),
+        ({"control_hz": 0.0}, "--control-hz 0 is out of range; use 1 to 10000"),
+        ({"control_hz": float("nan")}, "--control-hz nan is out of range"),
+        ({"real_time_factor": -1.0}, r"--rtf -1 is out of range; use 0 \(flat out\) or up to 1000"),
+        ({"real_time_factor": float("inf")}, "--rtf inf is out of range"),
+        ({"real_time_factor": float("nan")}, "--rtf nan is out of range"),
+        ({"lockstep": LockstepSettings(timeout_s=0.0)}, "--lockstep-timeout 0 is out of range"),
+        ({"lockstep": LockstepSettings(timeout_s=float("nan"))}, "--lockstep-timeout nan is out"),
+        ({"seed": -1}, "--seed -1 is negative; use 0 or more"),
+    ],
+    ids=str,
+)
+def test_config_is_refused_with_what_would_work(changes: dict[str, object], message: str) -> None:
+    config = replace(DEFAULTS, **changes)
+
+    with pytest.raises(ConfigError, match=message):
+        validate_config(config)
+
+
+@pytest.mark.parametrize(
+    ("step_hz", "step_ns", "control_steps"),
+    [
+        (1.0, 1_000_000_000, 1),
+        (60.0, 16_666_667, 1),
+        (100.0, 10_000_000, 1),
+        (101.0, 9_900_990, 2),
+        (240.0, 4_166_667, 3),
+        (1000.0, 1_000_000, 10),
+        (10_000.0, 100_000, 100),
+    ],
+)
+def test_config_tells_step_and_control_period(
+    step_hz: float, step_ns: int, control_steps: int
+) -> None:
+    config = replace(DEFAULTS, step_hz=step_hz)
+
+    assert (config.step_ns, config.control_steps) == (step_ns, control_steps)
+
+
+@pytest.mark.parametrize(("control_hz", "steps"), [(50.0, 5), (240.0, 1), (1000.0, 1), (10.0, 24)])
+def test_agents_are_told_as_often_as_is_asked_for(control_hz: float, steps: int) -> None:
+    assert replace(DEFAULTS, step_hz=240.0, control_hz=control_hz).control_steps == steps
+
+
+@given(st.floats(1.0, 10_000.0))
+def test_agents_are_told_at_most_at_the_control_rate(step_hz: float) -> None:
+    config = replace(DEFAULTS, step_hz=step_hz)
+
+    assert config.control_steps >= 1
+    assert NANOSECONDS / config.step_ns / config.control_steps <= CONTROL_HZ * (1 + 1e-6)
+
+
+def test_server_is_a_router_at_the_default_endpoint_unless_told() -> None:
+    assert make_server_bus_config("", "") == BusConfig(mode="router", listen=(DEFAULT_ENDPOINT,))
+
+
+def test_server_is_a_router_where_it_is_told_to_listen() -> None:
+    assert make_server_bus_config("tcp/0.0.0.0:1", "") == BusConfig(
+        mode="router", listen=("tcp/0.0.0.0:1",)
+    )
+
+
+def test_server_is_a_client_when_it_is_told_to_connect() -> None:
+    assert make_server_bus_config("", "tcp/h:1") == BusConfig(mode="client", connect=("tcp/h:1",))
+
+
+@pytest.mark.parametrize(
+    ("asked", "written", "expected"),
+    [
+        ((None, None), (None, None), (240.0, 1.0)),
+        ((None, None), (0.001, 0.5), (1000.0, 0.5)),
+        ((None, None), (None, 0.0), (240.0, 0.0)),
+        ((100.0, 0.0), (0.001, 0.5), (100.0, 0.0)),
+    ],
+)
+def test_pace_is_that_asked_for_else_that_of_the_world_file_else_the_usual(
+    asked: tuple[float | None, float | None],
+    written: tuple[float | None, float | None],
+    expected: tuple[float, float],
+) -> None:
+    config = replace(DEFAULTS, step_hz=asked[0], real_time_factor=asked[1])
+
+    found = fill_pace(config, step_s=written[0], real_time_factor=written[1])
+
+    assert (found.step_hz, found.real_time_factor) == expected
