@@ -15,7 +15,7 @@ from zensim.proto.cli_options import RosOptions, options_from
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.stop_signal import StopFlag
-from zensim.sim_server.journal.ledger import JournalError
+from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
     Clustering,

@@ -1,5 +1,7 @@
 """Composition root: connect the bus, the world, the journal and the loop of one server process."""
 
+from __future__ import annotations
+
 import gc
 import logging
 import time
@@ -7,6 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy.ma  # noqa: F401  # numpy would look for it in the loop, in the first np.unique: 60 ms
@@ -17,32 +20,91 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
-from zensim.sim_server.journal.opening import Journal, open_journal
-from zensim.sim_server.loading.beginning import begin
-from zensim.sim_server.loading.founding import founding
-from zensim.sim_server.loading.world_files import LoadedWorld, furnish
+from zensim.sim_server.journal.server_journal import Journal, open_journal
+from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.description_cache import DescriptionCache
+from zensim.sim_server.parser_process.parser_client import ParserClient
 from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
-from zensim.sim_server.reading.assets import AssetStore
-from zensim.sim_server.reading.descriptions import ReadElsewhere
-from zensim.sim_server.reading.reader import Reader
 from zensim.sim_server.ros2_node.server_node import start_server_node
 from zensim.sim_server.runtime.inbox import BusInbox
 from zensim.sim_server.runtime.linux_scheduling import request_short_time_slice
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
-from zensim.sim_server.server_config import ServerConfig, WorldAlreadyServed, validate_config
+from zensim.sim_server.server_config import (
+    ServerConfig,
+    WorldAlreadyServed,
+    fill_pace,
+    validate_config,
+)
 from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.world.world import World
-from zensim.sim_server.worlds.atlas import Atlas, start_file
+from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world_loading.world_catalog import WorldCatalog, find_start_file
+from zensim.sim_server.world_loading.world_loader import (
+    LoadedWorld,
+    WorldLoaderRequest,
+    list_warnings,
+    load_world_in_process,
+    make_world_factory,
+    spawn_models,
+)
+
+if TYPE_CHECKING:
+    from zensim.sim_server.journal.journal_contents import JournalContents
+
+LOG = logging.getLogger(__name__)
+STEP_HZ_TOLERANCE = 1e-6
+
+
+def load_initial_world(
+    config: ServerConfig, journal: Journal | None
+) -> tuple[LoadedWorld, ServerConfig]:
+    """Find the world to begin with, and fill in what was not asked for.
+
+    Raises:
+        ConfigError: There is no such world, or it cannot be read.
+        JournalError: The journal is of another world than was asked for.
+    """
+    if journal is not None and journal.contents is not None:
+        return LoadedWorld(journal.contents.world.source), _resume_config(config, journal.contents)
+    order = WorldLoaderRequest(config.world_file, config.model_paths, config.is_strict)
+    loaded = load_world_in_process(order)
+    for fault in list_warnings(loaded.model.report):
+        LOG.warning("world=%s %s", config.world_file, fault)
+    pace = loaded.model.pace
+    return loaded, fill_pace(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
+
+
+def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerConfig:
+    world, factor = contents.world, config.real_time_factor
+    if config.world != world.name:
+        raise JournalError(
+            f"{config.journal} is the journal of world '{world.name}'; "
+            f"use --world-name {world.name}, or another folder"
+        )
+    if (
+        config.step_hz is not None
+        and abs(config.step_hz - world.step_hz) > STEP_HZ_TOLERANCE * world.step_hz
+    ):
+        raise JournalError(
+            f"{config.journal} counts steps of {world.step_hz:g} Hz, not {config.step_hz:g}; "
+            "leave --step-hz out, or use another folder"
+        )
+    return msgspec.structs.replace(
+        config,
+        step_hz=world.step_hz,
+        real_time_factor=contents.clock.real_time_factor if factor is None else factor,
+        seed=world.seed,
+    )
+
 
 INFO_TIMEOUT_S = 2.0
 PARSER_START_TIMEOUT_S, PARSER_POLL_S = 30.0, 0.005
-LOG = logging.getLogger(__name__)
 
 
 class HostClock:
@@ -79,9 +141,9 @@ def run_server(
         journal = open_journal(config.journal) if config.journal else None
         if journal is not None:
             ending.callback(journal.close)
-        loaded, config = begin(config, journal)
+        loaded, config = load_initial_world(config, journal)
         if journal is not None:
-            journal.leave_out_deadly(
+            journal.exclude_crashing(
                 partial(_make_engine, config, loaded.model, str(journal.files))
             )
         bus = ending.enter_context(open_bus_with_retry(config.bus, config.wait_s))
@@ -120,7 +182,7 @@ def _run(
     with ExitStack() as ending:
         store = AssetStore()
         ending.callback(store.close)
-        reader = Reader(store, clock.now_ns)
+        reader = ParserClient(store, clock.now_ns)
         ending.callback(reader.close)
         world = _make_world(config, loaded, store, journal)
         ending.callback(world.close)
@@ -142,14 +204,14 @@ def _run(
 
 
 def _make_context(
-    config: ServerConfig, loaded: LoadedWorld, world: World, reader: Reader, store: AssetStore
+    config: ServerConfig, loaded: LoadedWorld, world: World, reader: ParserClient, store: AssetStore
 ) -> ServerContext:
     now_ns = HostClock().now_ns
     desk = ServerContext(
         world,
         LoopStats(now_ns()),
         now_ns,
-        ReadElsewhere(reader, store, world.prepare, now_ns),
+        DescriptionCache(reader, store, world.prepare, now_ns),
         store,
         loaded.model.name,
         config.real_time_factor or 0.0,
@@ -157,9 +219,11 @@ def _make_context(
         lockstep=Lockstep(config.lockstep),
     )
     desk.source = loaded.model
-    desk.world_catalog = Atlas([*map(Path, config.model_paths)], start_file(config.world_file))
-    desk.resource = desk.world_catalog.started(config.world_file, loaded.model.name)
-    desk.world_factory = founding(config, partial(_make_engine, mesh_folder=store.folder))
+    desk.world_catalog = WorldCatalog(
+        [*map(Path, config.model_paths)], find_start_file(config.world_file)
+    )
+    desk.resource = desk.world_catalog.find_start_world(config.world_file, loaded.model.name)
+    desk.world_factory = make_world_factory(config, partial(_make_engine, mesh_folder=store.folder))
     return desk
 
 
@@ -169,7 +233,9 @@ def _freeze_garbage_collector() -> None:
     gc.freeze()
 
 
-def _wait_for_parser(reader: Reader, clock: HostClock, should_stop: Callable[[], bool]) -> None:
+def _wait_for_parser(
+    reader: ParserClient, clock: HostClock, should_stop: Callable[[], bool]
+) -> None:
     """Serve only once descriptions can be read, so that no spawn pays for the reader's start."""
     give_up_ns = clock.now_ns() + round(PARSER_START_TIMEOUT_S * NANOSECONDS)
     while not (reader.is_ready or should_stop() or clock.now_ns() > give_up_ns):
@@ -189,7 +255,7 @@ def _make_world(
     if journal is not None and journal.contents is not None:
         journal.restore(world, store, time.monotonic_ns())
     else:
-        furnish(world, loaded.model)
+        spawn_models(world, loaded.model)
     if config.is_paused:
         world.pause()
     return world

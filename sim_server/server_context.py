@@ -14,10 +14,10 @@ from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.pacing.step_goals import StepGoals
-from zensim.sim_server.reading.assets import AssetStore
-from zensim.sim_server.reading.descriptions import Descriptions, meshes_of
-from zensim.sim_server.world.world import World
-from zensim.sim_server.worlds.atlas import Atlas
+from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_meshes
+from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world_loading.world_catalog import WorldCatalog
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class ServerContext:
     world: World
     loop_stats: LoopStats
     now_ns: Callable[[], int]
-    descriptions: Descriptions
+    descriptions: DescriptionProvider
     store: AssetStore
     world_model: str = ""
     target_real_time_factor: float = 1.0
@@ -86,7 +86,7 @@ class ServerContext:
     """By bond: names of entities, and when they were born."""
     resource: WorldResource = field(default_factory=WorldResource)
     """How to ask for the world that is here."""
-    world_catalog: Atlas = field(default_factory=lambda: Atlas(()))
+    world_catalog: WorldCatalog = field(default_factory=lambda: WorldCatalog(()))
     world_factory: WorldFactory = refuse_new_world
 
     def replace_world(
@@ -96,13 +96,13 @@ class ServerContext:
         self.bonded_entities.clear()
         self._pin_meshes(model)
         state = State.STOPPED if model.name else State.NO_WORLD
-        self.world.become(founded.world, state)
+        self.world.replace_with(founded.world, state)
         self.target_real_time_factor = founded.real_time_factor
         self.source, self.resource, self.world_model = model, resource, model.name
 
     def _pin_meshes(self, model: WorldModel) -> None:
         """Keep the meshes of a world for as long as one of its models may be made anew."""
-        for name in {mesh for placed in model.models for mesh in meshes_of(placed.model)}:
+        for name in {mesh for placed in model.models for mesh in list_meshes(placed.model)}:
             self.store.pin_kept(name)
 
     def delete_bonded_entities(self, bond: str) -> None:

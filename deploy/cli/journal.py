@@ -9,7 +9,7 @@ import typer
 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.sim_server.cli import MissingServerExtra, server_extra
-from zensim.sim_server.journal.ledger import JournalError, reading_ledger
+from zensim.sim_server.journal.sqlite_store import JournalError, open_store_read_only
 from zensim.spawner.cli.session import AsJson
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
@@ -36,16 +36,20 @@ def journal(
     """Show, verify or export what a server keeps."""
     with exit_on_failure("journal", JournalError, MissingServerExtra):
         with server_extra():
-            from zensim.sim_server.journal.restoring import contents_of
-            from zensim.sim_server.journal.showing import exported, page, summary
-        with reading_ledger(folder) as ledger:
-            contents = contents_of(ledger)
-            found = summary(ledger, contents)
-            everything = exported(ledger, contents) if action is Action.EXPORT else found
+            from zensim.sim_server.journal.journal_contents import (
+                export_journal,
+                format_summary,
+                read_contents,
+                summarize_journal,
+            )
+        with open_store_read_only(folder) as ledger:
+            contents = read_contents(ledger)
+            found = summarize_journal(ledger, contents)
+            everything = export_journal(ledger, contents) if action is Action.EXPORT else found
         if action is Action.EXPORT or as_json:
             typer.echo(json.dumps(everything, indent=None if as_json else 2))
         elif action is Action.SHOW:
-            typer.echo(page(found))
+            typer.echo(format_summary(found))
         else:
             typer.echo(f"{folder}: whole, up to change {found['position']}")
         if action is Action.VERIFY and ledger.lost:

@@ -1,1 +1,1 @@
-"""What outlives a server: a log of its world, on disk before anybody is told."""
+"""The journal: a durable record of the world, from which a restarted server restores it."""

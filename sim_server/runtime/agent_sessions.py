@@ -171,4 +171,4 @@ class AgentSessions:
         if not self._lockstep.answer(agent, command):
             self._world.claims.dropped += 1
         elif self._world.command(agent, command):
-            self._world.note_ready(agent, self._context.now_ns())
+            self._world.record_ready_time(agent, self._context.now_ns())

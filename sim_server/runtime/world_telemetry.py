@@ -18,12 +18,12 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Stats, WorldClock
 from zensim.proto.rotation import FloatArray
-from zensim.sim_server.lookup.frames import SCOPE
 from zensim.sim_server.physics.engine import SupportsTiers
+from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
 from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
 from zensim.sim_server.server_context import ServerContext
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 
 def make_model_states(world: World) -> ModelStates:
@@ -38,7 +38,7 @@ def make_link_states(world: World) -> LinkStates:
     start = {}
     for entity in world.entities:
         start[entity.name] = len(names)
-        names.extend(entity.name + SCOPE + link.name for link in entity.model.links)
+        names.extend(entity.name + SCOPE_SEPARATOR + link.name for link in entity.model.links)
     for alike in _group_by_model(world.entities):
         first = np.array([start[entity.name] for entity in alike])
         states = _compute_link_states(world, alike)

@@ -110,7 +110,7 @@ def _find_share(context: ServerContext, agent: str) -> tuple[Entity, ...]:
         if entity.model.drive is not None and not world.watch.is_frozen(entity.name)
     }
     held = {
-        pool: [name for name, _ in world.claims.held_by(pool) if name in robots]
+        pool: [name for name, _ in world.claims.list_claims(pool) if name in robots]
         for pool in context.pools
     }
     free = [name for name in robots if not world.claims.agent_of(name)]

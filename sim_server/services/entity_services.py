@@ -11,15 +11,26 @@ from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEnti
 from zensim.proto.messages.standard_messages import Header, time_from_ns
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.errors import PoseRefused, RequestRefused, UnsupportedFeature
-from zensim.sim_server.lookup.filters import passing
-from zensim.sim_server.lookup.frames import frame_pose, in_world, seen_from, twist_in_world
-from zensim.sim_server.lookup.regions import BoundsUnsupported, Sight, bounds_of
 from zensim.sim_server.physics.engine import SupportsTiers
+from zensim.sim_server.queries.bounds_queries import BoundsUnsupported, PoseSnapshot, make_bounds
+from zensim.sim_server.queries.entity_filters import filter_entities
+from zensim.sim_server.queries.frame_queries import (
+    find_frame_pose,
+    pose_to_world,
+    states_to_frame,
+    twist_to_world,
+)
 from zensim.sim_server.scene.convex_shapes import place_collision_shapes
 from zensim.sim_server.server_context import DeferredResponse, ServerContext
-from zensim.sim_server.world.infos import checked
-from zensim.sim_server.world.poses import WORLD_FRAMES, pose_of, pose_row, twist_of, twist_row
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.entity import check_entity_info
+from zensim.sim_server.world.pose_conversion import (
+    WORLD_FRAMES,
+    pose_from_row,
+    pose_to_row,
+    twist_from_row,
+    twist_to_row,
+)
+from zensim.sim_server.world.simulated_world import World
 
 
 def get_entity_bounds(
@@ -33,10 +44,10 @@ def get_entity_bounds(
             f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
             f"or {entity_messages.ANY_BOUNDS} (any)"
         )
-    sight = Sight(context.world.roster(), context.world.reading(), context.store.corners)
+    sight = PoseSnapshot(context.world.roster(), context.world.reading(), context.store.corners)
     links = sight.links_in_base(entity.model, entity.name)
     solids = list(place_collision_shapes(entity.model, links, context.store.corners))
-    return entity_messages.GetEntityBoundsResponse(bounds=bounds_of(solids, BoundsType(wanted)))
+    return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(solids, BoundsType(wanted)))
 
 
 def get_entity_info(
@@ -53,7 +64,7 @@ def set_entity_info(
 ) -> entity_messages.SetEntityInfoResponse:
     """Say what an entity is."""
     context.world.entity(request.entity)
-    context.world.describe(request.entity, checked(request.info))
+    context.world.set_info(request.entity, check_entity_info(request.info))
     return entity_messages.SetEntityInfoResponse()
 
 
@@ -67,7 +78,7 @@ def get_entities(
     context: ServerContext, request: entity_messages.GetEntitiesRequest
 ) -> entity_messages.GetEntitiesResponse | DeferredResponse:
     """Name the entities that pass the filters."""
-    return passing(
+    return filter_entities(
         context, request.filters, lambda names: entity_messages.GetEntitiesResponse(entities=names)
     )
 
@@ -88,7 +99,7 @@ def get_models(
                 entity.namespace,
                 number[entity.model],
                 context.world.claims.agent_of(entity.name),
-                pose_of(entity.initial),
+                pose_from_row(entity.initial),
             )
             for entity in entities
         ),
@@ -106,7 +117,7 @@ def get_entity_state(
     """
     world = context.world
     if request.reference_frame in WORLD_FRAMES:
-        row, time_ns = world.told_of(request.entity)
+        row, time_ns = world.reported_state(request.entity)
         header = Header(time_from_ns(time_ns), "world")
         return entity_messages.GetEntityStateResponse(state=_make_entity_state(header, row))
     row = world.state_of(request.entity)
@@ -125,26 +136,26 @@ def get_entities_states(
         states = view.states(base[[row[name] for name in names]]) if names else []
         return entity_messages.GetEntitiesStatesResponse(entities=names, states=tuple(states))
 
-    return passing(context, request.filters, answer)
+    return filter_entities(context, request.filters, answer)
 
 
 class _FrameView:
     """Entities as seen from a frame, at one step; how the frame moves itself is left out."""
 
     def __init__(self, world: World, frame_id: str) -> None:
-        self._frame = None if frame_id in WORLD_FRAMES else frame_pose(world, frame_id)
+        self._frame = None if frame_id in WORLD_FRAMES else find_frame_pose(world, frame_id)
         name = "world" if self._frame is None else frame_id
         self._header = Header(time_from_ns(world.time_ns), name)
 
     def states(self, rows: FloatArray) -> Sequence[entity_messages.EntityState]:
         """Write state rows (n, 13) of the world down."""
         if self._frame is not None:
-            rows = seen_from(self._frame, rows)
+            rows = states_to_frame(self._frame, rows)
         return [_make_entity_state(self._header, row) for row in rows]
 
 
 def _make_entity_state(header: Header, row: FloatArray) -> entity_messages.EntityState:
-    return entity_messages.EntityState(header, pose_of(row), twist_of(row))
+    return entity_messages.EntityState(header, pose_from_row(row), twist_from_row(row))
 
 
 def set_entity_state(
@@ -161,9 +172,9 @@ def set_entity_state(
     frame_id = request.state.header.frame_id
     try:
         if request.set_pose or is_version_1:
-            row[:7] = in_world(context.world, frame_id, pose_row(request.state.pose))
+            row[:7] = pose_to_world(context.world, frame_id, pose_to_row(request.state.pose))
         if request.set_twist or is_version_1:
-            row[7:13] = twist_in_world(context.world, frame_id, twist_row(request.state.twist))
+            row[7:13] = twist_to_world(context.world, frame_id, twist_to_row(request.state.twist))
     except PoseRefused as error:
         raise RequestRefused(SetEntityStateCode.INVALID_POSE, str(error)) from error
     context.world.place(request.entity, np.asarray(row))

@@ -28,14 +28,28 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.rotation import FloatArray, conjugate, rotate
 from zensim.sim_server.errors import RequestRefused
-from zensim.sim_server.lookup.frames import SCOPE, frame_pose, seen_from
-from zensim.sim_server.lookup.scoped import ScopedJoint, ScopedLink, joint_of, link_of, state_of
+from zensim.sim_server.queries.frame_queries import (
+    SCOPE_SEPARATOR,
+    ScopedJoint,
+    ScopedLink,
+    find_frame_pose,
+    find_joint,
+    find_link,
+    find_state,
+    states_to_frame,
+)
 from zensim.sim_server.server_context import ServerContext
 from zensim.sim_server.services.entity_services import set_entity_state
 from zensim.sim_server.services.simulation_services import set_simulation_state
-from zensim.sim_server.world.poses import MAX_POSITION_M, WORLD_FRAMES, pose_of, pose_row, twist_of
-from zensim.sim_server.world.pushes import JointPush, LinkPush, Span, span_of
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.applied_forces import JointEffort, LinkWrench, TimeSpan, make_time_span
+from zensim.sim_server.world.pose_conversion import (
+    MAX_POSITION_M,
+    WORLD_FRAMES,
+    pose_from_row,
+    pose_to_row,
+    twist_from_row,
+)
+from zensim.sim_server.world.simulated_world import World
 
 MAX_FORCE = 1e6
 """Of a force [N], a torque or an effort [N m]."""
@@ -45,7 +59,7 @@ def apply_link_wrench(
     context: ServerContext, request: gazebo_messages.ApplyLinkWrenchRequest
 ) -> gazebo_messages.ApplyLinkWrenchReport:
     """Push a link: the wrench keeps the direction in the world that it has now."""
-    target = link_of(context.world, request.link_name)
+    target = find_link(context.world, request.link_name)
     force, torque = (
         _to_vector(request.wrench.force, "force"),
         _to_vector(request.wrench.torque, "torque"),
@@ -56,7 +70,7 @@ def apply_link_wrench(
         return gazebo_messages.ApplyLinkWrenchReport(
             success=True, status_message="duration 0: nothing done"
         )
-    context.world.pushes.add(LinkPush(target.entity.name, target.number, wrench, span))
+    context.world.applied_forces.add(LinkWrench(target.entity.name, target.number, wrench, span))
     return gazebo_messages.ApplyLinkWrenchReport(success=True, status_message=_describe_span(span))
 
 
@@ -64,8 +78,8 @@ def clear_link_wrenches(
     context: ServerContext, request: gazebo_messages.ClearLinkWrenchesRequest
 ) -> gazebo_messages.ClearLinkWrenchesReport:
     """Push a link no more; none to clear is fine."""
-    target = link_of(context.world, request.link_name)
-    context.world.pushes.clear_link(target.entity.name, target.number)
+    target = find_link(context.world, request.link_name)
+    context.world.applied_forces.clear_link(target.entity.name, target.number)
     return gazebo_messages.ClearLinkWrenchesReport()
 
 
@@ -73,7 +87,7 @@ def apply_joint_effort(
     context: ServerContext, request: gazebo_messages.ApplyJointEffortRequest
 ) -> gazebo_messages.ApplyJointEffortReport:
     """Push a joint along its axis."""
-    target = joint_of(context.world, request.joint_name)
+    target = find_joint(context.world, request.joint_name)
     if target.joint.kind == "fixed":
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -85,7 +99,7 @@ def apply_joint_effort(
         return gazebo_messages.ApplyJointEffortReport(
             success=True, status_message="duration 0: nothing done"
         )
-    context.world.pushes.add(JointPush(target.entity.name, target.number, effort, span))
+    context.world.applied_forces.add(JointEffort(target.entity.name, target.number, effort, span))
     return gazebo_messages.ApplyJointEffortReport(success=True, status_message=_describe_span(span))
 
 
@@ -93,8 +107,8 @@ def clear_joint_efforts(
     context: ServerContext, request: gazebo_messages.ClearJointEffortsRequest
 ) -> gazebo_messages.ClearJointEffortsReport:
     """Push a joint no more; none to clear is fine."""
-    target = joint_of(context.world, request.joint_name)
-    context.world.pushes.clear_joint(target.entity.name, target.number)
+    target = find_joint(context.world, request.joint_name)
+    context.world.applied_forces.clear_joint(target.entity.name, target.number)
     return gazebo_messages.ClearJointEffortsReport()
 
 
@@ -109,16 +123,16 @@ def _wrench_at_com(
     point = _to_vector(request.reference_point, "reference_point", MAX_POSITION_M)
     if request.reference_frame in WORLD_FRAMES:
         return np.concatenate([force, torque + np.cross(point, force)])
-    frame = frame_pose(world, request.reference_frame)
+    frame = find_frame_pose(world, request.reference_frame)
     force, torque = rotate(frame[3:], force), rotate(frame[3:], torque)
-    link = state_of(world, f"{target.entity.name}::{target.link.name}")
+    link = find_state(world, f"{target.entity.name}::{target.link.name}")
     mass = link[:3] + rotate(link[3:7], np.array(target.link.inertial.com_in_link))
     arm = frame[:3] + rotate(frame[3:], point) - mass
     return np.concatenate([force, torque + np.cross(arm, force)])
 
 
-def _make_span(world: World, start: Time, duration: Duration) -> Span | None:
-    return span_of(
+def _make_span(world: World, start: Time, duration: Duration) -> TimeSpan | None:
+    return make_time_span(
         now_ns=world.time_ns,
         start_ns=ns_from_time(start),
         duration_ns=ns_from_time(duration),
@@ -126,7 +140,7 @@ def _make_span(world: World, start: Time, duration: Duration) -> Span | None:
     )
 
 
-def _describe_span(span: Span) -> str:
+def _describe_span(span: TimeSpan) -> str:
     end = "for ever" if span.end_ns is None else f"to {span.end_ns * 1e-9:.9g} s"
     return f"from {span.start_ns * 1e-9:.9g} s {end} of simulation time"
 
@@ -163,7 +177,7 @@ def get_joint_properties(
     context: ServerContext, request: gazebo_messages.GetJointPropertiesRequest
 ) -> gazebo_messages.GetJointPropertiesReport:
     """Tell how a joint moves, and where it is."""
-    target = joint_of(context.world, request.joint_name)
+    target = find_joint(context.world, request.joint_name)
     joint = target.joint
     if joint.kind == "fixed":
         return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
@@ -186,7 +200,7 @@ def set_joint_properties(
     context: ServerContext, request: gazebo_messages.SetJointPropertiesRequest
 ) -> gazebo_messages.SetJointPropertiesReport:
     """Change damping, friction and limits of a joint."""
-    target = joint_of(context.world, request.joint_name)
+    target = find_joint(context.world, request.joint_name)
     _change_joint(context, target, _apply_joint_request(target.joint, request))
     return gazebo_messages.SetJointPropertiesReport(success=True)
 
@@ -195,7 +209,7 @@ def get_link_properties(
     context: ServerContext, request: gazebo_messages.GetLinkPropertiesRequest
 ) -> gazebo_messages.GetLinkPropertiesReport:
     """Tell what a link weighs; the moments are about the link's own axes."""
-    link = link_of(context.world, request.link_name).link
+    link = find_link(context.world, request.link_name).link
     return gazebo_messages.GetLinkPropertiesReport(
         Pose(Point(*link.inertial.com_in_link), Quaternion()),
         link.weightless == Inertial(),
@@ -209,7 +223,7 @@ def set_link_properties(
     context: ServerContext, request: gazebo_messages.SetLinkPropertiesRequest
 ) -> gazebo_messages.SetLinkPropertiesReport:
     """Change what a link weighs, and whether gravity pulls it."""
-    target = link_of(context.world, request.link_name)
+    target = find_link(context.world, request.link_name)
     if target.entity.model.is_static and target.number == 0:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -230,7 +244,7 @@ def _change_joint(context: ServerContext, target: ScopedJoint, joint: Joint) -> 
     joints[target.number] = joint
     model = msgspec.structs.replace(target.entity.model, joints=tuple(joints))
     if model != target.entity.model:
-        context.world.remodel(target.entity.name, model)
+        context.world.replace_model(target.entity.name, model)
 
 
 def _change_link(context: ServerContext, target: ScopedLink, link: Link) -> None:
@@ -238,7 +252,7 @@ def _change_link(context: ServerContext, target: ScopedLink, link: Link) -> None
     links[target.number] = link
     model = msgspec.structs.replace(target.entity.model, links=tuple(links))
     if model != target.entity.model:
-        context.world.remodel(target.entity.name, model)
+        context.world.replace_model(target.entity.name, model)
 
 
 def _apply_joint_request(joint: Joint, request: gazebo_messages.SetJointPropertiesRequest) -> Joint:
@@ -312,7 +326,7 @@ def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
             ResultCode.OPERATION_FAILED,
             f"mass {request.mass:g} is not positive; every field counts: get them, then set them",
         )
-    com = pose_row(request.com)
+    com = pose_to_row(request.com)
     ixx, ixy, ixz, iyy, iyz, izz = moments
     matrix = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     if float(np.linalg.eigvalsh(matrix).min()) < 0.0:
@@ -353,17 +367,19 @@ def get_gazebo_state(
     context: ServerContext, request: gazebo_messages.GazeboGetEntityStateRequest
 ) -> gazebo_messages.GazeboGetEntityStateReport:
     """Tell where an entity or a link is, and how it moves against the frame."""
-    row = state_of(context.world, request.name)
+    row = find_state(context.world, request.name)
     frame_id = request.reference_frame
     if frame_id not in WORLD_FRAMES:
-        frame = state_of(context.world, frame_id)
+        frame = find_state(context.world, frame_id)
         row = row.copy()
         row[7:] -= frame[7:]
-        row = seen_from(frame[:7], row[None])[0]
+        row = states_to_frame(frame[:7], row[None])[0]
     frame_id = frame_id or "world"
     return gazebo_messages.GazeboGetEntityStateReport(
         Header(time_from_ns(context.world.time_ns), frame_id),
-        gazebo_messages.GazeboEntityState(request.name, pose_of(row), twist_of(row), frame_id),
+        gazebo_messages.GazeboEntityState(
+            request.name, pose_from_row(row), twist_from_row(row), frame_id
+        ),
         success=True,
     )
 
@@ -373,8 +389,8 @@ def set_gazebo_state(
 ) -> gazebo_messages.GazeboSetEntityStateReport:
     """Put an entity somewhere; a link goes where its entity goes."""
     state = request.state
-    name, scope, _ = state.name.partition(SCOPE)
-    if scope and link_of(context.world, state.name).number:
+    name, scope, _ = state.name.partition(SCOPE_SEPARATOR)
+    if scope and find_link(context.world, state.name).number:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
             f"link {state.name[:80]!r} hangs on joints and cannot be put anywhere by itself; "

@@ -21,7 +21,11 @@ from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time, t
 from zensim.sim_server.errors import IncorrectState, RequestRefused, SimError, UnsupportedFeature
 from zensim.sim_server.pacing.step_goals import StepGoal
 from zensim.sim_server.server_context import DeferredResponse, ServerContext
-from zensim.sim_server.world.phases import LEADS_TO, NAMES, why_not
+from zensim.sim_server.world.simulation_clock import (
+    ALLOWED_TRANSITIONS,
+    STATE_NAMES,
+    explain_refused_transition,
+)
 
 VERSION = version("zensim")
 
@@ -212,13 +216,15 @@ def set_simulation_state(
             SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
             f"the simulation is {context.world.state_name} already",
         )
-    if wanted not in LEADS_TO[present]:
-        raise RequestRefused(SetSimulationStateCode.INCORRECT_TRANSITION, why_not(wanted, present))
+    if wanted not in ALLOWED_TRANSITIONS[present]:
+        raise RequestRefused(
+            SetSimulationStateCode.INCORRECT_TRANSITION, explain_refused_transition(wanted, present)
+        )
     if wanted in (State.STOPPED, State.QUITTING):
-        context.step_goals.abort(f"the simulation is {NAMES[State(wanted)]}")
+        context.step_goals.abort(f"the simulation is {STATE_NAMES[State(wanted)]}")
     if wanted == State.STOPPED:
         _reset_to_start(context)
-    context.world.enter(State(wanted))
+    context.world.change_state(State(wanted))
     return SetSimulationStateResponse()
 
 

@@ -25,15 +25,14 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
-from zensim.sim_server.lookup.frames import in_world
-from zensim.sim_server.lookup.regions import bounds_of, links_at_zero
 from zensim.sim_server.physics.engine import FloatArray
+from zensim.sim_server.queries.bounds_queries import find_link_poses_at_zero, make_bounds
+from zensim.sim_server.queries.frame_queries import pose_to_world
 from zensim.sim_server.scene.convex_shapes import place_collision_shapes
 from zensim.sim_server.server_context import DeferredResponse, ServerContext
-from zensim.sim_server.world.birth import Birth
-from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.infos import checked
-from zensim.sim_server.world.poses import is_zero, pose_row
+from zensim.sim_server.world.entity import Entity, check_entity_info
+from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
+from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 UNDERGROUND_M = 0.001
 MAX_NAMED = 3
@@ -55,15 +54,15 @@ def spawn_model(
     _check_bond(context, order.bond)
     birth, notes = _resolve_spawn(context, order, model, description)
     if order.strict or order.dry_run:
-        notes.extend(_make_overlap_notes(context.world.rehearse(birth)))
+        notes.extend(_make_overlap_notes(context.world.check_overlaps(birth)))
     if order.strict:
         _refuse_suspicious((*notes, *birth.model.report))
     if order.dry_run:
-        name, namespace = context.world.names_for(birth)
+        name, namespace = context.world.resolve_names_for(birth)
         return SpawnEntityReport(Result(), name, namespace, (*notes, *birth.model.report))
     entity = context.world.spawn(birth)
     if not order.strict:
-        notes.extend(_make_overlap_notes(context.world.overlapped(entity)))
+        notes.extend(_make_overlap_notes(context.world.find_overlaps(entity)))
     _record_spawn(context, entity, order.bond, notes)
     report = (*notes, *birth.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
@@ -76,7 +75,7 @@ class StagedSpawn:
     entity: Entity
     bond: str
     notes: tuple[ReportEntry, ...]
-    overlapped: Callable[[], list[str]]
+    find_overlaps: Callable[[], list[str]]
     """Says whom it overlaps."""
 
 
@@ -86,12 +85,12 @@ def stage_model(
     """Make what `spawn_model` spawns, but let it in later; raises as that does."""
     _check_bond(context, order.bond)
     birth, notes = _resolve_spawn(context, order, model, description)
-    entity, overlapped = context.world.expect(birth)
+    entity, overlapped = context.world.stage_spawn(birth)
     if order.strict:
         try:
             _refuse_suspicious((*notes, *_make_overlap_notes(overlapped()), *birth.model.report))
         except ModelError:
-            context.world.turn_away([entity])
+            context.world.rollback_staged([entity])
             raise
     return StagedSpawn(entity, order.bond, tuple(notes), overlapped)
 
@@ -104,10 +103,10 @@ def commit_staged(context: ServerContext, expected: Sequence[StagedSpawn]) -> No
     """
     for bond in {one.bond for one in expected}:
         _check_bond(context, bond)
-    if not all(context.world.expects(one.entity) for one in expected):
+    if not all(context.world.is_staged(one.entity) for one in expected):
         raise IncorrectState("the world was reset or replaced meanwhile; ask again")
-    notes = [(*one.notes, *_make_overlap_notes(one.overlapped())) for one in expected]
-    context.world.let_in([one.entity for one in expected])
+    notes = [(*one.notes, *_make_overlap_notes(one.find_overlaps())) for one in expected]
+    context.world.commit_staged([one.entity for one in expected])
     for one, told in zip(expected, notes, strict=True):
         _record_spawn(context, one.entity, one.bond, told)
 
@@ -135,9 +134,9 @@ def spawn_entity_when_parsed(
 
 def _resolve_spawn(
     context: ServerContext, order: SpawnEntityOrder, model: Model, description: str
-) -> tuple[Birth, list[ReportEntry]]:
+) -> tuple[ValidatedSpawn, list[ReportEntry]]:
     pose, notes = _resolve_pose(context, order, model)
-    birth = Birth(
+    birth = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
         model=model,
@@ -145,7 +144,7 @@ def _resolve_spawn(
         description=description,
         allow_renaming=order.allow_renaming,
         born_ns=context.now_ns(),
-        info=None if order.info is None else checked(order.info),
+        info=None if order.info is None else check_entity_info(order.info),
     )
     return birth, notes
 
@@ -176,11 +175,11 @@ def _resolve_pose(
 ) -> tuple[FloatArray, list[ReportEntry]]:
     wish = request.initial_pose
     notes = []
-    if is_zero(wish.pose.orientation):
+    if is_zero_quaternion(wish.pose.orientation):
         notes.append(
             ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
         )
-    pose = in_world(context.world, wish.header.frame_id, pose_row(wish.pose))
+    pose = pose_to_world(context.world, wish.header.frame_id, pose_to_row(wish.pose))
     qx, qy, qz, qw = pose[3:7].tolist()
     # Not -clearance, which is -0 for a model without collisions.
     standing = 0.0 - find_ground_clearance(model, (qx, qy, qz, qw), context.store.corners)
@@ -341,7 +340,7 @@ class _AtomicSpawns(_SpawnBatch):
                 commit_staged(self._context, self._expected)
         except SimError as error:
             self._give_up(error)
-        self._context.world.turn_away(one.entity for one in self._expected)
+        self._context.world.rollback_staged(one.entity for one in self._expected)
         return True
 
     def _collect_parsed(self) -> None:
@@ -425,8 +424,10 @@ def get_spawnables(
 
 def _make_spawnable(context: ServerContext, order: SpawnEntityOrder) -> spawn_messages.Spawnable:
     model, _ = context.descriptions.model(order)
-    solids = list(place_collision_shapes(model, links_at_zero(model), context.store.corners))
-    bounds = bounds_of(solids, BoundsType.BOX)
+    solids = list(
+        place_collision_shapes(model, find_link_poses_at_zero(model), context.store.corners)
+    )
+    bounds = make_bounds(solids, BoundsType.BOX)
     return spawn_messages.Spawnable(order.entity_resource, _describe_model(model), bounds)
 
 

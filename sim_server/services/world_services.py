@@ -17,11 +17,11 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
-from zensim.sim_server.lookup.filters import tags_test
-from zensim.sim_server.reading.messages import TextRead
+from zensim.sim_server.parser_process.parser_protocol import ParseResult
+from zensim.sim_server.queries.entity_filters import make_tags_test
 from zensim.sim_server.server_context import BuiltWorld, DeferredResponse, ServerContext
-from zensim.sim_server.worlds.atlas import ONLINE, Search
-from zensim.sim_server.worlds.world_reading import WorldReading
+from zensim.sim_server.world_loading.world_catalog import ONLINE_SCHEMES, WorldSearch
+from zensim.sim_server.world_loading.world_resources import WorldParseJob
 
 EMPTY_WORLD = WorldModel("", gravity=(0.0, 0.0, 0.0))
 MAX_FAULTS_SHOWN = 3
@@ -40,11 +40,11 @@ def load_world(
         raise IncorrectState(f"the simulation is {context.world.state_name}; try again later")
     found = context.world_catalog.find(request.world_resource)
     is_lenient = request.ignore_missing_or_unsupported_assets
-    reading = WorldReading(
+    reading = WorldParseJob(
         found.text, found.folders, context.descriptions, context.store, allow_missing=is_lenient
     )
     context.step_goals.abort("another world is being loaded")
-    context.world.enter(State.LOADING_WORLD)
+    context.world.change_state(State.LOADING_WORLD)
     building = _WorldBuild(context, lambda answer: _check_parsed_world(answer, request))
 
     def put() -> world_messages.LoadWorldReport:
@@ -52,7 +52,7 @@ def load_world(
             model, founded = building.outcome()
         except SimError:
             if context.world.state == State.LOADING_WORLD:
-                context.world.enter(former)
+                context.world.change_state(former)
             raise
         context.replace_world(founded, model, found.resource)
         return world_messages.LoadWorldReport(Result(), context.resource, model.report)
@@ -63,14 +63,16 @@ def load_world(
 class _WorldBuild:
     """A world that is made while requests are answered."""
 
-    def __init__(self, context: ServerContext, checked: Callable[[TextRead], WorldModel]) -> None:
+    def __init__(
+        self, context: ServerContext, checked: Callable[[ParseResult], WorldModel]
+    ) -> None:
         self._context = context
         self._check_parsed = checked
         self._model = EMPTY_WORLD
         self._parts: Iterator[BuiltWorld | None] | None = None
         self._outcome: BuiltWorld | SimError | None = None
 
-    def go_on(self, answer: TextRead | None) -> bool:
+    def go_on(self, answer: ParseResult | None) -> bool:
         """Make some parts once the world is read; say whether that was the last."""
         if answer is None:
             return False
@@ -140,11 +142,11 @@ def get_available_worlds(
 
 
 def _is_skipped(source: str, request: world_messages.GetAvailableWorldsRequest) -> bool:
-    return request.offline_only and source.startswith(ONLINE)
+    return request.offline_only and source.startswith(ONLINE_SCHEMES)
 
 
 def _make_worlds_response(
-    search: Search, request: world_messages.GetAvailableWorldsRequest
+    search: WorldSearch, request: world_messages.GetAvailableWorldsRequest
 ) -> world_messages.GetAvailableWorldsResponse:
     reasons = "; ".join(failure.reason for failure in search.failures[:MAX_FAULTS_SHOWN])
     if search.failures and not request.continue_on_error:
@@ -163,7 +165,9 @@ def _matches_tags(world: world_messages.WorldResource, wanted: entity_messages.T
     return not wanted.tags or asks(tag in world.tags for tag in wanted.tags)
 
 
-def _check_parsed_world(answer: TextRead, request: world_messages.LoadWorldRequest) -> WorldModel:
+def _check_parsed_world(
+    answer: ParseResult, request: world_messages.LoadWorldRequest
+) -> WorldModel:
     """Take what was read, unless the request is stricter.
 
     Raises:
@@ -203,7 +207,7 @@ def get_named_poses(
     context: ServerContext, request: spawn_messages.GetNamedPosesRequest
 ) -> spawn_messages.GetNamedPosesResponse:
     """List the named poses of the world whose tags pass."""
-    passes = tags_test(request.tags)
+    passes = make_tags_test(request.tags)
     found = (place.pose for place in context.source.places if passes(place.pose.tags))
     return spawn_messages.GetNamedPosesResponse(poses=tuple(found))
 

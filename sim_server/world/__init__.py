@@ -1,1 +1,1 @@
-"""The pure core: entities and simulation time over an engine."""
+"""Entities, simulation time and claims over an engine; no network, no clock, no files."""

@@ -1,4 +1,4 @@
-"""An entity, and the roster that says where each stands in the arrays."""
+"""Entities, their checked info, and the index that locates each entity in the state arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,9 +7,48 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.agent_messages import DriveState, OnRelease
-from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
+from zensim.proto.messages.entity_messages import (
+    MAX_DESCRIPTION_LENGTH,
+    MAX_TAG_LENGTH,
+    MAX_TAGS,
+    Category,
+    EntityCategory,
+    EntityInfo,
+)
 from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.errors import SimError
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
+
+
+class InfoRefused(SimError):
+    """A category, a description or tags that no entity can have."""
+
+    slug = "info.refused"
+
+
+def check_entity_info(info: EntityInfo) -> EntityInfo:
+    """Return what is said of an entity, each tag once.
+
+    Raises:
+        InfoRefused: The category is not known, or there is too much text.
+    """
+    number = info.category.category
+    if number not in set(Category):
+        known = ", ".join(f"{kind.value} ({kind.name})" for kind in Category)
+        raise InfoRefused(f"category {number} is not known; use {known}")
+    if len(info.description) > MAX_DESCRIPTION_LENGTH:
+        raise InfoRefused(
+            f"a description of {len(info.description)} characters is too long; "
+            f"use at most {MAX_DESCRIPTION_LENGTH}"
+        )
+    tags = tuple(dict.fromkeys(info.tags))
+    if len(tags) > MAX_TAGS or any(not tag or len(tag) > MAX_TAG_LENGTH for tag in tags):
+        raise InfoRefused(
+            f"{len(tags)} tags, or one that is empty or long; "
+            f"use at most {MAX_TAGS} of 1 to {MAX_TAG_LENGTH} characters"
+        )
+    return EntityInfo(info.category, info.description, tags)
+
 
 IntArray = npt.NDArray[np.intp]
 
@@ -36,7 +75,7 @@ class Entity:
     info: EntityInfo = field(default_factory=EntityInfo)
 
 
-def info_of(model: Model) -> EntityInfo:
+def default_info(model: Model) -> EntityInfo:
     """Say what an entity is of which nobody said it: a robot, when it has a drive."""
     category = Category.STATIC_OBJECT if model.is_static else Category.OBJECT
     if model.drive is not None:
@@ -45,7 +84,7 @@ def info_of(model: Model) -> EntityInfo:
 
 
 @dataclass(frozen=True)
-class Hold:
+class ClaimRecord:
     """Who drives an entity, and under which claim."""
 
     claim: int
@@ -54,7 +93,7 @@ class Hold:
 
 
 @dataclass(frozen=True)
-class Roster:
+class EntityIndex:
     """All entities in the order of spawning, and where their joints start in the joint arrays."""
 
     names: tuple[str, ...]
@@ -70,7 +109,7 @@ class Roster:
 
 
 @dataclass(frozen=True)
-class Fleet:
+class ClaimedEntities:
     """What one agent drives, ready to be cut out of the arrays and to be commanded."""
 
     claims: bytes
@@ -89,10 +128,10 @@ class Fleet:
         )
 
 
-def roster_of(entities: Sequence[Entity]) -> Roster:
+def make_entity_index(entities: Sequence[Entity]) -> EntityIndex:
     """Line up entities."""
     counts = np.array([len(entity.model.joints) for entity in entities], dtype=np.intp)
-    return Roster(
+    return EntityIndex(
         names=tuple(entity.name for entity in entities),
         bodies=tuple(entity.body for entity in entities),
         row={entity.name: i for i, entity in enumerate(entities)},
@@ -101,14 +140,16 @@ def roster_of(entities: Sequence[Entity]) -> Roster:
     )
 
 
-def fleet_of(roster: Roster, members: Sequence[tuple[Entity, Hold]]) -> Fleet:
+def select_claimed(
+    roster: EntityIndex, members: Sequence[tuple[Entity, ClaimRecord]]
+) -> ClaimedEntities:
     """Cut an agent's members out of the roster, in the order of claiming."""
     rows = np.array([roster.row[entity.name] for entity, _ in members], dtype=np.intp)
     joints = [
         np.arange(roster.joint_start[row], roster.joint_start[row] + roster.joint_count[row])
         for row in rows
     ]
-    return Fleet(
+    return ClaimedEntities(
         claims=np.array([hold.claim for _, hold in members], dtype="<u4").tobytes(),
         rows=rows,
         joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),

@@ -18,7 +18,7 @@ from zensim.proto.bus import Publisher
 from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.runtime import world_publisher
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
 
@@ -46,7 +46,7 @@ class Watch:
     def __init__(self) -> None:
         self._stopwatch = Stopwatch()
         self._is_asked = self._is_in = False
-        self._enter = World.enter
+        self._enter = World.change_state
 
     def install(self) -> None:
         """Hear of every change of state."""
@@ -59,7 +59,7 @@ class Watch:
             watch._enter(world, state)
             watch._say(world, state)
 
-        World.enter = enter  # type: ignore[method-assign, assignment]
+        World.change_state = enter  # type: ignore[method-assign, assignment]
 
     def _say(self, world: World, state: State) -> None:
         parts_s = {name: ns * 1e-9 for name, ns in self._stopwatch.spent_ns.items()}

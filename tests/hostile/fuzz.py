@@ -29,7 +29,7 @@ from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.meshes.mesh_formats import read_mesh
 from zensim.sim_server.description.pipeline import read_robot
 from zensim.sim_server.errors import ModelError, SimError
-from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.parser_process.asset_store import AssetStore
 
 RUNS = 100_000
 SHARES = {"urdf": 0.3, "sdf": 0.3, "bundle": 0.2, "requests": 0.2}

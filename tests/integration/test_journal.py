@@ -28,7 +28,7 @@ from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose
 from zensim.proto.messages.world_messages import GetCurrentWorldRequest, LoadWorldRequest
 from zensim.proto.service_catalog import GET_CURRENT_WORLD, LOAD_WORLD, SPAWN_ENTITY
-from zensim.sim_server.journal.ledger import DATABASE
+from zensim.sim_server.journal.sqlite_store import DATABASE
 
 SMALL_BYTES = 1 << 20
 TRACED = "fsync,fdatasync,pwrite64,sendto,sendmsg,write,writev"

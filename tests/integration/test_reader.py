@@ -17,13 +17,13 @@ from tests.hostile.case import BODY, alone, solid
 from tests.integration.processes import Server, eventually, serving
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
-from zensim.sim_server.reading.reader import TOO_LONG
+from zensim.sim_server.parser_process.parser_client import TIMEOUT_MESSAGE
 from zensim.spawner.descriptions import from_word
 from zensim.spawner.launch import cargo_of, order_for, send_files
 from zensim.spawner.search_paths import SearchPaths
 
 STDIN = 0
-SLOW = f"reader.timeout: {TOO_LONG}"
+SLOW = f"reader.timeout: {TIMEOUT_MESSAGE}"
 EXTRAS = b'{"asset":{"version":"2.0"},"extras":[' + b"[]," * (20 << 20) + b"[]]} "
 """Of a GLB file of 63 MB: a list for every three bytes, where anything may stand."""
 
@@ -51,7 +51,7 @@ def reader_of(server: Server) -> psutil.Process:
     (reader,) = [
         child
         for child in psutil.Process(server.process.pid).children()
-        if "zensim.sim_server.reading.process" in child.cmdline()
+        if "zensim.sim_server.parser_process.parser_worker" in child.cmdline()
     ]
     return reader
 

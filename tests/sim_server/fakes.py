@@ -18,20 +18,20 @@ from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
-from zensim.sim_server.loading.founding import founding
 from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.description_cache import ParseKey
+from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
+from zensim.sim_server.parser_process.parser_worker import parse_request
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.reading.assets import AssetStore
-from zensim.sim_server.reading.descriptions import Reading
-from zensim.sim_server.reading.messages import ReadRequest, TextRead
-from zensim.sim_server.reading.process import read
 from zensim.sim_server.runtime.inbox import IncomingCall
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.world.birth import Birth
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.spawn_request import ValidatedSpawn
+from zensim.sim_server.world_loading.world_loader import make_world_factory
 
 CONTROL_STEPS = 3
 
@@ -77,9 +77,9 @@ class ReadHere:
     def __init__(self, store: AssetStore | None = None) -> None:
         self.is_slow = False
         self.given: Model | None = None
-        self.remembered: dict[int, Reading] = {}
+        self.remembered: dict[int, ParseKey] = {}
         self.store = store or AssetStore()
-        self.unread: list[tuple[TextRead, Callable[[TextRead], None]]] = []
+        self.unread: list[tuple[ParseResult, Callable[[ParseResult], None]]] = []
 
     def is_read(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
         return not self.is_slow
@@ -93,15 +93,15 @@ class ReadHere:
         )
         return msgspec.structs.replace(described.model, dynamics=order.dynamics), text
 
-    def reading_of(self, model: Model) -> Reading | None:
+    def find_parse_key(self, model: Model) -> ParseKey | None:
         return self.remembered.get(id(model))
 
-    def remember(self, reading: Reading, model: Model) -> None:
+    def remember(self, reading: ParseKey, model: Model) -> None:
         self.remembered[id(model)] = reading
 
-    def ask(self, request: ReadRequest, on_read: Callable[[TextRead], None]) -> None:
+    def ask(self, request: ParseRequest, on_read: Callable[[ParseResult], None]) -> None:
         files = {name: self.store.piece(name, 0, self.store.size(name)) for name in request.files}
-        answer, meshes = read(request, files)
+        answer, meshes = parse_request(request, files)
         for name, data in meshes.items():
             self.store.keep(name, data)
         self.unread.append((answer, on_read))
@@ -236,7 +236,7 @@ def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -
             factor,
             7,
         ),
-        world_factory=founding(
+        world_factory=make_world_factory(
             ServerConfig(bus=BusConfig()),
             lambda config, _: ObedientEngine(EngineConfig(config.step_ns)),
         ),
@@ -264,9 +264,9 @@ def a_birth(
     model: Model | None = None,
     base: FloatArray | None = None,
     allow_renaming: bool = False,
-) -> Birth:
+) -> ValidatedSpawn:
     place = on_ground() if base is None else base
-    return Birth(name, namespace, model or a_cart(), place, "<robot/>", allow_renaming)
+    return ValidatedSpawn(name, namespace, model or a_cart(), place, "<robot/>", allow_renaming)
 
 
 def a_command(world: World, agent: str, *targets: float) -> DriveCommand:

@@ -20,7 +20,7 @@ from zensim.spawner.goals import OnProgress, reach_goal
 
 if TYPE_CHECKING:
     from zensim.proto.bus import Bus
-    from zensim.sim_server.world.world import World
+    from zensim.sim_server.world.simulated_world import World
 
 
 class Served:

@@ -5,15 +5,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tests.sim_server.fakes import RecordingOutlet, ScriptedInbox, Stage, WallTime, a_desk, a_world
-from zensim.sim_server.journal.keeping import Keeper
-from zensim.sim_server.journal.ledger import Ledger, open_ledger
-from zensim.sim_server.journal.opening import Journal
-from zensim.sim_server.journal.recorder import Recorder
-from zensim.sim_server.journal.records import Record
-from zensim.sim_server.journal.restoring import Contents, contents_of
-from zensim.sim_server.reading.assets import AssetStore
+from zensim.sim_server.journal.batch_writer import BatchWriter
+from zensim.sim_server.journal.change_tracker import ChangeTracker
+from zensim.sim_server.journal.journal_contents import JournalContents, read_contents
+from zensim.sim_server.journal.journal_records import JournalRecord
+from zensim.sim_server.journal.server_journal import Journal
+from zensim.sim_server.journal.sqlite_store import SqliteStore, open_store
+from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.runtime.loop import ServerLoop
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 DISK_FULL = "database or disk is full"
 
@@ -21,19 +21,19 @@ DISK_FULL = "database or disk is full"
 class Disk:
     """Writes as the thread does, but when told to: `flush`."""
 
-    def __init__(self, keeper: Keeper, position: int) -> None:
+    def __init__(self, keeper: BatchWriter, position: int) -> None:
         self.durable = position
         self.commits = 0
         self.failure: tuple[int, str] | None = None
         self.is_alive = True
         self.is_slow = False
         self.is_full = False
-        self.batches: list[list[Record]] = []
+        self.batches: list[list[JournalRecord]] = []
         self._keeper = keeper
-        self._queue: list[Record] = []
+        self._queue: list[JournalRecord] = []
         self._void = -1
 
-    def submit(self, record: Record) -> None:
+    def submit(self, record: JournalRecord) -> None:
         self._queue.append(record)
         if not self.is_slow:
             self.flush()
@@ -50,7 +50,7 @@ class Disk:
         self._keeper.close()
         return True
 
-    def _write(self, records: Sequence[Record]) -> None:
+    def _write(self, records: Sequence[JournalRecord]) -> None:
         try:
             if self.is_full:
                 raise sqlite3.OperationalError(DISK_FULL)
@@ -70,14 +70,14 @@ class Journalled:
     def __init__(self, folder: Path, *names: str, world: World | None = None) -> None:
         wall = WallTime()
         self.folder = folder
-        self.ledger: Ledger = open_ledger(folder)
-        journal = Journal(self.ledger, contents_of(self.ledger))
+        self.ledger: SqliteStore = open_store(folder)
+        journal = Journal(self.ledger, read_contents(self.ledger))
         world = world or a_world(*(names if journal.contents is None else ()))
         self.context = a_desk(world, wall)
         self.refused = journal.restore(world, self.context.store, wall.now_ns())
-        keeper = Keeper(self.ledger, self.context.store.folder)
+        keeper = BatchWriter(self.ledger, self.context.store.folder)
         self.disk = Disk(keeper, self.ledger.position)
-        self.recorder = Recorder(
+        self.recorder = ChangeTracker(
             self.context,
             self.disk,
             position=self.ledger.position,
@@ -102,11 +102,11 @@ class Journalled:
         self.recorder.close()
 
 
-def contents_in(folder: Path) -> Contents:
+def contents_in(folder: Path) -> JournalContents:
     """Read what a folder holds that nobody uses."""
-    ledger = open_ledger(folder)
+    ledger = open_store(folder)
     try:
-        found = contents_of(ledger)
+        found = read_contents(ledger)
     finally:
         ledger.close()
     assert found is not None

@@ -12,7 +12,7 @@ from tests.models import a_box_bot, box_bot_at
 from tests.sim_server.fakes import a_birth, a_command
 from zensim.proto.rotation import to_yaw
 from zensim.sim_server.physics.engine import Engine, FloatArray
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 CONTROL_STEPS = 3
 STEPS_OF_10_S = 2400

@@ -14,7 +14,7 @@ from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.engine import Engine, FloatArray
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 SPEED_RAD_S = 4.0
 CONTROL_STEPS = 5

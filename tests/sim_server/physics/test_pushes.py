@@ -11,12 +11,12 @@ from tests.models import a_box, a_box_bot, a_lopsided_box, a_state, an_arm, box_
 from tests.sim_server.fakes import a_birth
 from zensim.proto.messages.model_messages import Inertial, Model
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.world.pushes import JointPush, LinkPush, Span
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.applied_forces import JointEffort, LinkWrench, TimeSpan
+from zensim.sim_server.world.simulated_world import World
 
 DT_S = STEP_NS * 1e-9
 SECOND = 240
-FOREVER = Span(0, None)
+FOREVER = TimeSpan(0, None)
 
 
 @pytest.fixture(params=PHYSICAL, ids=lambda make: make.name)
@@ -48,7 +48,7 @@ def wrench(*numbers: float) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
 def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: World) -> None:
     model = a_lopsided_box()
     space.spawn(a_birth("b", model=model, base=a_state((1.0, 2.0, 3.0), turn=(0.3, 0.2, 0.1))))
-    space.pushes.add(LinkPush("b", 0, wrench(3.0, -1.0, 0.5, 0.0, 0.0, 0.0), FOREVER))
+    space.applied_forces.add(LinkWrench("b", 0, wrench(3.0, -1.0, 0.5, 0.0, 0.0, 0.0), FOREVER))
 
     steps(space, SECOND)
 
@@ -62,7 +62,9 @@ def test_force_on_a_hanging_link_moves_the_whole(space: World) -> None:
     # A free pair of bodies: momentum is force times time, whichever of them is pushed.
     model = a_box_bot()
     space.spawn(a_birth("r", model=model, base=box_bot_at()))
-    space.pushes.add(LinkPush("r", 1, wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0), Span(0, STEP_NS)))
+    space.applied_forces.add(
+        LinkWrench("r", 1, wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0), TimeSpan(0, STEP_NS))
+    )
 
     steps(space, 1)
 
@@ -74,8 +76,8 @@ def test_effort_holds_an_arm_against_gravity(earth: World) -> None:
     earth.spawn(a_birth("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     link = model.links[1].inertial
     most = link.mass_kg * 9.81 * link.com_in_link[0]
-    earth.pushes.add(JointPush("a", 0, -0.3 * most, FOREVER))
-    earth.remodel("a", damped(model, 0.3))
+    earth.applied_forces.add(JointEffort("a", 0, -0.3 * most, FOREVER))
+    earth.replace_model("a", damped(model, 0.3))
 
     steps(earth, 10 * SECOND)
 
@@ -92,7 +94,7 @@ def test_body_without_gravity_stays_in_the_air_once_it_is_told_to(earth: World) 
     earth.spawn(a_birth("b", model=model, base=a_state((0.0, 0.0, 2.0))))
     link = msgspec.structs.replace(model.links[0], weightless=model.links[0].inertial)
 
-    earth.remodel("b", msgspec.structs.replace(model, links=(link,)))
+    earth.replace_model("b", msgspec.structs.replace(model, links=(link,)))
     steps(earth, SECOND)
 
     assert earth.state_of("b")[2] == pytest.approx(2.0, abs=1e-6)
@@ -104,9 +106,9 @@ def test_body_is_heavier_at_once_and_goes_on_as_fast(space: World) -> None:
     heavy = Inertial(10.0, inertia=(0.1, 0.0, 0.0, 0.1, 0.0, 0.1))
     link = msgspec.structs.replace(model.links[0], inertial=heavy)
 
-    space.remodel("b", msgspec.structs.replace(model, links=(link,)))
+    space.replace_model("b", msgspec.structs.replace(model, links=(link,)))
     assert space.state_of("b")[7] == pytest.approx(1.0)
-    space.pushes.add(LinkPush("b", 0, wrench(5.0, 0.0, 0.0, 0.0, 0.0, 0.0), FOREVER))
+    space.applied_forces.add(LinkWrench("b", 0, wrench(5.0, 0.0, 0.0, 0.0, 0.0, 0.0), FOREVER))
     steps(space, SECOND)
 
     assert space.state_of("b")[7] == pytest.approx(1.0 + 0.5 * SECOND * DT_S, rel=1e-4)
@@ -116,8 +118,8 @@ def test_limit_of_a_joint_is_kept_once_it_is_set(earth: World) -> None:
     model = an_arm("revolute", damping=0.05)
     earth.spawn(a_birth("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     joint = msgspec.structs.replace(model.joints[0], lower=-0.1, upper=0.1)
-    earth.remodel("a", msgspec.structs.replace(model, joints=(joint,)))
-    earth.pushes.add(JointPush("a", 0, 50.0, FOREVER))
+    earth.replace_model("a", msgspec.structs.replace(model, joints=(joint,)))
+    earth.applied_forces.add(JointEffort("a", 0, 50.0, FOREVER))
 
     steps(earth, 2 * SECOND)
 

@@ -14,7 +14,7 @@ from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, TopicTimer, WorldTelemetry
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000

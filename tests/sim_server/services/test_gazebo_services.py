@@ -148,7 +148,7 @@ def test_wrench_at_a_point_of_a_frame_turns_the_link_by_its_arm(context: ServerC
     at_origin = a_push(reference_frame="box::base")
 
     assert gained(context, at_origin)[3:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-    context.world.pushes.forget_all()
+    context.world.applied_forces.forget_all()
     aside = a_push(reference_frame="box::base", reference_point=Point(0.0, 0.5, 0.0))
     assert gained(context, aside)[5] == pytest.approx(-1.0 / moment)
 
@@ -157,7 +157,7 @@ def test_wrench_of_no_duration_does_nothing(context: ServerContext) -> None:
     report = handle_request(context, a_push(duration=Duration()))
 
     assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
-    assert (report.success, len(context.world.pushes)) == (True, 0)
+    assert (report.success, len(context.world.applied_forces)) == (True, 0)
 
 
 def test_wrench_begins_and_ends_in_simulation_time(context: ServerContext) -> None:
@@ -177,9 +177,9 @@ def test_wrenches_are_cleared_by_link(context: ServerContext) -> None:
     handle_request(context, a_push())
 
     handle_request(context, gazebo_messages.ClearLinkWrenchesRequest("arm::arm"))
-    assert len(context.world.pushes) == 1
+    assert len(context.world.applied_forces) == 1
     handle_request(context, gazebo_messages.ClearLinkWrenchesRequest("box::base"))
-    assert len(context.world.pushes) == 0
+    assert len(context.world.applied_forces) == 0
 
 
 def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(context: ServerContext) -> None:
@@ -193,7 +193,7 @@ def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(context: Server
 
     assert context.world.reading().joint_velocities[0] == pytest.approx(DT_S)
     handle_request(context, gazebo_messages.ClearJointEffortsRequest("swing"))
-    assert len(context.world.pushes) == 0
+    assert len(context.world.applied_forces) == 0
 
 
 def test_joint_is_changed_and_tells_so(context: ServerContext) -> None:
@@ -359,7 +359,7 @@ def test_request_is_refused(
 
     assert refused.value.code == code
     assert context.world.reading().base.tobytes() == before
-    assert len(context.world.pushes) == 0
+    assert len(context.world.applied_forces) == 0
 
 
 def test_joint_that_several_entities_have_is_named_in_full(context: ServerContext) -> None:

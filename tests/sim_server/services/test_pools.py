@@ -23,7 +23,7 @@ def share(context: ServerContext, pool: str, limit: int = 0) -> agent_messages.C
 
 
 def driven_by(context: ServerContext, pool: str) -> list[str]:
-    return [name for name, _ in context.world.claims.held_by(pool)]
+    return [name for name, _ in context.world.claims.list_claims(pool)]
 
 
 def test_first_pool_gets_all_robots_that_nobody_drives_by_name() -> None:

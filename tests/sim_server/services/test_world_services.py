@@ -27,7 +27,11 @@ from zensim.sim_server.errors import SimError
 from zensim.sim_server.server_context import BuiltWorld, DeferredResponse, ServerContext
 from zensim.sim_server.services.service_registry import handle_request
 from zensim.sim_server.services.world_services import WORLD_BUILD_SLICE_NS
-from zensim.sim_server.worlds.atlas import FILES_A_TURN, Atlas, described
+from zensim.sim_server.world_loading.world_catalog import (
+    FILES_PER_TURN,
+    WorldCatalog,
+    read_world_metadata,
+)
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (
@@ -83,7 +87,7 @@ def folder(tmp_path: Path, context: ServerContext) -> Path:
     (tmp_path / "outside.world").write_text(sdf())
     folder = tmp_path / "given"
     folder.mkdir()
-    context.world_catalog = Atlas([folder])
+    context.world_catalog = WorldCatalog([folder])
     return folder
 
 
@@ -331,11 +335,11 @@ def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
     # Seconds, were each of the frames to look for an end of its own.
     text = "<world name='w'><zensim:tags>a, b</zensim:tags>" + "<frame>" * 10_000
 
-    assert described(Resource(), text).tags == ("a", "b")
+    assert read_world_metadata(Resource(), text).tags == ("a", "b")
 
 
 def test_many_files_are_looked_at_a_few_at_a_turn(context: ServerContext, folder: Path) -> None:
-    for number in range(3 * FILES_A_TURN):
+    for number in range(3 * FILES_PER_TURN):
         (folder / f"{number:03}.world").write_text(sdf())
     later = handle_request(context, world_messages.GetAvailableWorldsRequest())
     assert isinstance(later, DeferredResponse)
@@ -345,7 +349,7 @@ def test_many_files_are_looked_at_a_few_at_a_turn(context: ServerContext, folder
         turns += 1
 
     assert turns > 3
-    assert len(later.outcome().worlds) == 3 + 3 * FILES_A_TURN  # type: ignore[attr-defined]
+    assert len(later.outcome().worlds) == 3 + 3 * FILES_PER_TURN  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])

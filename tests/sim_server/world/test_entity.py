@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.models import a_box, a_cart, a_state, an_arm
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.world.entity import Entity, Hold, fleet_of, roster_of
+from zensim.sim_server.world.entity import ClaimRecord, Entity, make_entity_index, select_claimed
 
 BOX, CART, ARM = a_box(), a_cart(), an_arm("continuous")
 models = st.lists(st.sampled_from([BOX, CART, ARM]), max_size=12)
@@ -20,7 +20,7 @@ def entities_of(kinds: list[Model]) -> list[Entity]:
 
 
 def test_roster_lines_entities_up_with_their_joints() -> None:
-    roster = roster_of(entities_of([CART, BOX, ARM, CART]))
+    roster = make_entity_index(entities_of([CART, BOX, ARM, CART]))
 
     assert roster.names == ("r0", "r1", "r2", "r3")
     assert roster.bodies == (100, 101, 102, 103)
@@ -30,7 +30,7 @@ def test_roster_lines_entities_up_with_their_joints() -> None:
 
 
 def test_roster_is_empty_when_nobody_is_there() -> None:
-    roster = roster_of([])
+    roster = make_entity_index([])
 
     assert (roster.names, roster.bodies, roster.row) == ((), (), {})
     assert roster.joint_start.shape == roster.joint_count.shape == (0,)
@@ -38,9 +38,12 @@ def test_roster_is_empty_when_nobody_is_there() -> None:
 
 def test_fleet_is_cut_in_the_order_of_claiming() -> None:
     entities = entities_of([CART, BOX, ARM, CART])
-    members = [(entities[3], Hold(7, "a", "stop")), (entities[0], Hold(9, "a", "stop"))]
+    members = [
+        (entities[3], ClaimRecord(7, "a", "stop")),
+        (entities[0], ClaimRecord(9, "a", "stop")),
+    ]
 
-    fleet = fleet_of(roster_of(entities), members)
+    fleet = select_claimed(make_entity_index(entities), members)
 
     assert np.frombuffer(fleet.claims, dtype="<u4").tolist() == [7, 9]
     assert fleet.rows.tolist() == [3, 0]
@@ -53,7 +56,9 @@ def test_fleet_is_cut_in_the_order_of_claiming() -> None:
 def test_fleet_has_no_targets_when_its_entity_has_no_drive(model: Model) -> None:
     entities = entities_of([CART, model])
 
-    fleet = fleet_of(roster_of(entities), [(entities[1], Hold(1, "a", "stop"))])
+    fleet = select_claimed(
+        make_entity_index(entities), [(entities[1], ClaimRecord(1, "a", "stop"))]
+    )
 
     assert fleet.target_count == 0
     assert len(fleet.joints) == len(model.joints)
@@ -70,8 +75,9 @@ def test_fleet_reads_each_member_the_joints_that_are_its_own(
         [np.zeros(0), *(np.full(len(model.joints), row) for row, model in enumerate(kinds))]
     )
 
-    fleet = fleet_of(
-        roster_of(entities), [(entity, Hold(i, "a", "stop")) for i, entity in enumerate(chosen)]
+    fleet = select_claimed(
+        make_entity_index(entities),
+        [(entity, ClaimRecord(i, "a", "stop")) for i, entity in enumerate(chosen)],
     )
 
     rows = [entity.body - 100 for entity in chosen]

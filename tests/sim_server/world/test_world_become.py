@@ -8,8 +8,8 @@ from tests.engines import STEP_NS, ObedientEngine
 from tests.sim_server.fakes import a_command, a_world, kinds_of_events, names_in
 from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.world.pushes import LinkPush, Span
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.applied_forces import LinkWrench, TimeSpan
+from zensim.sim_server.world.simulated_world import World
 
 names = st.lists(st.sampled_from(["a", "b", "c", "d"]), unique=True)
 
@@ -20,10 +20,10 @@ def a_pair(old: list[str], new: list[str]) -> tuple[World, ObedientEngine, Obedi
     world, other = a_world(*old, engine=engines[0]), a_world(*new, engine=engines[1])
     if old:
         world.claim("agent", tuple(old), "stop")
-        world.pushes.add(LinkPush(old[0], 0, np.zeros(6), Span(0, None)))
+        world.applied_forces.add(LinkWrench(old[0], 0, np.zeros(6), TimeSpan(0, None)))
     world.step()
     world.take_events()
-    world.become(other, State.STOPPED)
+    world.replace_with(other, State.STOPPED)
     return world, *engines
 
 
@@ -35,7 +35,7 @@ def test_world_holds_what_the_other_held_and_nothing_else(old: list[str], new: l
     assert before.is_closed
     assert not after.is_closed
     assert [entity.body for entity in world.entities] == list(after.bodies)
-    assert (len(world.claims), len(world.pushes)) == (0, 0)
+    assert (len(world.claims), len(world.applied_forces)) == (0, 0)
     assert (world.steps, world.epoch, world.state) == (0, 1, State.STOPPED)
     told = ["deleted"] * len(old) + ["loaded"] + ["spawned"] * len(new)
     assert kinds_of_events(world) == told

@@ -16,7 +16,7 @@ from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.proto.messages.result_messages import ClaimCode
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import EntityNotFound, RequestRefused
-from zensim.sim_server.world.world import World
+from zensim.sim_server.world.simulated_world import World
 
 
 def told_agents(world: World) -> list[str]:
@@ -292,7 +292,7 @@ def test_world_remembers_once_how_long_an_entity_took_to_be_driven() -> None:
     world = a_world("r0", "r1")
     world.claim("a", ("r0",), "stop")
 
-    world.note_ready("a", 2_000_000_000)
-    world.note_ready("a", 9_000_000_000)
+    world.record_ready_time("a", 2_000_000_000)
+    world.record_ready_time("a", 9_000_000_000)
 
     assert world.ready_s == {"r0": pytest.approx(2.0)}

@@ -1,0 +1,259 @@
+"""The journal as a server opens it, and isolation of entities that crash a restore."""
+
+from __future__ import annotations
+
+import logging
+import os
+import select
+import signal
+import struct
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
+from zensim.sim_server.journal.change_tracker import ChangeTracker
+from zensim.sim_server.journal.journal_contents import (
+    JournalContents,
+    MeshRestorer,
+    commit_restore,
+    make_spawn_request,
+    read_contents,
+    restore_world,
+)
+from zensim.sim_server.journal.journal_records import ExcludedEntityRow
+from zensim.sim_server.journal.sqlite_store import (
+    FILES,
+    SqliteStore,
+    open_store,
+    raising_journal_errors,
+    sync_folder,
+)
+from zensim.sim_server.journal_protocol import JournaledResponse
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from zensim.sim_server.journal.journal_records import JournaledEntity
+    from zensim.sim_server.parser_process.asset_store import AssetStore
+    from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.server_context import ServerContext
+    from zensim.sim_server.world.simulated_world import World
+
+DEADLINE_S = 10.0
+"""For one try."""
+MAX_CRASHES = 2
+"""How often an entity may end a process before it is set aside; the first time was the server."""
+ATTEMPT_NUMBER = struct.Struct("<I")
+
+
+def find_crashing(tries: Sequence[Callable[[], None]]) -> list[int]:
+    """Make tries one after another, each after those before it; number those that kill a process.
+
+    Each is made in a copy of this process, so that nothing here has changed afterwards. One that
+    raises is harmless. One that ends its process is made again in the next, alone of those that
+    did; what kills twice is left out from then on.
+    """
+    deaths: dict[int, int] = {}
+    while (
+        number := _find_first_crash(tries, [i for i in deaths if deaths[i] >= MAX_CRASHES])
+    ) is not None:
+        deaths[number] = deaths.get(number, 0) + 1
+    return [number for number, count in deaths.items() if count >= MAX_CRASHES]
+
+
+def _find_first_crash(tries: Sequence[Callable[[], None]], left_out: Sequence[int]) -> int | None:
+    wanted = [number for number in range(len(tries)) if number not in left_out]
+    if not wanted:
+        return None
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        _run_attempts(tries, wanted, writer)
+    os.close(writer)
+    try:
+        return _wait_for_child(reader, child, wanted)
+    finally:
+        os.close(reader)
+
+
+def _run_attempts(tries: Sequence[Callable[[], None]], wanted: Sequence[int], writer: int) -> None:
+    status = 1
+    try:
+        for number in wanted:
+            os.write(writer, ATTEMPT_NUMBER.pack(number))
+            _run_attempt(tries[number])
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _run_attempt(make: Callable[[], None]) -> None:
+    try:
+        make()
+    except Exception:  # noqa: BLE001  whoever restores it is told
+        return
+
+
+def _wait_for_child(reader: int, child: int, wanted: Sequence[int]) -> int | None:
+    last = wanted[0]
+    while True:
+        if not select.select([reader], [], [], DEADLINE_S)[0]:
+            os.kill(child, signal.SIGKILL)
+        if not (data := os.read(reader, ATTEMPT_NUMBER.size)):
+            break
+        last = ATTEMPT_NUMBER.unpack(data)[0]
+    _, status = os.waitpid(child, 0)
+    return last if status else None
+
+
+LOG = logging.getLogger(__name__)
+RESTORE_MARK_FILE = "restoring"
+"""Is there from the beginning of a restore to its end: a server that finds it died in between."""
+RESPONSE_LIFETIME_S = 3600.0
+"""How long a retry gets the answer of an earlier server."""
+CRASHED_REASON = "ended the process that restored it, twice"
+
+
+@dataclass
+class Journal:
+    """An open journal, and what it held."""
+
+    ledger: SqliteStore
+    contents: JournalContents | None
+    kept: tuple[JournaledEntity, ...] = ()
+    _is_owned_by_tracker: bool = False
+
+    @property
+    def files(self) -> Path:
+        """Where `<sha256>.stl` is for each mesh of a model."""
+        return self.ledger.folder / FILES
+
+    def exclude_crashing(self, make_engine: Callable[[], Engine]) -> None:
+        """Set aside what kills a server, if the last one died while it restored.
+
+        Call it before anything has threads: it makes copies of this process.
+        """
+        if self.contents is None or not self._mark.exists():
+            return
+        LOG.warning("the last start died while it restored; each entity is tried apart first")
+        rows = self.contents.entities
+        guilty = find_crashing(_make_restore_attempts(self.contents, make_engine))
+        with raising_journal_errors(self.ledger.folder):
+            commit_restore(
+                self.ledger,
+                [ExcludedEntityRow(entity=rows[i], reason=CRASHED_REASON) for i in guilty],
+            )
+        self.contents = read_contents(self.ledger)
+
+    def restore(self, world: World, store: AssetStore, now_ns: int) -> tuple[str, ...]:
+        """Make a world as it was; name who could not be made again.
+
+        Raises:
+            JournalError: The journal cannot be written.
+        """
+        if self.contents is None:
+            return ()
+        with raising_journal_errors(self.ledger.folder):
+            return self._restore(self.contents, world, store, now_ns)
+
+    def _restore(
+        self, contents: JournalContents, world: World, store: AssetStore, now_ns: int
+    ) -> tuple[str, ...]:
+        self._mark.touch()
+        sync_folder(self.ledger.folder)
+        restored = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
+        self.kept = tuple(restored.kept)
+        clock = msgspec.structs.replace(contents.clock, epoch=world.epoch, steps=world.steps)
+        commit_restore(self.ledger, restored.refused, clock)
+        self._mark.unlink()
+        return tuple(row.entity.name for row in restored.refused)
+
+    def prepare(self, context: ServerContext, now_s: float) -> None:
+        """Give a desk what is no part of its world: answers, bonds, and what was read."""
+        context.told = self._told(now_s)
+        if self.contents is not None:
+            context.resource = self.contents.world.resource
+        for kept in self.kept:
+            if kept.reading is not None:
+                context.descriptions.remember(kept.reading, kept.entity.model)
+            if kept.bond:
+                held = context.bonded_entities.setdefault(kept.bond, [])
+                held.append((kept.entity.name, kept.entity.born_ns))
+
+    def record(self, context: ServerContext) -> ChangeTracker:
+        """Go on where the journal ended."""
+        self.prepare(context, time.time())
+        keeper = BatchWriter(self.ledger, context.store.folder)
+        with raising_journal_errors(self.ledger.folder):
+            keeper.remove_unused_files()
+        writer = WriterThread(keeper, self.ledger.position)
+        writer.start()
+        self._is_owned_by_tracker = True
+        position = self.ledger.position
+        recorder = ChangeTracker(
+            context, writer, position=position, known=self.kept, wall_s=time.time
+        )
+        context.journal = recorder
+        return recorder
+
+    def close(self) -> None:
+        """Let go of the folder, unless a recorder has done so."""
+        if not self._is_owned_by_tracker:
+            self.ledger.close()
+
+    def _told(self, now_s: float) -> tuple[JournaledResponse, ...]:
+        """What was answered not too long ago."""
+        answers = self.contents.answers if self.contents else ()
+        oldest_s = now_s - RESPONSE_LIFETIME_S
+        return tuple(
+            JournaledResponse(row.service, row.request_id, row.payload, row.encoding)
+            for row in answers
+            if row.at_s >= oldest_s
+        )
+
+    @property
+    def _mark(self) -> Path:
+        return self.ledger.folder / RESTORE_MARK_FILE
+
+
+def open_journal(folder: str) -> Journal:
+    """Open the journal of a folder, or begin one.
+
+    Raises:
+        JournalError: It cannot be used.
+    """
+    ledger = open_store(Path(folder))
+    try:
+        contents = read_contents(ledger)
+    except BaseException:
+        ledger.close()
+        raise
+    if ledger.lost:
+        LOG.warning(
+            "journal %s was cut short: its last %d changes are lost; going on from change %d",
+            os.fspath(ledger.folder),
+            ledger.lost,
+            ledger.position,
+        )
+    return Journal(ledger, contents)
+
+
+def _make_restore_attempts(
+    contents: JournalContents, make_engine: Callable[[], Engine]
+) -> list[Callable[[], None]]:
+    engines: list[Engine] = []
+
+    def attempt(number: int) -> None:
+        if not engines:
+            engines.append(make_engine())
+        birth = make_spawn_request(contents, contents.entities[number], 0)
+        body = engines[0].add(birth.model, birth.base)
+        engines[0].rest(body, *contents.stand(contents.entities[number]))
+        engines[0].step()
+
+    return [lambda number=i: attempt(number) for i in range(len(contents.entities))]  # type: ignore[misc]

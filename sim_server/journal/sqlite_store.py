@@ -1,0 +1,313 @@
+"""SQLite store of the journal: rows and their digests, transactions, integrity checks."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import sqlite3
+import struct
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+DATABASE, LOCK, FILES = "journal.db", "lock", "files"
+MIGRATIONS = (
+    """
+    CREATE TABLE rows (
+        id INTEGER PRIMARY KEY, kind TEXT NOT NULL, key TEXT NOT NULL, body BLOB NOT NULL,
+        digest BLOB NOT NULL, UNIQUE (kind, key));
+    CREATE TABLE total (
+        id INTEGER PRIMARY KEY CHECK (id = 1), position INTEGER NOT NULL, digest BLOB NOT NULL);
+    """,
+)
+"""Statements that make each version of the tables out of the one before."""
+DIGEST_BYTES = 8
+DIGEST_SUM_MASK = (1 << 64) - 1
+POSITION_MARK = struct.Struct("<Q8s")
+BUSY_TIMEOUT_S = 2.0
+
+
+class JournalError(Exception):
+    """A journal cannot be used; the message is one line."""
+
+
+class SqliteStore:
+    """Rows by kind and key. One thread at a time."""
+
+    def __init__(self, folder: Path, connection: sqlite3.Connection, lock: int | None) -> None:
+        self.folder = folder
+        self.position = 0
+        self.lost = 0
+        """Changes that were once on the disk, and are no more."""
+        self._lock = lock
+        self._connection = connection
+        self._digests: dict[tuple[str, str], int] = {}
+        self._undo: list[tuple[tuple[str, str], int | None]] = []
+        self._sum = 0
+
+    def put(self, kind: str, key: str, body: bytes) -> None:
+        """Write a row, in place of the one that was there."""
+        digest = _digest_row(kind, key, body)
+        self._connection.execute(
+            "INSERT INTO rows (kind, key, body, digest) VALUES (?, ?, ?, ?) "
+            "ON CONFLICT (kind, key) DO UPDATE SET body = excluded.body, digest = excluded.digest",
+            (kind, key, body, digest.to_bytes(DIGEST_BYTES, "little")),
+        )
+        self._set_digest((kind, key), digest)
+
+    def remove(self, kind: str, key: str) -> None:
+        """Take a row out, if it is there."""
+        if (kind, key) in self._digests:
+            self._connection.execute("DELETE FROM rows WHERE kind = ? AND key = ?", (kind, key))
+            self._set_digest((kind, key), None)
+
+    def __contains__(self, place: tuple[str, str]) -> bool:
+        """Whether there is a row of this kind and key."""
+        return place in self._digests
+
+    def rows(self, kind: str) -> dict[str, bytes]:
+        """Read all rows of a kind."""
+        found = self._connection.execute("SELECT key, body FROM rows WHERE kind = ?", (kind,))
+        return dict(found.fetchall())
+
+    def body(self, kind: str, key: str) -> bytes | None:
+        """Read one row."""
+        found = self._connection.execute(
+            "SELECT body FROM rows WHERE kind = ? AND key = ?", (kind, key)
+        ).fetchone()
+        return found[0] if found else None
+
+    def begin(self) -> None:
+        """Begin a transaction."""
+        self._connection.execute("BEGIN IMMEDIATE")
+
+    def commit(self, position: int) -> None:
+        """Put on the disk what was written since `begin`.
+
+        Raises:
+            sqlite3.Error: It is not there; call `rollback`.
+        """
+        total = (position, _digest_total(self._sum, position))
+        self._connection.execute("UPDATE total SET position = ?, digest = ? WHERE id = 1", total)
+        self._connection.execute("COMMIT")
+        self._undo.clear()
+        self.position = position
+        self._write_mark()
+
+    def rollback(self) -> None:
+        """Take back what was written since `begin`."""
+        if self._connection.in_transaction:
+            self._connection.execute("ROLLBACK")
+        for place, digest in reversed(self._undo):
+            self._set_digest(place, digest)
+        self._undo.clear()
+
+    def close(self) -> None:
+        """Fold everything into the one file, and let go of it."""
+        try:
+            self._connection.close()
+        finally:
+            if self._lock is not None:
+                os.close(self._lock)
+
+    def check(self) -> None:
+        """Read everything, and compare it with its digests.
+
+        Raises:
+            JournalError: Something is damaged.
+        """
+        found = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
+        if found[0] != "ok":
+            raise JournalError(self._damaged(" ".join(str(found[0]).split())[:200]))
+        self._digests, self._sum = {}, 0
+        for kind, key, body, digest in self._connection.execute(
+            "SELECT kind, key, body, digest FROM rows"
+        ):
+            value = _digest_row(str(kind), str(key), body if isinstance(body, bytes) else b"")
+            if value.to_bytes(DIGEST_BYTES, "little") != digest:
+                raise JournalError(self._damaged(f"row {kind}/{str(key)[:80]} has changed"))
+            self._digests[kind, key] = value
+            self._sum = (self._sum + value) & DIGEST_SUM_MASK
+        self._check_total()
+
+    def _check_total(self) -> None:
+        total = self._connection.execute("SELECT position, digest FROM total").fetchone()
+        is_whole = total is not None and isinstance(total[0], int)
+        if not is_whole or total[1] != _digest_total(self._sum, total[0]):
+            raise JournalError(self._damaged("rows are missing or were added"))
+        self.position = total[0]
+        self.lost = max(0, self._read_mark() - self.position)
+
+    def _damaged(self, what: str) -> str:
+        return (
+            f"{self.folder / DATABASE} is damaged: {what}; "
+            "put a copy in its place, or use another folder"
+        )
+
+    def _set_digest(self, place: tuple[str, str], digest: int | None) -> None:
+        before = self._digests.pop(place, None)
+        self._undo.append((place, before))
+        if digest is not None:
+            self._digests[place] = digest
+        self._sum = (self._sum + (digest or 0) - (before or 0)) & DIGEST_SUM_MASK
+
+    def _write_mark(self) -> None:
+        """Note beside the file how far it goes, so that a file cut short is known as such."""
+        if self._lock is not None:
+            body = self.position.to_bytes(8, "little")
+            os.pwrite(self._lock, POSITION_MARK.pack(self.position, _hash_bytes(body)), 0)
+
+    def _read_mark(self) -> int:
+        data = (self.folder / LOCK).read_bytes()[: POSITION_MARK.size] if self._has_mark() else b""
+        if len(data) < POSITION_MARK.size:
+            return 0
+        position, digest = POSITION_MARK.unpack(data)
+        return int(position) if digest == _hash_bytes(data[:8]) else 0
+
+    def _has_mark(self) -> bool:
+        return (self.folder / LOCK).is_file()
+
+
+def open_store(folder: Path) -> SqliteStore:
+    """Open the journal of a folder for one server, or begin one.
+
+    Raises:
+        JournalError: The folder cannot be used, another server has it, or the journal is damaged.
+    """
+    with raising_journal_errors(folder):
+        (folder / FILES).mkdir(parents=True, exist_ok=True)
+        lock = _lock_folder(folder)
+        try:
+            return _open_locked(folder, lock)
+        except BaseException:
+            os.close(lock)
+            raise
+
+
+@contextmanager
+def open_store_read_only(folder: Path) -> Iterator[SqliteStore]:
+    """Open a journal to be read, beside a server that writes it.
+
+    Raises:
+        JournalError: There is none, or it is damaged.
+    """
+    with raising_journal_errors(folder):
+        if not (folder / DATABASE).is_file():
+            raise JournalError(f"{folder} holds no journal; name a folder given to --journal")
+        connection = _connect(folder)
+        try:
+            connection.execute("PRAGMA query_only = 1")
+            connection.execute("BEGIN")
+            ledger = SqliteStore(folder, connection, None)
+            _check_version(folder, connection)
+            ledger.check()
+            yield ledger
+        finally:
+            connection.close()
+
+
+def _open_locked(folder: Path, lock: int) -> SqliteStore:
+    connection = _connect(folder)
+    ledger = SqliteStore(folder, connection, lock)
+    try:
+        _migrate(folder, connection, ledger._read_mark())  # noqa: SLF001  of this very file
+        ledger.check()
+    except BaseException:
+        connection.close()
+        raise
+    return ledger
+
+
+def _connect(folder: Path) -> sqlite3.Connection:
+    connection = sqlite3.connect(
+        folder / DATABASE, timeout=BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+    )
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = FULL")
+    return connection
+
+
+def _check_version(folder: Path, connection: sqlite3.Connection) -> int:
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if not 0 <= version <= len(MIGRATIONS):
+        raise JournalError(
+            f"{folder / DATABASE} has version {version}, and this zensim knows up to "
+            f"{len(MIGRATIONS)}; use the zensim that wrote it, or another folder"
+        )
+    return version
+
+
+def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
+    version = _check_version(folder, connection)
+    if version == 0 and mark > 0:
+        raise JournalError(
+            f"{folder / DATABASE} is empty, but {mark} changes were written to it; "
+            "put a copy in its place, or use another folder"
+        )
+    if version == len(MIGRATIONS):
+        return
+    connection.execute("BEGIN IMMEDIATE")
+    for script in MIGRATIONS[version:]:
+        for statement in filter(str.strip, script.split(";")):
+            connection.execute(statement)
+    if version == 0:
+        connection.execute("INSERT INTO total VALUES (1, 0, ?)", (_digest_total(0, 0),))
+    connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+    connection.execute("COMMIT")
+    # The tables themselves are never lost with the tail of the log.
+    connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    sync_folder(folder)
+
+
+def _lock_folder(folder: Path) -> int:
+    lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(lock)
+        raise JournalError(
+            f"{folder} is used by another server; stop it, or use another folder"
+        ) from error
+    return lock
+
+
+def sync_folder(folder: Path) -> None:
+    """Put the names of a folder's files on the disk."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+@contextmanager
+def raising_journal_errors(folder: Path) -> Iterator[None]:
+    """Say in one line what a file or a disk does not do; raises JournalError."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise JournalError(
+            f"{folder / DATABASE} cannot be used: {error}; "
+            "make room for it, put a copy in its place, or use another folder"
+        ) from error
+    except OSError as error:
+        raise JournalError(
+            f"journal {folder} cannot be used: {error.strerror}; use a folder that can be written"
+        ) from error
+
+
+def _digest_row(kind: str, key: str, body: bytes) -> int:
+    head = f"{kind}/{key}".encode()
+    return int.from_bytes(_hash_bytes(len(head).to_bytes(4, "little") + head + body), "little")
+
+
+def _digest_total(rows: int, position: int) -> bytes:
+    return _hash_bytes(rows.to_bytes(8, "little") + position.to_bytes(8, "little", signed=True))
+
+
+def _hash_bytes(data: bytes) -> bytes:
+    return hashlib.blake2b(data, digest_size=DIGEST_BYTES).digest()

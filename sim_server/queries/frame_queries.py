@@ -1,0 +1,254 @@
+"""Resolves the frame, link and joint names of requests; finds their poses and states."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from zensim.proto.messages.model_messages import Joint, Link
+from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.rotation import FloatArray, conjugate, multiply, rotate
+from zensim.sim_server.errors import RequestRefused, SimError
+from zensim.sim_server.scene.forward_kinematics import compute_link_poses, compute_link_states
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.pose_conversion import WORLD_FRAMES, compose_poses, rotate_twist
+from zensim.sim_server.world.simulated_world import World
+
+SCOPE_SEPARATOR = "::"
+MAX_SHOWN_CHARACTERS = 80
+IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+class FrameNotFound(SimError):
+    """No frame has this name."""
+
+    code = ResultCode.NOT_FOUND
+    slug = "frame.unknown"
+
+    def __init__(self, frame_id: str) -> None:
+        super().__init__(
+            f"frame {frame_id[:MAX_SHOWN_CHARACTERS]!r} does not exist; use 'world', 'map', an entity, "
+            "'entity::link' or 'namespace/link'"
+        )
+
+
+class FrameAmbiguous(SimError):
+    """A name means more than one frame."""
+
+    slug = "frame.ambiguous"
+
+    def __init__(self, frame_id: str, entities: list[str]) -> None:
+        super().__init__(
+            f"frame {frame_id[:MAX_SHOWN_CHARACTERS]!r} is one of each of {', '.join(entities)[:MAX_SHOWN_CHARACTERS]}; "
+            "write it as 'entity::link'"
+        )
+
+
+def find_frame_pose(world: World, frame_id: str) -> FloatArray:
+    """Find where a frame is in the world (7,).
+
+    Raises:
+        FrameNotFound: There is none.
+        FrameAmbiguous: There is more than one.
+    """
+    if frame_id in WORLD_FRAMES:
+        return IDENTITY_POSE
+    bare = frame_id.removeprefix("/")
+    if any(entity.name == bare for entity in world.entities):
+        return world.state_of(bare)[:7]
+    found = [
+        pose
+        for entity, link in _list_candidates(world, bare)
+        if (pose := _find_link_pose(world, entity, link)) is not None
+    ]
+    if not found:
+        raise FrameNotFound(frame_id)
+    if len(found) > 1:
+        raise FrameAmbiguous(frame_id, [entity.name for entity, _ in _list_candidates(world, bare)])
+    return found[0]
+
+
+def pose_to_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
+    """Turn a pose (7,) given in a frame into the world's; raises as `frame_pose` does."""
+    if frame_id in WORLD_FRAMES:
+        return pose
+    return compose_poses(find_frame_pose(world, frame_id), pose)
+
+
+def twist_to_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:
+    """Turn a twist (6,) with the axes of a frame; how the frame moves itself is left out."""
+    if frame_id in WORLD_FRAMES:
+        return twist
+    return rotate_twist(find_frame_pose(world, frame_id), twist)
+
+
+def states_to_frame(frame: FloatArray, rows: FloatArray) -> FloatArray:
+    """Express state rows (n, 13) of the world in a frame (7,); its own motion is left out."""
+    back = conjugate(frame[3:])
+    return np.concatenate(
+        [
+            rotate(back, rows[:, :3] - frame[:3]),
+            multiply(np.broadcast_to(back, (len(rows), 4)), rows[:, 3:7]),
+            rotate(back, rows[:, 7:10]),
+            rotate(back, rows[:, 10:13]),
+        ],
+        axis=1,
+    )
+
+
+def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:
+    """List the entities whose name, or whose namespace, the frame begins with."""
+    found: list[tuple[Entity, str]] = []
+    for entity in world.entities:
+        heads = [entity.name + SCOPE_SEPARATOR]
+        if entity.namespace:
+            heads.append(entity.namespace + "/")
+        found.extend(
+            (entity, frame_id.removeprefix(head)) for head in heads if frame_id.startswith(head)
+        )
+    return found
+
+
+def _find_link_pose(world: World, entity: Entity, link: str) -> FloatArray | None:
+    reading, roster = world.reading(), world.roster()
+    base = reading.base[roster.row[entity.name], :7]
+    positions = reading.joint_positions[roster.joints_of(entity.name)]
+    pose = compute_link_poses(entity.model, base[None], positions[None]).get(link)
+    return None if pose is None else pose[0]
+
+
+MAX_SUGGESTED_NAMES = 5
+
+
+@dataclass(frozen=True)
+class ScopedLink:
+    """A link that moves by itself.
+
+    Attributes:
+        number: Index among `Model.links`.
+    """
+
+    entity: Entity
+    number: int
+
+    @property
+    def link(self) -> Link:
+        """What the model says of it."""
+        return self.entity.model.links[self.number]
+
+
+@dataclass(frozen=True)
+class ScopedJoint:
+    """A joint.
+
+    Attributes:
+        number: Index among `Model.joints`.
+    """
+
+    entity: Entity
+    number: int
+
+    @property
+    def joint(self) -> Joint:
+        """What the model says of it."""
+        return self.entity.model.joints[self.number]
+
+
+def find_link(world: World, name: str) -> ScopedLink:
+    """Find a link.
+
+    Raises:
+        EntityNotFound: There is no such entity.
+        Refused: There is no such link, or it was merged into another.
+    """
+    owner, _, inner = name.partition(SCOPE_SEPARATOR)
+    entity = world.entity(owner)
+    names = [link.name for link in entity.model.links]
+    if inner in names:
+        return ScopedLink(entity, names.index(inner))
+    for frame in entity.model.frames:
+        if frame.name == inner:
+            raise RequestRefused(
+                ResultCode.NOT_FOUND,
+                f"link {name[:MAX_SHOWN_CHARACTERS]!r} does not move by itself: it is merged into its parent, as "
+                f"fixed joints are; use '{owner}{SCOPE_SEPARATOR}{_find_moving_parent(entity, frame.parent)}'",
+            )
+    raise RequestRefused(
+        ResultCode.NOT_FOUND, f"link {name[:MAX_SHOWN_CHARACTERS]!r} {_suggest_names(owner, names)}"
+    )
+
+
+def find_joint(world: World, name: str) -> ScopedJoint:
+    """Find a joint by its scoped name, or by its own where one entity only has it.
+
+    Raises:
+        EntityNotFound: There is no such entity.
+        Refused: There is no such joint, or more than one.
+    """
+    owner, scope, inner = name.partition(SCOPE_SEPARATOR)
+    entities = (world.entity(owner),) if scope else world.entities
+    wanted = inner if scope else name
+    found = [
+        ScopedJoint(entity, number)
+        for entity in entities
+        for number, joint in enumerate(entity.model.joints)
+        if joint.name == wanted
+    ]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        owners = ", ".join(
+            f"'{one.entity.name}{SCOPE_SEPARATOR}{wanted}'" for one in found[:MAX_SUGGESTED_NAMES]
+        )
+        raise RequestRefused(
+            ResultCode.OPERATION_FAILED,
+            f"{len(found)} entities have a joint {name[:MAX_SHOWN_CHARACTERS]!r}; use {owners}",
+        )
+    if scope:
+        names = [joint.name for joint in entities[0].model.joints]
+        raise RequestRefused(
+            ResultCode.NOT_FOUND,
+            f"joint {name[:MAX_SHOWN_CHARACTERS]!r} {_suggest_names(owner, names)}",
+        )
+    raise RequestRefused(
+        ResultCode.NOT_FOUND,
+        f"no entity has a joint {name[:MAX_SHOWN_CHARACTERS]!r}; name it as 'entity{SCOPE_SEPARATOR}joint'",
+    )
+
+
+def find_state(world: World, name: str) -> FloatArray:
+    """Find the state row (13,) of an entity, `entity`, or of any of its links, `entity::link`.
+
+    Raises:
+        EntityNotFound: There is no such entity.
+        FrameNotFound: There is no such link.
+    """
+    owner, scope, inner = name.partition(SCOPE_SEPARATOR)
+    entity = world.entity(owner)
+    if not scope:
+        return world.state_of(name)
+    reading, roster = world.reading(), world.roster()
+    joints = roster.joints_of(owner)
+    states = compute_link_states(
+        entity.model,
+        reading.base[roster.row[owner]][None],
+        reading.joint_positions[joints][None],
+        reading.joint_velocities[joints][None],
+    )
+    if inner not in states:
+        find_frame_pose(world, name)  # says what is wrong with it
+    return np.asarray(states[inner][0])
+
+
+def _find_moving_parent(entity: Entity, name: str) -> str:
+    parents = {frame.name: frame.parent for frame in entity.model.frames}
+    while name in parents:
+        name = parents[name]
+    return name
+
+
+def _suggest_names(owner: str, names: list[str]) -> str:
+    if not names:
+        return f"does not exist; entity '{owner}' has none"
+    more = ", ..." if len(names) > MAX_SUGGESTED_NAMES else ""
+    offered = ", ".join(f"'{owner}{SCOPE_SEPARATOR}{one}'" for one in names[:MAX_SUGGESTED_NAMES])
+    return f"does not exist; use {offered}{more}"

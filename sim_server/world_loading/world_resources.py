@@ -1,0 +1,204 @@
+"""Models and meshes that a world names, found in the operator's folders for its parse job."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from zensim.proto.messages.asset_messages import (
+    MAX_BUNDLE_BYTES,
+    MAX_BUNDLE_FILES,
+    MAX_FILE_BYTES,
+    AssetRef,
+)
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.strict_parsing import MAX_BYTES, parse_xml
+from zensim.sim_server.errors import ModelError
+from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
+
+if TYPE_CHECKING:
+    from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
+    from zensim.sim_server.parser_process.asset_store import AssetStore
+    from zensim.sim_server.parser_process.description_cache import DescriptionProvider
+
+RESOURCE_SCHEMES = ("model://", "package://", "file://")
+MODEL_CONFIG_FILE = "model.config"
+DEFAULT_MODEL_FILE = "model.sdf"
+
+FindFile = Callable[[str], Path | None]
+"""The file that a URI stands for; None when it is not here."""
+
+
+def make_model_resolver(folders: Sequence[Path]) -> ResolveInclude:
+    """Look for models below these folders, the first that has one counts.
+
+    `model://NAME` is the folder NAME, whose model.config says which file; `model://NAME/FILE` is
+    that file; a relative path is below a folder. Nothing outside the folders is read.
+    """
+    roots = [folder.resolve() for folder in folders]
+
+    def resolve(uri: str) -> str | None:
+        part = _strip_scheme(uri)
+        places = [
+            place for root in roots if part and (place := _resolve_below(root, part)) is not None
+        ]
+        return next(
+            (text for place in places if (text := _read_model_text(place)) is not None), None
+        )
+
+    return resolve
+
+
+def make_file_finder(folders: Sequence[Path]) -> FindFile:
+    """Look for files below these folders, the first that has one counts.
+
+    `model://NAME/FILE` and `package://NAME/FILE` are NAME/FILE below a folder, or FILE below a
+    folder called NAME; a relative path is below a folder. Nothing outside the folders is there.
+    """
+    roots = [folder.resolve() for folder in folders]
+
+    def find(uri: str) -> Path | None:
+        part = _strip_scheme(uri)
+        name, _, inside = part.partition("/")
+        places = (
+            _resolve_below(root, path)
+            for root in roots
+            for path in (part, inside if name == root.name and part != uri else "")
+            if path
+        )
+        return next((place for place in places if place is not None and place.is_file()), None)
+
+    return find
+
+
+def make_file_reader(folders: Sequence[Path]) -> Callable[[str], bytes | None]:
+    """Read files below these folders, found as `files_in` does; None when too large or not here."""
+    find = make_file_finder(folders)
+
+    def read(uri: str) -> bytes | None:
+        file = find(uri)
+        if file is None or not os.access(file, os.R_OK) or file.stat().st_size > MAX_FILE_BYTES:
+            return None
+        return file.read_bytes()
+
+    return read
+
+
+def _strip_scheme(uri: str) -> str:
+    for scheme in RESOURCE_SCHEMES:
+        if uri.startswith(scheme):
+            return uri.removeprefix(scheme)
+    return "" if "://" in uri else uri
+
+
+def _resolve_below(root: Path, part: str) -> Path | None:
+    try:
+        place = (root / part).resolve()
+        return place if place.is_relative_to(root) and place.exists() else None
+    except (OSError, ValueError):  # a name too long, or one that no file can have
+        return None
+
+
+def _read_model_text(place: Path) -> str | None:
+    if place.is_dir():
+        named = _resolve_below(place, _find_model_file(place))
+        return _read_model_text(named) if named is not None and named.is_file() else None
+    try:
+        return place.read_text(encoding="utf-8") if place.stat().st_size <= MAX_BYTES else None
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _find_model_file(folder: Path) -> str:
+    """Name the SDF file of a model's folder: the newest version that its model.config lists."""
+    config = _resolve_below(folder, MODEL_CONFIG_FILE)
+    text = _read_model_text(config) if config is not None and config.is_file() else None
+    if text is None:
+        return DEFAULT_MODEL_FILE
+    try:
+        listed = parse_xml(text, root_tag="model", slug="sdf").findall("sdf")
+    except ModelError:
+        return DEFAULT_MODEL_FILE
+    versions = {(e.text or "").strip(): _parse_version(e.get("version") or "") for e in listed}
+    return (
+        max(versions, key=lambda name: versions[name], default=DEFAULT_MODEL_FILE)
+        or DEFAULT_MODEL_FILE
+    )
+
+
+def _parse_version(text: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in text.split(".") if part.isdecimal())
+
+
+MAX_PARSE_ROUNDS = 20
+"""Each may bring models that name others: includes nest 16 deep."""
+
+
+class WorldParseJob:
+    """Reads one world; files come from the operator's folders and from nowhere else."""
+
+    def __init__(
+        self,
+        text: str,
+        folders: Sequence[Path],
+        descriptions: DescriptionProvider,
+        store: AssetStore,
+        *,
+        allow_missing: bool,
+    ) -> None:
+        self.answer: ParseResult | None = None
+        """What came of it, once it is over."""
+        self._text = text
+        self._allow_missing = allow_missing
+        self._resolve, self._find = make_model_resolver(folders), make_file_reader(folders)
+        self._descriptions = descriptions
+        self._store = store
+        self._supplied: dict[str, str] = {}
+        self._supplied_bytes = self._rounds = 0
+        self._is_final_round = False
+        self._submit()
+
+    def _submit(self) -> None:
+        self._rounds += 1
+        self._descriptions.ask(
+            ParseRequest(
+                0,
+                self._text,
+                # Only once there is nothing more to give may something be missing.
+                allow_missing=self._is_final_round,
+                assets=tuple(AssetRef(uri, name) for uri, name in self._supplied.items()),
+                files=tuple(dict.fromkeys(self._supplied.values())),
+                is_world=True,
+            ),
+            self._note,
+        )
+
+    def _note(self, answer: ParseResult) -> None:
+        new = [uri for uri in answer.wanted if uri not in self._supplied and self._supply(uri)]
+        if new and self._rounds < MAX_PARSE_ROUNDS:
+            self._submit()
+        elif (
+            answer.code == SpawnCode.MISSING_ASSETS
+            and self._allow_missing
+            and not self._is_final_round
+        ):
+            self._is_final_round = True
+            self._submit()
+        else:
+            self.answer = answer
+
+    def _supply(self, uri: str) -> bool:
+        text = self._resolve(uri)
+        data = text.encode() if text is not None else self._find(uri)
+        if data is None or len(self._supplied) >= MAX_BUNDLE_FILES:
+            return False
+        self._supplied_bytes += len(data)
+        if self._supplied_bytes > MAX_BUNDLE_BYTES:
+            return False
+        name = sha256(data).hexdigest()
+        self._store.keep(name, data)
+        self._supplied[uri] = name
+        return True

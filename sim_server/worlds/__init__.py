@@ -1,1 +1,0 @@
-"""The worlds that can be loaded, and how their texts are read."""

@@ -1,0 +1,60 @@
+"""Beginning: a journal's world comes before the one that was asked for."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from tests.engines import STEP_NS
+from tests.sim_server.journal.stage import Journalled
+from zensim.proto.bus import BusConfig
+from zensim.sim_server.journal.server_journal import Journal, open_journal
+from zensim.sim_server.journal.sqlite_store import JournalError
+from zensim.sim_server.server import load_initial_world
+from zensim.sim_server.server_config import ServerConfig
+
+CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
+
+
+@pytest.fixture
+def journal(tmp_path: Path) -> Journal:
+    kept = Journalled(tmp_path, "r0")
+    kept.context.target_real_time_factor = 2.0
+    kept.recorder.note()
+    kept.crash()
+    return open_journal(str(tmp_path))
+
+
+def test_server_goes_on_with_the_world_of_its_journal(journal: Journal) -> None:
+    loaded, config = load_initial_world(CONFIG, journal)
+
+    assert loaded.model.name == "default"
+    assert (config.step_ns, config.real_time_factor, config.seed) == (STEP_NS, 2.0, 7)
+
+
+def test_server_holds_the_factor_that_was_asked_for(journal: Journal) -> None:
+    _, config = load_initial_world(msgspec.structs.replace(CONFIG, real_time_factor=0.5), journal)
+
+    assert config.real_time_factor == 0.5
+
+
+def test_server_reads_its_world_when_the_journal_is_new(tmp_path: Path) -> None:
+    loaded, _ = load_initial_world(CONFIG, open_journal(str(tmp_path)))
+
+    assert loaded.model.models
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"world": "other"}, "lab is the journal of world 'default'; use --world-name default"),
+        ({"step_hz": 100.0}, "lab counts steps of 240 Hz, not 100; leave --step-hz out"),
+    ],
+)
+def test_server_refuses_the_journal_of_another_world(
+    journal: Journal, change: dict[str, object], said: str
+) -> None:
+    with pytest.raises(JournalError) as caught:
+        load_initial_world(msgspec.structs.replace(CONFIG, **change), journal)
+
+    assert str(caught.value).startswith(said)

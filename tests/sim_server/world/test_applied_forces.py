@@ -1,0 +1,131 @@
+"""Wrenches and efforts last as long as they were asked to, in simulation time."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.engines import STEP_NS
+from tests.models import a_box, a_state
+from tests.sim_server.fakes import a_birth, a_world
+from zensim.sim_server.errors import RequestRefused
+from zensim.sim_server.world.applied_forces import (
+    MAX_APPLIED_FORCES,
+    AppliedForces,
+    JointEffort,
+    LinkWrench,
+    TimeSpan,
+    make_time_span,
+)
+from zensim.sim_server.world.simulated_world import World
+
+FOREVER = TimeSpan(0, None)
+PULL = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+DT_S = STEP_NS * 1e-9
+
+
+def boxes(*names: str) -> World:
+    world = a_world()
+    for i, name in enumerate(names):
+        world.spawn(a_birth(name, model=a_box(), base=a_state((5.0 * i, 0.0, 1.0))))
+    world.take_events()
+    return world
+
+
+def speed(world: World, name: str = "b") -> float:
+    return float(world.state_of(name)[7])
+
+
+def steps(world: World, count: int) -> None:
+    for _ in range(count):
+        world.step()
+
+
+@given(
+    now=st.integers(0, 1000),
+    start=st.integers(0, 10_000_000_000),
+    duration=st.integers(1, 10_000_000_000),
+)
+def test_span_covers_its_duration_to_the_step(now: int, start: int, duration: int) -> None:
+    now_ns = now * STEP_NS
+    span = make_time_span(now_ns=now_ns, start_ns=start, duration_ns=duration, step_ns=STEP_NS)
+
+    assert span is not None
+    assert span.end_ns is not None
+    assert span.start_ns >= now_ns
+    first = -(-span.start_ns // STEP_NS)
+    last = -(-span.end_ns // STEP_NS)
+    made = last - first
+    assert made >= 1
+    assert abs(made - max(1, duration / STEP_NS)) <= 1
+    assert span.holds(first * STEP_NS)
+    assert not span.holds(last * STEP_NS)
+
+
+def test_span_is_none_without_duration_and_endless_when_it_is_negative() -> None:
+    def of(duration: int) -> TimeSpan | None:
+        return make_time_span(now_ns=7, start_ns=0, duration_ns=duration, step_ns=STEP_NS)
+
+    assert of(0) is None
+    assert of(-1) == TimeSpan(7, None)
+    assert of(1) == TimeSpan(7, 7 + STEP_NS)
+
+
+def test_push_lasts_from_its_start_to_its_end() -> None:
+    world = boxes("b")
+    world.applied_forces.add(LinkWrench("b", 0, PULL, TimeSpan(2 * STEP_NS, 5 * STEP_NS)))
+
+    steps(world, 2)
+    before = speed(world)
+    steps(world, 10)
+
+    assert before == 0.0
+    assert speed(world) == pytest.approx(3 * DT_S)
+    assert len(world.applied_forces) == 0
+
+
+def test_push_goes_on_for_ever_until_it_is_cleared() -> None:
+    world = boxes("b", "c")
+    world.applied_forces.add(LinkWrench("b", 0, PULL, FOREVER))
+    world.applied_forces.add(LinkWrench("c", 0, PULL, FOREVER))
+    steps(world, 50)
+
+    assert world.applied_forces.clear_link("b", 0) == 1
+    steps(world, 50)
+
+    assert speed(world, "b") == pytest.approx(50 * DT_S)
+    assert speed(world, "c") == pytest.approx(100 * DT_S)
+    assert world.applied_forces.clear_link("b", 0) == 0
+
+
+def test_effort_turns_a_joint_until_it_is_cleared() -> None:
+    world = a_world("r")
+    world.applied_forces.add(JointEffort("r", 0, 1.0, FOREVER))
+    world.step()
+    turned = world.reading().joint_velocities[0]
+
+    assert world.applied_forces.clear_joint("r", 1) == 0
+    assert world.applied_forces.clear_joint("r", 0) == 1
+    assert turned > 0.0
+
+
+def test_pushes_end_with_their_entity_and_with_a_reset() -> None:
+    world = boxes("b", "c")
+    for name in ("b", "c"):
+        world.applied_forces.add(LinkWrench(name, 0, PULL, FOREVER))
+
+    world.delete("b")
+    assert len(world.applied_forces) == 1
+    world.step()
+    world.reset(1)
+
+    assert len(world.applied_forces) == 0
+
+
+def test_pushes_are_refused_when_there_are_too_many() -> None:
+    pushes = AppliedForces()
+    for _ in range(MAX_APPLIED_FORCES):
+        pushes.add(LinkWrench("b", 0, PULL, FOREVER))
+
+    with pytest.raises(RequestRefused, match="clear some first"):
+        pushes.add(LinkWrench("b", 0, PULL, FOREVER))

@@ -1,0 +1,83 @@
+"""States of the simulation: every pair of them, asked for by every number."""
+
+import pytest
+
+from tests.sim_server.fakes import a_desk, a_world, kinds_of_events, names_in
+from zensim.proto.messages.result_messages import SetSimulationStateCode
+from zensim.proto.messages.simulation_messages import (
+    SetSimulationStateRequest,
+    SimulationState,
+    State,
+)
+from zensim.sim_server.errors import RequestRefused
+from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.world.simulation_clock import ALLOWED_TRANSITIONS, STATE_EVENTS, STATE_NAMES
+
+STANDING = {State.STOPPED, State.PAUSED}
+
+
+def asked(state: int) -> SetSimulationStateRequest:
+    return SetSimulationStateRequest(SimulationState(state))
+
+
+@pytest.mark.parametrize("table", [STATE_NAMES, STATE_EVENTS, ALLOWED_TRANSITIONS])
+def test_every_state_is_told_of(table: dict[State, object]) -> None:
+    assert set(table) == set(State)
+
+
+@pytest.mark.parametrize("present", State)
+@pytest.mark.parametrize("wanted", State)
+def test_state_follows_another_as_the_table_says(present: State, wanted: State) -> None:
+    desk = a_desk(a_world("r0"))
+    desk.world.state = present
+
+    try:
+        handle_request(desk, asked(wanted))
+        code = None
+    except RequestRefused as refused:
+        code = refused.code
+
+    if wanted == present:
+        assert code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
+    elif wanted in ALLOWED_TRANSITIONS[present]:
+        assert (code, desk.world.state) == (None, wanted)
+    else:
+        assert (code, desk.world.state) == (SetSimulationStateCode.INCORRECT_TRANSITION, present)
+
+
+@pytest.mark.parametrize("present", State)
+@pytest.mark.parametrize("wanted", [6, 77, 255])
+def test_state_that_is_none_is_refused_with_those_that_are(present: State, wanted: int) -> None:
+    desk = a_desk(a_world())
+    desk.world.state = present
+
+    with pytest.raises(RequestRefused, match=f"{wanted}, which is no state; use") as refused:
+        handle_request(desk, asked(wanted))
+
+    assert refused.value.code == SetSimulationStateCode.INCORRECT_TRANSITION
+
+
+def test_world_is_never_asked_for_as_a_state() -> None:
+    for present, following in ALLOWED_TRANSITIONS.items():
+        assert not following & {State.NO_WORLD, State.LOADING_WORLD, present}
+
+
+def test_stop_goes_back_to_the_start() -> None:
+    desk = a_desk(a_world("r0"))
+    desk.world.step()
+    goal = desk.step_goals.add(5)
+
+    handle_request(desk, asked(State.STOPPED))
+
+    assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (0, 1, [])
+    assert goal.is_over
+    assert kinds_of_events(desk.world) == ["deleted", "reset", "stopped"]
+
+
+def test_pause_keeps_everything_where_it_is() -> None:
+    desk = a_desk(a_world("r0"))
+    desk.world.step()
+
+    handle_request(desk, asked(State.PAUSED))
+
+    assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (1, 0, ["r0"])
