@@ -14,8 +14,7 @@ from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
-from zensim.robot_agent.config import AgentConfig, AgentStart
-from zensim.robot_agent.rates import Rates
+from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.spawner.client import SimClient
 from zensim.spawner.launch import spawn_fleet
 from zensim.spawner.placement import Place
@@ -128,11 +127,11 @@ def serve_arguments(config: DemoConfig) -> tuple[str, ...]:
     )
 
 
-def agent_starts(config: DemoConfig) -> dict[str, AgentStart]:
+def agent_starts(config: DemoConfig) -> dict[str, AgentProcessConfig]:
     """Write what the agents are told, by what they are called here."""
     common = AgentConfig(
         world=config.world_name,
-        rates=Rates(config.agents.odom_hz, config.agents.tf_hz),
+        rates=RateOverrides(config.agents.odom_hz, config.agents.tf_hz),
         wait_s=AGENT_WAIT_S,
         ros=config.ros,
     )
@@ -144,7 +143,7 @@ def agent_starts(config: DemoConfig) -> dict[str, AgentStart]:
         pool = msgspec.structs.replace(common, pool_limit=0)
         told = {f"pool {number}": pool for number in range(config.agents.pools)}
     return {
-        name: AgentStart(endpoint=config.endpoint, config=one, is_quiet=True)
+        name: AgentProcessConfig(endpoint=config.endpoint, config=one, is_quiet=True)
         for name, one in told.items()
     }
 

@@ -10,8 +10,8 @@ import msgspec
 
 from zensim.deploy.parent import die_with_parent
 from zensim.proto.exit_codes import exit_on_failure
-from zensim.robot_agent.config import AgentStart
-from zensim.robot_agent.process import run
+from zensim.robot_agent.agent import run_agent_process
+from zensim.robot_agent.agent_config import AgentProcessConfig
 
 AGENT = "agent"
 
@@ -26,7 +26,7 @@ def main(verb: str, settings: str) -> None:
     with exit_on_failure(verb):
         if verb != AGENT:
             raise ValueError(f"verb {verb!r} is unknown here; use '{AGENT}'")
-        run(msgspec.json.decode(settings, type=AgentStart))
+        run_agent_process(msgspec.json.decode(settings, type=AgentProcessConfig))
 
 
 if __name__ == "__main__":

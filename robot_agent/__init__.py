@@ -1,1 +1,1 @@
-"""The robot's side: one process drives entities from outside the server."""
+"""Robot agents: processes that drive entities of a world from outside the server."""

@@ -1,60 +1,109 @@
-"""The agent: holds entities of one world and drives them, for as long as it is left to."""
+"""The agent process: connects, claims robots, drives them at each drive state and does the housekeeping."""
 
 import logging
 import math
+import signal
+import sys
 import time
+import uuid
 from collections.abc import Callable, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from typing import Protocol
 
+import msgspec
+
 from zensim.proto import keys
+from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.ros2.ros_graph import RosGraph
-from zensim.robot_agent.claimer import Claimer, Wish
-from zensim.robot_agent.config import AgentConfig
-from zensim.robot_agent.fleet import Fleet
-from zensim.robot_agent.network import Network
-from zensim.robot_agent.precedence import Precedence, be_nice
-from zensim.robot_agent.rates import with_rates
-from zensim.robot_agent.reading import Timeline
-from zensim.robot_agent.revising import Revising
-from zensim.robot_agent.rhythm import COMMANDS_S, LONGEST_S, Rhythm
-from zensim.robot_agent.share_claimer import ShareClaimer, ShareWish
-from zensim.robot_agent.upkeep import Kept, Upkeep
+from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
+from zensim.robot_agent.agent_network import AgentNetwork
+from zensim.robot_agent.agent_timing import (
+    MAX_COMMAND_PAUSE_S,
+    MAX_PAUSE_S,
+    LateCommandWindow,
+    PollSchedule,
+    ProcessPriority,
+    set_niceness,
+)
+from zensim.robot_agent.claim_client import (
+    ClaimSettings,
+    NamedClaimClient,
+    ShareClaimClient,
+    ShareSettings,
+)
+from zensim.robot_agent.drive_state_decoder import StateOrder
+from zensim.robot_agent.robots import IndividualRobots
+
+ANNOUNCE_PERIOD_S = 0.2
+LOG_PERIOD_S = 1.0
+
+
+class HousekeepingTarget(Protocol):
+    """Robots that are looked after."""
+
+    def answer(self) -> None:
+        """Tell last values to those who have asked."""
+
+    def announce(self) -> None:
+        """Publish what never changes to those who have begun to listen."""
+
+    def log_malformed(self) -> None:
+        """Log which commands were malformed."""
+
+
+class Housekeeping:
+    """Answers questions, greets new listeners, and says what was malformed."""
+
+    def __init__(self, kept: HousekeepingTarget) -> None:
+        self._kept = kept
+        self._announce_s = self._log_s = 0.0
+
+    def poll(self, now_s: float) -> None:
+        """Answer, and do what else is due."""
+        self._kept.answer()
+        if now_s >= self._announce_s:
+            self._announce_s = now_s + ANNOUNCE_PERIOD_S
+            self._kept.announce()
+        if now_s >= self._log_s:
+            self._log_s = now_s + LOG_PERIOD_S
+            self._kept.log_malformed()
+
 
 LOG = logging.getLogger("zensim.agent")
-LOOK_S = 0.02
+HOUSEKEEPING_PERIOD_S = 0.02
 """Pause between looks for anything else: none of it is urgent, and each look costs."""
 
 
-LOGGED_CLAIMS = 20
+MAX_LOGGED_CLAIMS = 20
 """Of more at once, only the number is told."""
 
 
-class Claiming(Protocol):
-    """Asks for entities; `Claimer` by name, `ShareClaimer` for a share."""
+class ClaimClient(Protocol):
+    """Asks for entities; `NamedClaimClient` by name, `ShareClaimClient` for a share."""
 
     def poll(self, now_s: float) -> tuple[Claim, ...]:
         """Ask if it is time to."""
 
-    def hurry(self) -> None:
+    def retry_soon(self) -> None:
         """Ask soon: something has changed."""
 
     def want(self, entities: tuple[str, ...]) -> None:
         """Learn that entities were lost."""
 
 
-class Held(Kept, Protocol):
-    """The robots that are held; `Fleet` has them one by one, `PoolFleet` in arrays."""
+class RobotSet(HousekeepingTarget, Protocol):
+    """The robots that are held; `IndividualRobots` has them one by one, `PooledRobots` in arrays."""
 
     newest_claim: int
 
     def take(self, claims: Sequence[Claim]) -> None:
         """Hold what was claimed."""
 
-    def lose_all_but(self, claims: bytes) -> tuple[str, ...]:
+    def release_all_except(self, claims: bytes) -> tuple[str, ...]:
         """Let go all others, and name them."""
 
     def holds(self, claims: bytes) -> bool:
@@ -76,7 +125,7 @@ class Held(Kept, Protocol):
 class Agent:
     """One process's part in the world; it moves only when polled."""
 
-    def __init__(self, network: Network, config: AgentConfig) -> None:
+    def __init__(self, network: AgentNetwork, config: AgentConfig) -> None:
         world, agent = config.world, config.agent
         self.malformed = 0
         """Drive states that were not understood."""
@@ -93,14 +142,16 @@ class Agent:
             keys.drive_command(world, agent), make_encoding(DriveCommand, Format.MSGPACK)
         )
         self._graph = RosGraph(network, config.ros)
-        self._claimer = _claimer_of(network, config)
-        self._fleet = _fleet_of(network, config, self._graph, self._ears)
-        self._timeline = Timeline()
-        self._upkeep = Upkeep(self._fleet)
-        self._precedence = Precedence(be_nice)
-        self._rhythm = Rhythm(COMMANDS_S if config.pool_limit is None else LONGEST_S)
-        self._revising = Revising()
-        self._look_s = self._now_s = -math.inf
+        self._claim_client = _make_claim_client(network, config)
+        self._fleet = _make_robot_set(network, config, self._graph, self._ears)
+        self._state_order = StateOrder()
+        self._housekeeping = Housekeeping(self._fleet)
+        self._priority = ProcessPriority(set_niceness)
+        self._poll_schedule = PollSchedule(
+            MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S
+        )
+        self._late_command_window = LateCommandWindow()
+        self._housekeeping_s = self._now_s = -math.inf
 
     def close(self) -> None:
         """Withdraw what is not withdrawn with the session."""
@@ -110,7 +161,7 @@ class Agent:
 
     def pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] before the next poll."""
-        return self._rhythm.pause_s(now_s)
+        return self._poll_schedule.pause_s(now_s)
 
     def poll(self, now_s: float) -> bool:
         """Do what there is to do; tell whether there was a drive state.
@@ -119,35 +170,35 @@ class Agent:
             now_s: Wall time, from any beginning.
 
         Raises:
-            ServiceError: See `Claimer.poll`, as for the others.
+            ServiceError: See `NamedClaimClient.poll`, as for the others.
             NoServer: See there.
             TimeoutError: See there.
             MalformedPayload: See there.
         """
         self._now_s = now_s
-        if now_s >= self._look_s:
-            self._look_s = now_s + LOOK_S
-            self._look_around(now_s)
+        if now_s >= self._housekeeping_s:
+            self._housekeeping_s = now_s + HOUSEKEEPING_PERIOD_S
+            self._do_housekeeping(now_s)
         return self._drive()
 
-    def _look_around(self, now_s: float) -> None:
+    def _do_housekeeping(self, now_s: float) -> None:
         self._watch_server()
-        claims = self._claimer.poll(now_s)
+        claims = self._claim_client.poll(now_s)
         if claims:
-            self._take_over(claims)
-        self._upkeep.poll(now_s)
+            self._add_claims(claims)
+        self._housekeeping.poll(now_s)
 
     def _watch_server(self) -> None:
         for _, is_alive in self._servers.take():
             if is_alive:
-                self._claimer.hurry()
+                self._claim_client.retry_soon()
                 continue
-            self._timeline.forget()
-            self._lose(self._fleet.lose_all_but(b""), "the server is gone")
+            self._state_order.forget()
+            self._handle_lost(self._fleet.release_all_except(b""), "the server is gone")
 
-    def _take_over(self, claims: tuple[Claim, ...]) -> None:
-        self._fleet.take(with_rates(claims, self._config.rates))
-        if len(claims) > LOGGED_CLAIMS:
+    def _add_claims(self, claims: tuple[Claim, ...]) -> None:
+        self._fleet.take(override_rates(claims, self._config.rates))
+        if len(claims) > MAX_LOGGED_CLAIMS:
             LOG.info("claimed agent=%s entities=%d", self._config.agent, len(claims))
             return
         for claim in claims:
@@ -166,8 +217,8 @@ class Agent:
             return False
         try:
             state = decode(DriveState, sample.payload, sample.encoding)
-            self._rhythm.note_state(self._now_s, is_awaited=state.is_awaited)
-            self._precedence.note_state(self._now_s, state)
+            self._poll_schedule.note_state(self._now_s, is_awaited=state.is_awaited)
+            self._priority.note_state(self._now_s, state)
             self._follow(state)
         except MalformedPayload as error:
             self.malformed += 1
@@ -179,16 +230,16 @@ class Agent:
         # An older state does not speak of the newest claim.
         if state.newest_claim < self._fleet.newest_claim or not self._fleet.holds(state.claims):
             return
-        order = self._timeline.place(state.epoch, state.step)
+        order = self._state_order.place(state.epoch, state.step)
         if order == "stale":
             return
         if order == "reset":
             self._fleet.reset()
-        self._lose(self._fleet.lose_all_but(state.claims), "the entity is gone")
+        self._handle_lost(self._fleet.release_all_except(state.claims), "the entity is gone")
         if not state.claims:
             return
         payload = encode(self._fleet.advance(state), Format.MSGPACK)
-        self._revising.note_state(state, self._now_s)
+        self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:
             # One link keeps the order: who sees the command has seen what the state made due.
             self._fleet.tell()
@@ -199,17 +250,17 @@ class Agent:
 
     def _revise(self) -> None:
         """Let a command that has come since the last state take effect before the next one."""
-        if not self._revising.is_open(self._now_s):
+        if not self._late_command_window.is_open(self._now_s):
             return
         if (command := self._fleet.revise()) is not None:
             self._commands.send(encode(command, Format.MSGPACK))
-            self._revising.close()
+            self._late_command_window.close()
 
-    def _lose(self, entities: tuple[str, ...], reason: str) -> None:
+    def _handle_lost(self, entities: tuple[str, ...], reason: str) -> None:
         if not entities:
             return
-        self._claimer.want(entities)
-        if len(entities) > LOGGED_CLAIMS:
+        self._claim_client.want(entities)
+        if len(entities) > MAX_LOGGED_CLAIMS:
             LOG.info(
                 "lost agent=%s entities=%d reason=%r", self._config.agent, len(entities), reason
             )
@@ -219,7 +270,7 @@ class Agent:
 
 
 def run_agent(
-    network: Network,
+    network: AgentNetwork,
     config: AgentConfig,
     should_stop: Callable[[], bool],
     *,
@@ -229,7 +280,7 @@ def run_agent(
     """Hold and drive entities until told to stop, or until they cannot be had.
 
     Raises:
-        ServiceError: See `Claimer.poll`, as for the others.
+        ServiceError: See `NamedClaimClient.poll`, as for the others.
         NoServer: See there.
         TimeoutError: See there.
         MalformedPayload: See there.
@@ -240,31 +291,68 @@ def run_agent(
             sleep(agent.pause_s(clock()))
 
 
-def _fleet_of(network: Network, config: AgentConfig, graph: RosGraph, ears: Network) -> Held:
+def _make_robot_set(
+    network: AgentNetwork, config: AgentConfig, graph: RosGraph, ears: AgentNetwork
+) -> RobotSet:
     timeout_ns = round(config.cmd_vel_timeout_s * NANOSECONDS)
     if config.pool_limit is None:
-        return Fleet(network, timeout_ns, graph)
+        return IndividualRobots(network, timeout_ns, graph)
     # Numpy and what is made of arrays are half of what an agent has to load, and 10 MB.
-    from zensim.robot_agent.pool.fleet import PoolFleet  # noqa: PLC0415
+    from zensim.robot_agent.pool.pooled_robots import PooledRobots  # noqa: PLC0415
 
-    return PoolFleet(network, timeout_ns, graph, ears)
+    return PooledRobots(network, timeout_ns, graph, ears)
 
 
-def _claimer_of(network: Network, config: AgentConfig) -> Claiming:
+def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClient:
     if config.pool_limit is None:
-        wish = Wish(
+        wish = ClaimSettings(
             world=config.world,
             agent=config.agent,
             entities=config.entities,
             on_release=config.on_release,
             wait_s=config.wait_s,
         )
-        return Claimer(network, wish)
-    share = ShareWish(
+        return NamedClaimClient(network, wish)
+    share = ShareSettings(
         world=config.world,
         agent=config.agent,
         limit=config.pool_limit,
         on_release=config.on_release,
         wait_s=config.wait_s,
     )
-    return ShareClaimer(network, share)
+    return ShareClaimClient(network, share)
+
+
+MAX_ENTITY_CHARACTERS = 48
+"""Of its name, in a made-up name of an agent."""
+
+
+def run_agent_process(start: AgentProcessConfig) -> None:
+    """Stay until stopped, which is how an agent ends well; one without a name makes one up.
+
+    Raises:
+        Unreachable: Nobody listens at the endpoint.
+        ServiceError: See `run_agent`, as for the others.
+    """
+    logging.basicConfig(
+        level=logging.WARNING if start.is_quiet else logging.INFO,
+        format="%(levelname)s %(name)s %(message)s",
+        stream=sys.stderr,
+    )
+    config = start.config
+    # Opening does not return to Python; until there is a token to withdraw, a signal just ends it.
+    for number in STOP_SIGNALS:
+        signal.signal(number, signal.SIG_DFL)
+    deadline_s = time.monotonic() + config.wait_s
+    with open_bus_with_retry(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
+        left_s = max(0.0, deadline_s - time.monotonic())
+        name = config.agent or _make_agent_name(config)
+        # An interrupt in what Python calls by itself is lost: the flag is looked at, too.
+        with suppress(KeyboardInterrupt):
+            stop = StopFlag(is_armed=False)
+            run_agent(bus, msgspec.structs.replace(config, agent=name, wait_s=left_s), stop)
+
+
+def _make_agent_name(config: AgentConfig) -> str:
+    entity = config.entities[0] if config.entities else "pool"
+    return f"agent_{entity[:MAX_ENTITY_CHARACTERS]}_{uuid.uuid4().hex[:4]}"

@@ -1,4 +1,4 @@
-"""`zensim agent`."""
+"""`zensim agent`: command line options of a robot agent."""
 
 from dataclasses import dataclass
 from typing import Annotated, get_args
@@ -10,30 +10,29 @@ from zensim.proto.cli_options import RosTfOptions, options_from
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.agent_messages import OnRelease
 from zensim.proto.names import check_name
-from zensim.robot_agent.config import AgentConfig, AgentStart
-from zensim.robot_agent.process import run
-from zensim.robot_agent.rates import Rates
+from zensim.robot_agent.agent import run_agent_process
+from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
-Connect = Annotated[
+ConnectOption = Annotated[
     str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")
 ]
-WorldName = Annotated[
+WorldNameOption = Annotated[
     str,
     typer.Option("--world-name", "--world", help="World on the network.", envvar="ZENSIM_WORLD"),
 ]
-Wait = Annotated[
+ClaimWaitOption = Annotated[
     float, typer.Option(min=0.0, help="Seconds to wait for server and entities at the start.")
 ]
-CmdVelTimeout = Annotated[
+CmdVelTimeoutOption = Annotated[
     float, typer.Option(min=0.0, help="Simulated seconds that a command holds; 0 = for ever.")
 ]
-OnReleaseWord = Annotated[
+OnReleaseOption = Annotated[
     str, typer.Option(help="What becomes of the entities at the end: stop, keep or delete.")
 ]
 
-Pool = Annotated[
+PoolOption = Annotated[
     int | None,
     typer.Option(
         "--pool",
@@ -41,7 +40,7 @@ Pool = Annotated[
         help="Drive a share of all robots that nobody drives by name: this many at most, 0 = any.",
     ),
 ]
-OdomHz = Annotated[
+OdomHzOption = Annotated[
     float | None,
     typer.Option(
         "--odom-hz",
@@ -50,7 +49,7 @@ OdomHz = Annotated[
         show_default="as described",
     ),
 ]
-TfHz = Annotated[
+TfHzOption = Annotated[
     float | None,
     typer.Option(
         "--tf-hz",
@@ -68,15 +67,15 @@ class AgentOptions(RosTfOptions):
     entities: Annotated[
         list[str] | None, typer.Argument(help="Entities to drive; none with --pool.")
     ] = None
-    pool: Pool = None
-    connect: Connect = ""
-    world_name: WorldName = "default"
+    pool: PoolOption = None
+    connect: ConnectOption = ""
+    world_name: WorldNameOption = "default"
     name: Annotated[str, typer.Option(help="Of this agent; made up unless given.")] = ""
-    wait: Wait = 30.0
-    cmd_vel_timeout: CmdVelTimeout = 0.5
-    odom_hz: OdomHz = None
-    tf_hz: TfHz = None
-    on_release: OnReleaseWord = "stop"
+    wait: ClaimWaitOption = 30.0
+    cmd_vel_timeout: CmdVelTimeoutOption = 0.5
+    odom_hz: OdomHzOption = None
+    tf_hz: TfHzOption = None
+    on_release: OnReleaseOption = "stop"
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Log warnings only.")] = False
 
 
@@ -86,31 +85,33 @@ def agent(given: AgentOptions) -> None:
     """Drive robots: cmd_vel in, odom and tf out."""
     with exit_on_failure("agent"):
         endpoint = given.connect or DEFAULT_ENDPOINT
-        run(AgentStart(endpoint=endpoint, config=_config(given), is_quiet=given.quiet))
+        run_agent_process(
+            AgentProcessConfig(endpoint=endpoint, config=_make_config(given), is_quiet=given.quiet)
+        )
 
 
-def _config(given: AgentOptions) -> AgentConfig:
+def _make_config(given: AgentOptions) -> AgentConfig:
     return AgentConfig(
         world=check_name(given.world_name, "world"),
         agent=check_name(given.name, "agent") if given.name else "",
-        entities=_checked_names(given.entities or [], given.pool),
+        entities=_check_entities(given.entities or [], given.pool),
         pool_limit=given.pool,
-        rates=Rates(given.odom_hz, given.tf_hz),
+        rates=RateOverrides(given.odom_hz, given.tf_hz),
         wait_s=given.wait,
         cmd_vel_timeout_s=given.cmd_vel_timeout,
-        on_release=_checked(given.on_release),
+        on_release=_parse_on_release(given.on_release),
         ros=given.ros,
     )
 
 
-def _checked_names(entities: list[str], pool: int | None) -> tuple[str, ...]:
+def _check_entities(entities: list[str], pool: int | None) -> tuple[str, ...]:
     if bool(entities) == (pool is not None):
         given = f"{len(entities)} entities and {'a' if pool is not None else 'no'} --pool"
         raise ValueError(f"{given} were given; name entities, or use --pool, one of both")
     return tuple(dict.fromkeys(check_name(entity, "entity") for entity in entities))
 
 
-def _checked(on_release: str) -> OnRelease:
+def _parse_on_release(on_release: str) -> OnRelease:
     for known in get_args(OnRelease):
         if known == on_release:
             return known  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""Where a robot is and how it moves: from the world, or from what its wheels turned."""
+"""Odometry of one robot from the world state or from wheel encoders, and its message."""
 
 import math
 from collections.abc import Sequence
@@ -19,13 +19,20 @@ from zensim.proto.messages.standard_messages import (
     TwistWithCovariance,
     Vector3,
 )
-from zensim.robot_agent.transforms import add, cross, multiply, rotate, turn, yaw_of
+from zensim.robot_agent.scalar_transforms import (
+    add,
+    cross,
+    find_yaw,
+    from_axis_angle,
+    multiply,
+    rotate,
+)
 
-UNKNOWN = 1e12
+UNKNOWN_VARIANCE = 1e12
 """Variance of what a planar robot does not measure: z, roll, pitch."""
 
 
-class Motion(msgspec.Struct, frozen=True, gc=False):
+class BaseMotion(msgspec.Struct, frozen=True, gc=False):
     """Pose of the robot's base in its odometry frame; velocities [m/s, rad/s] in the base."""
 
     position: Vec3 = ZERO
@@ -35,7 +42,7 @@ class Motion(msgspec.Struct, frozen=True, gc=False):
     angular_z: float = 0.0
 
 
-def world_motion(state: Sequence[float], base_in_root: Origin) -> Motion:
+def find_world_motion(state: Sequence[float], base_in_root: Origin) -> BaseMotion:
     """Read the true motion: the pose is in the world, the velocity turned by its yaw.
 
     Args:
@@ -48,9 +55,11 @@ def world_motion(state: Sequence[float], base_in_root: Origin) -> Motion:
     orientation = multiply(root, base_in_root.orientation)
     # A point that is off the root link moves also because the link turns.
     vx, vy, _ = add((vx, vy, vz), cross((wx, wy, wz), arm))
-    yaw = yaw_of(orientation)
+    yaw = find_yaw(orientation)
     cos, sin = math.cos(yaw), math.sin(yaw)
-    return Motion(add((px, py, pz), arm), orientation, cos * vx + sin * vy, cos * vy - sin * vx, wz)
+    return BaseMotion(
+        add((px, py, pz), arm), orientation, cos * vx + sin * vy, cos * vy - sin * vx, wz
+    )
 
 
 class EncoderOdometry:
@@ -67,13 +76,13 @@ class EncoderOdometry:
         self._is_speed_unsigned = is_speed_unsigned
         self._before: tuple[float, float, int] | None = None
         self._x = self._y = self._yaw = 0.0
-        self.motion = Motion()
+        self.motion = BaseMotion()
 
     def reset(self) -> None:
         """Start at 0 again."""
         self._before = None
         self._x = self._y = self._yaw = 0.0
-        self.motion = Motion()
+        self.motion = BaseMotion()
 
     def update(self, *, left_rad: float, right_rad: float, time_ns: int) -> None:
         """Take the wheel joints' positions at a moment of simulation time."""
@@ -93,34 +102,40 @@ class EncoderOdometry:
         self._y += distance_m * math.sin(middle)
         self._yaw += turned_rad
 
-    def _motion(self, left_m: float, right_m: float, elapsed_s: float) -> Motion:
+    def _motion(self, left_m: float, right_m: float, elapsed_s: float) -> BaseMotion:
         speed = (left_m + right_m) / 2.0 / elapsed_s
-        return Motion(
+        return BaseMotion(
             (self._x, self._y, 0.0),
-            turn((0.0, 0.0, 1.0), self._yaw),
+            from_axis_angle((0.0, 0.0, 1.0), self._yaw),
             abs(speed) if self._is_speed_unsigned else speed,
             0.0,
             (right_m - left_m) / self._pair.separation_m / elapsed_s,
         )
 
 
-def covariance_of(drive: DriveSettings) -> tuple[float, ...]:
+def make_covariance(drive: DriveSettings) -> tuple[float, ...]:
     """Lay the drive's variances out as a 6 x 6 matrix, for pose and twist alike."""
-    diagonal = (drive.covariance_x, drive.covariance_y, UNKNOWN, UNKNOWN, UNKNOWN)
+    diagonal = (
+        drive.covariance_x,
+        drive.covariance_y,
+        UNKNOWN_VARIANCE,
+        UNKNOWN_VARIANCE,
+        UNKNOWN_VARIANCE,
+    )
     matrix = [0.0] * 36
     matrix[0:35:7] = diagonal
     matrix[35] = drive.covariance_yaw
     return tuple(matrix)
 
 
-class OdometryFrames(msgspec.Struct, frozen=True):
+class OdometryHeader(msgspec.Struct, frozen=True):
     """What stays the same in every odometry message of one robot."""
 
     frame_id: str
     child_frame_id: str
     covariance: tuple[float, ...]
 
-    def message(self, motion: Motion, stamp: Time) -> Odometry:
+    def message(self, motion: BaseMotion, stamp: Time) -> Odometry:
         """Write a motion down."""
         pose = Pose(Point(*motion.position), Quaternion(*motion.orientation))
         twist = Twist(

@@ -9,9 +9,9 @@ from tests.engines import STEP_NS
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.rotation import to_yaw
-from zensim.robot_agent.driven_base import DrivenBase
-from zensim.robot_agent.odometry import Motion
-from zensim.robot_agent.reading import Reading
+from zensim.robot_agent.base_controller import BaseController
+from zensim.robot_agent.drive_state_decoder import RobotState
+from zensim.robot_agent.odometry import BaseMotion
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
@@ -36,7 +36,7 @@ class Course:
     left_m: float
     length_m: float
     turned_rad: float
-    motion: Motion
+    motion: BaseMotion
     row: FloatArray
 
 
@@ -46,7 +46,7 @@ class Track:
     def __init__(self, model: Model, start: FloatArray) -> None:
         self._engine = PyBulletEngine(EngineConfig(STEP_NS))
         self._body = self._engine.add(model, start)
-        self._base = DrivenBase(model)
+        self._base = BaseController(model)
         self._steps = 0
 
     def close(self) -> None:
@@ -77,7 +77,7 @@ class Track:
 
     def _control(self, twist: Twist) -> None:
         state = self._engine.read([self._body])
-        reading = Reading(
+        reading = RobotState(
             self._steps * STEP_NS,
             tuple(state.base[0].tolist()),
             tuple(state.joint_positions.tolist()),

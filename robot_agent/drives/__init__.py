@@ -1,1 +1,1 @@
-"""Drive controllers: pure, no network, no clock."""
+"""Drive controllers: pure, without network and clock."""

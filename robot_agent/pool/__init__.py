@@ -1,1 +1,1 @@
-"""Many robots in one process: everything that robots of a kind do, in arrays."""
+"""Many robots in one process: robots of a group are driven and published in arrays."""

@@ -19,9 +19,9 @@ from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
-from zensim.robot_agent.fleet import Fleet
-from zensim.robot_agent.pool.fleet import PoolFleet
-from zensim.robot_agent.rates import Rates, with_rates
+from zensim.robot_agent.agent_config import RateOverrides, override_rates
+from zensim.robot_agent.pool.pooled_robots import PooledRobots
+from zensim.robot_agent.robots import IndividualRobots
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
@@ -45,7 +45,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         with _buses() as (bus, listener):
             yield from _pool_figures(bus, listener, robots, rounds)
     with _buses() as (bus, _):
-        fleet = Fleet(bus, 0)
+        fleet = IndividualRobots(bus, 0)
         fleet.take(_claims(5 if is_short else SINGLE))
         states = _states(5 if is_short else SINGLE)
         took = _cpu_ms(rounds, lambda: fleet.advance(next(states)))
@@ -53,7 +53,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator[Figure]:
-    pool, states = PoolFleet(bus, 0), _states(robots)
+    pool, states = PooledRobots(bus, 0), _states(robots)
     pool.take(_claims(robots))
     commands = [
         bus.advertise(f"r{number}/cmd_vel", make_encoding(Twist, Format.CDR))
@@ -88,7 +88,7 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
 
 
 def _interleaved(
-    bus: Bus, robots: int, rounds: int, pool: PoolFleet, states: Iterator[DriveState]
+    bus: Bus, robots: int, rounds: int, pool: PooledRobots, states: Iterator[DriveState]
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Tell, and put bare payloads, turn by turn."""
     payload = encode(Odometry(), Format.CDR)
@@ -127,7 +127,7 @@ def _claims(robots: int) -> Sequence[Claim]:
         Claim(number + 1, f"r{number}", f"r{number}", model, "<robot/>") for number in range(robots)
     ]
     # Every state makes odometry and tf due.
-    return with_rates(claims, Rates(0.0, 0.0))
+    return override_rates(claims, RateOverrides(0.0, 0.0))
 
 
 def _states(robots: int) -> Iterator[DriveState]:

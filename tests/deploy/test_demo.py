@@ -5,8 +5,7 @@ import pytest
 
 from zensim.deploy.demo import AgentsConfig, DemoConfig, agent_starts, pools_for, serve_arguments
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.robot_agent.config import AgentStart
-from zensim.robot_agent.rates import Rates
+from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
 from zensim.spawner.placement import Place
 
 PLAIN = DemoConfig(
@@ -66,7 +65,7 @@ def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
     pools = agent_starts(pooled).values()
     assert [pool.config.pool_limit for pool in pools] == [0, 0]
     assert {pool.config.entities for pool in pools} == {()}
-    assert {pool.config.rates for pool in pools} == {Rates(50.0, 10.0)}
+    assert {pool.config.rates for pool in pools} == {RateOverrides(50.0, 10.0)}
 
 
 def test_agents_are_told_where_to_go_and_who_sees_them() -> None:
@@ -77,7 +76,7 @@ def test_agents_are_told_where_to_go_and_who_sees_them() -> None:
 
     assert start.endpoint == PLAIN.endpoint
     assert (start.config.world, start.config.ros) == ("w", ros)
-    assert msgspec.json.decode(msgspec.json.encode(start), type=AgentStart) == start
+    assert msgspec.json.decode(msgspec.json.encode(start), type=AgentProcessConfig) == start
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import msgspec
 import pytest
 
 from tests.integration.processes import free_endpoint
-from zensim.robot_agent.config import AgentConfig, AgentStart
+from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig
 
-NOBODY = AgentStart(
+NOBODY = AgentProcessConfig(
     endpoint=free_endpoint(), config=AgentConfig(entities=("r1",), wait_s=0.0), is_quiet=True
 )
 

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from tests.fakes import ManualClock, MemoryBus
-from tests.robot_agent.models import DRIVE, a_state, two_wheeler
+from tests.robot_agent.models import DRIVE, a_claim, a_state, two_wheeler
 from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
@@ -17,8 +17,58 @@ from zensim.proto.messages.model_messages import DiffDrive
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
-from zensim.robot_agent.agent import Agent, run_agent
-from zensim.robot_agent.config import AgentConfig
+from zensim.proto.topic_endpoints import TopicFactory
+from zensim.robot_agent.agent import Agent, Housekeeping, run_agent
+from zensim.robot_agent.agent_config import AgentConfig
+from zensim.robot_agent.robots import IndividualRobots, Robot
+
+
+def a_fleet(bus: MemoryBus) -> IndividualRobots:
+    fleet = IndividualRobots(bus, 0)
+    fleet.hold(1, Robot(TopicFactory(bus), a_claim(1, "r1"), 0))
+    fleet.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2", two_wheeler(None)), 0))
+    return fleet
+
+
+def test_upkeep_answers_questions() -> None:
+    bus = MemoryBus()
+    upkeep = Housekeeping(a_fleet(bus))
+    times = iter(range(1000))
+    bus.pumps.append(lambda: upkeep.poll(next(times) / 100))
+
+    assert {sample.key for sample in bus.get("*/robot_description")} == {
+        "r1/robot_description",
+        "r2/robot_description",
+    }
+
+
+def test_upkeep_greets_new_listeners() -> None:
+    bus = MemoryBus()
+    upkeep = Housekeeping(a_fleet(bus))
+    upkeep.poll(0.0)
+    listener = bus.subscribe("r1/tf_static", 8)
+
+    upkeep.poll(0.1)
+    assert listener.take() == []
+
+    upkeep.poll(0.25)
+    assert len(listener.take()) == 1
+
+
+def test_upkeep_complains_once_a_second_at_most(caplog: pytest.LogCaptureFixture) -> None:
+    bus = MemoryBus()
+    fleet = a_fleet(bus)
+    upkeep = Housekeeping(fleet)
+    for i in range(200):
+        bus.put("r1/cmd_vel", b"garbage")
+        fleet.advance(a_state(i, (1,)))
+        upkeep.poll(10.0 + i / 100)
+
+    assert [line.split(" reason")[0] for line in caplog.messages] == [
+        "cmd_vel entity=r1 malformed=1",
+        "cmd_vel entity=r1 malformed=101",
+    ]
+
 
 FORWARD = Twist(Vector3(0.5))
 BACK = Twist(Vector3(-0.5))

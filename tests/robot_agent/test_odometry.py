@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from zensim.proto.messages.model_messages import IDENTITY, DiffDrive, Origin, WheelPair
 from zensim.proto.messages.standard_messages import Header, Time
 from zensim.robot_agent.odometry import (
+    BaseMotion,
     EncoderOdometry,
-    Motion,
-    OdometryFrames,
-    covariance_of,
-    world_motion,
+    OdometryHeader,
+    find_world_motion,
+    make_covariance,
 )
-from zensim.robot_agent.transforms import turn, yaw_of
+from zensim.robot_agent.scalar_transforms import find_yaw, from_axis_angle
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
 SECOND = 1_000_000_000
@@ -29,7 +29,7 @@ def state(
     linear: tuple[float, float, float] = (0.0, 0.0, 0.0),
     angular: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[float, ...]:
-    return (*position, *turn(UP, yaw), *linear, *angular)
+    return (*position, *from_axis_angle(UP, yaw), *linear, *angular)
 
 
 def an_encoder(*, is_speed_unsigned: bool = False) -> EncoderOdometry:
@@ -39,16 +39,16 @@ def an_encoder(*, is_speed_unsigned: bool = False) -> EncoderOdometry:
 
 
 def test_world_motion_starts_at_the_spawn_pose() -> None:
-    motion = world_motion(state(position=(3.0, 4.0, 0.1), yaw=1.0), Origin())
+    motion = find_world_motion(state(position=(3.0, 4.0, 0.1), yaw=1.0), Origin())
 
     assert motion.position == pytest.approx((3.0, 4.0, 0.1))
-    assert yaw_of(motion.orientation) == pytest.approx(1.0)
+    assert find_yaw(motion.orientation) == pytest.approx(1.0)
 
 
 def test_world_motion_turns_the_velocity_into_the_body() -> None:
     facing_left = state(yaw=math.pi / 2, linear=(-0.3, 0.5, 0.7), angular=(0.1, 0.2, 0.9))
 
-    motion = world_motion(facing_left, Origin())
+    motion = find_world_motion(facing_left, Origin())
 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((0.5, 0.3))
     assert motion.angular_z == pytest.approx(0.9)
@@ -57,7 +57,7 @@ def test_world_motion_turns_the_velocity_into_the_body() -> None:
 def test_world_motion_is_that_of_the_base_when_it_is_off_the_root_link() -> None:
     below = Origin((0.0, 0.0, -0.06))
 
-    motion = world_motion(state(position=(1.0, 2.0, 0.06)), below)
+    motion = find_world_motion(state(position=(1.0, 2.0, 0.06)), below)
 
     assert motion.position == pytest.approx((1.0, 2.0, 0.0))
 
@@ -65,21 +65,21 @@ def test_world_motion_is_that_of_the_base_when_it_is_off_the_root_link() -> None
 def test_world_motion_adds_what_the_turn_gives_to_a_base_off_the_root_link() -> None:
     ahead = Origin((0.5, 0.0, 0.0))
 
-    motion = world_motion(state(linear=(1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0)), ahead)
+    motion = find_world_motion(state(linear=(1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0)), ahead)
 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((1.0, 1.0))
 
 
 def test_world_motion_turns_with_a_base_that_is_turned_on_the_root_link() -> None:
-    backwards = Origin((0.0, 0.0, 0.0), turn(UP, math.pi))
+    backwards = Origin((0.0, 0.0, 0.0), from_axis_angle(UP, math.pi))
 
-    motion = world_motion(state(linear=(1.0, 0.2, 0.0)), backwards)
+    motion = find_world_motion(state(linear=(1.0, 0.2, 0.0)), backwards)
 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((-1.0, -0.2))
 
 
 def test_encoder_starts_at_nothing_wherever_the_wheels_are() -> None:
-    assert an_encoder().motion == Motion()
+    assert an_encoder().motion == BaseMotion()
 
 
 def test_encoder_goes_straight_when_both_wheels_turn_alike() -> None:
@@ -99,7 +99,7 @@ def test_encoder_turns_on_the_spot_when_wheels_turn_against_each_other() -> None
     encoder.update(left_rad=2.0, right_rad=-6.0, time_ns=6 * SECOND)
 
     assert encoder.motion.position == pytest.approx((0.0, 0.0, 0.0))
-    assert yaw_of(encoder.motion.orientation) == pytest.approx(0.5)
+    assert find_yaw(encoder.motion.orientation) == pytest.approx(0.5)
     assert encoder.motion.angular_z == pytest.approx(0.5)
 
 
@@ -109,7 +109,7 @@ def test_encoder_moves_along_the_middle_heading_of_an_arc() -> None:
     encoder.update(left_rad=3.0, right_rad=-3.0, time_ns=6 * SECOND)
 
     assert encoder.motion.position == pytest.approx((0.2 * math.cos(0.5), 0.2 * math.sin(0.5), 0))
-    assert yaw_of(encoder.motion.orientation) == pytest.approx(1.0)
+    assert find_yaw(encoder.motion.orientation) == pytest.approx(1.0)
     assert encoder.motion.linear_x == pytest.approx(0.2)
 
 
@@ -142,7 +142,7 @@ def test_encoder_starts_again_when_it_is_reset() -> None:
     encoder.reset()
     encoder.update(left_rad=0.0, right_rad=0.0, time_ns=0)
 
-    assert encoder.motion == Motion()
+    assert encoder.motion == BaseMotion()
 
 
 @given(speed=st.floats(-1.0, 1.0), turn_rate=st.floats(-2.0, 2.0), states=st.integers(20, 200))
@@ -170,7 +170,7 @@ def test_encoder_follows_the_arc_that_wheels_turn(
 
 
 def test_covariance_has_the_drives_variances_and_the_rest_unknown() -> None:
-    matrix = covariance_of(DiffDrive(covariance_x=1.0, covariance_y=2.0, covariance_yaw=3.0))
+    matrix = make_covariance(DiffDrive(covariance_x=1.0, covariance_y=2.0, covariance_yaw=3.0))
 
     found = {index: variance for index, variance in enumerate(matrix) if variance}
     assert found == {0: 1.0, 7: 2.0, 14: 1e12, 21: 1e12, 28: 1e12, 35: 3.0}
@@ -178,16 +178,16 @@ def test_covariance_has_the_drives_variances_and_the_rest_unknown() -> None:
 
 
 def test_message_holds_pose_and_twist_with_both_covariances() -> None:
-    covariance = covariance_of(DiffDrive())
-    frames = OdometryFrames("odom", "base_footprint", covariance)
-    motion = Motion((1.0, 2.0, 3.0), turn(UP, 1.0), 0.1, 0.2, 0.3)
+    covariance = make_covariance(DiffDrive())
+    frames = OdometryHeader("odom", "base_footprint", covariance)
+    motion = BaseMotion((1.0, 2.0, 3.0), from_axis_angle(UP, 1.0), 0.1, 0.2, 0.3)
 
     message = frames.message(motion, Time(4, 5))
 
     assert message.header == Header(Time(4, 5), "odom")
     assert message.child_frame_id == "base_footprint"
     assert message.pose.pose.position.z == 3.0
-    assert message.pose.pose.orientation.w == turn(UP, 1.0)[3]
+    assert message.pose.pose.orientation.w == from_axis_angle(UP, 1.0)[3]
     assert (message.twist.twist.linear.x, message.twist.twist.linear.y) == (0.1, 0.2)
     assert message.twist.twist.angular.z == 0.3
     assert message.pose.covariance == message.twist.covariance == covariance

@@ -1,0 +1,153 @@
+"""Base controller of one robot: drive and odometry at the drive's update rates."""
+
+from dataclasses import dataclass
+
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    DiffDrive,
+    Drive,
+    PlanarMove,
+    TricycleDrive,
+)
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import Twist
+from zensim.robot_agent.drive_state_decoder import RobotState
+from zensim.robot_agent.drives.ackermann_steering import AckermannSteering
+from zensim.robot_agent.drives.differential_drive import DifferentialDrive
+from zensim.robot_agent.drives.drive_controller import DriveController, MeasuredJoints
+from zensim.robot_agent.drives.planar_motion import PlanarMotion
+from zensim.robot_agent.drives.tricycle_steering import TricycleSteering
+from zensim.robot_agent.odometry import BaseMotion, EncoderOdometry, find_world_motion
+from zensim.robot_agent.rate_limiter import RateLimiter
+from zensim.robot_agent.robot_frames import find_base_frame
+
+
+def make_drive_controller(drive: Drive) -> DriveController:
+    """Make the controller of a drive."""
+    match drive:
+        case DiffDrive():
+            return DifferentialDrive(drive)
+        case AckermannDrive():
+            return AckermannSteering(drive)
+        case TricycleDrive():
+            return TricycleSteering(drive)
+        case PlanarMove():
+            return PlanarMotion()
+
+
+NO_DRIVE = DiffDrive(update_rate_hz=30.0)
+"""Has no wheels and publishes nothing: stands in where a description has no drive."""
+
+
+def get_drive(model: Model) -> Drive:
+    """Find the drive; one that does nothing when there is none."""
+    return model.drive or NO_DRIVE
+
+
+def find_motion_rates(drive: Drive) -> tuple[float | None, float | None, float | None]:
+    """Find how often a motion is due, and how often of that odometry and tf are told.
+
+    Returns:
+        Rates [Hz]; 0 = at every state; None of a motion = with the drive's commands; None of the
+        others = with every motion.
+    """
+    if drive.tf_rate_hz is None:
+        return drive.odometry_rate_hz, None, None
+    odometry_hz, tf_hz = drive.odometry_rate_hz, drive.tf_rate_hz
+    if odometry_hz is None:
+        odometry_hz = drive.update_rate_hz
+    motion_hz = 0.0 if 0.0 in (odometry_hz, tf_hz) else max(odometry_hz, tf_hz)
+    return (
+        motion_hz,
+        None if odometry_hz == motion_hz else odometry_hz,
+        None if tf_hz == motion_hz else tf_hz,
+    )
+
+
+def make_rate_limiter(rate_hz: float | None) -> RateLimiter | None:
+    """Make a gate; none where nothing is held back."""
+    return None if rate_hz is None else RateLimiter(rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class _DriveUpdate:
+    """What the drive had before it at its last update."""
+
+    measured: MeasuredJoints
+    elapsed_s: float
+    memory: tuple[float, ...]
+
+
+class BaseController:
+    """Keeps a drive and its odometry at the drive's own rates."""
+
+    def __init__(self, model: Model) -> None:
+        drive = get_drive(model)
+        self._standing = (0.0,) * model.target_count
+        self.targets: tuple[float, ...] = self._standing
+        """Numbers for `Model.actuators`, in order."""
+        self.motion = BaseMotion()
+        """As of the last odometry."""
+        self._base_in_root = find_base_frame(model).pose_in_root
+        self._drive = make_drive_controller(drive)
+        self._last: _DriveUpdate | None = None
+        """None when the drive was not due at the last reading."""
+        self._limiter = RateLimiter(drive.update_rate_hz)
+        # Without a rate of its own a motion is due whenever the drive is.
+        self._odometry_limiter = make_rate_limiter(find_motion_rates(drive)[0])
+        index = {joint.name: place for place, joint in enumerate(model.joints)}
+        self._measured = tuple(index[one.joint] for one in model.actuators if one.joint)
+        self._encoder: EncoderOdometry | None = None
+        self._encoder_wheels = (0, 0)
+        if (pair := drive.encoder) is not None:
+            self._encoder = EncoderOdometry(pair, is_speed_unsigned=drive.compat == "gazebo11")
+            self._encoder_wheels = (index[pair.left_joint], index[pair.right_joint])
+
+    def reset(self) -> None:
+        """Start again: time may have gone back."""
+        self.targets = self._standing
+        self.motion = BaseMotion()
+        self._last = None
+        self._drive.reset()
+        self._limiter.reset()
+        if self._odometry_limiter is not None:
+            self._odometry_limiter.reset()
+        if self._encoder is not None:
+            self._encoder.reset()
+
+    def update(self, reading: RobotState, twist: Twist) -> bool:
+        """Take a reading; tell whether odometry was due, so that the motion is new."""
+        if self._encoder is not None:
+            left, right = (reading.positions[wheel] for wheel in self._encoder_wheels)
+            self._encoder.update(left_rad=left, right_rad=right, time_ns=reading.time_ns)
+        is_due = self._update_drive(reading, twist)
+        if self._odometry_limiter is not None:
+            is_due = self._odometry_limiter.elapsed_s(reading.time_ns) is not None
+        if is_due:
+            self.motion = self._motion(reading)
+        return is_due
+
+    def revise(self, twist: Twist) -> bool:
+        """Make the last update anew, as if this twist had been there; tell whether it was due."""
+        if (last := self._last) is None:
+            return False
+        self._drive.memory = last.memory
+        self.targets = self._drive.update(twist, measured=last.measured, elapsed_s=last.elapsed_s)
+        return True
+
+    def _update_drive(self, reading: RobotState, twist: Twist) -> bool:
+        self._last = None
+        elapsed_s = self._limiter.elapsed_s(reading.time_ns)
+        if elapsed_s is None:
+            return False
+        measured = MeasuredJoints(
+            [reading.positions[joint] for joint in self._measured],
+            [reading.velocities[joint] for joint in self._measured],
+        )
+        self._last = _DriveUpdate(measured, elapsed_s, self._drive.memory)
+        return self.revise(twist)
+
+    def _motion(self, reading: RobotState) -> BaseMotion:
+        if self._encoder is not None:
+            return self._encoder.motion
+        return find_world_motion(reading.base, self._base_in_root)

@@ -1,0 +1,184 @@
+"""The tf tree of one robot: fixed and moving frames and their transforms."""
+
+from collections.abc import Sequence
+
+import msgspec
+
+from zensim.proto.messages.model_messages import Joint, JointStatePublisher, Model, Origin
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Quaternion,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+)
+from zensim.robot_agent.odometry import BaseMotion
+from zensim.robot_agent.scalar_transforms import (
+    add,
+    compose,
+    from_axis_angle,
+    invert,
+    multiply,
+    normalize,
+    rotate,
+)
+
+MOVABLE_KINDS = frozenset({"revolute", "continuous", "prismatic"})
+"""Kinds of joints with one position; the others stand as if fixed."""
+
+DEFAULT_JOINT_STATE_PUBLISHER = JointStatePublisher(update_rate_hz=30.0)
+"""Stands in where a description has no publisher of joint states."""
+
+
+class FrameEdge(msgspec.Struct, frozen=True):
+    """Pose of `child` in `parent`."""
+
+    parent: str
+    child: str
+    origin: Origin
+
+    def to_message(self, stamp: Time) -> TransformStamped:
+        """Write it down."""
+        return _make_transform_stamped(self.parent, self.child, self.origin, stamp)
+
+
+class BaseFrame(msgspec.Struct, frozen=True):
+    """The frame that odometry speaks of, and where it is fixed on the root link."""
+
+    name: str
+    pose_in_root: Origin
+
+
+def find_base_frame(model: Model) -> BaseFrame:
+    """Find the frame that odometry speaks of.
+
+    It is the drive's robot_base_frame; a name that the description lacks means the root link, as in
+    Gazebo. A link that moves on the root link cannot be it: then it is the root link itself.
+    """
+    root = model.links[0].name
+    if model.drive is None:
+        return BaseFrame(root, Origin())
+    name = model.drive.robot_base_frame
+    path = _find_path_to_root(name, _index_fixed_edges(model), root)
+    if path is None:
+        return BaseFrame(root if name in _list_frame_names(model) else name, Origin())
+    in_root = Origin()
+    for edge in path:
+        in_root = compose(edge.origin, in_root)
+    return BaseFrame(name, in_root)
+
+
+def list_fixed_edges(model: Model, base: BaseFrame) -> tuple[FrameEdge, ...]:
+    """List what never moves, hanging from the base; parents come before children.
+
+    A base that the description lacks is joined to the root link, so that there is one tree.
+    """
+    root = model.links[0].name
+    edges = _index_fixed_edges(model)
+    path = _find_path_to_root(base.name, edges, root)
+    if path is None:
+        has_parent = model.drive is not None and model.drive.publish_odom_tf
+        joint = (FrameEdge(base.name, root, Origin()),) if has_parent else ()
+        return joint + tuple(edges.values())
+    turned = tuple(FrameEdge(e.child, e.parent, invert(e.origin)) for e in path)
+    return turned + tuple(edge for edge in edges.values() if edge not in path)
+
+
+class MovingJoint:
+    """One joint's transform at any position [rad or m]."""
+
+    def __init__(self, joint: Joint, index: int) -> None:
+        self.index = index
+        self._joint = joint
+        self._axis = normalize(joint.axis)
+
+    def to_message(self, position: float, stamp: Time) -> TransformStamped:
+        """Write down where the joint has its child."""
+        joint = self._joint
+        return _make_transform_stamped(joint.parent, joint.child, self._origin(position), stamp)
+
+    def pose(self, position: float) -> tuple[float, ...]:
+        """Find where the joint has its child: x y z and x y z w, in the parent."""
+        origin = self._origin(position)
+        return (*origin.position, *origin.orientation)
+
+    def _origin(self, position: float) -> Origin:
+        origin = self._joint.origin
+        if self._joint.kind != "prismatic":
+            turned = multiply(origin.orientation, from_axis_angle(self._axis, position))
+            return Origin(origin.position, turned)
+        x, y, z = self._axis
+        shift = rotate(origin.orientation, (x * position, y * position, z * position))
+        return Origin(add(origin.position, shift), origin.orientation)
+
+
+def list_published_joints(model: Model) -> tuple[int, ...]:
+    """List the joints whose states are told: those of the model's publisher, else all that move."""
+    names = model.joint_state.joints if model.joint_state else None
+    return tuple(
+        index
+        for index, joint in enumerate(model.joints)
+        if joint.kind in MOVABLE_KINDS and (names is None or joint.name in names)
+    )
+
+
+def list_moving_joints(model: Model) -> tuple[MovingJoint, ...]:
+    """List the joints that tf tells of: all that move, but wheels only when anything asks for them.
+
+    That is when the drive has publish_wheel_tf, or their states are published, from which
+    robot_state_publisher would make their transforms.
+    """
+    told = {model.joints[index].name for index in list_published_joints(model)}
+    has_wheels = model.drive is not None and model.drive.publish_wheel_tf
+    wheels = () if has_wheels or model.drive is None else model.drive.joints
+    silent = set(wheels) - told
+    return tuple(
+        MovingJoint(joint, index)
+        for index, joint in enumerate(model.joints)
+        if joint.kind in MOVABLE_KINDS and joint.name not in silent
+    )
+
+
+def make_odometry_edge(frame_id: str, child_frame_id: str, motion: BaseMotion) -> FrameEdge:
+    """Make the transform that odometry gives."""
+    return FrameEdge(frame_id, child_frame_id, Origin(motion.position, motion.orientation))
+
+
+def make_moving_transforms(
+    joints: Sequence[MovingJoint], positions: Sequence[float], stamp: Time
+) -> tuple[TransformStamped, ...]:
+    """Write down where joints have their children; positions are of all joints of the model."""
+    return tuple(joint.to_message(positions[joint.index], stamp) for joint in joints)
+
+
+def _index_fixed_edges(model: Model) -> dict[str, FrameEdge]:
+    edges = [FrameEdge(frame.parent, frame.name, frame.origin) for frame in model.frames]
+    edges += [
+        FrameEdge(j.parent, j.child, j.origin) for j in model.joints if j.kind not in MOVABLE_KINDS
+    ]
+    return {edge.child: edge for edge in edges}
+
+
+def _find_path_to_root(
+    name: str, edges: dict[str, FrameEdge], root: str
+) -> tuple[FrameEdge, ...] | None:
+    path: list[FrameEdge] = []
+    while name != root:
+        edge = edges.get(name)
+        if edge is None or edge in path:
+            return None
+        path.append(edge)
+        name = edge.parent
+    return tuple(path)
+
+
+def _list_frame_names(model: Model) -> set[str]:
+    return {link.name for link in model.links} | {frame.name for frame in model.frames}
+
+
+def _make_transform_stamped(
+    parent: str, child: str, origin: Origin, stamp: Time
+) -> TransformStamped:
+    transform = Transform(Vector3(*origin.position), Quaternion(*origin.orientation))
+    return TransformStamped(Header(stamp, parent), child, transform)

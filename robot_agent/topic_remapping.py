@@ -1,0 +1,50 @@
+"""Topic keys of a robot after the remapping rules of its description."""
+
+from zensim.proto import keys
+from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
+from zensim.proto.names import InvalidName, check_namespace
+
+ABSOLUTE_TOPICS = frozenset({keys.TF})
+"""Gazebo's plug-ins put these outside any namespace, so that rules name them with a slash."""
+
+
+def resolve_topic_key(namespace: str, topic: str, ros: RosBlock) -> str:
+    """Find a topic's key; the first rule that fits counts.
+
+    A rule that leads to no valid key is passed over. The namespace is that of the entity: a spawn
+    overrides what plug-ins say, as Gazebo's does.
+
+    Source: ROS 2 design, remapping of names.
+    """
+    wanted = f"/{topic}" if topic in ABSOLUTE_TOPICS else f"/{namespace}/{topic}"
+    for rule in ros.remappings:
+        old, _, new = (part.strip() for part in rule.partition(":="))
+        if _expand_name(old, namespace) != wanted:
+            continue
+        try:
+            return check_namespace(_expand_name(new, namespace))
+        except InvalidName:
+            continue
+    return keys.robot(namespace, topic)
+
+
+def resolve_cmd_vel_key(namespace: str, drive: DriveSettings) -> str:
+    """Find where a drive hears commands."""
+    return _resolve_drive_key(namespace, keys.CMD_VEL, drive.command_topic, drive)
+
+
+def resolve_odom_key(namespace: str, drive: DriveSettings) -> str:
+    """Find where a drive's odometry is told."""
+    return _resolve_drive_key(namespace, keys.ODOM, drive.odometry_topic, drive)
+
+
+def _resolve_drive_key(namespace: str, usual: str, written: str, drive: DriveSettings) -> str:
+    key = resolve_topic_key(namespace, usual, drive.ros)
+    is_remapped = key != keys.robot(namespace, usual)
+    if is_remapped or not written or drive.compat == "gazebo11":
+        return key
+    return resolve_topic_key(namespace, written, drive.ros)
+
+
+def _expand_name(name: str, namespace: str) -> str:
+    return name if name.startswith(("/", "~")) else f"/{namespace}/{name}"

@@ -1,0 +1,242 @@
+"""True odometry of a link, as Gazebo's p3d plug-in publishes it, with forward kinematics of the link."""
+
+from random import Random
+
+import msgspec
+
+from zensim.proto.messages.agent_messages import Claim
+from zensim.proto.messages.model_messages import (
+    IDENTITY,
+    ZERO,
+    GroundTruth,
+    Joint,
+    Model,
+    Origin,
+    Quat,
+    Vec3,
+)
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Odometry,
+    Point,
+    Pose,
+    PoseWithCovariance,
+    Quaternion,
+    Twist,
+    TwistWithCovariance,
+    Vector3,
+    time_from_ns,
+)
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import TopicFactory
+from zensim.robot_agent.drive_state_decoder import RobotState
+from zensim.robot_agent.rate_limiter import RateLimiter
+from zensim.robot_agent.scalar_transforms import (
+    add,
+    compose,
+    cross,
+    from_axis_angle,
+    multiply,
+    normalize,
+    rotate,
+)
+from zensim.robot_agent.topic_publisher import LazyTopicPublisher
+from zensim.robot_agent.topic_remapping import resolve_topic_key
+
+
+class LinkState(msgspec.Struct, frozen=True, gc=False):
+    """Pose and velocities of a link, all in the world."""
+
+    position: Vec3 = ZERO
+    orientation: Quat = IDENTITY
+    linear: Vec3 = ZERO
+    angular: Vec3 = ZERO
+
+
+class LinkChain:
+    """The joints and fixed places between the root link and another."""
+
+    def __init__(self, model: Model, link: str) -> None:
+        """Find the way.
+
+        Args:
+            model: Of the robot.
+            link: One of its links, or of those merged into one; another name means the root link.
+        """
+        moving = {joint.child: (index, joint) for index, joint in enumerate(model.joints)}
+        places = {frame.name: frame for frame in model.frames}
+        self._fixed = Origin()
+        if link in places:
+            self._fixed, link = places[link].origin, places[link].parent
+        self._joints: list[tuple[int, Joint, Vec3]] = []
+        while link in moving:
+            index, joint = moving[link]
+            self._joints.insert(0, (index, joint, normalize(joint.axis)))
+            link = joint.parent
+
+    def motion(self, reading: RobotState) -> LinkState:
+        """Find the motion of the link."""
+        px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = reading.base
+        at = LinkState((px, py, pz), (qx, qy, qz, qw), (vx, vy, vz), (wx, wy, wz))
+        for index, joint, axis in self._joints:
+            at = _apply_origin(at, joint.origin)
+            at = _apply_joint(at, joint, axis, reading.positions[index], reading.velocities[index])
+        return _apply_origin(at, self._fixed)
+
+
+def _apply_origin(at: LinkState, origin: Origin) -> LinkState:
+    arm = rotate(at.orientation, origin.position)
+    return LinkState(
+        add(at.position, arm),
+        multiply(at.orientation, origin.orientation),
+        add(at.linear, cross(at.angular, arm)),
+        at.angular,
+    )
+
+
+def _apply_joint(
+    at: LinkState, joint: Joint, axis: Vec3, position: float, velocity: float
+) -> LinkState:
+    along = rotate(at.orientation, axis)
+    if joint.kind == "prismatic":
+        slid = _apply_origin(at, Origin(scale(axis, position)))
+        return msgspec.structs.replace(slid, linear=add(slid.linear, scale(along, velocity)))
+    if joint.kind == "fixed":
+        return at
+    turned = compose(Origin(ZERO, at.orientation), Origin(ZERO, from_axis_angle(axis, position)))
+    return msgspec.structs.replace(
+        at,
+        orientation=turned.orientation,
+        angular=add(at.angular, scale(along, velocity)),
+    )
+
+
+def scale(vector: Vec3, factor: float) -> Vec3:
+    """Make a vector longer or shorter."""
+    return (vector[0] * factor, vector[1] * factor, vector[2] * factor)
+
+
+NO_NOISE = (ZERO, ZERO)
+
+
+class TrueOdometryTelemetry:
+    """What the ground truth plug-ins of one robot tell, each at a rate of its own."""
+
+    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
+        self._truths = tuple(
+            TrueOdometry(claim.model, wish, f"{claim.entity}/{number}")
+            for number, wish in enumerate(claim.model.ground_truths)
+        )
+        self.publishers = [
+            LazyTopicPublisher(
+                faces,
+                Topic(
+                    resolve_topic_key(claim.namespace, truth.wish.topic, truth.wish.ros), Odometry
+                ),
+                truth.message,
+            )
+            for truth in self._truths
+        ]
+
+    def reset(self) -> None:
+        """Start again; time may have gone back."""
+        for truth in self._truths:
+            truth.reset()
+
+    def tell(self, reading: RobotState) -> None:
+        """Tell what is due."""
+        for truth, outlet in zip(self._truths, self.publishers, strict=True):
+            if truth.take(reading):
+                outlet.publish()
+
+
+class TrueOdometry:
+    """The true motion of one link, with the noise that was asked for.
+
+    The noise is drawn from a seed of its own, so that it is the same on every run and after every
+    reset.
+    """
+
+    def __init__(self, model: Model, wish: GroundTruth, seed: str) -> None:
+        links = {link.name for link in model.links} | {frame.name for frame in model.frames}
+        self.wish = wish
+        self._body = LinkChain(model, wish.body)
+        self._frame = LinkChain(model, wish.frame_id) if wish.frame_id in links else None
+        self._limiter = RateLimiter(wish.update_rate_hz)
+        self._seed = seed
+        self._random = Random(seed)
+        self._reading: RobotState | None = None
+        self._noise = NO_NOISE
+        variance = wish.noise * wish.noise
+        self._covariance = tuple(0.0 if place % 7 else variance for place in range(36))
+
+    def reset(self) -> None:
+        """Start again."""
+        self._limiter.reset()
+        self._random = Random(self._seed)
+        self._reading = None
+
+    def take(self, reading: RobotState) -> bool:
+        """Take a reading; tell whether it was due."""
+        if self._limiter.elapsed_s(reading.time_ns) is None:
+            return False
+        self._reading = reading
+        if self.wish.noise:
+            self._noise = (self._draw(), self._draw())
+        return True
+
+    def message(self) -> Odometry | None:
+        """Write the last reading down; None while there is none."""
+        if (reading := self._reading) is None:
+            return None
+        motion = self._motion(reading)
+        pose = Pose(Point(*motion.position), Quaternion(*motion.orientation))
+        twist = Twist(
+            Vector3(*add(motion.linear, self._noise[0])),
+            Vector3(*add(motion.angular, self._noise[1])),
+        )
+        return Odometry(
+            Header(time_from_ns(reading.time_ns), self.wish.frame_id),
+            self.wish.body,
+            PoseWithCovariance(pose, self._covariance),
+            TwistWithCovariance(twist, self._covariance),
+        )
+
+    def _draw(self) -> Vec3:
+        spread, draw = self.wish.noise, self._random.gauss
+        return (draw(0.0, spread), draw(0.0, spread), draw(0.0, spread))
+
+    def _motion(self, reading: RobotState) -> LinkState:
+        motion = self._body.motion(reading)
+        if self._frame is not None:
+            motion = _make_relative(self._frame.motion(reading), motion)
+        linear, angular = motion.linear, motion.angular
+        if self.wish.compat != "gazebo11":
+            back = _conjugate(motion.orientation)
+            linear, angular = rotate(back, linear), rotate(back, angular)
+        offset = self.wish.offset
+        return LinkState(
+            add(motion.position, offset.position),
+            multiply(offset.orientation, motion.orientation),
+            linear,
+            angular,
+        )
+
+
+def _make_relative(frame: LinkState, body: LinkState) -> LinkState:
+    back = _conjugate(frame.orientation)
+
+    def difference(one: Vec3, other: Vec3) -> Vec3:
+        return rotate(back, add(one, scale(other, -1.0)))
+
+    return LinkState(
+        difference(body.position, frame.position),
+        multiply(back, body.orientation),
+        difference(body.linear, frame.linear),
+        difference(body.angular, frame.angular),
+    )
+
+
+def _conjugate(orientation: Quat) -> Quat:
+    x, y, z, w = orientation
+    return (-x, -y, -z, w)

@@ -1,0 +1,214 @@
+"""The topic on which a pool tells the transforms of all its robots."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.fakes import MemoryBus, MemorySubscription
+from tests.robot_agent.pool.kinds import DRIVES, robot_of
+from zensim.proto.codec import cdr
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Quaternion,
+    TFMessage,
+    Time,
+    Transform,
+    TransformStamped,
+    Vector3,
+    time_from_ns,
+)
+from zensim.proto.ros2.rmw_attachment import read_attachment
+from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.robot_agent.pool import group_tf
+from zensim.robot_agent.pool.group_tf import TfMessageBatch
+from zensim.robot_agent.pool.pooled_robots import PooledRobots
+from zensim.robot_agent.robots import IndividualRobots
+
+NAMES = st.text(max_size=9)
+
+
+def edge(names: tuple[str, str], stamp: Time, pose: list[float]) -> TransformStamped:
+    transform = Transform(Vector3(*pose[:3]), Quaternion(*pose[3:]))
+    return TransformStamped(Header(stamp, names[0]), names[1], transform)
+
+
+@given(st.integers(1, 2), st.data())
+def test_message_is_what_the_encoder_writes(count: int, data: st.DataObject) -> None:
+    of_robot = st.lists(st.tuples(NAMES, NAMES), min_size=count, max_size=count)
+    robots = data.draw(st.lists(of_robot, min_size=1, max_size=4))
+    blank = [TFMessage(tuple(edge(one, Time(), [0.0] * 7) for one in names)) for names in robots]
+    images = TfMessageBatch(blank)
+    rows = data.draw(st.lists(st.sampled_from(range(len(robots))), unique=True, min_size=1))
+    poses = np.random.default_rng(len(rows)).uniform(-9.0, 9.0, (len(rows), 7 * count))
+    times_ns = [row * 10**9 + 7 for row in rows]
+
+    written = images.message(np.array(rows), poses, np.array(times_ns))
+
+    assert written == cdr.encode(
+        TFMessage(
+            tuple(
+                edge(names, time_from_ns(time_ns), pose.tolist())
+                for row, numbers, time_ns in zip(rows, poses, times_ns, strict=True)
+                for names, pose in zip(robots[row], numbers.reshape(count, 7), strict=True)
+            )
+        )
+    )
+    assert len(written) - 8 == sum(images.size(row) for row in rows[1:]) + first_size(
+        robots[rows[0]]
+    )
+
+
+def first_size(names: list[tuple[str, str]]) -> int:
+    blank = TFMessage(tuple(edge(one, Time(), [0.0] * 7) for one in names))
+    return len(cdr.encode(blank)) - 8
+
+
+PERIOD_NS = 12_500_000
+FACE = "0/tf/tf2_msgs::msg::dds_::TFMessage_/*"
+ON_TF = "@ros2_lv/0/*/*/*/MP/%/%/*/%tf/**"
+
+
+def claims_of(models: Sequence[Model]) -> list[Claim]:
+    return [
+        Claim(number, f"r{number}", f"r{number}", model, "<robot/>")
+        for number, model in enumerate(models, 1)
+    ]
+
+
+def a_state(claims: Sequence[Claim], step: int) -> DriveState:
+    rng, joints = np.random.default_rng(step), sum(len(one.model.joints) for one in claims)
+    base = rng.uniform(-2.0, 2.0, (len(claims), STATE_COLUMNS))
+    base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)
+    numbers = np.array([claim.claim for claim in claims], dtype="<u4").tobytes()
+    positions = rng.uniform(-3.0, 3.0, joints).tobytes()
+    time_ns = step * PERIOD_NS
+    return DriveState(0, time_ns, time_ns, numbers, base.tobytes(), positions, positions)
+
+
+class Told:
+    """A pool with a face for ROS 2, and who listens to its transforms."""
+
+    def __init__(self, *models: Model) -> None:
+        self.bus = MemoryBus()
+        self.pool = PooledRobots(self.bus, 0, RosGraph(self.bus, RosSettings()))
+        self.claims = claims_of(models)
+        self.pool.take(self.claims)
+        self.plain = self.bus.subscribe("tf", 64)
+        self.face = self.bus.subscribe(FACE, 64)
+        self.step = 0
+
+    def tell(self, claims: Sequence[Claim] = ()) -> None:
+        """Go on by a state of some robots, all unless said."""
+        self.step += 1
+        state = a_state(claims or self.claims, self.step)
+        self.pool.release_all_except(state.claims)
+        self.pool.advance(state)
+        for _ in range(3):
+            self.pool.answer()
+        self.pool.tell()
+
+
+def messages(heard: MemorySubscription) -> list[TFMessage]:
+    return [decode(TFMessage, sample.payload, sample.encoding) for sample in heard.take()]
+
+
+def by_frame(told: Sequence[TFMessage]) -> dict[str, TransformStamped]:
+    return {edge.child_frame_id: edge for one in told for edge in one.transforms}
+
+
+def roots(message: TFMessage) -> set[str]:
+    return {edge.header.frame_id.split("/")[0] for edge in message.transforms}
+
+
+def test_robots_of_a_kind_are_told_of_in_one_message_on_each_face() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 3)
+
+    told.tell()
+
+    (plain,), (face,) = messages(told.plain), messages(told.face)
+    assert roots(plain) == {"r1", "r2", "r3"}
+    assert face == plain
+
+
+@pytest.mark.parametrize("kinds", [("diff", "diff"), ("diff", "planar"), ("planar", "planar")])
+def test_transforms_are_those_of_robots_that_are_driven_one_by_one(kinds: Sequence[str]) -> None:
+    told = Told(*[robot_of(DRIVES[kind]) for kind in kinds])
+    bus = MemoryBus()
+    fleet = IndividualRobots(bus, 0, RosGraph(bus, RosSettings()))
+    fleet.take(told.claims)
+    heard = bus.subscribe("tf", 64)
+
+    for step in range(1, 20):
+        told.tell()
+        fleet.advance(a_state(told.claims, step))
+        fleet.tell()
+        found, expected = (by_frame(messages(one)) for one in (told.plain, heard))
+        assert list(found) == list(expected)
+        for child, edge in expected.items():
+            assert found[child].header == edge.header
+            assert found[child].transform.translation.x == pytest.approx(
+                edge.transform.translation.x, abs=1e-12
+            )
+            assert found[child].transform.rotation.w == pytest.approx(
+                edge.transform.rotation.w, abs=1e-12
+            )
+
+
+def test_large_fleets_are_told_of_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(group_tf, "MAX_TF_MESSAGE_BYTES", 1)
+    told = Told(*[robot_of(DRIVES["diff"])] * 3)
+
+    told.tell()
+
+    samples = told.face.take()
+    read = [read_attachment(sample.attachment) for sample in samples]
+    assert [one.sequence_number for one in read if one] == [1, 2, 3]
+    assert len({one.gid for one in read if one}) == 1
+
+
+def test_pool_is_the_publisher_in_ros() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 2)
+    told.tell()
+
+    (token,) = told.bus.list_tokens(ON_TF)
+
+    assert "/zensim_pool_ab12_1/" in token
+
+
+def test_who_asks_is_told_of_all_robots() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 2)
+    told.bus.pumps.append(told.pool.answer)
+    assert told.bus.get("tf") == []
+
+    told.tell()
+
+    (answer,) = told.bus.get("tf")
+    assert roots(decode(TFMessage, answer.payload, answer.encoding)) == {"r1", "r2"}
+
+
+def test_robot_that_has_gone_is_told_of_no_more() -> None:
+    told = Told(*[robot_of(DRIVES["diff"])] * 2)
+    told.tell()
+    told.plain.take()
+
+    told.tell(told.claims[1:])
+
+    assert [roots(one) for one in messages(told.plain)] == [{"r2"}]
+
+
+def test_kind_that_has_gone_has_no_topic() -> None:
+    told = Told(robot_of(DRIVES["diff"]), robot_of(DRIVES["planar"]))
+    told.tell()
+    assert len(told.bus.list_tokens(ON_TF)) == 2
+
+    told.pool.release_all_except(b"")
+
+    assert told.bus.list_tokens(ON_TF) == []
+    assert not told.bus.is_served("tf")

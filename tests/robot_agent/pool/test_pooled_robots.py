@@ -1,0 +1,301 @@
+"""A pool does for many robots what agents do for each: drives them, and tells of them."""
+
+import struct
+from collections.abc import Iterator, Sequence
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.fakes import MemoryBus
+from tests.robot_agent.models import DRIVE, two_wheeler
+from tests.robot_agent.pool.kinds import DRIVES, robot_of
+from zensim.proto.bus import Sample
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
+from zensim.proto.keys import last_chunk
+from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.drive_messages import Drive, RosBlock
+from zensim.proto.messages.model_messages import GroundTruth, Model
+from zensim.proto.messages.standard_messages import JointState, Odometry, TFMessage, Twist, Vector3
+from zensim.robot_agent.pool.pooled_robots import PooledRobots
+from zensim.robot_agent.robots import IndividualRobots
+
+TIMEOUT_NS = 100_000_000
+KINDS: dict[str, type[msgspec.Struct]] = {
+    "odom": Odometry,
+    "tf": TFMessage,
+    "joint_states": JointState,
+}
+PERIODS_NS = (12_500_000, 10_000_000, 4_166_667)
+
+
+def numbers_in(message: object) -> Iterator[float]:
+    """List all numbers of a message."""
+    if isinstance(message, float | int):
+        yield float(message)
+    elif isinstance(message, tuple | list):
+        for item in message:
+            yield from numbers_in(item)
+    elif isinstance(message, msgspec.Struct):
+        yield from numbers_in(msgspec.structs.astuple(message))
+
+
+def texts_in(message: object) -> Iterator[str]:
+    """List all texts of a message."""
+    if isinstance(message, str):
+        yield message
+    elif isinstance(message, tuple | list):
+        for item in message:
+            yield from texts_in(item)
+    elif isinstance(message, msgspec.Struct):
+        yield from texts_in(msgspec.structs.astuple(message))
+
+
+def assert_same(found: Sample, expected: Sample) -> None:
+    assert (found.key, found.encoding) == (expected.key, expected.encoding)
+    kind = KINDS[last_chunk(found.key)]
+    one, other = (decode(kind, sample.payload, sample.encoding) for sample in (found, expected))
+    assert list(texts_in(one)) == list(texts_in(other))
+    assert list(numbers_in(one)) == pytest.approx(list(numbers_in(other)), abs=1e-12)
+
+
+def targets_of(command: DriveCommand) -> tuple[float, ...]:
+    return struct.unpack(f"<{len(command.targets) // 8}d", command.targets)
+
+
+class Both:
+    """The same robots twice: in a pool, and one by one."""
+
+    def __init__(self) -> None:
+        self.buses = MemoryBus(), MemoryBus()
+        self.pool = PooledRobots(self.buses[0], TIMEOUT_NS)
+        self.fleet = IndividualRobots(self.buses[1], TIMEOUT_NS)
+        self.heard = [bus.subscribe("**", 100_000) for bus in self.buses]
+        self.claims: list[Claim] = []
+        self.time_ns = 0
+
+    def take(self, *models: Model, namespace: str = "") -> None:
+        for model in models:
+            number = len(self.claims) + 1
+            name = f"{namespace}r{number}"
+            self.claims.append(Claim(number, f"r{number}", name, model, "<robot/>"))
+            for one in (self.pool, self.fleet):
+                one.take(self.claims[-1:])
+        for _ in range(len(self.claims)):
+            self.pool.answer()
+            self.pool.announce()
+
+    def say(self, message: Twist, format_: Format, *claims: Claim) -> None:
+        for bus in self.buses:
+            for claim in claims:
+                bus.put_message(f"{claim.namespace}/cmd_vel", message, format_)
+
+    def state(self, rng: np.random.Generator, claims: Sequence[Claim]) -> DriveState:
+        joints = sum(len(claim.model.joints) for claim in claims)
+        base = rng.uniform(-2.0, 2.0, (len(claims), 13))
+        base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)
+        return DriveState(
+            0,
+            self.time_ns,
+            self.time_ns,
+            np.array([claim.claim for claim in claims], dtype="<u4").tobytes(),
+            base.tobytes(),
+            rng.uniform(-3.0, 3.0, joints).tobytes(),
+            rng.uniform(-3.0, 3.0, joints).tobytes(),
+        )
+
+    def step(self, rng: np.random.Generator, period_ns: int, claims: Sequence[Claim]) -> None:
+        """Pass time, and see that both do the same."""
+        self.time_ns += period_ns
+        state = self.state(rng, claims)
+        for one in (self.pool, self.fleet):
+            one.release_all_except(state.claims)
+        self.pool.answer()
+        found, expected = self.pool.advance(state), self.fleet.advance(state)
+        assert targets_of(found) == pytest.approx(targets_of(expected), abs=1e-12)
+        self.pool.answer()
+        self.pool.tell()
+        self.fleet.tell()
+        told = [
+            sorted((s for s in heard.take() if last_chunk(s.key) in KINDS), key=lambda s: s.key)
+            for heard in self.heard
+        ]
+        for one, other in zip(*told, strict=True):
+            assert_same(one, other)
+
+
+def a_twist(rng: np.random.Generator) -> Twist:
+    numbers = rng.uniform(-2.0, 2.0, 6).tolist()
+    return Twist(Vector3(*numbers[:3]), Vector3(*numbers[3:]))
+
+
+@pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(PERIODS_NS))
+def test_pool_drives_and_tells_as_agents_do(drive: Drive, seed: int, period_ns: int) -> None:
+    rng, both = np.random.default_rng(seed), Both()
+    both.take(*[robot_of(drive) for _ in range(3)])
+    for step in range(25):
+        if step == 8:
+            both.take(robot_of(drive))
+        claims = both.claims if step < 16 else [both.claims[3], both.claims[1]]
+        if step % 5 == 0:
+            both.say(a_twist(rng), Format.CDR, *claims[: step % 3 + 1])
+        both.step(rng, period_ns, claims)
+
+
+def test_pool_drives_robots_of_all_kinds_together() -> None:
+    rng, both = np.random.default_rng(5), Both()
+    both.take(*[robot_of(drive) for drive in DRIVES.values()])
+    both.take(*[robot_of(drive) for drive in DRIVES.values()], namespace="team/")
+    quiet = msgspec.structs.replace(DRIVE, publish_odom=False)
+    truthful = msgspec.structs.replace(two_wheeler(quiet), ground_truths=(GroundTruth("camera"),))
+    for step in range(30):
+        if step == 10:
+            both.take(truthful)
+        for claim in both.claims:
+            if rng.random() < 0.3:
+                both.say(a_twist(rng), list(Format)[rng.integers(3)], claim)
+        both.step(rng, 12_500_000, both.claims)
+
+
+def test_pool_starts_its_robots_again_at_a_reset() -> None:
+    rng, both = np.random.default_rng(7), Both()
+    both.take(*[robot_of(drive) for drive in DRIVES.values()])
+    for _ in range(2):
+        both.say(a_twist(rng), Format.CDR, *both.claims)
+        for _ in range(9):
+            both.step(rng, 12_500_000, both.claims)
+        both.pool.reset()
+        both.fleet.reset()
+        both.time_ns = 0
+
+
+def test_pool_follows_remappings() -> None:
+    rng, both = np.random.default_rng(3), Both()
+    ros = RosBlock("", ("cmd_vel:=go", "odom:=/lost/odom"))
+    drive = msgspec.structs.replace(DRIVES["diff"], ros=ros)
+    both.take(robot_of(drive))
+    for bus in both.buses:
+        bus.put_message("r1/go", Twist(Vector3(0.5)))
+
+    both.step(rng, 12_500_000, both.claims)
+    both.step(rng, 12_500_000, both.claims)
+
+
+def test_bad_command_does_not_hide_the_good_one_before_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    rng, both = np.random.default_rng(3), Both()
+    both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["diff"]))
+    nan = Twist(Vector3(float("nan")))
+    for bus in both.buses:
+        bus.put_message("r1/cmd_vel", Twist(Vector3(0.5)))
+        bus.put("r1/cmd_vel", b"garbage")
+        bus.put_message("r2/cmd_vel", Twist(Vector3(0.25)))
+        bus.put_message("r2/cmd_vel", nan)
+
+    both.step(rng, 12_500_000, both.claims)
+    both.pool.log_malformed()
+    both.pool.log_malformed()
+
+    assert [line.split(" reason")[0] for line in caplog.messages] == [
+        "cmd_vel key=r1/cmd_vel malformed=1",
+        "cmd_vel key=r2/cmd_vel malformed=1",
+    ]
+
+
+def test_pool_answers_late_comers_of_its_own_robots_only() -> None:
+    rng, both = np.random.default_rng(3), Both()
+    both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["diff"]))
+    bus = both.buses[0]
+    bus.pumps.append(both.pool.answer)
+    assert bus.get("r1/odom") == []
+    both.step(rng, 12_500_000, both.claims)
+
+    topics = {"odom", "tf", "tf_static", "joint_states", "robot_description"}
+    assert {sample.key for sample in bus.get("r1/*")} == {f"r1/{topic}" for topic in topics}
+    assert {sample.key for sample in bus.get("*/tf_static")} == {"r1/tf_static", "r2/tf_static"}
+    assert bus.get("r3/odom") == []
+    for one in ("r2/odom", "r1/tf"):
+        (other_bus_answer,) = _asked(both, one)
+        assert_same(bus.get(one)[0], other_bus_answer)
+
+
+def _asked(both: Both, key: str) -> list[Sample]:
+    if both.fleet.answer not in both.buses[1].pumps:
+        both.buses[1].pumps.append(both.fleet.answer)
+    return both.buses[1].get(key)
+
+
+def test_pool_announces_constants_to_each_who_begins_to_listen() -> None:
+    bus = MemoryBus()
+    pool = PooledRobots(bus, 0)
+    pool.take([Claim(n, f"r{n}", f"r{n}", robot_of(DRIVES["diff"]), "<robot/>") for n in (1, 2)])
+
+    def heard(listener_key: str) -> list[str]:
+        listener = bus.subscribe(listener_key, 16)
+        for _ in range(4):
+            pool.answer()
+            pool.announce()
+        return [sample.key for sample in listener.take()]
+
+    assert heard("r1/tf_static") == ["r1/tf_static"]
+    assert heard("r2/*") == ["r2/tf_static", "r2/robot_description"]
+
+
+def test_pool_announces_again_to_who_listens_when_others_have_gone() -> None:
+    bus = MemoryBus()
+    pool = PooledRobots(bus, 0)
+    pool.take([Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")])
+    for _ in range(2):
+        listener = bus.subscribe("*/tf_static", 16)
+        for _ in range(3):
+            pool.answer()
+            pool.announce()
+        assert len(listener.take()) == 1
+        listener.close()
+        for _ in range(2):
+            pool.answer()
+            pool.announce()
+
+
+def test_pool_leaves_nothing_when_it_has_lost_all() -> None:
+    rng, both = np.random.default_rng(3), Both()
+    both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["car"]))
+    both.step(rng, 12_500_000, both.claims)
+
+    lost = both.pool.release_all_except(b"")
+
+    bus = both.buses[0]
+    assert lost == ("r1", "r2")
+    assert both.pool.newest_claim == 0
+    assert not bus.is_served("**")
+    assert [one.key for one in bus._subscriptions] == ["**"]  # noqa: SLF001
+
+
+def test_pool_makes_nothing_when_nobody_listens() -> None:
+    bus = MemoryBus()
+    pool = PooledRobots(bus, 0)
+    both = Both()
+    both.take(robot_of(DRIVES["diff"]))
+    pool.take(both.claims)
+
+    pool.advance(both.state(np.random.default_rng(1), both.claims))
+    pool.answer()
+    pool.tell()
+
+    assert not bus.is_heard("r1/odom")
+
+
+@pytest.mark.parametrize("part", ["base", "joint_positions", "joint_velocities", "claims"])
+def test_state_that_does_not_fit_is_malformed(part: str) -> None:
+    both = Both()
+    both.take(robot_of(DRIVES["diff"]))
+    state = both.state(np.random.default_rng(1), both.claims)
+    bad = msgspec.structs.replace(state, **{part: getattr(state, part) + b"\0"})
+
+    with pytest.raises(MalformedPayload):
+        both.pool.advance(bad)

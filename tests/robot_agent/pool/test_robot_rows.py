@@ -1,0 +1,53 @@
+"""Gates in rows open as each alone would."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zensim.robot_agent.pool.robot_rows import GroupRateLimiter
+from zensim.robot_agent.rate_limiter import RateLimiter
+
+RATES = [0.0, 7.0, 30.0, 50.0, 80.0, 100.0]
+STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max_size=60)
+
+
+@pytest.mark.parametrize("rate_hz", RATES)
+@given(st.lists(STEPS, min_size=1, max_size=4))
+def test_gates_open_when_each_alone_would_wherever_it_began(
+    rate_hz: float, courses: list[list[int]]
+) -> None:
+    gates, lone, time_ns = GroupRateLimiter(rate_hz), [], 0
+    # Each course begins with a robot more.
+    for course in courses:
+        lone.append(RateLimiter(rate_hz))
+        gates.remap(np.array([*range(len(lone) - 1), -1], dtype=np.int64))
+        for step_ns in course:
+            time_ns += step_ns
+            expected = {
+                row: elapsed_s
+                for row, gate in enumerate(lone)
+                if (elapsed_s := gate.elapsed_s(time_ns)) is not None
+            }
+            rows, elapsed = gates.open(time_ns)
+            assert dict(zip(rows.tolist(), elapsed.tolist(), strict=True)) == expected
+
+
+def test_gates_forget_at_a_reset() -> None:
+    gates = GroupRateLimiter(10.0)
+    gates.remap(np.array([-1, -1], dtype=np.int64))
+    gates.open(10**9)
+
+    gates.reset()
+
+    assert gates.open(0)[0].tolist() == [0, 1]
+
+
+def test_gates_keep_their_beats_when_rows_move() -> None:
+    gates = GroupRateLimiter(10.0)
+    gates.remap(np.array([-1], dtype=np.int64))
+    gates.open(0)
+    gates.remap(np.array([-1, 0], dtype=np.int64))
+
+    assert gates.open(50_000_000)[0].tolist() == [0]
+    assert gates.open(100_000_000)[0].tolist() == [1]

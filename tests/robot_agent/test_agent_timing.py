@@ -1,0 +1,263 @@
+"""When the answer to a state may be given anew."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from tests.robot_agent.models import a_state
+from zensim.proto.messages.agent_messages import DriveState
+from zensim.robot_agent.agent_timing import (
+    EAGER_POLL_S,
+    IDLE_S,
+    MAX_COMMAND_PAUSE_S,
+    MAX_PAUSE_S,
+    MAX_WINDOW_S,
+    MIN_PERIOD_S,
+    MIN_WINDOW_S,
+    NICENESS,
+    LateCommandWindow,
+    PollSchedule,
+    ProcessPriority,
+)
+
+
+def looks_between_states(
+    rhythm: PollSchedule, period_s: float, *, states: int, awaited: bool
+) -> float:
+    """Run an agent's loop; count its looks for each state, the last half of the time."""
+    now_s, looks, seen = 0.0, 0, 0
+    while seen < states:
+        now_s += rhythm.pause_s(now_s) + 5e-5
+        due = int(now_s / period_s)
+        looks += seen >= states // 2
+        if due > seen:
+            seen = due
+            rhythm.note_state(now_s, is_awaited=awaited)
+    return looks / (states - states // 2)
+
+
+def test_agent_looks_a_few_times_for_a_state_in_real_time() -> None:
+    assert looks_between_states(PollSchedule(), 0.0125, states=200, awaited=False) < 4.5
+
+
+def test_agent_looks_more_often_where_commands_are_not_to_wait_for_states() -> None:
+    rhythm = PollSchedule(MAX_COMMAND_PAUSE_S)
+    for state in range(100):
+        rhythm.note_state(state * 0.1, is_awaited=False)
+
+    assert rhythm.pause_s(9.9) == MAX_COMMAND_PAUSE_S
+
+
+def test_agent_answers_no_more_often_than_that_when_time_runs_fast() -> None:
+    rhythm = PollSchedule()
+
+    looks = looks_between_states(rhythm, 0.0005, states=4000, awaited=False)
+
+    assert looks <= 1.1 * 0.0005 / MIN_PERIOD_S
+
+
+def test_agent_looks_again_and_again_when_it_is_awaited() -> None:
+    rhythm = PollSchedule()
+    rhythm.note_state(5.0, is_awaited=True)
+
+    assert rhythm.pause_s(5.001) == EAGER_POLL_S
+    assert rhythm.pause_s(5.03) > EAGER_POLL_S
+
+
+def test_agent_finds_a_faster_beat_at_once() -> None:
+    rhythm = PollSchedule()
+    looks_between_states(rhythm, 0.0125, states=100, awaited=False)
+    rhythm.note_state(10.0, is_awaited=False)
+    rhythm.note_state(10.003, is_awaited=False)
+
+    assert rhythm.pause_s(10.003) == MIN_PERIOD_S
+
+
+def test_agent_looks_less_often_while_time_stands() -> None:
+    rhythm = PollSchedule()
+    rhythm.note_state(1.0, is_awaited=False)
+
+    assert rhythm.pause_s(2.0) == IDLE_S
+    assert PollSchedule().pause_s(0.0) == IDLE_S
+
+
+def test_agent_never_sleeps_so_long_that_everything_else_waits() -> None:
+    rhythm = PollSchedule()
+    for state in range(100):
+        rhythm.note_state(state * 0.1, is_awaited=False)
+
+    assert rhythm.pause_s(9.9) == MAX_PAUSE_S
+
+
+MS = 1_000_000
+NICE = f"from robot_agent.precedence import be_nice; print(be_nice({NICENESS}))"
+TOLD = "; import os; print(os.getpriority(os.PRIO_PROCESS, 0))"
+
+
+def state(time_ns: int, *, is_awaited: bool = False) -> DriveState:
+    return DriveState(0, 0, time_ns, b"", b"", b"", b"", is_awaited=is_awaited)
+
+
+class Wishes:
+    """What was asked of the kernel, which is too busy for the first few."""
+
+    def __init__(self, refusals: int = 0) -> None:
+        self.asked: list[int] = []
+        self._refusals = refusals
+
+    def __call__(self, niceness: int) -> bool:
+        self.asked.append(niceness)
+        return len(self.asked) > self._refusals
+
+
+def run(
+    precedence: ProcessPriority, factor: float, *, from_s: float = 0.0, awaited: bool = False
+) -> None:
+    """Let two seconds pass, told every 10 ms of them."""
+    for tick in range(200):
+        now_s = from_s + tick * 0.01
+        told = state(round(1000 * from_s * MS + tick * 10 * MS * factor), is_awaited=awaited)
+        precedence.note_state(now_s, told)
+
+
+def shares_of(process_id: int) -> str:
+    return Path(f"/proc/{process_id}/autogroup").read_text(encoding="ascii").strip()
+
+
+def test_agent_stands_back_once_when_time_runs_fast() -> None:
+    wishes = Wishes()
+
+    run(ProcessPriority(wishes), factor=4.0)
+
+    assert wishes.asked == [NICENESS]
+
+
+def test_agent_stays_where_it_is_in_real_time() -> None:
+    wishes = Wishes()
+
+    run(ProcessPriority(wishes), factor=1.0)
+
+    assert wishes.asked == []
+
+
+def test_agent_stays_where_it_is_when_time_waits_for_it() -> None:
+    wishes = Wishes()
+
+    run(ProcessPriority(wishes), factor=4.0, awaited=True)
+
+    assert wishes.asked == []
+
+
+def test_agent_asks_again_when_the_kernel_is_busy() -> None:
+    wishes = Wishes(refusals=2)
+
+    run(ProcessPriority(wishes), factor=4.0)
+
+    assert wishes.asked == [NICENESS] * 3
+
+
+def test_agent_comes_forward_when_time_runs_slowly_again() -> None:
+    wishes = Wishes()
+    precedence = ProcessPriority(wishes)
+
+    run(precedence, factor=4.0)
+    run(precedence, factor=1.0, from_s=100.0)
+
+    assert wishes.asked == [NICENESS, 0]
+
+
+def test_agent_bears_a_reset_of_time() -> None:
+    wishes = Wishes()
+    precedence = ProcessPriority(wishes)
+
+    run(precedence, factor=1.0, from_s=100.0)
+    precedence.note_state(103.0, state(0))
+    precedence.note_state(103.6, state(600 * MS))
+
+    assert wishes.asked == []
+
+
+def test_process_of_a_session_of_its_own_takes_the_session_along() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{NICE}{TOLD}; input()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    is_done, niceness = process.stdout.readline(), process.stdout.readline()
+    shares = shares_of(process.pid) if Path("/proc/self/autogroup").exists() else ""
+    process.communicate("\n")
+
+    assert int(niceness) == NICENESS
+    # The kernel may have had too many wishes just then, and says so.
+    assert not shares or is_done == "False\n" or shares.endswith(f"nice {NICENESS}")
+
+
+def test_process_of_the_users_session_leaves_the_session_alone() -> None:
+    has_shares = Path("/proc/self/autogroup").exists()
+    before = shares_of(os.getpid()) if has_shares else ""
+
+    done = subprocess.run(
+        [sys.executable, "-c", NICE + TOLD], capture_output=True, text=True, check=True
+    )
+
+    assert done.stdout.split() == ["True", str(NICENESS)]
+    assert before == (shares_of(os.getpid()) if has_shares else "")
+
+
+NOW_S = 5.0
+
+
+def after(*states: tuple[int, tuple[int, ...], int, bool]) -> LateCommandWindow:
+    """Take note of states: step, claims, epoch, whether each is awaited."""
+    revising = LateCommandWindow()
+    for step, claims, epoch, is_awaited in states:
+        state = replace(a_state(step, claims, epoch=epoch), is_awaited=is_awaited)
+        revising.note_state(state, NOW_S)
+    return revising
+
+
+def test_answer_may_be_revised_while_time_runs_freely() -> None:
+    assert after((3, (1,), 0, False), (6, (1,), 0, False)).is_open(NOW_S + 0.01)
+
+
+def test_answer_is_not_revised_before_time_is_known_to_run() -> None:
+    assert not LateCommandWindow().is_open(NOW_S)
+    assert not after((3, (1,), 0, False)).is_open(NOW_S)
+    assert not after((3, (1,), 0, False), (3, (1,), 0, False)).is_open(NOW_S)
+
+
+def test_answer_that_is_awaited_is_not_revised() -> None:
+    assert not after((3, (1,), 0, False), (6, (1,), 0, True)).is_open(NOW_S)
+
+
+def test_answer_is_not_revised_when_a_state_tells_of_other_claims_or_another_epoch() -> None:
+    assert not after((3, (1, 2), 0, False), (4, (1,), 0, False)).is_open(NOW_S)
+    assert not after((3, (1,), 0, False), (6, (1,), 1, False)).is_open(NOW_S)
+
+
+def test_answer_is_not_revised_when_no_state_has_come_for_long() -> None:
+    assert not after((3, (1,), 0, False), (6, (1,), 0, False)).is_open(NOW_S + MIN_WINDOW_S)
+
+
+def test_answer_may_be_revised_for_longer_where_states_come_seldom() -> None:
+    revising = LateCommandWindow()
+    for beat in (1, 2):
+        revising.note_state(a_state(beat, (1,)), NOW_S + 0.4 * beat)
+    assert revising.is_open(NOW_S + 0.8 + 0.7)
+
+    revising.note_state(a_state(3, (1,)), NOW_S + 100.0)
+    assert not revising.is_open(NOW_S + 100.0 + MAX_WINDOW_S)
+
+
+def test_answer_is_revised_once() -> None:
+    revising = after((3, (1,), 0, False), (6, (1,), 0, False))
+
+    revising.close()
+
+    assert not revising.is_open(NOW_S)

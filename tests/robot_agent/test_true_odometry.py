@@ -1,0 +1,216 @@
+"""What ground truth plug-ins tell."""
+
+import math
+
+import msgspec
+import numpy as np
+import pybullet
+import pytest
+
+from tests.engines import STEP_NS
+from tests.fakes import MemoryBus, MemorySubscription
+from tests.models import a_body, a_state, angle_between
+from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
+from tests.sim_server.physics.bullet import client_of
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.model_messages import (
+    Frame,
+    GroundTruth,
+    Joint,
+    Link,
+    Model,
+    Origin,
+    RosBlock,
+)
+from zensim.proto.messages.standard_messages import Odometry
+from zensim.proto.rotation import from_rpy
+from zensim.proto.topic_endpoints import TopicFactory
+from zensim.robot_agent.drive_state_decoder import RobotState
+from zensim.robot_agent.robots import Robot
+from zensim.robot_agent.true_odometry import LinkChain, TrueOdometryTelemetry
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
+
+TILTED = Origin((0.3, -0.1, 0.2), (0.5, 0.5, -0.5, 0.5))
+CRANE = Model(
+    "crane",
+    tuple(Link(name, a_body()) for name in ("base", "turret", "slide", "foot", "hook")),
+    (
+        Joint("turn", "revolute", "base", "turret", TILTED, (0.0, 0.0, 1.0), -3.0, 3.0),
+        Joint("reach", "prismatic", "turret", "slide", TILTED, (1.0, 0.0, 0.0), -3.0, 3.0),
+        Joint("bolt", "fixed", "slide", "foot", TILTED),
+        Joint("swing", "continuous", "foot", "hook", TILTED, (0.6, 0.8, 0.0)),
+    ),
+    (Frame("tip", "hook", TILTED),),
+)
+ROOT = a_state((1.0, 2.0, 3.0), turn=(0.3, 0.2, 0.1), linear=(1.0, 0.5, 0.2), angular=(0.3, 2, 1))
+POSITIONS = (0.4, -0.3, 0.0, 1.2)
+VELOCITIES = (0.7, 0.5, 0.0, -0.9)
+READING = RobotState(0, tuple(ROOT.tolist()), POSITIONS, VELOCITIES)
+
+
+@pytest.mark.parametrize(("link", "name"), [(0, "turret"), (1, "slide"), (2, "foot"), (3, "hook")])
+def test_link_is_where_bullet_has_it_and_moves_so(link: int, name: str) -> None:
+    engine = PyBulletEngine(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
+    body, client = engine.add(CRANE, ROOT), client_of(engine)
+    for joint, (position, velocity) in enumerate(zip(POSITIONS, VELOCITIES, strict=True)):
+        pybullet.resetJointState(body, joint, position, velocity, physicsClientId=client)
+    state = pybullet.getLinkState(
+        body, link, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+    )
+    engine.close()
+
+    found = LinkChain(CRANE, name).motion(READING)
+
+    assert found.position == pytest.approx(state[4], abs=1e-6)
+    assert angle_between(np.array(found.orientation), np.array(state[5])) < 1e-3
+    assert found.linear == pytest.approx(state[6], abs=1e-5)
+    assert found.angular == pytest.approx(state[7], abs=1e-5)
+
+
+def test_merged_link_goes_with_the_link_that_holds_it() -> None:
+    hook, tip = (LinkChain(CRANE, name).motion(READING) for name in ("hook", "tip"))
+
+    away = np.array(tip.position) - np.array(hook.position)
+    assert float(np.linalg.norm(away)) == pytest.approx(np.linalg.norm(TILTED.position))
+    assert tip.angular == hook.angular
+    assert np.array(tip.linear) - np.array(hook.linear) == pytest.approx(
+        np.cross(hook.angular, away)
+    )
+
+
+@pytest.mark.parametrize("name", ["base", "nothing"])
+def test_root_link_is_where_it_is(name: str) -> None:
+    found = LinkChain(CRANE, name).motion(READING)
+
+    assert (*found.position, *found.orientation) == pytest.approx(ROOT[:7])
+    assert (*found.linear, *found.angular) == pytest.approx(ROOT[7:])
+
+
+MS = 1_000_000
+QUARTER = math.pi / 2.0
+MOVING = a_state((1.0, 2.0, 0.1), turn=(0.0, 0.0, QUARTER), linear=(0.0, 0.5, 0.0))
+TRUTH = GroundTruth("base_link", topic="truth")
+
+
+def reading(time_ms: int = 0, velocities: tuple[float, ...] = (0.0, 0.0)) -> RobotState:
+    return RobotState(time_ms * MS, tuple(MOVING.tolist()), (0.0, 0.0), velocities)
+
+
+def telling(bus: MemoryBus, *truths: GroundTruth) -> TrueOdometryTelemetry:
+    model = msgspec.structs.replace(two_wheeler(), ground_truths=truths)
+    return TrueOdometryTelemetry(TopicFactory(bus), a_claim(model=model))
+
+
+def messages(listener: MemorySubscription) -> list[Odometry]:
+    return [decode(Odometry, one.payload, one.encoding) for one in listener.take()]
+
+
+def told(truth: GroundTruth, key: str = "r1/truth") -> Odometry:
+    bus = MemoryBus()
+    listener = bus.subscribe(key)
+    telling(bus, truth).tell(reading())
+    (message,) = messages(listener)
+    return message
+
+
+def test_truth_is_the_pose_in_the_world_and_the_velocity_in_the_body() -> None:
+    message = told(TRUTH)
+
+    pose, twist = message.pose.pose, message.twist.twist
+    assert (message.header.frame_id, message.child_frame_id) == ("world", "base_link")
+    assert (pose.position.x, pose.position.y, pose.position.z) == (1.0, 2.0, 0.1)
+    assert (pose.orientation.z, pose.orientation.w) == pytest.approx((0.5**0.5, 0.5**0.5))
+    assert (twist.linear.x, twist.linear.y) == pytest.approx((0.5, 0.0))
+    assert message.pose.covariance == (0.0,) * 36
+
+
+def test_velocity_is_along_the_axes_of_the_world_as_gazebo_has_it() -> None:
+    twist = told(msgspec.structs.replace(TRUTH, compat="gazebo11")).twist.twist
+
+    assert (twist.linear.x, twist.linear.y) == pytest.approx((0.0, 0.5))
+
+
+def test_truth_is_of_links_that_move_or_are_merged() -> None:
+    bus = MemoryBus()
+    wheel, camera = bus.subscribe("r1/wheel"), bus.subscribe("r1/camera")
+    truths = (GroundTruth("left_wheel", topic="wheel"), GroundTruth("camera", topic="camera"))
+
+    telling(bus, *truths).tell(reading(velocities=(3.0, 0.0)))
+
+    (spin,), (view,) = messages(wheel), messages(camera)
+    assert spin.twist.twist.angular.y == pytest.approx(3.0)
+    assert view.pose.pose.position.y == pytest.approx(2.2)
+
+
+def test_truth_may_be_told_relative_to_a_link() -> None:
+    truth = msgspec.structs.replace(TRUTH, body="camera", frame_id="base_footprint")
+
+    message = told(truth)
+
+    position = message.pose.pose.position
+    assert (position.x, position.y, position.z) == pytest.approx((0.2, 0.0, 0.2))
+    assert message.pose.pose.orientation.w == pytest.approx(1.0)
+    assert message.twist.twist.linear.x == pytest.approx(0.0)
+
+
+def test_truth_is_off_by_what_is_asked_for() -> None:
+    x, y, z, w = from_rpy(0.0, 0.0, -QUARTER).tolist()
+    truth = msgspec.structs.replace(TRUTH, offset=Origin((10.0, 0.0, 0.0), (x, y, z, w)))
+
+    pose = told(truth).pose.pose
+
+    assert (pose.position.x, pose.position.y) == (11.0, 2.0)
+    assert pose.orientation.w == pytest.approx(1.0)
+
+
+def test_truth_is_told_at_its_rate_where_it_is_remapped_to() -> None:
+    bus = MemoryBus()
+    listener = bus.subscribe("r1/exact", depth=100)
+    rules = RosBlock(remappings=("odom:=exact",))
+    telemetry = telling(bus, GroundTruth("base_link", update_rate_hz=20.0, ros=rules))
+
+    for time_ms in range(0, 1000, 10):
+        telemetry.tell(reading(time_ms))
+
+    assert len(messages(listener)) == 20
+
+
+def velocities_told(*, resets: bool = False) -> list[float]:
+    bus = MemoryBus()
+    listener = bus.subscribe("r1/truth", depth=2000)
+    telemetry = telling(bus, msgspec.structs.replace(TRUTH, noise=0.1))
+    for time_ms in range(0, 500, 1):
+        telemetry.tell(reading(time_ms))
+    if resets:
+        telemetry.reset()
+        listener.take()
+        for time_ms in range(0, 500, 1):
+            telemetry.tell(reading(time_ms))
+    heard = messages(listener)
+    assert heard[0].twist.covariance[::7] == pytest.approx((0.01,) * 6)
+    return [message.twist.twist.linear.x for message in heard]
+
+
+def test_velocity_has_the_noise_that_is_asked_for_the_same_on_every_run() -> None:
+    first = velocities_told()
+
+    assert np.mean(first) == pytest.approx(0.5, abs=0.02)
+    assert np.std(first) == pytest.approx(0.1, rel=0.15)
+    assert velocities_told() == first
+    assert velocities_told(resets=True) == first
+
+
+def test_robot_tells_and_answers_its_ground_truth_until_it_is_closed() -> None:
+    bus = MemoryBus()
+    model = msgspec.structs.replace(two_wheeler(DRIVE), ground_truths=(TRUTH,))
+    robot = Robot(TopicFactory(bus), a_claim(model=model), 500 * MS)
+    listener = bus.subscribe("r1/truth")
+    robot.advance(reading())
+
+    robot.tell()
+
+    assert len(messages(listener)) == 1
+    assert bus.is_served("r1/truth")
+    robot.close()
+    assert not bus.is_served("r1/truth")
