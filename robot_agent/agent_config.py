@@ -54,7 +54,7 @@ class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AgentProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a process needs to be an agent; as JSON it is handed to `zensim.deploy.ready`."""
+    """All that a process needs to be an agent; as JSON it is handed to `zensim.deploy.prepared_start`."""
 
     endpoint: str
     """Router or server to join."""

@@ -1,1 +1,1 @@
-"""The operator's side: put robots into a world, look at it, change it."""
+"""The operator's side: typed clients, spawning, the command line and the 3D page."""

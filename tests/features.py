@@ -23,7 +23,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityOrder,
 )
 from zensim.proto.messages.standard_messages import Point, Pose, Vector3
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 PROBE = "probe"
 BOX = (

@@ -11,42 +11,57 @@ from typing import Annotated
 
 import typer
 
-from zensim.deploy.parent import die_with_parent
+from zensim.deploy.parent_death_signal import die_with_parent
 
 VERBS: dict[str, tuple[str, str]] = {
     "up": (
-        "zensim.deploy.cli.up",
+        "zensim.deploy.cli.up_commands",
         "Run a world, its robots, their agents and the page, all on this machine.",
     ),
     "serve": ("zensim.sim_server.cli", "Run a world and serve it on the network."),
-    "router": ("zensim.deploy.cli.router", "Run the router alone, for servers and agents to join."),
-    "spawn": ("zensim.spawner.cli.spawn", "Put one robot into the world."),
-    "fleet": ("zensim.spawner.cli.spawn", "Put many robots into the world."),
+    "router": (
+        "zensim.deploy.cli.router_commands",
+        "Run the router alone, for servers and agents to join.",
+    ),
+    "spawn": ("zensim.spawner.cli.spawn_commands", "Put one robot into the world."),
+    "fleet": ("zensim.spawner.cli.spawn_commands", "Put many robots into the world."),
     "agent": ("zensim.robot_agent.cli", "Drive robots: cmd_vel in, odom and tf out."),
-    "drive": ("zensim.spawner.cli.topics", "Send a robot velocity commands."),
-    "echo": ("zensim.spawner.cli.topics", "Print what is published on a key."),
-    "hz": ("zensim.spawner.cli.topics", "Measure how often something is published on a key."),
-    "list": ("zensim.spawner.cli.listing", "List the entities of the world."),
-    "inspect": ("zensim.spawner.cli.entities", "Show one entity."),
-    "delete": ("zensim.spawner.cli.entities", "Take entities out of the world."),
-    "state": ("zensim.spawner.cli.state", "Tell where an entity is, or put it somewhere."),
-    "info": ("zensim.spawner.cli.info", "Tell what an entity is, or say it."),
-    "pause": ("zensim.spawner.cli.simulation", "Let time stand."),
-    "play": ("zensim.spawner.cli.simulation", "Let time run."),
+    "drive": ("zensim.spawner.cli.topic_commands", "Send a robot velocity commands."),
+    "echo": ("zensim.spawner.cli.topic_commands", "Print what is published on a key."),
+    "hz": (
+        "zensim.spawner.cli.topic_commands",
+        "Measure how often something is published on a key.",
+    ),
+    "list": ("zensim.spawner.cli.list_commands", "List the entities of the world."),
+    "inspect": ("zensim.spawner.cli.entity_commands", "Show one entity."),
+    "delete": ("zensim.spawner.cli.entity_commands", "Take entities out of the world."),
+    "state": ("zensim.spawner.cli.state_commands", "Tell where an entity is, or put it somewhere."),
+    "info": ("zensim.spawner.cli.info_commands", "Tell what an entity is, or say it."),
+    "pause": ("zensim.spawner.cli.simulation_commands", "Let time stand."),
+    "play": ("zensim.spawner.cli.simulation_commands", "Let time run."),
     "stop": (
-        "zensim.spawner.cli.simulation",
+        "zensim.spawner.cli.simulation_commands",
         "Let time stand at the start: what was spawned goes.",
     ),
-    "step": ("zensim.spawner.cli.pacing", "Make steps of a paused world."),
-    "run-to": ("zensim.spawner.cli.pacing", "Make steps until a simulation time is reached."),
-    "speed": ("zensim.spawner.cli.pacing", "Choose the real-time factor to hold."),
-    "reset": ("zensim.spawner.cli.simulation", "Go back to the start."),
-    "world": ("zensim.spawner.cli.world", "Load, list or unload worlds."),
-    "features": ("zensim.spawner.cli.simulation", "List what the server can do."),
-    "doctor": ("zensim.spawner.cli.doctor", "Say what is wrong when nothing answers."),
-    "view": ("zensim.spawner.cli.view", "Show the world on a 3D page."),
-    "journal": ("zensim.deploy.cli.journal", "Show, verify or export what a server keeps."),
-    "model": ("zensim.deploy.cli.model", "Show what a description says, without any server."),
+    "step": ("zensim.spawner.cli.simulation_commands", "Make steps of a paused world."),
+    "run-to": (
+        "zensim.spawner.cli.simulation_commands",
+        "Make steps until a simulation time is reached.",
+    ),
+    "speed": ("zensim.spawner.cli.simulation_commands", "Choose the real-time factor to hold."),
+    "reset": ("zensim.spawner.cli.simulation_commands", "Go back to the start."),
+    "world": ("zensim.spawner.cli.world_commands", "Load, list or unload worlds."),
+    "features": ("zensim.spawner.cli.simulation_commands", "List what the server can do."),
+    "doctor": ("zensim.spawner.cli.doctor_commands", "Say what is wrong when nothing answers."),
+    "view": ("zensim.spawner.cli.view_commands", "Show the world on a 3D page."),
+    "journal": (
+        "zensim.deploy.cli.journal_commands",
+        "Show, verify or export what a server keeps.",
+    ),
+    "model": (
+        "zensim.deploy.cli.model_commands",
+        "Show what a description says, without any server.",
+    ),
 }
 """Verb to the module of its typer app, and the line that help shows without importing it."""
 
@@ -59,16 +74,16 @@ def build(called: str) -> typer.Typer:
         pretty_exceptions_enable=False,
         help="Many robots in one simulated world, over Zenoh, without ROS or Gazebo.",
     )
-    app.callback(invoke_without_command=True)(_options)
+    app.callback(invoke_without_command=True)(_root_options)
     for verb, (module, line) in VERBS.items():
         if verb == called:
-            _load(app, module, verb, line)
+            _add_verb(app, module, verb, line)
         else:
             app.command(verb, help=line)(_not_loaded)
     return app
 
 
-def _load(app: typer.Typer, module: str, verb: str, line: str) -> None:
+def _add_verb(app: typer.Typer, module: str, verb: str, line: str) -> None:
     """Add a command of a module; a module whose app has the verb's name is a group of commands."""
     found: typer.Typer = importlib.import_module(module).app
     if found.info.name == verb:
@@ -86,7 +101,7 @@ def _not_loaded() -> None:
     """Stand in for a verb that was not called."""
 
 
-def _options(
+def _root_options(
     *, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
 ) -> None:
     if version:
@@ -97,7 +112,7 @@ def _options(
         raise typer.Exit
 
 
-def _called(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
+def _find_verb(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
     """Find the verb among the arguments, or on the line that a shell wants completed."""
     line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS")
     if "_ZENSIM_COMPLETE" in environment and line:
@@ -108,4 +123,4 @@ def _called(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
 def main() -> None:
     """Run the command line."""
     die_with_parent(os.environ)
-    build(_called(sys.argv[1:], os.environ))(prog_name="zensim")
+    build(_find_verb(sys.argv[1:], os.environ))(prog_name="zensim")

@@ -24,9 +24,9 @@ from zensim.proto.messages.asset_messages import (
     PutAssetRequest,
     PutAssetResponse,
 )
-from zensim.spawner.assets import AssetFile, bundle_of
-from zensim.spawner.launch import send_files
-from zensim.spawner.search_paths import SearchPaths
+from zensim.spawner.spawn.asset_bundle import AssetFile, make_bundle
+from zensim.spawner.spawn.search_paths import SearchPaths
+from zensim.spawner.spawn.spawn_client import send_files
 
 __all__ = ["rows", "table"]
 
@@ -51,8 +51,8 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
         for seed in range(1 if is_short else RUNS):
             with TemporaryDirectory() as folder:
                 text, paths = _written(Path(folder), seed, count)
-                bundle = bundle_of(text, paths)
-                gather_ms = milliseconds(partial(bundle_of, text, paths))
+                bundle = make_bundle(text, paths)
+                gather_ms = milliseconds(partial(make_bundle, text, paths))
                 send = partial(send_files, found.server.client, bundle)
                 floor_ms = milliseconds(partial(_put, sink, bundle.files))
                 runs.append(Run(gather_ms, milliseconds(send), milliseconds(send), floor_ms))

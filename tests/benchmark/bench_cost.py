@@ -21,7 +21,7 @@ from tests.integration.processes import joined, read_json_line, running
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
 from zensim.proto.bus import Subscription
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
 

@@ -38,10 +38,10 @@ from tests.hostile.meshes import BadMesh, bad_meshes
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
-from zensim.spawner.client import SimClient
-from zensim.spawner.descriptions import from_word
-from zensim.spawner.launch import Cargo, cargo_of, order_for, send_files
-from zensim.spawner.search_paths import SearchPaths
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.description_sources import read_model_argument
+from zensim.spawner.spawn.search_paths import SearchPaths
+from zensim.spawner.spawn.spawn_client import SpawnPayload, add_payload, make_payload, send_files
 
 if TYPE_CHECKING:
     from zensim.proto.messages.telemetry_messages import Stats
@@ -101,23 +101,26 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 def a_cargo(
     folder: Path, seed: int, *, is_held: bool, links: int = huge.LINKS, count: int = huge.MESHES
-) -> Cargo:
+) -> SpawnPayload:
     """Write a robot and its meshes, and gather them as `zensim spawn` does."""
     for name, data in huge.meshes(seed, count).items():
         folder.joinpath(name).write_bytes(data)
     return _cargo(folder, huge.text(links, count, is_held=is_held))
 
 
-def _cargo(folder: Path, text: str) -> Cargo:
+def _cargo(folder: Path, text: str) -> SpawnPayload:
     file = folder / "robot.urdf"
     file.write_text(text, encoding="utf-8")
-    return cargo_of(from_word(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False)
+    return make_payload(
+        read_model_argument(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False
+    )
 
 
-def _acts(client: SimClient, cargo: Cargo, what: str) -> dict[str, Act]:
+def _acts(client: SimClient, cargo: SpawnPayload, what: str) -> dict[str, Act]:
     order = SpawnEntityOrder(initial_pose=PoseStamped(pose=Pose(Point(FAR_M, FAR_M, 1.0))))
     named, unnamed = (
-        order_for(cargo, msgspec.structs.replace(order, name=name), "") for name in (what, NO_NAME)
+        add_payload(cargo, msgspec.structs.replace(order, name=name), "")
+        for name in (what, NO_NAME)
     )
     return {
         f"{what}: uploaded": lambda: send_files(client, cargo.bundle),
@@ -147,7 +150,7 @@ def _refuse_meshes(client: SimClient, folder: Path, meshes: list[BadMesh]) -> No
         folder.joinpath(mesh.name).write_bytes(mesh.data)
         cargo = _cargo(folder, alone(solid(f'<mesh filename="{mesh.name}"/>')))
         send_files(client, cargo.bundle)
-        _refused(client, order_for(cargo, SpawnEntityOrder(NO_NAME), ""))
+        _refused(client, add_payload(cargo, SpawnEntityOrder(NO_NAME), ""))
 
 
 def _refused(client: SimClient, order: SpawnEntityOrder) -> None:

@@ -24,7 +24,7 @@ from tests.benchmark.fleet import (
 )
 from tests.integration.journals import kept_in, kill_hard
 from tests.integration.processes import START_S, free_endpoint, joined, running
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
 

@@ -29,8 +29,8 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.messages.telemetry_messages import Snapshot
-from zensim.spawner.launch import spawn_fleet
-from zensim.spawner.placement import fleet_places
+from zensim.spawner.spawn.spawn_client import spawn_fleet
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 __all__ = ["rows", "table"]
 
@@ -111,7 +111,7 @@ def _passing_on(
 @contextmanager
 def _driven(robots: int, domain: str) -> Iterator[Driven]:
     with serving("--ros-domain", domain) as server:
-        places = fleet_places("box_bot", robots, "grid", SPACING_M)
+        places = make_fleet_layout("box_bot", robots, "grid", SPACING_M)
         spawn_fleet(server.client, "box_bot", places, lambda _: None)
         arguments = ("agent", "--pool", "0", "--connect", server.endpoint, "--quiet")
         for_ever = ("--cmd-vel-timeout", "0")

@@ -20,7 +20,7 @@ from tests.benchmark.served import CALL_TIMEOUT_S, PATIENCE_S, spawn
 from tests.integration.processes import free_endpoint, joined, running
 from zensim.proto.bus import Bus
 from zensim.proto.ros2.rmw_keys import OFF
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
 

@@ -21,7 +21,7 @@ from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig, EngineOptions
 from zensim.sim_server.physics.engine_factory import create_world_engine
-from zensim.spawner.placement import fleet_places
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 __all__ = ["rows", "table"]
 
@@ -42,7 +42,7 @@ class Fleet:
     def __init__(self, engine: Engine, robots: int) -> None:
         self.engine = engine
         self._model = read_urdf(read_builtin_model("box_bot"))
-        places = fleet_places("box_bot", robots, "grid", SPACING_M)
+        places = make_fleet_layout("box_bot", robots, "grid", SPACING_M)
         self.bodies = tuple(self._add(place.x, place.y) for place in places)
 
     def turns(self, speeds: FloatArray, settle_steps: int, *, is_short: bool) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ from typing import NoReturn
 import numpy as np
 
 from tests.benchmark.fleet import POLL_S, soon
-from zensim.deploy.parent import die_with_parent
+from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from tests.benchmark import machine
 from tests.benchmark.report import Section, page
-from zensim.deploy.parent import PARENT
+from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 
 
 class Make(Protocol):
@@ -37,7 +37,7 @@ class Document:
         """Read the command line and measure what it names; everything at full length: the page."""
         wish = self._wish()
         # What it starts ends with it, even when it is killed.
-        os.environ[PARENT] = str(os.getpid())
+        os.environ[PARENT_PID_VARIABLE] = str(os.getpid())
         load_before, sections = machine.load(), []
         for name in wish.names or self.names:
             sections.append(self.make(name, is_short=wish.short))

@@ -14,7 +14,7 @@ import msgspec
 
 from tests.benchmark.fleet import CIRCLE, POLL_S
 from tests.benchmark.motion import MOVES
-from zensim.deploy.parent import die_with_parent
+from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, Subscription, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding

@@ -13,7 +13,7 @@ from typing import NoReturn
 
 from tests.benchmark.fleet import POLL_S, soon
 from tests.benchmark.machine import ROOT
-from zensim.deploy.parent import die_with_parent
+from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto.bus import Bus, BusConfig, open_bus
 
 CALL = "bench/call"

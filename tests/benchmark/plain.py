@@ -19,7 +19,7 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.bullet_contact import SOLVER_ITERATIONS
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.spawner.placement import fleet_places
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 FEW_ITERATIONS = 10
 """Of the solver: the fewest with which box_bots still drive where they should."""
@@ -45,7 +45,7 @@ class PlainLoop:
         self._control_steps = control_steps
         model = read_urdf(read_builtin_model("box_bot"))
         self._bodies = []
-        for place in fleet_places("box_bot", count, "grid", SPACING_M):
+        for place in make_fleet_layout("box_bot", count, "grid", SPACING_M):
             base = standing_at(place.x)
             base[1] = place.y
             self._bodies.append(self._engine.add(model, base))

@@ -18,12 +18,12 @@ from tests.benchmark.machine import ROOT, used_s
 from tests.benchmark.plain import Turn
 from tests.benchmark.watched_server import Used, mark
 from tests.integration.processes import end, free_endpoint, joined
-from zensim.deploy.parent import PARENT
+from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
-from zensim.spawner.client import SimClient
-from zensim.spawner.launch import read_cargo, spawn_all
-from zensim.spawner.placement import fleet_places
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
 PATIENCE_S = 120.0
 """A server starts slowly on a machine that others keep busy."""
@@ -116,9 +116,9 @@ def spawn(
     """
     places = [
         msgspec.structs.replace(place, x=place.x + at[0], y=place.y + at[1])
-        for place in fleet_places(prefix, count, "grid", SPACING_M)
+        for place in make_fleet_layout(prefix, count, "grid", SPACING_M)
     ]
-    outcomes = spawn_all(client, read_cargo("box_bot"), places, SpawnEntityOrder())
+    outcomes = spawn_many(client, read_payload("box_bot"), places, SpawnEntityOrder())
     if refused := [outcome for outcome in outcomes if outcome.message]:
         raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
 
@@ -133,7 +133,7 @@ def program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
         stdout=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env={**os.environ, PARENT: str(os.getpid())},
+        env={**os.environ, PARENT_PID_VARIABLE: str(os.getpid())},
     )
     try:
         yield process

@@ -15,7 +15,7 @@ from tests.benchmark.machine import used_s
 from tests.benchmark.served import PATIENCE_S, program
 from tests.integration.processes import free_endpoint, joined, running
 from zensim.proto.bus import Bus, Subscription
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 CALL_TIMEOUT_S = 60.0
 TALLIES = 256

@@ -13,7 +13,7 @@ import msgspec
 
 from tests.benchmark.stopwatch import Stopwatch
 from zensim.deploy.cli import main
-from zensim.deploy.parent import die_with_parent
+from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto.bus import Publisher
 from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.runtime import world_publisher

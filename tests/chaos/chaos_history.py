@@ -23,7 +23,7 @@ from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.messages.entity_messages import GetEntityStateOrder
 from zensim.proto.messages.result_messages import ResultCode, ServiceError, SpawnCode
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 CLIENTS, CLIENTS_WHEN_SHORT = 10, 4
 OPERATIONS, OPERATIONS_WHEN_SHORT = 1000, 150

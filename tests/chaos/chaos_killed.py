@@ -23,7 +23,7 @@ from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import WorldClock
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
 ROBOTS, ROBOTS_WHEN_SHORT = 100, 5

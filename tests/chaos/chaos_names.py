@@ -14,7 +14,7 @@ from tests.integration.processes import serving
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 CLIENTS, CLIENTS_WHEN_SHORT = 100, 20
 ROUNDS, ROUNDS_WHEN_SHORT = 10, 2

@@ -12,7 +12,7 @@ from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import WorldClock
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 ROBOTS, ROBOTS_WHEN_SHORT = 10, 2
 MOVED_M = 0.01

@@ -15,7 +15,7 @@ for name in ("pybullet", "yourdfpy", "lxml", "viser"):
 IMPORT_ALL = """
 package = importlib.import_module(sys.argv[1])
 for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
-    if not module.name.startswith("zensim.spawner.viewer") and not module.name.endswith("__main__"):
+    if not module.name.startswith("zensim.spawner.page") and not module.name.endswith("__main__"):
         importlib.import_module(module.name)
 """
 CALL_ZENSIM = """

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tests.spawner.packages import a_package, robot_of
-from zensim.deploy.cli.model import app
+from zensim.deploy.cli.model_commands import app
 from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()

@@ -5,7 +5,7 @@ import viser
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin, Subprotocol
 
-from zensim.spawner.viewer.stage import FOV_RAD, START
+from zensim.spawner.page.scene_setup import FOV_RAD, START_CAMERA
 
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
@@ -21,13 +21,13 @@ def a_camera() -> bytes:
     return _encoded(
         "ViewerCameraMessage",
         wxyz=(1.0, 0.0, 0.0, 0.0),
-        position=START[0],
+        position=START_CAMERA[0],
         fov=FOV_RAD,
         near=0.01,
         far=1000.0,
         image_height=800,
         image_width=1280,
-        look_at=START[1],
+        look_at=START_CAMERA[1],
         up_direction=(0.0, 0.0, 1.0),
     )
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tests.integration.processes import START_S, Server, joined, running
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
     from subprocess import CompletedProcess

@@ -17,9 +17,9 @@ from typer.testing import CliRunner
 
 from tests.contract.repository import ROOT
 from zensim.deploy.cli import build
-from zensim.deploy.parent import PARENT
+from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus, with_free_port
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 T = TypeVar("T")
 POLL_S = 0.005
@@ -95,7 +95,7 @@ def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        env={**os.environ, PARENT: str(os.getpid())},
+        env={**os.environ, PARENT_PID_VARIABLE: str(os.getpid())},
     )
     try:
         yield process

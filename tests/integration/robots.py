@@ -17,7 +17,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     ns_from_time,
 )
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 SEND_EVERY_S = 0.1
 """Simulation time between two commands; the agent stops a robot after 0.5 s without."""

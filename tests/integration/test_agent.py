@@ -24,7 +24,7 @@ from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.standard_messages import JointState, Odometry, String, TFMessage
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
     import subprocess

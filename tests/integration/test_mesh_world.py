@@ -21,7 +21,7 @@ from tests.integration.test_view import BATCHES, viewing
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.asset_messages import GetAssetRequest
 from zensim.proto.service_catalog import GET_ASSET
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 STEPS = 400
 LEAST_PX = 2000

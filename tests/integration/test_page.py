@@ -11,61 +11,68 @@ from websockets.sync.client import ClientConnection
 
 from tests.integration.bare_page import a_camera, a_click, a_wish_to_share, bare_page
 from tests.integration.processes import eventually
-from tests.spawner.viewer.builders import a_robot, a_snapshot, a_wall, models_in
-from zensim.spawner.viewer.page import Page
-from zensim.spawner.viewer.scene import Fleet, Frame, LastCommand, Status, arrange, draw
-from zensim.spawner.viewer.serving import CannotListen, PortTaken
+from tests.spawner.page.builders import a_robot, a_snapshot, a_wall, models_in
+from zensim.spawner.page.http_server import CannotListen, PortTaken
+from zensim.spawner.page.render_state import (
+    LastCommand,
+    RenderedFleet,
+    RenderedFrame,
+    SimulationStatus,
+    make_fleet,
+    make_frame,
+)
+from zensim.spawner.page.viewer_page import ViewerPage
 
-STATUS = Status("playing", 1.0, 1.0, robots=2, entities=3)
+STATUS = SimulationStatus("playing", 1.0, 1.0, robots=2, entities=3)
 
 
 @pytest.fixture
-def page() -> Iterator[Page]:
-    with closing(Page("127.0.0.1", 0)) as found:
+def page() -> Iterator[ViewerPage]:
+    with closing(ViewerPage("127.0.0.1", 0)) as found:
         yield found
 
 
 @pytest.fixture
-def visitor(page: Page) -> Iterator[ClientConnection]:
+def visitor(page: ViewerPage) -> Iterator[ClientConnection]:
     with closing(bare_page(url_of(page))) as connection:
         connection.send(a_camera())
         attend_until(page, is_watched=True)
         yield connection
 
 
-def url_of(page: Page) -> str:
+def url_of(page: ViewerPage) -> str:
     return f"http://127.0.0.1:{page.port}"
 
 
-def attend_until(page: Page, *, is_watched: bool) -> None:
+def attend_until(page: ViewerPage, *, is_watched: bool) -> None:
     def look() -> bool:
-        page.attend(0.01)
+        page.wait_for_input(0.01)
         return page.is_watched == is_watched
 
     eventually(look, 5.0, f"is_watched == {is_watched}")
 
 
-def attend_until_followed(page: Page, *names: str) -> None:
+def attend_until_followed(page: ViewerPage, *names: str) -> None:
     def look() -> bool:
-        page.attend(0.01)
+        page.wait_for_input(0.01)
         return page.followed == set(names)
 
     eventually(look, 5.0, f"following {names}")
 
 
-def a_scene(*names: str) -> tuple[Fleet, Frame]:
+def a_scene(*names: str) -> tuple[RenderedFleet, RenderedFrame]:
     """Robots, and walls for names that begin with w."""
     kinds = {name: a_wall() if name.startswith("w") else a_robot(name) for name in names}
-    fleet = arrange(names, models_in(kinds))
-    return fleet, draw(fleet, a_snapshot(*names, joints=fleet.joints))
+    fleet = make_fleet(names, models_in(kinds))
+    return fleet, make_frame(fleet, a_snapshot(*names, joints=fleet.joints))
 
 
-def names_of(page: Page) -> object:
+def names_of(page: ViewerPage) -> object:
     with urllib.request.urlopen(f"{url_of(page)}/names") as answer:
         return msgspec.json.decode(answer.read())
 
 
-def test_page_is_watched_while_somebody_has_it_open(page: Page) -> None:
+def test_page_is_watched_while_somebody_has_it_open(page: ViewerPage) -> None:
     assert not page.is_watched
 
     with closing(bare_page(url_of(page))) as connection:
@@ -75,13 +82,13 @@ def test_page_is_watched_while_somebody_has_it_open(page: Page) -> None:
     attend_until(page, is_watched=False)
 
 
-def test_page_tells_names_by_batch(page: Page) -> None:
+def test_page_tells_names_by_batch(page: ViewerPage) -> None:
     page.show(*a_scene("r1", "w1", "r2"), STATUS, {})
 
     assert names_of(page) == {"/robots/0": ["r1", "r2"], "/robots/1": ["w1"]}
 
 
-def test_page_forgets_who_is_gone(page: Page) -> None:
+def test_page_forgets_who_is_gone(page: ViewerPage) -> None:
     page.show(*a_scene("r1", "w1", "r2"), STATUS, {})
 
     page.show(*a_scene("r2"), STATUS, {})
@@ -90,14 +97,14 @@ def test_page_forgets_who_is_gone(page: Page) -> None:
 
 
 @pytest.mark.usefixtures("visitor")
-def test_page_follows_nobody_until_a_robot_is_clicked(page: Page) -> None:
+def test_page_follows_nobody_until_a_robot_is_clicked(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
 
     assert page.followed == frozenset()
 
 
 def test_page_follows_the_clicked_robot_until_it_is_gone(
-    page: Page, visitor: ClientConnection
+    page: ViewerPage, visitor: ClientConnection
 ) -> None:
     page.show(*a_scene("r1", "r2"), STATUS, {})
 
@@ -114,7 +121,7 @@ def test_page_follows_the_clicked_robot_until_it_is_gone(
 
 
 def test_page_follows_nobody_when_the_click_hits_none(
-    page: Page, visitor: ClientConnection
+    page: ViewerPage, visitor: ClientConnection
 ) -> None:
     page.show(*a_scene("r1"), STATUS, {})
 
@@ -124,7 +131,7 @@ def test_page_follows_nobody_when_the_click_hits_none(
     attend_until_followed(page, "r1")
 
 
-def test_page_goes_on_when_a_follower_closes_it(page: Page) -> None:
+def test_page_goes_on_when_a_follower_closes_it(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
     with closing(bare_page(url_of(page))) as connection:
         connection.send(a_camera())
@@ -133,15 +140,15 @@ def test_page_goes_on_when_a_follower_closes_it(page: Page) -> None:
         attend_until_followed(page, "r1")
 
     page.warn("still here")
-    page.glide()
-    page.lose()
+    page.move_cameras()
+    page.show_disconnected()
     attend_until(page, is_watched=False)
 
     assert page.followed == frozenset()
 
 
 def test_page_is_not_shared_when_somebody_asks_for_it(
-    page: Page, visitor: ClientConnection, capfd: pytest.CaptureFixture[str]
+    page: ViewerPage, visitor: ClientConnection, capfd: pytest.CaptureFixture[str]
 ) -> None:
     visitor.send(a_wish_to_share())
     visitor.send(a_click("/robots/0/0/0", 0))
@@ -152,7 +159,7 @@ def test_page_is_not_shared_when_somebody_asks_for_it(
     assert capfd.readouterr() == ("", "")
 
 
-def test_page_may_fetch_from_its_own_server_only(page: Page) -> None:
+def test_page_may_fetch_from_its_own_server_only(page: ViewerPage) -> None:
     with urllib.request.urlopen(url_of(page)) as answer:
         policy, body = answer.headers["Content-Security-Policy"], answer.read()
 
@@ -161,7 +168,7 @@ def test_page_may_fetch_from_its_own_server_only(page: Page) -> None:
     assert b"<title>zensim</title>" in body
 
 
-def test_page_is_the_same_when_it_is_sent_packed(page: Page) -> None:
+def test_page_is_the_same_when_it_is_sent_packed(page: ViewerPage) -> None:
     request = urllib.request.Request(url_of(page), headers={"Accept-Encoding": "gzip"})
 
     with urllib.request.urlopen(request) as packed:
@@ -170,7 +177,7 @@ def test_page_is_the_same_when_it_is_sent_packed(page: Page) -> None:
 
 
 @pytest.mark.parametrize("path", ["/", "/names"])
-def test_request_is_refused_when_its_host_is_another(page: Page, path: str) -> None:
+def test_request_is_refused_when_its_host_is_another(page: ViewerPage, path: str) -> None:
     request = urllib.request.Request(url_of(page) + path, headers={"Host": "evil.example"})
 
     with pytest.raises(HTTPError, match="403") as refusal:
@@ -179,20 +186,20 @@ def test_request_is_refused_when_its_host_is_another(page: Page, path: str) -> N
     refusal.value.close()
 
 
-def test_page_is_not_served_when_its_port_is_taken(page: Page) -> None:
+def test_page_is_not_served_when_its_port_is_taken(page: ViewerPage) -> None:
     with pytest.raises(PortTaken, match=f"port {page.port} on 127.0.0.1"):
-        Page("127.0.0.1", page.port)
+        ViewerPage("127.0.0.1", page.port)
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid"])
 def test_page_is_not_served_when_the_address_is_not_ours(host: str) -> None:
     with pytest.raises(CannotListen, match=host):
-        Page(host, 0)
+        ViewerPage(host, 0)
 
 
 def test_port_is_free_again_when_the_page_is_closed() -> None:
-    with closing(Page("127.0.0.1", 0)) as first:
+    with closing(ViewerPage("127.0.0.1", 0)) as first:
         port = first.port
 
-    with closing(Page("127.0.0.1", port)) as second:
+    with closing(ViewerPage("127.0.0.1", port)) as second:
         assert second.port == port

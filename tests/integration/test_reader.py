@@ -18,9 +18,9 @@ from tests.integration.processes import Server, eventually, serving
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.sim_server.parser_process.parser_client import TIMEOUT_MESSAGE
-from zensim.spawner.descriptions import from_word
-from zensim.spawner.launch import cargo_of, order_for, send_files
-from zensim.spawner.search_paths import SearchPaths
+from zensim.spawner.spawn.description_sources import read_model_argument
+from zensim.spawner.spawn.search_paths import SearchPaths
+from zensim.spawner.spawn.spawn_client import add_payload, make_payload, send_files
 
 STDIN = 0
 SLOW = f"reader.timeout: {TIMEOUT_MESSAGE}"
@@ -128,9 +128,11 @@ def test_spawn_is_refused_and_the_next_works_when_a_mesh_takes_too_much_memory(
     tmp_path.joinpath("large.glb").write_bytes(glb_of(EXTRAS))
     file = tmp_path / "large.urdf"
     file.write_text(alone(BODY + solid('<mesh filename="large.glb"/>')), encoding="utf-8")
-    cargo = cargo_of(from_word(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False)
+    cargo = make_payload(
+        read_model_argument(str(file), {}, SearchPaths()), SearchPaths(), allow_missing=False
+    )
     send_files(server.client, cargo.bundle)
-    order = order_for(cargo, SpawnEntityOrder("large"), "")
+    order = add_payload(cargo, SpawnEntityOrder("large"), "")
 
     reader, answer = reader_of(server), answer_to(server, order)
     while answer == SLOW:  # as it says: where others have the cores, try again

@@ -12,7 +12,7 @@ from tests.integration.ros_asking import Do, asking, observing, result_of, sessi
 from tests.integration.ros_grammar import graph_of
 from tests.integration.ros_watching import SIGHT_S, tokens
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 GET_ENTITIES = "simulation_interfaces/srv/GetEntities"
 SPAWN = "simulation_interfaces/srv/SpawnEntity"

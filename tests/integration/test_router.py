@@ -12,7 +12,7 @@ from tests.integration.processes import (
 )
 from tests.integration.robots import robot
 from tests.integration.test_lifecycle import MOVING_M_S, speed
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 BACK_S = 20.0
 

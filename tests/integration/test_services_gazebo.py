@@ -14,7 +14,7 @@ from zensim.proto.messages.gazebo_messages import (
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import Point, Pose, Vector3, Wrench
-from zensim.spawner.gazebo import GazeboClient
+from zensim.spawner.client.gazebo_client import GazeboClient
 
 PUSH_N = 2.0
 

@@ -27,8 +27,8 @@ from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.standard_messages import String
-from zensim.spawner.cli.spawn import app
-from zensim.spawner.launch import read_cargo
+from zensim.spawner.cli.spawn_commands import app
+from zensim.spawner.spawn.spawn_client import read_payload
 
 BOX = (
     '<robot name="box"><link name="base"><inertial><mass value="2"/>'
@@ -273,7 +273,7 @@ def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
 def test_second_spawn_sends_nothing(server: Server, tmp_path: Path) -> None:
     file = a_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of(BASE, DRAWN))
-    digests = tuple(ref.sha256 for ref in read_cargo(str(file)).bundle.refs)
+    digests = tuple(ref.sha256 for ref in read_payload(str(file)).bundle.refs)
 
     spawned(server, str(file), "--name", "m1")
 

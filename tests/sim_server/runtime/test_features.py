@@ -13,7 +13,7 @@ from zensim.sim_server.runtime.inbox import BusInbox
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
 from zensim.sim_server.services.service_registry import FEATURES, SERVICE_TABLE
-from zensim.spawner.client import SimClient
+from zensim.spawner.client.sim_client import SimClient
 
 if TYPE_CHECKING:
     from zensim.proto.bus import Bus

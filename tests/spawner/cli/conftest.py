@@ -7,7 +7,7 @@ import pytest
 from tests.integration.processes import Server, serving
 from tests.spawner.cli.commands import run_at
 from zensim.proto.messages.simulation_messages import ResetScope, State
-from zensim.spawner.cli.spawn import app as spawn_app
+from zensim.spawner.cli.spawn_commands import app as spawn_app
 
 
 @pytest.fixture(scope="session")

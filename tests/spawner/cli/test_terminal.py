@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import pytest
 
 from tests.integration.processes import Server, command_line, end, eventually
-from zensim.deploy.parent import PARENT
+from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 from zensim.proto.exit_codes import ExitCode
 
 WITHIN_S = 20.0
@@ -59,7 +59,12 @@ def on_terminal(server: Server, *arguments: str) -> Iterator[Terminal]:
         stderr=slave,
         text=True,
         start_new_session=True,
-        env={**os.environ, PARENT: str(os.getpid()), "TERM": "xterm", "COLUMNS": "100"},
+        env={
+            **os.environ,
+            PARENT_PID_VARIABLE: str(os.getpid()),
+            "TERM": "xterm",
+            "COLUMNS": "100",
+        },
     )
     try:
         yield Terminal(process, screen)

@@ -1,0 +1,33 @@
+"""`python -m zensim.deploy.prepared_start VERB SETTINGS`: run a program with its settings as JSON.
+
+Parsing a command line takes longer than everything else that an agent does before it drives.
+"""
+
+import os
+import sys
+
+import msgspec
+
+from zensim.deploy.parent_death_signal import die_with_parent
+from zensim.proto.exit_codes import exit_on_failure
+from zensim.robot_agent.agent import run_agent_process
+from zensim.robot_agent.agent_config import AgentProcessConfig
+
+AGENT_VERB = "agent"
+
+
+def main(verb: str, settings: str) -> None:
+    """Run the program until it is stopped.
+
+    Raises:
+        SystemExit: As that of `zensim VERB`.
+    """
+    die_with_parent(os.environ)
+    with exit_on_failure(verb):
+        if verb != AGENT_VERB:
+            raise ValueError(f"verb {verb!r} is unknown here; use '{AGENT_VERB}'")
+        run_agent_process(msgspec.json.decode(settings, type=AgentProcessConfig))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,118 @@
+"""The local supervisor: starts zensim's programs as processes, restarts them, ends them all."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
+
+TERMINATE_TIMEOUT_S = 1.2
+"""What a process gets to end by itself; all together they must be gone within 2 s."""
+POLL_S = 0.01
+RESTART_DELAY_S = 0.5
+MAX_RESTARTS = 20
+CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.deploy.prepared_start"
+"""What is run: with words as a user types them, or with settings that are ready made."""
+
+
+class ProgramDied(Exception):
+    """A process that may not end has ended."""
+
+
+@dataclass
+class SupervisedProgram:
+    """One process and how to start it again."""
+
+    name: str
+    arguments: tuple[str, ...]
+    is_restarted: bool = False
+    module: str = CLI_MODULE
+    process: "subprocess.Popen[str] | None" = None
+    restarts: int = 0
+    restart_at_s: float = 0.0
+
+
+@dataclass
+class Supervisor:
+    """Owns its processes: whatever happens, `close` leaves none."""
+
+    on_restart: Callable[[SupervisedProgram, int], None]
+    programs: list[SupervisedProgram] = field(default_factory=list)
+
+    def start(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        *,
+        is_restarted: bool = False,
+        module: str = CLI_MODULE,
+    ) -> SupervisedProgram:
+        """Start `zensim ARGUMENTS`, or another module, as a process of its own session."""
+        program = SupervisedProgram(name, tuple(arguments), is_restarted, module)
+        program.process = _start_process(program)
+        self.programs.append(program)
+        return program
+
+    def watch(self) -> None:
+        """Look after the processes once: restart those that should be, notice those that died.
+
+        Raises:
+            ProgramDied: One that may not end has ended.
+        """
+        for program in self.programs:
+            if program.process is None:
+                if time.monotonic() >= program.restart_at_s:
+                    program.process = _start_process(program)
+                continue
+            if (status := program.process.poll()) is None:
+                continue
+            _close_pipes(program.process)
+            if not program.is_restarted or program.restarts >= MAX_RESTARTS:
+                raise ProgramDied(f"{program.name} ended with status {status}")
+            self.on_restart(program, status)
+            program.restarts += 1
+            program.process = None
+            program.restart_at_s = time.monotonic() + RESTART_DELAY_S
+
+    def close(self) -> None:
+        """End every process: ask, wait a little, then kill."""
+        # The server goes last, so that nobody else meets a network that has gone.
+        alive = [p.process for p in reversed(self.programs) if p.process is not None]
+        for process in alive:
+            _send_signal(process, signal.SIGTERM)
+        deadline = time.monotonic() + TERMINATE_TIMEOUT_S
+        while any(process.poll() is None for process in alive) and time.monotonic() < deadline:
+            time.sleep(POLL_S)
+        for process in alive:
+            if process.poll() is None:
+                _send_signal(process, signal.SIGKILL)
+            process.wait()
+            _close_pipes(process)
+        self.programs.clear()
+
+
+def _start_process(program: SupervisedProgram) -> "subprocess.Popen[str]":
+    environment = {**os.environ, PARENT_PID_VARIABLE: str(os.getpid())}
+    return subprocess.Popen(
+        [sys.executable, "-m", program.module, *program.arguments],
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        # Of its own session, so that Ctrl-C reaches the supervisor alone.
+        start_new_session=True,
+    )
+
+
+def _send_signal(process: "subprocess.Popen[str]", number: signal.Signals) -> None:
+    if process.poll() is None:
+        process.send_signal(number)
+
+
+def _close_pipes(process: "subprocess.Popen[str]") -> None:
+    if process.stdout is not None:
+        process.stdout.close()

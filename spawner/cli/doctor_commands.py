@@ -1,0 +1,248 @@
+"""`zensim doctor`: check the connection from the endpoint up to the robots, one finding a step."""
+
+import re
+import socket
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import Annotated, Literal
+
+import msgspec
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from zensim.proto import keys, service_catalog
+from zensim.proto.bus import (
+    DEFAULT_ENDPOINT,
+    ENDPOINT_PATTERN,
+    Bus,
+    BusConfig,
+    BusError,
+    NoServer,
+    check_endpoint,
+    open_bus,
+)
+from zensim.proto.exit_codes import ExitCode, exit_on_failure
+from zensim.proto.messages.telemetry_messages import (
+    EntityModel,
+    GetModelsRequest,
+    Info,
+    InfoRequest,
+)
+from zensim.proto.names import check_name
+from zensim.spawner.cli.command_session import AsJson, Connect, WorldName, data_console
+
+FindingMark = Literal["ok", "note", "wrong"]
+CONNECT_TIMEOUT_S = 2.0
+REPLY_TIMEOUT_S = 1.0
+"""Less than the lease, after which a process that is stopped counts as gone."""
+MAX_NAMES_SHOWN = 5
+STREAM_PROTOCOLS = frozenset({"tcp", "tls", "ws"})
+"""Protocols whose listener a plain connection can find."""
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """What one step of the examination found."""
+
+    mark: FindingMark
+    what: str
+    """What was looked at."""
+    found: str
+    advice: str = ""
+    status: ExitCode = ExitCode.OK
+    """How a command ends because of it."""
+
+
+def diagnose(endpoint: str, world: str, version: str) -> Iterator[Finding]:
+    """Look from the endpoint up to the robots; after the first step that is wrong there is no next.
+
+    Args:
+        endpoint: Where the router or server should be.
+        world: The world's name on the network.
+        version: Of this command.
+    """
+    listener = _check_listener(endpoint)
+    yield listener
+    if listener.mark == "wrong":
+        return
+    try:
+        bus = open_bus(BusConfig(connect=(endpoint,), open_timeout_s=CONNECT_TIMEOUT_S))
+    except BusError:
+        yield _no_session_finding(endpoint)
+        return
+    with bus:
+        yield Finding("ok", "session", f"joined the Zenoh network at {endpoint}")
+        yield from _check_server(bus, world, version)
+
+
+def choose_exit_status(findings: list[Finding]) -> ExitCode:
+    """Choose the exit status of an examination."""
+    return next((one.status for one in findings if one.mark == "wrong"), ExitCode.OK)
+
+
+def _check_listener(endpoint: str) -> Finding:
+    match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
+    if match is None or match[1] not in STREAM_PROTOCOLS:
+        return Finding("note", "endpoint", f"{endpoint} cannot be looked at before joining")
+    host, port = match["host"].strip("[]"), int(match["port"])
+    try:
+        socket.create_connection((host, port), CONNECT_TIMEOUT_S).close()
+    except socket.gaierror as error:
+        return _unreachable_finding(
+            endpoint, f"host {host!r} has no address ({error.strerror})", "the name"
+        )
+    except TimeoutError:
+        return _unreachable_finding(
+            endpoint,
+            f"{host} does not answer within {CONNECT_TIMEOUT_S:g} s",
+            "the address and the firewall",
+        )
+    except OSError as error:
+        advice = f"start 'zensim serve' or 'zensim router' there, with --listen {endpoint}"
+        found = f"nobody listens at {endpoint} ({error.strerror})"
+        return Finding("wrong", "endpoint", found, advice, ExitCode.UNREACHABLE)
+    return Finding("ok", "endpoint", f"somebody listens at {endpoint}")
+
+
+def _unreachable_finding(endpoint: str, found: str, check: str) -> Finding:
+    advice = f"check {check} in --connect {endpoint}"
+    return Finding("wrong", "endpoint", found, advice, ExitCode.UNREACHABLE)
+
+
+def _no_session_finding(endpoint: str) -> Finding:
+    return Finding(
+        "wrong",
+        "session",
+        f"what listens at {endpoint} does not let us in: it is no Zenoh router, or refuses us",
+        "check the port, and the router's credentials and certificates",
+        ExitCode.UNREACHABLE,
+    )
+
+
+def _check_server(bus: Bus, world: str, version: str) -> Iterator[Finding]:
+    worlds = sorted(filter(None, map(_parse_world, bus.list_tokens(keys.alive_server("*")))))
+    try:
+        info = bus.call(service_catalog.INFO, InfoRequest(), world=world, timeout_s=REPLY_TIMEOUT_S)
+    except TimeoutError:
+        yield _silent_server_finding(world)
+        return
+    except NoServer:
+        has_gone = world in worlds and not bus.list_tokens(keys.alive_server(world))
+        yield _silent_server_finding(world) if has_gone else _no_server_finding(world, worlds)
+        return
+    yield Finding(
+        "ok", "server", f"world '{world}' is served by zensim {info.version} on {info.engine}"
+    )
+    yield _check_versions(info, version)
+    yield _check_time(info)
+    yield _check_robots(bus, world)
+
+
+def _parse_world(key: str) -> str:
+    match = re.fullmatch(r"sim/([^/]+)/alive/server", key)
+    return match[1] if match else ""
+
+
+def _silent_server_finding(world: str) -> Finding:
+    return Finding(
+        "wrong",
+        "server",
+        f"the server of world '{world}' is there and does not answer within {REPLY_TIMEOUT_S:g} s",
+        "it is stopped or overloaded: look at its process, or start it again",
+        ExitCode.TIMEOUT,
+    )
+
+
+def _no_server_finding(world: str, worlds: list[str]) -> Finding:
+    if world in worlds:
+        return Finding(
+            "wrong",
+            "server",
+            f"the server of world '{world}' is alive, and asking it is denied",
+            "let the router's access control permit queries on sim/*",
+            ExitCode.UNREACHABLE,
+        )
+    if worlds:
+        named = ", ".join(f"'{name}'" for name in worlds[:MAX_NAMES_SHOWN])
+        found = f"no server of world '{world}'; there is {named}"
+        return Finding(
+            "wrong", "server", found, f"use --world-name {worlds[0]}", ExitCode.UNREACHABLE
+        )
+    return Finding(
+        "wrong",
+        "server",
+        "a router is there, and no server has joined it",
+        "start one with 'zensim serve --connect' and the router's endpoint",
+        ExitCode.UNREACHABLE,
+    )
+
+
+def _check_versions(info: Info, version: str) -> Finding:
+    if info.version == version:
+        return Finding("ok", "version", f"server and command are both {version}")
+    ours, theirs = (text.split(".")[:2] for text in (version, info.version))
+    found = f"the server is {info.version}, this command {version}"
+    if ours == theirs:
+        return Finding("note", "version", found)
+    return Finding("wrong", "version", found, f"install zensim {info.version}", ExitCode.FAILED)
+
+
+def _check_time(info: Info) -> Finding:
+    if info.state != "playing":
+        return Finding(
+            "note", "time", f"the simulation is {info.state}", "'zensim play' lets time run"
+        )
+    target, factor = info.target_real_time_factor, info.real_time_factor
+    running = f"time runs at {factor:.2f} of real time"
+    if target > 0.0 and factor < 0.9 * target:
+        advice = "the host is too slow for this world: fewer robots, or a smaller --rtf"
+        return Finding("note", "time", f"{running}, and should at {target:g}", advice)
+    return Finding("ok", "time", running)
+
+
+def _check_robots(bus: Bus, world: str) -> Finding:
+    models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
+
+    def is_driven_by_nobody(one: EntityModel) -> bool:
+        return models.models[one.model].drive is not None and not one.agent
+
+    idle = [one.entity for one in models.entities if is_driven_by_nobody(one)]
+    found = f"{len(models.entities)} entities, {len(idle)} of them robots that no agent drives"
+    if not idle:
+        return Finding("ok", "robots", found)
+    named = " ".join(idle[:MAX_NAMES_SHOWN])
+    return Finding("note", "robots", found, f"'zensim agent {named}' drives them")
+
+
+MARK_STYLES: dict[FindingMark, str] = {"ok": "green", "note": "yellow", "wrong": "bold red"}
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+
+@app.command()
+def doctor(
+    *,
+    as_json: AsJson = False,
+    connect: Connect = "",
+    world_name: WorldName = "default",
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what is wrong.")] = False,
+) -> None:
+    """Say what is wrong when nothing answers, from the endpoint up to the robots."""
+    with exit_on_failure("doctor"):
+        check_name(world_name, "world name")
+        found = list(diagnose(connect or DEFAULT_ENDPOINT, world_name, version("zensim")))
+    shown = [one for one in found if one.mark == "wrong"] if quiet else found
+    if as_json:
+        typer.echo(msgspec.json.encode(shown).decode())
+    elif shown:
+        data_console.print(_findings_table(shown))
+    if (status := choose_exit_status(found)) is not ExitCode.OK:
+        raise typer.Exit(int(status))
+
+
+def _findings_table(findings: list[Finding]) -> Table:
+    table = Table(box=None, show_header=False)
+    for one in findings:
+        advice = f"\n{one.advice}" if one.advice else ""
+        table.add_row(Text(one.mark, MARK_STYLES[one.mark]), one.what, f"{one.found}{advice}")
+    return table

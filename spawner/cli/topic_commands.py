@@ -1,0 +1,295 @@
+"""`zensim drive`, `echo` and `hz`, and any payload decoded to plain values."""
+
+import math
+import statistics
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import typer
+
+from zensim.proto import keys
+from zensim.proto.bus import BusError, Publisher, Sample, Subscription
+from zensim.proto.codec.message_codec import (
+    Format,
+    MalformedPayload,
+    decode,
+    detect_format,
+    encode,
+    make_encoding,
+    parse_schema_name,
+)
+from zensim.proto.keys import last_chunk
+from zensim.proto.messages import agent_messages, standard_messages, telemetry_messages
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.spawner.cli.command_session import AsJson, Connect, WorldName, open_client
+
+TOPIC_TYPES: dict[str, type[msgspec.Struct]] = {
+    kind.ros_type: kind
+    for kind in (
+        standard_messages.Odometry,
+        standard_messages.TFMessage,
+        standard_messages.JointState,
+        standard_messages.String,
+        standard_messages.Clock,
+        standard_messages.Twist,
+        standard_messages.TwistStamped,
+        standard_messages.PoseStamped,
+    )
+}
+TELEMETRY_TYPES: dict[str, type[msgspec.Struct]] = {
+    "clock": telemetry_messages.WorldClock,
+    "stats": telemetry_messages.Stats,
+    "snapshot": telemetry_messages.Snapshot,
+    "events": telemetry_messages.Event,
+    "state": agent_messages.DriveState,
+    "command": agent_messages.DriveCommand,
+}
+ARRAY_TYPES = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
+CLAIM_TYPE = "<u4"
+MAX_NESTING = 64
+
+
+def to_plain(sample: Sample) -> object:
+    """Read a payload into dicts, lists and numbers; what cannot be read is said in words."""
+    try:
+        return _decode_sample(sample)
+    except (ValueError, RecursionError) as error:
+        return f"{len(sample.payload)} bytes that cannot be read: {error}"
+
+
+def _decode_sample(sample: Sample) -> object:
+    kind = TOPIC_TYPES.get(parse_schema_name(sample.encoding))
+    if sample.key.startswith("sim/"):
+        kind = TELEMETRY_TYPES.get(last_chunk(sample.key))
+    if kind is not None:
+        message = decode(kind, sample.payload, sample.encoding)
+        return {
+            name: _decode_field(name, getattr(message, name)) for name in message.__struct_fields__
+        }
+    if detect_format(sample.payload, sample.encoding) is Format.JSON:
+        return _to_json_types(msgspec.json.decode(sample.payload))
+    if detect_format(sample.payload, sample.encoding) is Format.MSGPACK:
+        return _to_json_types(msgspec.msgpack.decode(sample.payload))
+    raise MalformedPayload(f"CDR of unknown type; the Encoding is {sample.encoding[:80]!r}")
+
+
+def _to_json_types(value: object, depth: int = 0) -> object:
+    """Turn what MessagePack knows and JSON does not into what both do."""
+    if depth > MAX_NESTING:
+        raise MalformedPayload(f"values are nested more than {MAX_NESTING} deep")
+    if isinstance(value, dict):
+        return {str(key): _to_json_types(inner, depth + 1) for key, inner in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_to_json_types(inner, depth + 1) for inner in value]
+    if isinstance(value, msgspec.msgpack.Ext):
+        return {"extension": value.code, "data": list(bytes(value.data))}
+    return list(value) if isinstance(value, bytes) else value
+
+
+def _decode_field(name: str, value: object) -> object:
+    if isinstance(value, bytes):
+        kind = CLAIM_TYPE if name == "claims" else ARRAY_TYPES.get(name, "u1")
+        return np.frombuffer(value, dtype=kind).tolist()
+    return msgspec.to_builtins(value)
+
+
+_NOT_FINITE = {"inf": ".Inf", "-inf": "-.Inf", "nan": ".nan"}
+
+
+def to_yaml_lines(plain: object, indent: str = "") -> Iterator[str]:
+    """Lay plain values out as YAML, as `ros2 topic echo` does."""
+    if isinstance(plain, dict):
+        for key, value in plain.items():
+            yield from _yaml_entry(f"{indent}{key}:", value, indent + "  ")
+    elif isinstance(plain, (list, tuple)):
+        for value in plain:
+            yield from _yaml_entry(f"{indent}-", value, indent + "  ")
+    else:
+        yield indent + _yaml_scalar(plain)
+
+
+def _yaml_entry(head: str, value: object, indent: str) -> Iterator[str]:
+    if isinstance(value, (dict, list, tuple)) and not value:
+        yield f"{head} {'{}' if isinstance(value, dict) else '[]'}"
+    elif isinstance(value, (list, tuple)) and all(isinstance(v, (int, float)) for v in value):
+        yield f"{head} [{', '.join(_yaml_scalar(v) for v in value)}]"
+    elif isinstance(value, (dict, list, tuple)):
+        yield head
+        yield from to_yaml_lines(value, indent)
+    else:
+        yield f"{head} {_yaml_scalar(value)}"
+
+
+def _yaml_scalar(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.9g}" if math.isfinite(value) else _NOT_FINITE[str(value)]
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, bool) or value is None:
+        return str(value).lower().replace("none", "null")
+    return str(value)
+
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+
+POLL_S = 0.002
+QUEUE_DEPTH = 65536
+SUBSCRIBER_TIMEOUT_S = 3.0
+
+
+class NoSubscriber(BusError):
+    """A command would reach nobody."""
+
+
+@app.command(context_settings={"ignore_unknown_options": True})
+def drive(
+    robot: Annotated[str, typer.Argument(help="Namespace of the robot.")],
+    linear: Annotated[float, typer.Argument(help="Forward [m/s].")],
+    angular: Annotated[float, typer.Argument(help="Turn left [rad/s].")] = 0.0,
+    *,
+    rate: Annotated[float, typer.Option(help="Messages a second.")] = 10.0,
+    duration: Annotated[float, typer.Option(help="Seconds; 0 = until Ctrl-C.")] = 0.0,
+    once: Annotated[bool, typer.Option("--once", help="Send one message and leave.")] = False,
+    connect: Connect = "",
+    world_name: WorldName = "default",
+) -> None:
+    """Send a robot velocity commands; Ctrl-C stops it."""
+    with open_client("drive", connect, world_name) as client:
+        twist = _make_twist(linear, angular)
+        if not rate > 0:
+            raise ValueError(f"--rate {rate:g} is no rate; use more than 0")
+        key = keys.robot(robot.strip("/"), keys.CMD_VEL)
+        publisher = client.bus.advertise(key, make_encoding(Twist, Format.CDR))
+        _wait_for_subscriber(publisher, key)
+        typer.echo(f"zensim drive: {key} at {linear:g} m/s, {angular:g} rad/s", err=True)
+        count = 1 if once else math.ceil(duration * rate) if duration > 0 else 0
+        try:
+            _publish_at_rate(publisher, encode(twist, Format.CDR), 1.0 / rate, count)
+        finally:
+            if not once:
+                publisher.send(encode(Twist(), Format.CDR))
+
+
+def _make_twist(linear: float, angular: float) -> Twist:
+    if not (math.isfinite(linear) and math.isfinite(angular)):
+        raise ValueError(f"{linear:g} m/s, {angular:g} rad/s cannot be driven; use finite numbers")
+    return Twist(Vector3(x=linear), Vector3(z=angular))
+
+
+def _wait_for_subscriber(publisher: Publisher, key: str) -> None:
+    deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
+    while not publisher.is_matched:
+        if time.monotonic() > deadline:
+            robot = key.rsplit("/", 1)[0]
+            raise NoSubscriber(f"nobody listens on {key}; start its agent: 'zensim agent {robot}'")
+        time.sleep(POLL_S)
+
+
+def _publish_at_rate(publisher: Publisher, payload: bytes, period_s: float, count: int) -> None:
+    """Send at a steady rate; count 0 = for ever."""
+    start, sent = time.monotonic(), 0
+    while count == 0 or sent < count:
+        publisher.send(payload)
+        sent += 1
+        time.sleep(max(0.0, start + sent * period_s - time.monotonic()))
+
+
+@app.command()
+def echo(
+    key: Annotated[str, typer.Argument(help="Key expression, such as r1/odom or '*/odom'.")],
+    *,
+    count: Annotated[int, typer.Option("--count", "-n", help="Messages; 0 = for ever.")] = 0,
+    once: Annotated[bool, typer.Option("--once", help="The same as --count 1.")] = False,
+    timeout: Annotated[
+        float, typer.Option(help="Give up when nothing comes for so many seconds; 0 = never.")
+    ] = 0.0,
+    as_json: AsJson = False,
+    connect: Connect = "",
+    world_name: WorldName = "default",
+) -> None:
+    """Print what is published on a key."""
+    with open_client("echo", connect, world_name) as client:
+        wanted = 1 if once else count
+        listener = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
+        # Last values first: tf_static and robot_description are put once, long before we came.
+        samples = client.bus.get(key.strip("/"))
+        shown = 0
+        while True:
+            for sample in samples:
+                _print_sample(sample, as_json=as_json)
+                shown += 1
+                if shown == wanted:
+                    return
+            samples = _wait_for_samples(listener, key, timeout)
+
+
+def _wait_for_samples(listener: Subscription, key: str, timeout_s: float) -> list[Sample]:
+    deadline = time.monotonic() + (timeout_s or math.inf)
+    while not (samples := listener.take()):
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"nothing came on {key} within {timeout_s:g} s")
+        time.sleep(POLL_S)
+    return samples
+
+
+def _print_sample(sample: Sample, *, as_json: bool) -> None:
+    plain = to_plain(sample)
+    if as_json:
+        line = msgspec.json.encode({"key": sample.key, "message": plain}).decode()
+        typer.echo(line)
+        return
+    typer.echo(f"# {sample.key}")
+    for line in to_yaml_lines(plain):
+        typer.echo(line)
+    typer.echo("---")
+
+
+@app.command()
+def hz(
+    key: Annotated[str, typer.Argument(help="Key expression, such as r1/odom or '*/odom'.")],
+    *,
+    window: Annotated[int, typer.Option(min=2, help="Messages to average over.")] = 1000,
+    duration: Annotated[float, typer.Option(help="Seconds; 0 = until Ctrl-C.")] = 0.0,
+    as_json: AsJson = False,
+    connect: Connect = "",
+    world_name: WorldName = "default",
+) -> None:
+    """Measure how often something is published on a key."""
+    with open_client("hz", connect, world_name) as client:
+        listener = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
+        end = time.monotonic() + (duration or math.inf)
+        arrivals: list[float] = []
+        report_at = min(time.monotonic() + 1.0, end)
+        while (now := time.monotonic()) <= end or report_at <= end:
+            arrivals.extend(now for _ in listener.take())
+            del arrivals[:-window]
+            if now >= report_at:
+                report_at = now + 1.0
+                _print_rate(arrivals, as_json=as_json)
+            time.sleep(POLL_S)
+
+
+def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
+    if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two
+        typer.echo("zensim hz: no new messages", err=True)
+        return
+    gaps = [later - earlier for earlier, later in pairwise(arrivals)]
+    span_s = max(arrivals[-1] - arrivals[0], 1e-9)
+    figures = {
+        "rate_hz": len(gaps) / span_s,
+        "min_s": min(gaps),
+        "max_s": max(gaps),
+        "std_s": statistics.pstdev(gaps),
+        "window": len(arrivals),
+    }
+    if as_json:
+        typer.echo(msgspec.json.encode(figures).decode())
+        return
+    typer.echo(
+        "average rate: {rate_hz:.3f}  min: {min_s:.4f}s  max: {max_s:.4f}s  "
+        "std dev: {std_s:.5f}s  window: {window}".format(**figures)
+    )

@@ -1,0 +1,427 @@
+"""SimClient: a typed method for each service of a world, and step goals with progress and cancellation."""
+
+import time
+import uuid
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import TimeoutError as FutureTimeout
+
+from zensim.proto import keys, service_catalog
+from zensim.proto.bus import Bus, NoServer, Subscription
+from zensim.proto.codec.message_codec import MalformedPayload, decode
+from zensim.proto.messages.asset_messages import (
+    MissingAssetsRequest,
+    MissingAssetsResponse,
+    PutAssetRequest,
+)
+from zensim.proto.messages.entity_messages import (
+    ANY_BOUNDS,
+    Bounds,
+    EntityFilters,
+    EntityInfo,
+    EntityState,
+    GetEntitiesRequest,
+    GetEntitiesStatesOrder,
+    GetEntityBoundsOrder,
+    GetEntityInfoRequest,
+    GetEntityStateOrder,
+    SetEntityInfoRequest,
+    SetEntityStateRequest,
+    TagsFilter,
+)
+from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.simulation_messages import (
+    CancelStepsRequest,
+    GetSimulationStateRequest,
+    GetSimulatorFeaturesRequest,
+    ResetScope,
+    ResetSimulationRequest,
+    RunToRequest,
+    RunToResponse,
+    SetSimulationStateRequest,
+    SetSpeedRequest,
+    SimulateStepsRequest,
+    SimulateStepsResponse,
+    SimulationState,
+    SimulatorFeatures,
+    State,
+    StepSimulationRequest,
+    StepsProgress,
+)
+from zensim.proto.messages.spawn_messages import (
+    DeleteEntityRequest,
+    GetNamedPoseBoundsRequest,
+    GetNamedPosesRequest,
+    GetSpawnablesRequest,
+    NamedPose,
+    Resource,
+    Spawnable,
+    SpawnEntitiesOrder,
+    SpawnEntitiesResponse,
+    SpawnEntityOrder,
+    SpawnEntityReport,
+)
+from zensim.proto.messages.standard_messages import NANOSECONDS, time_from_ns
+from zensim.proto.messages.telemetry_messages import (
+    EntityModel,
+    GetModelsRequest,
+    GetModelsResponse,
+    Info,
+    InfoRequest,
+)
+from zensim.proto.messages.world_messages import (
+    GetAvailableWorldsRequest,
+    GetCurrentWorldRequest,
+    LoadWorldReport,
+    LoadWorldRequest,
+    UnloadWorldRequest,
+    WorldResource,
+)
+from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS, Request, Response, Service
+
+GOAL_POLL_S = 0.005
+PROGRESS_DEPTH = 64
+CANCEL_TIMEOUT_S = 2.0
+
+OnProgress = Callable[[StepsProgress], None]
+
+
+class StepGoalInterrupted(KeyboardInterrupt):
+    """Ctrl-C, and the goal was canceled; `made` is how many steps it got to, if that is known."""
+
+    def __init__(self, made: int | None) -> None:
+        super().__init__("the goal was canceled")
+        self.made = made
+
+
+def run_step_goal(
+    bus: Bus,
+    world: str,
+    request: SimulateStepsRequest,
+    *,
+    on_progress: OnProgress,
+    timeout_s: float,
+) -> SimulateStepsResponse:
+    """Run a goal and tell of its progress, on this thread; the last is told before the return.
+
+    What `on_progress` raises, or an interrupt, cancels the goal; a timeout does not: the same
+    request again joins it.
+
+    Raises:
+        GoalInterrupted: Instead of KeyboardInterrupt.
+        ServiceError: It was refused, canceled or aborted.
+        TimeoutError: It is not over in time.
+        NoServer: Nothing serves this world.
+    """
+    progress = bus.subscribe(keys.steps_progress(world), PROGRESS_DEPTH)
+    try:
+        with ThreadPoolExecutor(1) as waiting:
+            answer = waiting.submit(
+                bus.call, SIMULATE_STEPS, request, world=world, timeout_s=timeout_s
+            )
+            try:
+                _follow_progress(progress, request.goal_id, answer, on_progress)
+            except KeyboardInterrupt as interrupt:
+                _cancel_goal(bus, world, request.goal_id)
+                raise StepGoalInterrupted(_count_completed_steps(answer)) from interrupt
+            except BaseException:
+                _cancel_goal(bus, world, request.goal_id)
+                raise
+            return answer.result()
+    finally:
+        progress.close()
+
+
+def _follow_progress(
+    progress: Subscription,
+    goal_id: str,
+    answer: "Future[SimulateStepsResponse]",
+    on_progress: OnProgress,
+) -> None:
+    is_over = False
+    while not is_over:
+        # Asked before the look, so that what came with the answer is not left behind.
+        is_over = answer.done()
+        for sample in progress.take():
+            try:
+                told = decode(StepsProgress, sample.payload, sample.encoding)
+            except MalformedPayload:
+                continue
+            if told.goal_id == goal_id:
+                on_progress(told)
+        if not is_over:
+            time.sleep(GOAL_POLL_S)
+
+
+def _cancel_goal(bus: Bus, world: str, goal_id: str) -> None:
+    try:
+        bus.call(CANCEL_STEPS, CancelStepsRequest(goal_id), world=world, timeout_s=CANCEL_TIMEOUT_S)
+    except (ServiceError, TimeoutError, NoServer):
+        # Over already, or out of reach: the caller has something better to hear.
+        return
+
+
+def _count_completed_steps(answer: "Future[SimulateStepsResponse]") -> int | None:
+    """Tell how far a goal came that was ended."""
+    try:
+        return answer.result(CANCEL_TIMEOUT_S).completed_steps
+    except ServiceError as error:
+        found = error.response
+        return found.completed_steps if isinstance(found, SimulateStepsResponse) else None
+    except (FutureTimeout, TimeoutError, NoServer):
+        return None
+
+
+CALL_TIMEOUT_S = 10.0
+LOAD_TIMEOUT_S = 60.0
+"""For a world: it may hold 2000 models."""
+SPAWN_TIMEOUT_S = 30.0
+"""A server on a busy machine takes long over a large description."""
+POLL_S = 0.05
+TIMEOUT_PER_SPAWN_S = 0.1
+"""What each of many spawns may take."""
+TIMEOUT_PER_STEP_S = 0.05
+"""How long a step that was asked for may take, before the server counts as silent."""
+
+
+class SimClient:
+    """One world's services; refusals raise ServiceError, silence TimeoutError or NoServer."""
+
+    def __init__(self, bus: Bus, world: str = "default", timeout_s: float = CALL_TIMEOUT_S) -> None:
+        self.bus = bus
+        self.world = world
+        self._timeout_s = timeout_s
+
+    def wait_for_server(self, timeout_s: float, on_wait: Callable[[], None] | None = None) -> Info:
+        """Ask for info until somebody answers.
+
+        Raises:
+            NoServer: Nobody did within the timeout.
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self.info()
+            except (NoServer, TimeoutError):
+                if time.monotonic() >= deadline:
+                    raise
+            if on_wait is not None:
+                on_wait()
+            time.sleep(POLL_S)
+
+    def _call(self, service: Service[Request, Response], request: Request) -> Response:
+        return self.bus.call(service, request, world=self.world, timeout_s=self._timeout_s)
+
+    def info(self) -> Info:
+        """Ask who is there."""
+        return self.bus.call(
+            service_catalog.INFO,
+            InfoRequest(),
+            world=self.world,
+            timeout_s=min(self._timeout_s, 2.0),
+        )
+
+    def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
+        """Put one entity into the world."""
+        timeout_s = max(self._timeout_s, SPAWN_TIMEOUT_S)
+        return self.bus.call(
+            service_catalog.SPAWN_ENTITY, order, world=self.world, timeout_s=timeout_s
+        )
+
+    def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
+        """Put many entities into the world; a result each, refused or not."""
+        patience_s = max(self._timeout_s, len(order.spawn_requests) * TIMEOUT_PER_SPAWN_S)
+        try:
+            return self.bus.call(
+                service_catalog.SPAWN_ENTITIES, order, world=self.world, timeout_s=patience_s
+            )
+        except ServiceError as error:
+            if isinstance(error.response, SpawnEntitiesResponse) and error.response.results:
+                return error.response
+            raise
+
+    def missing_assets(self, sha256s: tuple[str, ...]) -> MissingAssetsResponse:
+        """Ask which files the server does not have."""
+        return self._call(service_catalog.MISSING_ASSETS, MissingAssetsRequest(sha256s))
+
+    def put_asset(self, sha256: str, *, offset: int, total: int, data: bytes) -> int:
+        """Send a piece of a file, and return how many bytes of it are there."""
+        request = PutAssetRequest(sha256, offset, total, data)
+        return self._call(service_catalog.PUT_ASSET, request).received
+
+    def delete(self, entity: str) -> None:
+        """Take one entity out."""
+        self._call(service_catalog.DELETE_ENTITY, DeleteEntityRequest(entity))
+
+    def entities(self, filters: EntityFilters | None = None) -> tuple[str, ...]:
+        """Name all entities, or those that pass filters."""
+        request = GetEntitiesRequest(filters or EntityFilters())
+        return self._call(service_catalog.GET_ENTITIES, request).entities
+
+    def entity_states(
+        self, filters: EntityFilters | None = None, reference_frame: str = ""
+    ) -> dict[str, EntityState]:
+        """Ask where entities are, in the world or another frame, all at one step."""
+        request = GetEntitiesStatesOrder(filters or EntityFilters(), reference_frame)
+        found = self._call(service_catalog.GET_ENTITIES_STATES, request)
+        return dict(zip(found.entities, found.states, strict=True))
+
+    def entity_state(self, entity: str, reference_frame: str = "") -> EntityState:
+        """Ask where one entity is, in the world or another frame."""
+        request = GetEntityStateOrder(entity, reference_frame)
+        return self._call(service_catalog.GET_ENTITY_STATE, request).state
+
+    def entity_info(self, entity: str) -> EntityInfo:
+        """Ask for category, description and tags of one entity."""
+        return self._call(service_catalog.GET_ENTITY_INFO, GetEntityInfoRequest(entity)).info
+
+    def set_entity_info(self, entity: str, info: EntityInfo) -> None:
+        """Say what an entity is, all of it anew."""
+        self._call(service_catalog.SET_ENTITY_INFO, SetEntityInfoRequest(entity, info))
+
+    def entity_bounds(self, entity: str, kind: int = ANY_BOUNDS) -> Bounds:
+        """Ask how much room an entity takes, in the frame of its base link; see `BoundsType`."""
+        return self._call(
+            service_catalog.GET_ENTITY_BOUNDS, GetEntityBoundsOrder(entity, kind)
+        ).bounds
+
+    def spawnables(self) -> tuple[Spawnable, ...]:
+        """Ask what can be spawned by uri."""
+        return self._call(service_catalog.GET_SPAWNABLES, GetSpawnablesRequest()).spawnables
+
+    def named_poses(self, tags: TagsFilter | None = None) -> tuple[NamedPose, ...]:
+        """Ask for the named poses of the world, or those that have tags."""
+        request = GetNamedPosesRequest(tags or TagsFilter())
+        return self._call(service_catalog.GET_NAMED_POSES, request).poses
+
+    def named_pose_bounds(self, name: str) -> Bounds:
+        """Ask how much room a named pose has, in its own frame; empty = unbounded."""
+        request = GetNamedPoseBoundsRequest(name)
+        return self._call(service_catalog.GET_NAMED_POSE_BOUNDS, request).bounds
+
+    def set_entity_state(
+        self, entity: str, state: EntityState, *, has_pose: bool = True, has_twist: bool = True
+    ) -> None:
+        """Put an entity at a pose, with a twist, or one of both; in the frame of the header."""
+        request = SetEntityStateRequest(entity, state, set_pose=has_pose, set_twist=has_twist)
+        self._call(service_catalog.SET_ENTITY_STATE, request)
+
+    def models(self, entities: tuple[str, ...] = ()) -> GetModelsResponse:
+        """Ask how entities look; all of them unless named."""
+        return self._call(service_catalog.GET_MODELS, GetModelsRequest(entities))
+
+    def entity_model(self, entity: str) -> EntityModel:
+        """Ask for the namespace, agent and model number of one entity."""
+        return self.models((entity,)).entities[0]
+
+    def simulation_state(self) -> State:
+        """Ask whether it plays."""
+        response = self._call(service_catalog.GET_SIMULATION_STATE, GetSimulationStateRequest())
+        return State(response.state.state)
+
+    def set_simulation_state(self, state: State) -> None:
+        """Play or pause."""
+        self._call(
+            service_catalog.SET_SIMULATION_STATE, SetSimulationStateRequest(SimulationState(state))
+        )
+
+    def step(self, steps: int) -> None:
+        """Advance a paused world, and return when it is done."""
+        self.bus.call(
+            service_catalog.STEP_SIMULATION,
+            StepSimulationRequest(steps),
+            world=self.world,
+            timeout_s=self._patience_s(steps),
+        )
+
+    def simulate_steps(
+        self,
+        steps: int,
+        *,
+        goal_id: str = "",
+        on_progress: OnProgress | None = None,
+        timeout_s: float | None = None,
+    ) -> SimulateStepsResponse:
+        """Advance a paused world, tell of the progress, and return when it is done.
+
+        Args:
+            steps: How many.
+            goal_id: Names the goal for `cancel_steps` and for joining it; made up unless given.
+            on_progress: What it raises cancels the goal.
+            timeout_s: After it TimeoutError is raised, but the goal goes on.
+        """
+        request = SimulateStepsRequest(steps, goal_id or uuid.uuid4().hex)
+        patience_s = self._patience_s(steps) if timeout_s is None else timeout_s
+        return run_step_goal(
+            self.bus,
+            self.world,
+            request,
+            on_progress=on_progress or (lambda _: None),
+            timeout_s=patience_s,
+        )
+
+    def cancel_steps(self, goal_id: str = "") -> tuple[str, ...]:
+        """End a goal before its last step, or all goals; return the ids of those ended."""
+        return self._call(service_catalog.CANCEL_STEPS, CancelStepsRequest(goal_id)).goal_ids
+
+    def run_to(self, time_ns: int, timeout_s: float | None = None) -> RunToResponse:
+        """Advance a paused world to the first step at or after a simulation time [ns]."""
+        if timeout_s is None:
+            timeout_s = self._patience_s(self.steps_until(time_ns))
+        request = RunToRequest(time_from_ns(time_ns))
+        return self.bus.call(service_catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
+
+    def steps_until(self, time_ns: int) -> int:
+        """Count the steps up to the first at or after a time [ns]; negative when it is past."""
+        info = self.info()
+        now_ns = round(info.sim_time_s * NANOSECONDS)
+        return -((now_ns - time_ns) // max(1, info.step_ns))
+
+    def set_speed(self, real_time_factor: float) -> None:
+        """Choose the real-time factor to hold; 0 = as fast as it can."""
+        self._call(service_catalog.SET_SPEED, SetSpeedRequest(real_time_factor))
+
+    def _patience_s(self, steps: int) -> float:
+        return max(self._timeout_s, steps * TIMEOUT_PER_STEP_S)
+
+    def reset(self, scope: int = ResetScope.DEFAULT) -> None:
+        """Go back to the start."""
+        self._call(service_catalog.RESET_SIMULATION, ResetSimulationRequest(scope))
+
+    def load_world(
+        self,
+        uri: str = "",
+        text: str = "",
+        *,
+        is_strict: bool = False,
+        may_lack_assets: bool = False,
+    ) -> LoadWorldReport:
+        """Put another world in the place of this one: by name, or SDF text; it stands stopped."""
+        request = LoadWorldRequest(Resource(uri, text), is_strict, may_lack_assets)
+        return self.bus.call(
+            service_catalog.LOAD_WORLD,
+            request,
+            world=self.world,
+            timeout_s=max(self._timeout_s, LOAD_TIMEOUT_S),
+        )
+
+    def unload_world(self) -> None:
+        """Take the world away with everything in it."""
+        self._call(service_catalog.UNLOAD_WORLD, UnloadWorldRequest())
+
+    def current_world(self) -> WorldResource:
+        """Ask which world is there."""
+        return self._call(service_catalog.GET_CURRENT_WORLD, GetCurrentWorldRequest()).world
+
+    def available_worlds(
+        self, tags: TagsFilter | None = None, sources: tuple[str, ...] = ()
+    ) -> tuple[WorldResource, ...]:
+        """Ask which worlds can be loaded, or those that have tags."""
+        request = GetAvailableWorldsRequest(sources, tags or TagsFilter())
+        return self._call(service_catalog.GET_AVAILABLE_WORLDS, request).worlds
+
+    def features(self) -> SimulatorFeatures:
+        """Ask what the server can do."""
+        return self._call(
+            service_catalog.GET_SIMULATOR_FEATURES, GetSimulatorFeaturesRequest()
+        ).features

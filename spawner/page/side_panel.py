@@ -1,0 +1,74 @@
+"""The side panel: its buttons, and the simulation's and the followed robot's state as HTML."""
+
+from html import escape
+from typing import Final, Literal, get_args
+
+from zensim.proto.messages.telemetry_messages import EntityModel
+from zensim.spawner.page.model_visuals import Array
+from zensim.spawner.page.render_state import LastCommand, SimulationStatus, format_pose
+
+Button = Literal["Play", "Pause", "Step", "Reset"]
+BUTTONS: Final[tuple[Button, ...]] = get_args(Button)
+
+
+STATE_COLOURS: Final = {"playing": "#4cc38a", "paused": "#e5b454"}
+"""Of the dot before the state; any other state is red."""
+STALE_S: Final = 1.0
+"""A command older than this is shown with its age."""
+
+PanelRows = list[tuple[str, str]]
+
+
+def make_status_html(status: SimulationStatus) -> str:
+    """Write the state, simulation time, real-time factor and number of robots."""
+    colour = STATE_COLOURS.get(status.state, "#e5695e")
+    others = status.entities - status.robots
+    robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
+    return _make_table(
+        [
+            ("State", f'<span style="color:{colour}">&#9679;</span> {escape(status.state)}'),
+            ("Simulation time", format_clock(status.sim_time_s)),
+            ("Real-time factor", f"{status.real_time_factor:.2f}"),
+            ("Robots", robots),
+        ]
+    )
+
+
+def make_robot_html(member: EntityModel, state: Array, command: LastCommand | None) -> str:
+    """Write a robot's namespace, pose, speed and last command."""
+    pose, speed = format_pose(state)
+    return _make_table(
+        [
+            ("Namespace", escape(member.namespace)),
+            ("Pose", pose),
+            ("Speed", speed),
+            ("Command", format_command(command)),
+        ]
+    )
+
+
+def format_command(command: LastCommand | None) -> str:
+    """Write the last velocity command, and how old it is unless it is fresh."""
+    if command is None:
+        return "none yet"
+    told = f"v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
+    return told if command.age_s < STALE_S else f"{told}, {command.age_s:.0f} s ago"
+
+
+def format_clock(seconds: float) -> str:
+    """Write a time as h:mm:ss.hh, without the hours when there are none."""
+    minutes, rest = divmod(round(max(seconds, 0.0), 2), 60.0)
+    hours, minutes = divmod(int(minutes), 60)
+    return (f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{rest:05.2f}"
+
+
+def _make_table(rows: PanelRows) -> str:
+    cells = "".join(
+        f'<span style="opacity:.6">{label}</span><span style="white-space:pre-wrap">{value}</span>'
+        for label, value in rows
+    )
+    return (
+        '<div style="display:grid;grid-template-columns:max-content 1fr;column-gap:1em;'
+        'row-gap:.15em;padding:.15em .7em;font-size:.85em;font-variant-numeric:tabular-nums">'
+        f"{cells}</div>"
+    )

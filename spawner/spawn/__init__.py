@@ -1,0 +1,1 @@
+"""Spawning: descriptions, their files, namespaces, poses and the requests."""

@@ -1,0 +1,174 @@
+"""XML of a description: parsed without DOCTYPE and with bounded depth, refused, and given a namespace."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from typing import NamedTuple
+from xml.parsers import expat
+
+from zensim.proto.messages.result_messages import ServiceError, SpawnCode
+from zensim.proto.names import check_namespace
+
+MAX_DEPTH = 64
+MAX_TEXT_BYTES = 2 << 20
+"""A request has `MAX_REQUEST_BYTES`, in JSON with escapes."""
+ROOT_TAGS = ("robot", "sdf")
+BLANKS = "\ufeff \t\r\n"
+
+
+class DescriptionError(ValueError):
+    """A text that is no robot description."""
+
+
+class ElementCounts(NamedTuple):
+    """How many links and joints a description has, before any are merged."""
+
+    links: int
+    joints: int
+
+
+class _NoDoctypeBuilder(ET.TreeBuilder):
+    def doctype(self, name: str, *_: object) -> None:
+        """Refuse a DOCTYPE before its entities are read."""
+        raise DescriptionError(f"the description has a DOCTYPE {name[:80]!r}; remove it")
+
+
+def make_refusal(code: SpawnCode, slug: str, fault: str) -> ServiceError:
+    """Make the refusal that the server would give, before anything is sent."""
+    return ServiceError("spawn_entity", code, code.name, f"{slug}: {fault}")
+
+
+def blank_comments(text: str) -> str:
+    """Blank comments out, all but their line ends, so that lines keep their numbers.
+
+    Gazebo takes comments with two hyphens inside, which XML parsers refuse.
+    """
+    pieces, at = [], 0
+    while (start := text.find("<!--", at)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
+        pieces += [text[at:start], "\n" * text.count("\n", start, end)]
+        at = end + len("-->")
+    return "".join([*pieces, text[at:]])
+
+
+def parse_description(text: str) -> ET.Element:
+    """Read a URDF or an SDF into elements.
+
+    Raises:
+        DescriptionError: It is no XML, has a DOCTYPE, is too deep, or begins otherwise.
+    """
+    try:
+        root = _parse_elements(text)
+    except (expat.ExpatError, UnicodeEncodeError) as error:
+        raise DescriptionError(f"the description is not well-formed XML: {error}") from error
+    if root.tag not in ROOT_TAGS:
+        raise DescriptionError(
+            f"the description begins with <{root.tag[:80]}>; a URDF begins with <robot>, "
+            "an SDF with <sdf>"
+        )
+    _check_depth(root)
+    return root
+
+
+def _parse_elements(text: str) -> ET.Element:
+    try:
+        return ET.fromstring(text.lstrip(BLANKS), parser=ET.XMLParser(target=_NoDoctypeBuilder()))
+    except ET.ParseError:
+        return _parse_as_gazebo(blank_comments(text).lstrip(BLANKS))
+
+
+def _parse_as_gazebo(text: str) -> ET.Element:
+    # Prefixes need not be declared: they are part of the name.
+    parser, tree = expat.ParserCreate(), _NoDoctypeBuilder()
+    parser.StartDoctypeDeclHandler = tree.doctype
+    parser.StartElementHandler = tree.start
+    parser.EndElementHandler = tree.end
+    parser.CharacterDataHandler = tree.data
+    parser.Parse(text, True)  # noqa: FBT003 - expat knows it by place only
+    return tree.close()
+
+
+def _check_depth(root: ET.Element) -> None:
+    level = [root]
+    for _ in range(MAX_DEPTH):
+        level = [child for element in level for child in element]
+        if not level:
+            return
+    raise DescriptionError(f"the description nests tags more than {MAX_DEPTH} deep")
+
+
+def count_elements(root: ET.Element) -> ElementCounts:
+    """Count the links and joints of a URDF or SDF; what it includes is left out."""
+    owners = [root] if root.tag == "robot" else list(root.iter("model"))
+    return ElementCounts(
+        *(sum(len(owner.findall(tag)) for owner in owners) for tag in ("link", "joint"))
+    )
+
+
+__all__ = ["DescriptionError", "add_namespace", "remove_namespace"]
+
+DRIVE_FILES = ("gazebo_ros_diff_drive", "gazebo_ros_skid_steer_drive")
+DRIVE_NAME = "differential_drive_controller"
+
+
+def add_namespace(urdf_text: str, namespace: str) -> str:
+    """Give every differential drive this namespace, and a tf topic inside it.
+
+    A drive is found by its plug-in's file or by the name `differential_drive_controller`. Its
+    <ros> block is made when missing; a namespace and a remapping of /tf that it has are replaced,
+    so that doing this twice is as doing it once. Without a drive the text is returned as it is.
+
+    Args:
+        urdf_text: The description, any xacro expanded.
+        namespace: With or without a leading slash.
+
+    Raises:
+        DescriptionError: The text is no XML, has a DOCTYPE, or is neither URDF nor SDF.
+        InvalidName: The namespace is none.
+    """
+    bare = check_namespace(namespace)
+    return _change_drives(urdf_text, lambda drive: _set_namespace(drive, f"/{bare}"))
+
+
+def remove_namespace(urdf_text: str) -> str:
+    """Take the namespace and the remapping of /tf that a drive may have away.
+
+    What is left does for every robot of a fleet: each has the namespace that it is spawned with.
+
+    Raises:
+        DescriptionError: The text is no XML, has a DOCTYPE, or is neither URDF nor SDF.
+    """
+    return _change_drives(urdf_text, _clear_namespace)
+
+
+def _change_drives(urdf_text: str, change: Callable[[ET.Element], None]) -> str:
+    robot = parse_description(urdf_text)
+    drives = [plugin for plugin in robot.iter("plugin") if _is_drive(plugin)]
+    for drive in drives:
+        change(drive)
+    return ET.tostring(robot, encoding="unicode") if drives else urdf_text
+
+
+def _is_drive(plugin: ET.Element) -> bool:
+    filename = plugin.get("filename", "")
+    return DRIVE_NAME in plugin.attrib.values() or any(file in filename for file in DRIVE_FILES)
+
+
+def _set_namespace(drive: ET.Element, namespace: str) -> None:
+    _clear_namespace(drive)
+    ros = drive.find("ros")
+    if ros is None:
+        ros = ET.SubElement(drive, "ros")
+    ET.SubElement(ros, "namespace").text = namespace
+    ET.SubElement(ros, "remapping").text = f"/tf:={namespace}/tf"
+
+
+def _clear_namespace(drive: ET.Element) -> None:
+    if (ros := drive.find("ros")) is None:
+        return
+    for child in list(ros):
+        if child.tag == "namespace" or _remaps_tf(child):
+            ros.remove(child)
+
+
+def _remaps_tf(child: ET.Element) -> bool:
+    old, separator, _ = (child.text or "").partition(":=")
+    return child.tag == "remapping" and bool(separator) and old.strip() in ("/tf", "tf")

@@ -1,0 +1,90 @@
+"""Names and poses of the robots of a fleet, and angles of a rotation."""
+
+import math
+from collections.abc import Iterator
+from typing import Literal
+
+import msgspec
+
+from zensim.proto.messages.standard_messages import Quaternion
+from zensim.proto.names import check_name
+
+FleetLayout = Literal["row", "grid", "circle"]
+LAYOUTS: tuple[FleetLayout, ...] = ("row", "grid", "circle")
+
+
+class RobotPlacement(msgspec.Struct, frozen=True):
+    """One robot of a fleet: name, position [m], heading [rad]."""
+
+    name: str
+    x: float
+    y: float
+    yaw: float = 0.0
+
+
+def make_fleet_layout(
+    prefix: str, count: int, layout: FleetLayout, spacing_m: float
+) -> list[RobotPlacement]:
+    """List `count` robots named `prefix0`, `prefix1` and so on.
+
+    Args:
+        prefix: Beginning of each name.
+        count: > 0.
+        layout: row along x; grid, rows of about sqrt(count); circle, facing outward.
+        spacing_m: Between neighbours; > 0.
+
+    Raises:
+        ValueError: A number is out of range.
+    """
+    if count < 1 or not spacing_m > 0 or not math.isfinite(spacing_m):
+        raise ValueError(
+            f"count {count} with spacing {spacing_m:g} is no fleet; use at least 1 robot "
+            "and more than 0 m"
+        )
+    spots = {"row": _row, "grid": _grid, "circle": _circle}[layout](count, spacing_m)
+    return [RobotPlacement(f"{prefix}{i}", *spot) for i, spot in enumerate(spots)]
+
+
+def _row(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
+    for i in range(count):
+        yield i * spacing_m, 0.0, 0.0
+
+
+def _grid(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
+    columns = math.ceil(math.sqrt(count))
+    for i in range(count):
+        row, column = divmod(i, columns)
+        yield column * spacing_m, row * spacing_m, 0.0
+
+
+def _circle(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
+    # The chord between neighbours is the spacing; one robot stands in the middle.
+    radius_m = 0.0 if count == 1 else spacing_m / (2.0 * math.sin(math.pi / count))
+    for i in range(count):
+        angle = 2.0 * math.pi * i / count
+        yield radius_m * math.cos(angle), radius_m * math.sin(angle), angle
+
+
+def derive_prefix(model: str) -> str:
+    """Find what robots of a model are called: its name, or its file's without the ending.
+
+    Raises:
+        InvalidName: That is no name.
+    """
+    return check_name(model.rsplit("/", 1)[-1].split(".", 1)[0], "prefix")
+
+
+def to_roll_pitch_yaw(turn: Quaternion) -> tuple[float, float, float]:
+    """Find the fixed-axis angles [rad] of a rotation; roll is 0 where pitch is a quarter turn."""
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    sine = 2.0 * (w * y - z * x) / max(x * x + y * y + z * z + w * w, 1e-300)
+    if abs(sine) >= 1.0 - 1e-12:
+        return 0.0, math.copysign(math.pi / 2.0, sine), 2.0 * math.atan2(z, w)
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, math.asin(sine), find_yaw(turn)
+
+
+def find_yaw(turn: Quaternion) -> float:
+    """Find the angle about z [rad]."""
+    x, y, z, w = turn.x, turn.y, turn.z, turn.w
+    return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

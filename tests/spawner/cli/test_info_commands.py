@@ -1,0 +1,58 @@
+"""`zensim info get` and `set` against a real server."""
+
+import pytest
+
+from tests.integration.processes import Server
+from tests.spawner.cli.commands import assert_failed, run_at
+from zensim.proto.exit_codes import ExitCode
+from zensim.spawner.cli.info_commands import app
+
+
+def test_info_is_told_to_people(two: Server) -> None:
+    done = run_at(two, app, "get", "r1")
+
+    assert done.out.splitlines() == ["r1: robot", "  tags         -", "  description  box_bot"]
+
+
+def test_info_that_is_not_given_stays(two: Server) -> None:
+    run_at(two, app, "set", "r1", "--tag", "a", "--tag", "b")
+    run_at(two, app, "set", "r1", "--category", "dynamic-object")
+    run_at(two, app, "set", "r1", "--description", "")
+
+    assert run_at(two, app, "get", "r1", "--json").json() == {
+        "entity": "r1",
+        "category": "dynamic_object",
+        "tags": ["a", "b"],
+        "description": "",
+    }
+
+
+def test_tags_are_taken_away(two: Server) -> None:
+    run_at(two, app, "set", "r1", "--tag", "a")
+
+    assert run_at(two, app, "set", "r1", "--no-tags", "--json").json()["tags"] == []
+    assert two.client.entity_info("r1").tags == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "line"),
+    [
+        (("get", "r9"), ExitCode.NOT_FOUND, "zensim info get: NOT_FOUND (2): entity 'r9'"),
+        (("set", "r9", "--tag", "a"), ExitCode.NOT_FOUND, "zensim info set: NOT_FOUND (2): entity"),
+        (("set", "r1"), ExitCode.USAGE, "zensim info set: USAGE (2): nothing to set; give --cat"),
+        (
+            ("set", "r1", "--category", "x"),
+            ExitCode.USAGE,
+            "zensim info set: USAGE (2): category 'x'",
+        ),
+        (
+            ("set", "r1", "--tag", "a", "--no-tags"),
+            ExitCode.USAGE,
+            "zensim info set: USAGE (2): --t",
+        ),
+    ],
+)
+def test_info_says_what_is_wrong_in_one_line(
+    two: Server, arguments: tuple[str, ...], status: ExitCode, line: str
+) -> None:
+    assert_failed(run_at(two, app, *arguments), status, line)

@@ -1,0 +1,323 @@
+"""Any payload becomes plain values that can be printed, or words that say why not."""
+
+import json
+import math
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.integration.processes import Server, eventually, running
+from tests.sim_server.fakes import floats
+from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
+from zensim.proto.bus import Sample
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.agent_messages import DriveCommand
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.standard_messages import Odometry, String, Twist, Vector3
+from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
+from zensim.spawner.cli.topic_commands import app, to_plain, to_yaml_lines
+
+FORWARD = Twist(Vector3(x=0.2), Vector3(z=-0.5))
+
+
+def heard_after(server: Server, *arguments: str, key: str = "r1/cmd_vel") -> list[Twist]:
+    """Drive while somebody listens, and tell what was heard."""
+    listener = server.bus.subscribe(key, 1000)
+    try:
+        done = run_at(server, app, "drive", *arguments)
+        assert done.status == ExitCode.OK
+        return [decode(Twist, one.payload, one.encoding) for one in listener.take()]
+    finally:
+        listener.close()
+
+
+def test_drive_sends_one_command_when_told_once(server: Server) -> None:
+    assert heard_after(server, "r1", "0.2", "-0.5", "--once") == [FORWARD]
+
+
+def test_drive_sends_commands_for_a_while_and_then_stops_the_robot(server: Server) -> None:
+    heard = heard_after(server, "r1", "0.2", "-0.5", "--rate", "50", "--duration", "0.2")
+
+    assert heard == [*[FORWARD] * 10, Twist()]
+
+
+def test_drive_takes_negative_speeds(server: Server) -> None:
+    assert heard_after(server, "r1", "-0.2", "--once") == [Twist(Vector3(x=-0.2))]
+
+
+@pytest.mark.parametrize("robot", ["team/r1", "/team/r1", "team/r1/"])
+def test_drive_takes_a_namespace_as_people_write_it(server: Server, robot: str) -> None:
+    heard = heard_after(server, robot, "0.2", "-0.5", "--once", key="team/r1/cmd_vel")
+
+    assert heard == [FORWARD]
+
+
+def test_drive_says_so_when_nobody_listens(server: Server) -> None:
+    done = run_at(server, app, "drive", "r9", "0.2", "--once")
+
+    assert_failed(done, ExitCode.FAILED, "zensim drive: FAILED (1): nobody listens on r9/cmd_vel")
+    assert "'zensim agent r9'" in done.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("r1", "nan"), "cannot be driven; use finite numbers"),
+        (("r1", "0.2", "inf"), "cannot be driven; use finite numbers"),
+        (("r1", "0.2", "--rate", "0"), "--rate 0 is no rate; use more than 0"),
+        (("", "0.2"), "key '/cmd_vel' is not valid; use names joined by '/'"),
+        (("a//b", "0.2"), "key 'a//b/cmd_vel' is not valid"),
+    ],
+    ids=str,
+)
+def test_drive_is_refused_in_one_line_when_it_is_mistyped(
+    server: Server, arguments: tuple[str, ...], message: str
+) -> None:
+    done = run_at(server, app, "drive", *arguments)
+
+    assert_failed(done, ExitCode.USAGE, "zensim drive: USAGE (2): ")
+    assert message in done.err
+
+
+def test_echo_shows_telemetry_as_people_read_it(server: Server) -> None:
+    done = run_at(server, app, "echo", "sim/default/clock", "--once")
+
+    lines = done.out.splitlines()
+    assert done.status == ExitCode.OK
+    assert lines[0] == "# sim/default/clock"
+    assert "clock:" in lines
+    assert lines[-1] == "---"
+
+
+def test_echo_shows_telemetry_as_programs_read_it(server: Server) -> None:
+    done = run_at(server, app, "echo", "sim/*/stats", "--count", "2", "--json")
+
+    first, second = (json.loads(line) for line in done.out.splitlines())
+    assert first["key"] == second["key"] == "sim/default/stats"
+    assert first["message"]["state"] == "paused"
+
+
+def test_echo_shows_a_last_value_that_was_put_before_it_came(server: Server) -> None:
+    queue = server.bus.serve("r1/robot_description")
+    payload, encoding = encode(String("<robot/>"), Format.CDR), make_encoding(String, Format.CDR)
+    arguments = ("echo", "r1/robot_description", "--once", "--connect", server.endpoint)
+    try:
+        with running(*arguments) as echo:
+            for call in eventually(lambda: queue.take() or None, 20.0, "a question"):
+                call.reply(payload, encoding)
+            said, _ = echo.communicate(timeout=20.0)
+    finally:
+        queue.close()
+
+    assert said.splitlines() == ["# r1/robot_description", 'data: "<robot/>"', "---"]
+
+
+@pytest.mark.parametrize("key", ["r9/odom", "/r9/odom/"])
+def test_echo_gives_up_when_nothing_comes(server: Server, key: str) -> None:
+    done = run_at(server, app, "echo", key, "--once", "--timeout", "0.05")
+
+    assert_failed(
+        done, ExitCode.TIMEOUT, f"zensim echo: TIMEOUT (5): nothing came on {key} within 0.05"
+    )
+
+
+@pytest.mark.parametrize("verb", ["echo", "hz"])
+@pytest.mark.parametrize("key", ["", "a//b", "a b#", "a*"])
+def test_key_is_refused_in_one_line_when_it_is_mistyped(
+    server: Server, verb: str, key: str
+) -> None:
+    done = run_at(server, app, verb, key)
+
+    assert_failed(done, ExitCode.USAGE, f"zensim {verb}: USAGE (2): key {key!r} is not valid; use")
+
+
+def test_hz_measures_the_rate_of_a_topic(server: Server) -> None:
+    server.client.set_simulation_state(State.PLAYING)
+
+    done = run_at(server, app, "hz", "sim/default/clock", "--duration", "1", "--json")
+
+    figures = json.loads(done.out)
+    assert figures["rate_hz"] == pytest.approx(100.0, rel=0.2)
+    assert figures["min_s"] <= figures["max_s"]
+    assert figures["window"] > 50
+
+
+def test_hz_says_so_when_nothing_comes(server: Server) -> None:
+    done = run_at(server, app, "hz", "r9/odom", "--duration", "0.1")
+
+    assert (done.status, done.out) == (ExitCode.OK, "")
+    assert done.err == "zensim hz: no new messages\n"
+
+
+def test_command_says_so_when_nobody_listens_at_its_endpoint() -> None:
+    done = run(app, "echo", "r1/odom", "--connect", NOWHERE)
+
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim echo: UNREACHABLE (4): nobody listens at")
+
+
+ENCODINGS = [
+    "",
+    "application/cdr",
+    "application/cdr;nav_msgs/msg/Odometry",
+    "application/cdr;x/y",
+    "application/json",
+    "application/msgpack",
+]
+KEYS = ["r1/odom", "sim/default/snapshot", "sim/default/drive/a/command", "sim/x", ""]
+
+
+def a_sample(message: msgspec.Struct, format_: Format, key: str = "r1/topic") -> Sample:
+    return Sample(key, encode(message, format_), make_encoding(message, format_))
+
+
+def lines_of(plain: object) -> list[str]:
+    return list(to_yaml_lines(plain))
+
+
+def test_cdr_is_read_by_the_type_of_its_encoding() -> None:
+    plain = to_plain(a_sample(Twist(Vector3(x=0.5)), Format.CDR))
+
+    assert plain == {
+        "linear": {"x": 0.5, "y": 0.0, "z": 0.0},
+        "angular": {"x": 0.0, "y": 0.0, "z": 0.0},
+    }
+
+
+def test_cdr_of_unknown_type_is_said_in_words() -> None:
+    plain = to_plain(
+        Sample("r1/scan", b"\0\1\0\0abcd", "application/cdr;sensor_msgs/msg/LaserScan")
+    )
+
+    assert isinstance(plain, str)
+    assert plain.startswith("8 bytes that cannot be read: CDR of unknown type")
+    assert "LaserScan" in plain
+
+
+@pytest.mark.parametrize("format_", [Format.MSGPACK, Format.JSON])
+@pytest.mark.parametrize("message", [WorldClock(step=3), Event("spawned", "r1"), Stats(world="w")])
+def test_telemetry_is_read_by_its_key(message: msgspec.Struct, format_: Format) -> None:
+    topic = {WorldClock: "clock", Event: "events", Stats: "stats"}[type(message)]
+
+    plain = to_plain(a_sample(message, format_, f"sim/w/{topic}"))
+
+    assert plain == msgspec.to_builtins(message)
+
+
+def test_arrays_are_told_as_numbers() -> None:
+    snapshot = Snapshot(1, 2, 3, 4, ("r",), floats([1.0, 2.0]), floats([0.5]))
+    command = DriveCommand(1, 2, b"\1\0\0\0\2\0\0\0", floats([3.0]))
+
+    told = to_plain(a_sample(snapshot, Format.MSGPACK, "sim/w/snapshot"))
+    taken = to_plain(a_sample(command, Format.MSGPACK, "sim/w/drive/a/command"))
+
+    assert isinstance(told, dict)
+    assert isinstance(taken, dict)
+    assert (told["base"], told["joint_positions"]) == ([1.0, 2.0], [0.5])
+    assert (taken["claims"], taken["targets"]) == ([1, 2], [3.0])
+
+
+@pytest.mark.parametrize("field", ["base", "joint_positions"])
+def test_arrays_of_an_odd_length_are_said_in_words(field: str) -> None:
+    snapshot = Snapshot(1, 2, 3, 4, (), b"", b"")
+    broken = msgspec.structs.replace(snapshot, **{field: b"12345"})
+
+    plain = to_plain(a_sample(broken, Format.MSGPACK, "sim/w/snapshot"))
+
+    assert isinstance(plain, str)
+    assert "cannot be read" in plain
+
+
+def test_json_of_any_kind_is_read() -> None:
+    assert to_plain(Sample("a/b", b'{"n": [1, null]}', "")) == {"n": [1, None]}
+
+
+def test_lines_are_laid_out_as_yaml() -> None:
+    plain = {
+        "name": "r1",
+        "pose": {"x": 1.0, "frames": []},
+        "numbers": [1, 2.5],
+        "links": [{"a": True}, "text"],
+        "none": None,
+        "empty": {},
+    }
+
+    assert lines_of(plain) == [
+        'name: "r1"',
+        "pose:",
+        "  x: 1",
+        "  frames: []",
+        "numbers: [1, 2.5]",
+        "links:",
+        "  -",
+        "    a: true",
+        '  - "text"',
+        "none: null",
+        "empty: {}",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("number", "shown"),
+    [(math.inf, ".Inf"), (-math.inf, "-.Inf"), (math.nan, ".nan"), (1e-9, "1e-09"), (0.1, "0.1")],
+)
+def test_lines_tell_numbers_as_yaml_does(number: float, shown: str) -> None:
+    assert lines_of({"x": number}) == [f"x: {shown}"]
+
+
+def test_lines_quote_text_that_would_be_read_as_something_else() -> None:
+    assert lines_of({"a": "true", "b": "x: y\nz"}) == ['a: "true"', 'b: "x: y\\nz"']
+
+
+def test_odometry_and_text_are_laid_out() -> None:
+    odometry = to_plain(a_sample(Odometry(), Format.CDR))
+    text = to_plain(a_sample(String("hello"), Format.CDR))
+
+    assert "pose:" in lines_of(odometry)
+    assert lines_of(text) == ['data: "hello"']
+
+
+@given(
+    payload=st.one_of(
+        st.binary(max_size=60),
+        st.binary(max_size=60).map(lambda tail: b"\x81\xa1a" + tail),
+        st.binary(max_size=60).map(lambda tail: b"\x87" + tail),
+        st.binary(max_size=60).map(lambda tail: b"{" + tail),
+        st.binary(max_size=60).map(lambda tail: b"\0\1\0\0" + tail),
+        st.recursive(st.integers() | st.floats(), st.lists).map(
+            lambda value: json.dumps({"v": value}).encode()
+        ),
+    ),
+    encoding=st.sampled_from(ENCODINGS),
+    key=st.sampled_from(KEYS),
+)
+def test_any_bytes_can_be_printed(payload: bytes, encoding: str, key: str) -> None:
+    plain = to_plain(Sample(key, payload, encoding))
+
+    assert all(isinstance(line, str) for line in to_yaml_lines(plain))
+    assert msgspec.json.encode({"message": plain})
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b'{"a":' * 100_000,
+        b"\x81\xa1a" * 100_000,
+        b"\x81\xa1a\xd4\x05\x00",  # an extension type
+        b"\x81\xa1a\xd6\xff\x00\x00\x00\x00",  # a moment
+        b"\x81\xc2\xc3",  # a boolean as a key
+        b"\x81\x90\xc3",  # a list as a key
+        b"\x81\xa1a\xc4\x02\xff\xfe",  # raw bytes
+        b'{"a": 1e999, "b": 123456789012345678901234567890}',
+        b'{"a":' * 400 + b"1" + b"}" * 400,
+    ],
+    ids=range(9),
+)
+@pytest.mark.parametrize("key", ["a/b", "sim/w/stats"])
+def test_odd_bytes_can_be_printed(payload: bytes, key: str) -> None:
+    plain = to_plain(Sample(key, payload, ""))
+
+    assert lines_of(plain)
+    assert msgspec.json.encode({"message": plain})

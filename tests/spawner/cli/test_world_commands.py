@@ -1,0 +1,111 @@
+"""`zensim world load`, `list`, `current`, `poses` and `unload` against a real server."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.integration.processes import Server
+from tests.spawner.cli.commands import assert_failed, run_at
+from zensim.proto.exit_codes import ExitCode
+from zensim.proto.messages.simulation_messages import State
+from zensim.spawner.cli.world_commands import app
+
+SDF = """<sdf version="1.7"><world name="mine"><model name="block"><static>true</static>
+<link name="l"><collision name="c"><geometry><box><size>1 1 1</size></box></geometry></collision>
+</link></model></world></sdf>"""
+
+
+def test_worlds_are_listed_by_the_name_that_loads_them(server: Server) -> None:
+    head, *lines = run_at(server, app, "list").out.splitlines()
+    names = [
+        world["world_resource"]["uri"] for world in run_at(server, app, "list", "--json").json()
+    ]
+
+    assert head.split()[:2] == ["name", "tags"]
+    assert [line.split()[0] for line in lines] == names
+    assert {"empty", "walls", "warehouse"} <= set(names)
+
+
+def test_world_is_loaded_by_its_name(server: Server) -> None:
+    done = run_at(server, app, "load", "walls")
+
+    assert done.status == ExitCode.OK
+    assert done.out.startswith("loaded walls; 'zensim play' lets time run\n")
+    assert run_at(server, app, "current").out == "walls\n"
+    assert server.client.simulation_state() == State.STOPPED
+
+
+def test_world_is_loaded_from_a_file_of_this_host(server: Server, tmp_path: Path) -> None:
+    file = tmp_path / "mine.sdf"
+    file.write_text(SDF)
+
+    loaded = run_at(server, app, "load", str(file), "--json").json()
+
+    assert loaded["world"]["name"] == "mine"
+    assert server.client.entities() == ("block",)
+    assert run_at(server, app, "current", "--json").json()["name"] == "mine"
+
+
+def test_named_poses_are_listed(server: Server) -> None:
+    run_at(server, app, "load", "walls")
+
+    head, *lines = run_at(server, app, "poses").out.splitlines()
+    found = run_at(server, app, "poses", "--json").json()
+
+    assert head.split()[:2] == ["name", "tags"]
+    assert [line.split()[0] for line in lines] == [one["name"] for one in found]
+    assert {"centre", "corner"} <= {one["name"] for one in found}
+    assert run_at(server, app, "poses", "--tag", "nowhere", "--json").json() == []
+
+
+def test_world_is_unloaded_once(server: Server) -> None:
+    first, second = (run_at(server, app, "unload") for _ in range(2))
+
+    assert (first.status, first.out) == (ExitCode.OK, "unloaded\n")
+    assert_failed(second, ExitCode.FAILED, "zensim world unload: NO_WORLD_LOADED (101): ")
+    none = run_at(server, app, "current")
+    assert_failed(none, ExitCode.FAILED, "zensim world current: NO_WORLD_LOADED (101): ")
+
+
+@pytest.mark.parametrize(
+    ("word", "status", "line"),
+    [
+        (
+            "nowhere",
+            ExitCode.NOT_FOUND,
+            "zensim world load: NOT_FOUND (2): no world 'nowhere' comes",
+        ),
+        (
+            "./nowhere.sdf",
+            ExitCode.NOT_FOUND,
+            "zensim world load: NOT_FOUND (3): nowhere.sdf: No su",
+        ),
+    ],
+)
+def test_world_that_is_not_there_changes_nothing(
+    server: Server, word: str, status: ExitCode, line: str
+) -> None:
+    done = run_at(server, app, "load", word)
+
+    assert_failed(done, status, line)
+    assert server.client.simulation_state() == State.PAUSED
+
+
+def test_world_file_that_is_no_text_is_refused(server: Server, tmp_path: Path) -> None:
+    file = tmp_path / "mine.sdf"
+    file.write_bytes(b"\xff\xfe\x00")
+
+    done = run_at(server, app, "load", str(file))
+
+    assert_failed(done, ExitCode.USAGE, f"zensim world load: USAGE (2): {file} is no text")
+
+
+def test_strict_load_refuses_what_is_not_carried_out(server: Server, tmp_path: Path) -> None:
+    file = tmp_path / "mine.sdf"
+    file.write_text(
+        SDF.replace("<model", "<wind><linear_velocity>1 0 0</linear_velocity></wind><model", 1)
+    )
+
+    done = run_at(server, app, "load", str(file), "--strict")
+
+    assert_failed(done, ExitCode.FAILED, "zensim world load: UNSUPPORTED_ELEMENTS (106): ")

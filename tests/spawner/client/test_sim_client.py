@@ -1,0 +1,133 @@
+"""SimClient against the server's own handlers, over a network in memory."""
+
+from typing import cast
+
+import pytest
+
+from tests.fakes import MemoryBus
+from tests.sim_server.fakes import WallTime, a_desk, a_world, names_in
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
+from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
+from zensim.sim_server.runtime.inbox import BusInbox
+from zensim.sim_server.runtime.loop import ServerLoop
+from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
+from zensim.spawner.client.sim_client import SimClient
+
+
+class Served:
+    """A client of a world, whose server turns while the client waits."""
+
+    def __init__(self, *names: str) -> None:
+        self.bus = MemoryBus()
+        bus = cast("Bus", self.bus)
+        self.world = a_world(*names)
+        wall = WallTime()
+        loop = ServerLoop(
+            a_desk(self.world, wall),
+            BusInbox(bus, "default"),
+            BusWorldPublisher(bus, "default"),
+            wall,
+        )
+        self.bus.pumps.append(loop.turn)
+        self.client = SimClient(bus)
+
+
+def test_client_spawns_and_deletes() -> None:
+    served = Served("r0")
+
+    report = served.client.spawn(SpawnEntityOrder("r1", entity_resource=Resource("box_bot")))
+    served.client.delete("r0")
+
+    assert (report.entity_name, report.entity_namespace) == ("r1", "r1")
+    assert names_in(served.world) == ["r1"]
+    assert served.client.entities() == ("r1",)
+
+
+def test_client_raises_what_the_server_refused() -> None:
+    served = Served("r0")
+
+    with pytest.raises(ServiceError, match=r"NOT_FOUND \(2\): entity 'r9' does not exist") as error:
+        served.client.delete("r9")
+
+    assert (error.value.service, error.value.code) == ("delete_entity", ResultCode.NOT_FOUND)
+
+
+def test_client_puts_an_entity_where_it_tells_it_to_be() -> None:
+    served = Served("r0")
+    served.world.pause()
+    state = EntityState(pose=Pose(Point(1.0, 2.0, 3.0)), twist=Twist(Vector3(0.5)))
+
+    served.client.set_entity_state("r0", state)
+
+    found = served.client.entity_state("r0")
+    assert found.pose.position == Point(1.0, 2.0, 3.0)
+    assert found.twist.linear.x == 0.5
+
+
+def test_client_tells_models_and_who_drives_them() -> None:
+    served = Served("r0", "r1")
+    served.world.claim("a", ("r1",), "stop")
+
+    models = served.client.models()
+
+    assert [(one.entity, one.agent) for one in models.entities] == [("r0", ""), ("r1", "a")]
+    assert served.client.entity_model("r1").agent == "a"
+
+
+def test_client_pauses_steps_and_plays() -> None:
+    served = Served()
+    served.client.set_simulation_state(State.PAUSED)
+    before = served.client.info().steps
+
+    served.client.step(20)
+
+    assert served.client.info().steps == before + 20
+    assert served.client.simulation_state() == State.PAUSED
+    served.client.set_simulation_state(State.PLAYING)
+    assert served.client.simulation_state() == State.PLAYING
+
+
+def test_client_resets() -> None:
+    served = Served("r0")
+
+    served.client.reset(ResetScope.STATE)
+    kept = served.client.entities()
+    served.client.reset()
+
+    assert (kept, served.client.entities()) == (("r0",), ())
+
+
+def test_client_tells_features() -> None:
+    features = Served().client.features()
+
+    assert Feature.SPAWNING in features.features
+
+
+def test_client_waits_no_longer_than_it_was_told_for_a_server() -> None:
+    waits: list[int] = []
+    client = SimClient(cast("Bus", MemoryBus()))
+
+    with pytest.raises(NoServer):
+        client.wait_for_server(0.0, lambda: waits.append(1))
+
+    assert waits == []
+
+
+def test_client_finds_the_server_as_soon_as_it_is_there() -> None:
+    served = Served("r0")
+
+    info = served.client.wait_for_server(0.0)
+
+    assert (info.world, info.entities) == ("default", 1)
+
+
+def test_client_asks_its_own_world_only() -> None:
+    served = Served()
+    other = SimClient(cast("Bus", served.bus), "other")
+
+    with pytest.raises(NoServer, match="sim/other/info"):
+        other.info()

@@ -1,0 +1,325 @@
+"""Loose triangles become a mesh whose neighbours share their corners."""
+
+from collections import Counter
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.spawner.page.builders import BLUE, CUBE, a_robot
+from zensim.proto.messages.model_messages import Joint, JointKind, Link, Model, Origin, Shape
+from zensim.proto.rotation import from_rpy
+from zensim.spawner.page.model_visuals import (
+    DEFAULT_RGBA,
+    NotATree,
+    TriangleMesh,
+    VisualJoint,
+    VisualTemplate,
+    find_link_poses,
+    find_top,
+    make_box,
+    make_capsule,
+    make_cylinder,
+    make_link_meshes,
+    make_shape_mesh,
+    make_template,
+    merge_meshes,
+    weld_triangles,
+)
+
+SQUARE = np.array(
+    [[0, 0, 0], [1, 0, 0], [1, 1, 0], [-0.0, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float32
+)
+
+
+def test_equal_corners_are_one_vertex() -> None:
+    mesh = weld_triangles(SQUARE)
+
+    assert len(mesh.vertices) == 4
+    assert np.array_equal(mesh.vertices[mesh.faces.reshape(-1)], SQUARE)
+
+
+def test_different_corners_stay_apart() -> None:
+    corners = np.random.default_rng(0).normal(size=(30_000, 3)).astype(np.float32)
+
+    mesh = weld_triangles(corners)
+
+    assert len(mesh.vertices) == 30_000
+    assert np.array_equal(mesh.vertices[mesh.faces.reshape(-1)], corners)
+
+
+METRES = st.floats(-3.0, 3.0)
+RADIANS = st.floats(-3.0, 3.0)
+VECTORS = st.tuples(METRES, METRES, METRES)
+TURNS = st.tuples(RADIANS, RADIANS, RADIANS)
+AXES = VECTORS.filter(lambda axis: np.linalg.norm(axis) > 0.1)
+KIND_NAMES: tuple[JointKind, ...] = ("revolute", "continuous", "prismatic", "fixed")
+KINDS = st.sampled_from(KIND_NAMES)
+REST = np.array((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+
+
+@st.composite
+def trees(draw: st.DrawFn) -> tuple[VisualJoint, ...]:
+    return tuple(
+        VisualJoint(
+            draw(KINDS),
+            draw(st.integers(0, number)),
+            Origin(draw(VECTORS), tuple(from_rpy(*draw(TURNS)))),
+            draw(AXES),
+        )
+        for number in range(draw(st.integers(1, 5)))
+    )
+
+
+def matrix_of(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    x, y, z, w = quaternion
+    matrix = np.eye(4)
+    matrix[:3, 3] = position
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return matrix
+
+
+def motion_of(kind: JointKind, axis: np.ndarray, moved: float) -> np.ndarray:
+    """Rodrigues' formula, or a shift along the axis."""
+    matrix, (x, y, z) = np.eye(4), axis / np.linalg.norm(axis)
+    if kind == "prismatic":
+        matrix[:3, 3] = moved * np.array((x, y, z))
+    elif kind != "fixed":
+        skew = np.array(((0, -z, y), (z, 0, -x), (-y, x, 0)))
+        matrix[:3, :3] += np.sin(moved) * skew + (1 - np.cos(moved)) * skew @ skew
+    return matrix
+
+
+def matrices_of(
+    visual_joints: tuple[VisualJoint, ...], base: np.ndarray, joints: np.ndarray
+) -> list[np.ndarray]:
+    placed = [matrix_of(base[:3], base[3:])]
+    for hinge, moved in zip(visual_joints, joints, strict=True):
+        origin = matrix_of(np.array(hinge.origin.position), np.array(hinge.origin.orientation))
+        motion = motion_of(hinge.kind, np.array(hinge.axis), moved)
+        placed.append(placed[hinge.parent] @ origin @ motion)
+    return placed
+
+
+@given(visual_joints=trees(), data=st.data(), count=st.integers(1, 3))
+def test_links_of_all_entities_are_where_matrices_put_each(
+    visual_joints: tuple[VisualJoint, ...], data: st.DataObject, count: int
+) -> None:
+    base = np.array(
+        [[*data.draw(VECTORS), *from_rpy(*data.draw(TURNS))] for _ in range(count)], dtype=float
+    )
+    joints = np.array([[data.draw(RADIANS) for _ in visual_joints] for _ in range(count)])
+
+    links = find_link_poses(visual_joints, base, joints)
+
+    for entity in range(count):
+        expected = matrices_of(visual_joints, base[entity], joints[entity])
+        for pose, matrix in zip(links, expected, strict=True):
+            found = matrix_of(pose.positions[entity], pose.quaternions[entity])
+            np.testing.assert_allclose(found, matrix, atol=1e-9)
+
+
+def test_wheel_turns_about_its_axis_when_its_joint_moves() -> None:
+    hinge = VisualJoint("continuous", 0, Origin((0.0, 0.05, 0.0)), (0.0, 2.0, 0.0))
+
+    _, wheel = find_link_poses((hinge,), REST[None], np.array([[np.pi / 2.0]]))
+
+    assert wheel.positions[0] == pytest.approx((0.0, 0.05, 0.0))
+    assert wheel.wxyzs[0] == pytest.approx((np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0))
+
+
+def test_base_alone_is_where_it_is_when_nothing_is_hinged() -> None:
+    (base,) = find_link_poses((), REST[None] + 1.0, np.zeros((1, 0)))
+
+    assert base.positions.tolist() == [[1.0, 1.0, 1.0]]
+
+
+def test_robots_have_one_form_when_only_their_names_differ() -> None:
+    assert make_template(a_robot("r1")) == make_template(a_robot("r2"))
+
+
+def test_robots_have_two_forms_when_a_colour_differs() -> None:
+    red = a_robot("r2", shape=msgspec.structs.replace(CUBE, rgba=(1.0, 0.0, 0.0, 1.0)))
+
+    assert make_template(a_robot("r1")) != make_template(red)
+
+
+def test_collisions_are_drawn_when_all_visuals_are_files() -> None:
+    link = Link("base", collisions=(CUBE,), visuals=(Shape("mesh", mesh="body.dae"),))
+
+    assert make_template(Model("bot", (link,))).links == ((CUBE,),)
+
+
+def test_mesh_is_drawn_once_it_is_here() -> None:
+    mesh = Shape("mesh", (1.0, 1.0, 1.0), mesh="sha")
+    model = Model("bot", (Link("base", collisions=(CUBE,), visuals=(mesh, CUBE)),))
+
+    assert make_template(model).links == ((CUBE,),)
+    assert make_template(model, {"sha"}).links == ((mesh, CUBE),)
+
+
+def test_nothing_is_drawn_when_a_link_has_collisions_only() -> None:
+    assert make_template(Model("bot", (Link("base", collisions=(CUBE,)),))).links == ((),)
+
+
+def test_ground_is_not_drawn() -> None:
+    link = Link("base", visuals=(Shape("plane"), CUBE))
+
+    assert make_template(Model("ground", (link,))).links == ((CUBE,),)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Model("empty", ()),
+        Model("loose", (Link("base"), Link("wheel"))),
+        Model("swapped", (Link("base"), Link("wheel")), (Joint("j", "fixed", "wheel", "base"),)),
+        Model("orphan", (Link("base"), Link("wheel")), (Joint("j", "fixed", "gone", "wheel"),)),
+        Model("own_parent", (Link("base"), Link("arm")), (Joint("j", "fixed", "arm", "arm"),)),
+    ],
+    ids=lambda model: model.name,
+)
+def test_form_is_refused_when_the_model_is_no_tree(model: Model) -> None:
+    with pytest.raises(NotATree, match=model.name):
+        make_template(model)
+
+
+LENGTHS = st.floats(0.01, 5.0)
+
+
+def volume(mesh: TriangleMesh) -> float:
+    """Signed: positive when the faces are seen counter-clockwise from outside."""
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    return float(np.sum(a * np.cross(b, c)) / 6.0)
+
+
+def open_edges(mesh: TriangleMesh) -> int:
+    edges = Counter((int(face[i]), int(face[(i + 1) % 3])) for face in mesh.faces for i in range(3))
+    return sum(edges[a, b] != 1 or edges[b, a] != 1 for a, b in edges)
+
+
+@given(x=LENGTHS, y=LENGTHS, z=LENGTHS)
+def test_box_has_its_volume_and_extents(x: float, y: float, z: float) -> None:
+    mesh = make_box(x, y, z)
+
+    assert volume(mesh) == pytest.approx(x * y * z)
+    assert np.ptp(mesh.vertices, axis=0) == pytest.approx((x, y, z))
+
+
+@given(radius=LENGTHS, length=LENGTHS)
+def test_cylinder_has_nearly_its_volume_and_stands_along_z(radius: float, length: float) -> None:
+    mesh = make_cylinder(radius, length)
+
+    assert volume(mesh) == pytest.approx(np.pi * radius**2 * length, rel=0.01)
+    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(length)
+
+
+@given(radius=LENGTHS, length=st.one_of(st.just(0.0), LENGTHS))
+def test_capsule_has_nearly_its_volume_and_a_cap_at_each_end(radius: float, length: float) -> None:
+    mesh = make_capsule(radius, length)
+
+    exact = np.pi * radius**2 * (length + 4.0 / 3.0 * radius)
+    assert volume(mesh) == pytest.approx(exact, rel=0.03)
+    assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(length + 2.0 * radius)
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        make_box(1.0, 2.0, 3.0),
+        make_cylinder(0.5, 1.0),
+        make_capsule(0.5, 1.0),
+        make_capsule(0.5, 0.0),
+    ],
+    ids=["box", "cylinder", "capsule", "sphere"],
+)
+def test_mesh_is_closed(mesh: TriangleMesh) -> None:
+    assert open_edges(mesh) == 0
+
+
+@pytest.mark.parametrize("kind", ["plane", "mesh"])
+def test_shape_is_refused_when_it_has_no_triangles(kind: str) -> None:
+    with pytest.raises(ValueError, match="use box, sphere, cylinder or capsule"):
+        make_shape_mesh(Shape(kind))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("kind", "extents"),
+    [
+        ("box", (0.4, 0.6, 0.2)),
+        ("sphere", (0.8, 0.8, 0.8)),
+        ("cylinder", (0.8, 0.8, 0.6)),
+        ("capsule", (0.8, 0.8, 1.4)),
+    ],
+)
+def test_shape_has_the_extents_that_its_size_says(
+    kind: str, extents: tuple[float, float, float]
+) -> None:
+    size = extents if kind == "box" else (0.4, 0.6, 0.0)
+
+    mesh = make_shape_mesh(Shape(kind, size))  # type: ignore[arg-type]
+
+    assert np.ptp(mesh.vertices, axis=0) == pytest.approx(extents)
+
+
+def test_merged_keeps_every_face_where_it_was() -> None:
+    both = merge_meshes((make_box(1.0, 1.0, 1.0), make_cylinder(0.5, 1.0)))
+
+    assert volume(both) == pytest.approx(
+        volume(make_box(1, 1, 1)) + volume(make_cylinder(0.5, 1.0))
+    )
+    assert open_edges(both) == 0
+
+
+def test_parts_are_one_for_each_colour() -> None:
+    parts = make_link_meshes((CUBE, Shape("sphere", (0.1, 0.0, 0.0)), CUBE))
+
+    assert [part.rgba for part in parts] == [BLUE, DEFAULT_RGBA]
+    assert volume(parts[0].mesh) == pytest.approx(2 * 0.1**3)
+
+
+def test_part_is_smooth_when_it_has_no_edges() -> None:
+    box_part, ball_part = make_link_meshes((CUBE, Shape("sphere", (0.1, 0.0, 0.0))))
+
+    assert ball_part.is_smooth
+    assert not box_part.is_smooth
+
+
+def test_part_from_a_file_is_scaled_and_stands_where_its_origin_says() -> None:
+    shape = Shape("mesh", (1.0, -2.0, 1.0), Origin((0.0, 0.0, 5.0)), mesh="sha")
+
+    (part,) = make_link_meshes(
+        (shape, Shape("box", (0.1, 0.1, 0.1))), {"sha": make_box(1.0, 1.0, 1.0)}
+    )
+
+    assert part.has_file
+    assert np.ptp(part.mesh.vertices[:8], axis=0).tolist() == [1.0, 2.0, 1.0]
+    assert volume(part.mesh) == pytest.approx(2.0 + 0.1**3)  # not inside out
+
+
+def test_part_stands_where_its_origin_says() -> None:
+    turned = Origin((1.0, 0.0, 0.0), tuple(from_rpy(0.0, np.pi / 2.0, 0.0)))
+
+    (part,) = make_link_meshes((Shape("cylinder", (0.1, 2.0, 0.0), turned),))
+
+    assert part.mesh.vertices[:, 0].min() == pytest.approx(0.0)
+    assert part.mesh.vertices[:, 0].max() == pytest.approx(2.0)
+
+
+def test_top_is_that_of_the_highest_link() -> None:
+    assert find_top(make_template(a_robot())) == pytest.approx(0.05)
+
+
+def test_top_is_the_base_when_nothing_is_drawn() -> None:
+    assert (
+        find_top(
+            VisualTemplate(links=((), ()), visual_joints=make_template(a_robot()).visual_joints)
+        )
+        == 0.0
+    )

@@ -1,0 +1,122 @@
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.spawner.page.builders import a_robot, a_snapshot, a_wall, models_of
+from zensim.proto.messages.model_messages import Link, Model
+from zensim.spawner.page.render_state import (
+    MismatchedSnapshot,
+    UnknownEntity,
+    fit_camera,
+    format_pose,
+    make_fleet,
+    make_frame,
+)
+
+COORDINATES = st.floats(-50.0, 50.0)
+POINTS = st.lists(st.tuples(COORDINATES, COORDINATES, st.floats(0.0, 5.0)), min_size=1, max_size=20)
+
+
+def test_robots_are_one_cohort_when_they_look_alike() -> None:
+    fleet = make_fleet(("r1", "r2"), models_of(r1=a_robot("r1"), r2=a_robot("r2")))
+
+    (cohort,) = fleet.groups
+    assert cohort.names == ("r1", "r2")
+    assert cohort.joint_columns.tolist() == [[0], [1]]
+    assert fleet.joints == 2
+
+
+def test_entities_keep_their_rows_when_kinds_alternate() -> None:
+    models = models_of(r1=a_robot(), w1=a_wall(), r2=a_robot(), w2=a_wall())
+
+    fleet = make_fleet(("r1", "w1", "r2", "w2"), models)
+
+    assert [cohort.rows.tolist() for cohort in fleet.groups] == [[0, 2], [1, 3]]
+    assert fleet.robots == ("r1", "r2")
+    assert fleet.rows == {"r1": 0, "w1": 1, "r2": 2, "w2": 3}
+
+
+def test_arranging_fails_when_a_name_has_no_model() -> None:
+    with pytest.raises(UnknownEntity, match="r2"):
+        make_fleet(("r1", "r2"), models_of(r1=a_robot()))
+
+
+def test_arranging_fails_when_the_model_is_not_in_the_answer() -> None:
+    answer = msgspec.structs.replace(models_of(r1=a_robot()), models=())
+
+    with pytest.raises(UnknownEntity):
+        make_fleet(("r1",), answer)
+
+
+def test_arranging_fails_when_a_model_is_no_tree() -> None:
+    with pytest.raises(MismatchedSnapshot, match="loose"):
+        make_fleet(("r1",), models_of(r1=Model("loose", (Link("a"), Link("b")))))
+
+
+def test_empty_world_is_drawn_as_nothing() -> None:
+    frame = make_frame(make_fleet((), models_of()), a_snapshot())
+
+    assert frame.links == ()
+    assert frame.base.shape == (0, 13)
+
+
+def test_drawing_places_every_link_of_every_robot() -> None:
+    fleet = make_fleet(("w1", "r1", "r2"), models_of(w1=a_wall(), r1=a_robot(), r2=a_robot()))
+
+    frame = make_frame(fleet, a_snapshot("w1", "r1", "r2", joints=2))
+
+    (wall,), (bases, wheels) = frame.links
+    assert wall.positions.tolist() == [[0.0, 0.0, 0.0]]
+    assert bases.positions.tolist() == [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    assert wheels.positions.tolist() == [[1.0, 0.05, 0.0], [2.0, 0.05, 0.0]]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"base": b""},
+        {"base": np.full(13, np.nan).tobytes()},
+        {"joint_positions": b"\0" * 24},
+        {"joint_positions": np.array([np.inf]).tobytes()},
+    ],
+    ids=["no base", "nan", "too many joints", "infinite joint"],
+)
+def test_drawing_is_refused_when_the_numbers_do_not_fit(change: dict[str, bytes]) -> None:
+    fleet = make_fleet(("r1",), models_of(r1=a_robot()))
+    snapshot = msgspec.structs.replace(a_snapshot("r1", joints=1), **change)
+
+    with pytest.raises(MismatchedSnapshot, match=r"base|joint_positions"):
+        make_frame(fleet, snapshot)
+
+
+@given(points=POINTS, aspect=st.floats(0.5, 2.5), fov_rad=st.floats(0.4, 1.5))
+def test_camera_sees_every_point(
+    points: list[tuple[float, float, float]], aspect: float, fov_rad: float
+) -> None:
+    cloud = np.array(points)
+
+    position, look_at = fit_camera(cloud, aspect=aspect, fov_rad=fov_rad)
+
+    ahead = (look_at - position) / np.linalg.norm(look_at - position)
+    right = np.cross(ahead, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    seen = (cloud - position) @ np.stack((right, np.cross(right, ahead), ahead)).T
+    assert (seen[:, 2] > 0.0).all()
+    assert (np.abs(seen[:, 1]) < seen[:, 2] * np.tan(fov_rad / 2.0)).all()
+    assert (np.abs(seen[:, 0]) < seen[:, 2] * np.tan(fov_rad / 2.0) * aspect).all()
+
+
+def test_camera_looks_along_y_when_the_fleet_is_a_row_along_y() -> None:
+    row = np.array([(0.0, y, 0.06) for y in range(10)])
+
+    position, look_at = fit_camera(row, aspect=1.6, fov_rad=0.8)
+
+    assert abs(look_at - position)[1] > abs(look_at - position)[0]
+
+
+def test_pose_is_written_in_metres_and_degrees() -> None:
+    state = np.array((1.0, -2.0, 0.06, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.3, 0.4, 0, 0, 0, 1))
+
+    assert format_pose(state) == ("x 1.00  y -2.00  z 0.06 m  yaw 90°", "0.50 m/s  1.00 rad/s")

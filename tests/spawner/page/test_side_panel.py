@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from zensim.proto.messages.telemetry_messages import EntityModel
+from zensim.spawner.page.render_state import LastCommand, SimulationStatus
+from zensim.spawner.page.side_panel import (
+    format_clock,
+    format_command,
+    make_robot_html,
+    make_status_html,
+)
+
+REST = np.array((1.0, 2.0, 0.06, 0.0, 0.0, 0.0, 1.0, 0, 0, 0, 0, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0.0, "0:00.00"),
+        (59.994, "0:59.99"),
+        (59.996, "1:00.00"),
+        (61.5, "1:01.50"),
+        (3661.0, "1:01:01.00"),
+        (-1.0, "0:00.00"),
+    ],
+)
+def test_clock_shows_minutes_and_hours(seconds: float, text: str) -> None:
+    assert format_clock(seconds) == text
+
+
+def test_status_shows_state_time_factor_and_robots() -> None:
+    status = SimulationStatus("playing", 61.5, 0.987, robots=10, entities=10)
+
+    html = make_status_html(status)
+
+    for text in ("playing", "1:01.50", "0.99", ">10<"):
+        assert text in html
+
+
+def test_status_counts_what_nobody_drives_apart() -> None:
+    assert "10 + 2 without drive" in make_status_html(SimulationStatus(robots=10, entities=12))
+
+
+def test_robot_shows_pose_and_last_command() -> None:
+    html = make_robot_html(EntityModel("r1", "team/r1", 0), REST, LastCommand(0.2, -0.5, age_s=0.1))
+
+    for text in ("team/r1", "x 1.00  y 2.00", "v 0.20 m/s  w -0.50 rad/s"):
+        assert text in html
+
+
+def test_names_are_escaped_when_they_hold_markup() -> None:
+    html = make_robot_html(EntityModel("r1", "<img src=x>", 0), REST, None)
+
+    assert "<img" not in html
+
+
+@pytest.mark.parametrize(
+    ("command", "text"),
+    [
+        (None, "none yet"),
+        (LastCommand(0.1, 0.0, age_s=0.5), "v 0.10 m/s  w 0.00 rad/s"),
+        (LastCommand(0.1, 0.0, age_s=4.2), "v 0.10 m/s  w 0.00 rad/s, 4 s ago"),
+    ],
+)
+def test_command_is_shown_with_its_age_when_it_is_old(
+    command: LastCommand | None, text: str
+) -> None:
+    assert format_command(command) == text

@@ -1,0 +1,195 @@
+"""A robot's drive gets its namespace, once, however often it is asked for."""
+
+import xml.etree.ElementTree as ET
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zensim.proto.names import InvalidName
+from zensim.spawner.spawn.description_xml import (
+    DescriptionError,
+    ElementCounts,
+    add_namespace,
+    blank_comments,
+    count_elements,
+    parse_description,
+    remove_namespace,
+)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<robot><link/></robot>",
+        "\ufeff\n<!-- -- a -- --><robot><link/></robot>",
+        "<robot><link/><!-- b -- --></robot>",
+        "<robot><link/><a:b c:d='1'/></robot>",
+    ],
+)
+def test_description_is_read_as_gazebo_reads_it(text: str) -> None:
+    assert parse_description(text)[0].tag == "link"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "<robot>",
+        "<robot><!-- -- --></robt>",
+        "<robot><!-- --",
+        "<robot>&lol;</robot>",
+        "<world/>",
+        "<!DOCTYPE robot><robot/>",
+        '<!-- -- --><!DOCTYPE r [<!ENTITY a "b">]><robot>&a;</robot>',
+        "<robot>" * 70 + "</robot>" * 70,
+        "<robot>\ud800</robot>",
+    ],
+)
+def test_text_that_is_no_description_is_refused(text: str) -> None:
+    with pytest.raises(DescriptionError):
+        parse_description(text)
+
+
+def test_lines_keep_their_numbers_when_comments_are_blanked() -> None:
+    assert blank_comments("a<!-- b\n -- \n-->c\n<!---->") == "a\n\nc\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "written"),
+    [
+        ("<robot><link/><gazebo><link/></gazebo><link/><joint/></robot>", ElementCounts(2, 1)),
+        (
+            "<sdf><model><link><sensor/></link><model><link/><joint/></model></model></sdf>",
+            ElementCounts(2, 1),
+        ),
+    ],
+)
+def test_links_and_joints_are_counted_as_written(text: str, written: ElementCounts) -> None:
+    assert count_elements(parse_description(text)) == written
+
+
+NAMES = st.from_regex(r"/?[a-z][a-z0-9_]{0,5}(/[a-z]{1,3})?", fullmatch=True).filter(
+    lambda name: name.strip("/").split("/")[0] not in ("sim", "world")
+)
+
+
+def a_drive(ros: str = "<ros/>", filename: str = "libgazebo_ros_diff_drive.so") -> str:
+    return f'<gazebo><plugin name="d" filename="{filename}">{ros}<x/></plugin></gazebo>'
+
+
+def a_robot(*parts: str) -> str:
+    return f'<robot name="r"><link name="a"/>{"".join(parts)}</robot>'
+
+
+def ros_of(text: str) -> list[tuple[str, str]]:
+    return [
+        (child.tag, child.text or "") for ros in ET.fromstring(text).iter("ros") for child in ros
+    ]
+
+
+TEN = [("namespace", "/r10"), ("remapping", "/tf:=/r10/tf")]
+
+
+@pytest.mark.parametrize(
+    "ros",
+    [
+        "<ros/>",
+        "",
+        "<ros><!-- only a comment --></ros>",
+        "<ros><namespace>/old</namespace><namespace>/older</namespace></ros>",
+        "<ros><remapping>/tf:=/old/tf</remapping><remapping> tf := x</remapping></ros>",
+    ],
+)
+@pytest.mark.parametrize("namespace", ["r10", "/r10"])
+def test_drive_has_one_namespace_and_one_tf(ros: str, namespace: str) -> None:
+    assert ros_of(add_namespace(a_robot(a_drive(ros)), namespace)) == TEN
+
+
+@pytest.mark.parametrize(
+    "ros",
+    [
+        "<ros/>",
+        "",
+        "<ros><namespace>/old</namespace><remapping>/tf:=/old/tf</remapping></ros>",
+    ],
+)
+def test_a_drive_of_many_robots_has_no_namespace(ros: str) -> None:
+    assert ros_of(remove_namespace(a_robot(a_drive(ros)))) == []
+
+
+def test_other_entries_of_the_ros_block_stay_when_the_namespace_goes() -> None:
+    ros = "<ros><namespace>/old</namespace><remapping>cmd_vel:=drive</remapping></ros>"
+
+    found = ros_of(remove_namespace(a_robot(a_drive(ros))))
+
+    assert found == [("remapping", "cmd_vel:=drive")]
+
+
+def test_other_entries_of_the_ros_block_stay() -> None:
+    ros = "<ros><remapping>cmd_vel:=drive</remapping><argument>a</argument></ros>"
+
+    assert ros_of(add_namespace(a_robot(a_drive(ros)), "r10")) == [
+        ("remapping", "cmd_vel:=drive"),
+        ("argument", "a"),
+        *TEN,
+    ]
+
+
+@pytest.mark.parametrize(
+    "plugin",
+    [
+        a_drive(filename="libgazebo_ros_skid_steer_drive.so"),
+        '<gazebo><plugin name="differential_drive_controller" filename="libmine.so"/></gazebo>',
+    ],
+)
+def test_drive_is_found_by_its_file_or_its_name(plugin: str) -> None:
+    assert ros_of(add_namespace(a_robot(plugin), "r10")) == TEN
+
+
+def test_every_drive_is_namespaced_when_there_are_two() -> None:
+    assert ros_of(add_namespace(a_robot(a_drive(), a_drive("")), "r10")) == TEN * 2
+
+
+def test_text_is_returned_as_it_is_when_there_is_no_drive() -> None:
+    text = a_robot('<gazebo><plugin name="imu" filename="libimu.so"><ros/></plugin></gazebo>')
+
+    assert add_namespace(text, "r10") is text
+
+
+@given(NAMES, NAMES)
+def test_second_namespace_replaces_the_first(first: str, second: str) -> None:
+    text = a_robot(a_drive())
+
+    assert add_namespace(add_namespace(text, first), second) == add_namespace(text, second)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not well-formed"),
+        ("<robot>", "not well-formed"),
+        ("<robot>&nbsp;</robot>", "not well-formed"),
+        ("<robot>\ud800</robot>", "not well-formed"),
+        ("<html/>", "begins with <html>; a URDF begins with <robot>"),
+        ("<!DOCTYPE robot><robot/>", "DOCTYPE"),
+        ('<!DOCTYPE r [<!ENTITY a "aa">]><robot>&a;</robot>', "DOCTYPE"),
+        (f"<robot>{'<a>' * 70}{'</a>' * 70}</robot>", "more than 64 deep"),
+    ],
+)
+def test_text_is_refused_in_one_line_when_it_is_no_robot(text: str, message: str) -> None:
+    with pytest.raises(DescriptionError, match=message) as caught:
+        add_namespace(text, "r10")
+
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("namespace", ["", "/", "1r", "a b", "sim/r", "<ros>"])
+def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
+    with pytest.raises(InvalidName):
+        add_namespace(a_robot(a_drive()), namespace)
+
+
+@pytest.mark.parametrize("head", ['<?xml version="1.0" encoding="utf-8"?>', "\ufeff", "\n"])
+def test_text_is_read_when_it_has_a_harmless_head(head: str) -> None:
+    assert ros_of(add_namespace(head + a_robot(a_drive()), "r10")) == TEN

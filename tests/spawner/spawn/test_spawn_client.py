@@ -1,0 +1,265 @@
+"""Launch: what is read, what is sent, and what becomes of a fleet."""
+
+import math
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.fakes import MemoryBus
+from zensim.proto.bus import Bus, NoServer
+from zensim.proto.messages.entity_messages import EntityFilters, EntityState
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError, SpawnCode
+from zensim.proto.messages.spawn_messages import (
+    Resource,
+    SpawnEntitiesOrder,
+    SpawnEntitiesResponse,
+    SpawnEntityOrder,
+    SpawnEntityReport,
+    SpawnResult,
+)
+from zensim.proto.messages.standard_messages import Pose, Quaternion
+from zensim.proto.rotation import from_rpy
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn import spawn_client
+from zensim.spawner.spawn.description_xml import DescriptionError
+from zensim.spawner.spawn.spawn_client import (
+    SpawnOutcome,
+    hold_bond,
+    make_bond_name,
+    make_pose,
+    make_resource,
+    read_description,
+    spawn_bonded,
+    spawn_fleet,
+    wait_for_entity,
+)
+from zensim.spawner.spawn.spawn_poses import RobotPlacement
+
+
+def refusal(code: ResultCode) -> ServiceError:
+    return ServiceError("service", code, code.name, "no")
+
+
+class Answers(SimClient):
+    """Fails with each of these in turn, then does what it is asked."""
+
+    def __init__(self, *failures: Exception) -> None:
+        super().__init__(cast("Bus", MemoryBus()))
+        self.failures = list(failures)
+        self.deleted: list[str] = []
+
+    def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
+        self._fail()
+        return SpawnEntityReport(entity_name=order.name)
+
+    def entity_state(self, entity: str, reference_frame: str = "") -> EntityState:
+        del entity, reference_frame
+        self._fail()
+        return EntityState()
+
+    def entities(self, filters: EntityFilters | None = None) -> tuple[str, ...]:
+        del filters
+        return ("r1",)
+
+    def delete(self, entity: str) -> None:
+        self._fail()
+        self.deleted.append(entity)
+
+    def _fail(self) -> None:
+        if self.failures:
+            raise self.failures.pop(0)
+
+
+def test_bond_names_differ() -> None:
+    assert make_bond_name() != make_bond_name()
+
+
+def test_spawn_is_asked_for_again_until_the_token_is_seen() -> None:
+    early = refusal(ResultCode.INCORRECT_STATE)
+
+    report = spawn_bonded(Answers(early, early), SpawnEntityOrder("r1", bond="b"))
+
+    assert report.entity_name == "r1"
+
+
+@pytest.mark.parametrize(
+    ("code", "bond"), [(ResultCode.INCORRECT_STATE, ""), (ResultCode.OPERATION_FAILED, "b")]
+)
+def test_spawn_that_is_refused_otherwise_is_not_repeated(code: ResultCode, bond: str) -> None:
+    client = Answers(refusal(code))
+
+    with pytest.raises(ServiceError):
+        spawn_bonded(client, SpawnEntityOrder("r1", bond=bond))
+
+
+def test_entity_is_deleted_when_it_is_over() -> None:
+    client = Answers()
+
+    assert hold_bond(client, "r1", lambda: True)
+
+    assert client.deleted == ["r1"]
+
+
+def test_entity_that_had_gone_already_is_no_failure() -> None:
+    assert not hold_bond(Answers(refusal(ResultCode.NOT_FOUND)), "r1", lambda: True)
+
+
+def test_bond_ends_when_the_entity_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spawn_client, "CHECK_PERIOD_S", 0.0)
+    client = Answers(NoServer("away"), TimeoutError("away"), refusal(ResultCode.NOT_FOUND))
+
+    assert not hold_bond(client, "r1", lambda: False)
+
+
+def test_waiting_for_an_entity_ends() -> None:
+    wait_for_entity(Answers(), "r1", 0.0)
+
+    with pytest.raises(TimeoutError, match=r"entity 'r9' did not come within 0\.1 s"):
+        wait_for_entity(Answers(), "r9", 0.1)
+
+
+DRIVEN = (
+    '<robot name="r"><link name="base"/><gazebo>'
+    '<plugin name="d" filename="libgazebo_ros_diff_drive.so"/></gazebo></robot>'
+)
+angles = st.floats(-3.0, 3.0)
+
+
+class ListeningClient(SimClient):
+    """Takes orders down; refuses names that it was told to."""
+
+    def __init__(self, *refused: str) -> None:
+        super().__init__(cast("Bus", MemoryBus()))
+        self.orders: list[SpawnEntitiesOrder] = []
+        self._refused = refused
+
+    def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
+        self.orders.append(order)
+        taken = SpawnResult(Result(SpawnCode.NAME_NOT_UNIQUE, "taken"))
+        return SpawnEntitiesResponse(
+            results=tuple(
+                taken if one.name in self._refused else SpawnResult(entity_name=one.name)
+                for one in order.spawn_requests
+            )
+        )
+
+
+def test_description_is_read_from_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "r.urdf"
+    file.write_text("<robot/>", encoding="utf-8")
+
+    assert read_description(str(file)) == "<robot/>"
+
+
+def test_description_is_read_from_a_shipped_model() -> None:
+    assert '<robot name="box_bot">' in read_description("box_bot")
+
+
+def test_description_is_empty_when_a_name_is_not_known_here() -> None:
+    assert read_description("tank") == ""
+
+
+@pytest.mark.parametrize("model", ["nowhere/r.urdf", "r.urdf", "", "a b"])
+def test_description_is_refused_when_there_is_no_such_file(model: str) -> None:
+    with pytest.raises(FileNotFoundError, match="no such file, nor a shipped model"):
+        read_description(model)
+
+
+def test_description_is_refused_when_it_is_no_text(tmp_path: Path) -> None:
+    file = tmp_path / "r.urdf"
+    file.write_bytes(b"\xff\xfe\x00")
+
+    with pytest.raises(ValueError, match="decode"):
+        read_description(str(file))
+
+
+def test_resource_is_the_name_when_there_is_no_text() -> None:
+    assert make_resource("tank", "", "r1") == Resource(uri="tank")
+
+
+def test_resource_is_the_text_as_it_is_when_there_is_no_namespace() -> None:
+    assert make_resource("r", DRIVEN, "") == Resource(resource_string=DRIVEN)
+
+
+def test_resource_is_the_text_with_its_namespace() -> None:
+    text = make_resource("r", DRIVEN, "team/r1").resource_string
+
+    assert "<namespace>/team/r1</namespace>" in text
+    assert "<remapping>/tf:=/team/r1/tf</remapping>" in text
+
+
+def test_resource_is_refused_when_the_text_is_no_robot() -> None:
+    with pytest.raises(DescriptionError, match="begins with <html>"):
+        make_resource("r", "<html/>", "r1")
+
+
+def test_pose_is_where_it_says() -> None:
+    assert make_pose((1.0, 2.0, 3.0)).position.z == 3.0
+    assert make_pose((0.0, 0.0, 0.0)) == Pose()
+
+
+@given(angles, angles, angles)
+def test_pose_turns_as_urdf_does(roll: float, pitch: float, yaw: float) -> None:
+    q = make_pose((0.0, 0.0, 0.0), (roll, pitch, yaw)).orientation
+
+    assert [q.x, q.y, q.z, q.w] == pytest.approx(from_rpy(roll, pitch, yaw), abs=1e-12)
+
+
+def test_fleet_is_spawned_on_the_ground_each_in_its_namespace_by_one_request() -> None:
+    client = ListeningClient()
+    places = [RobotPlacement("r0", 1.0, 2.0), RobotPlacement("r1", 3.0, 4.0, math.pi)]
+
+    outcomes = spawn_fleet(client, "box_bot", places, lambda _: None)
+
+    assert outcomes == [SpawnOutcome("r0", ResultCode.OK), SpawnOutcome("r1", ResultCode.OK)]
+    (order,) = client.orders
+    assert (order.atomic, order.common.snap_to_ground) == (True, True)
+    assert [(one.name, one.entity_namespace) for one in order.spawn_requests] == [
+        ("r0", "r0"),
+        ("r1", "r1"),
+    ]
+    pose = order.spawn_requests[1].initial_pose.pose
+    assert (pose.position.x, pose.position.y) == (3.0, 4.0)
+    assert np.allclose([pose.orientation.z, pose.orientation.w], [1.0, 0.0])
+
+
+def test_fleet_shares_one_description_that_is_in_no_namespace() -> None:
+    client = ListeningClient()
+
+    spawn_fleet(client, "box_bot", [RobotPlacement("r0", 0.0, 0.0)], lambda _: None)
+
+    (order,) = client.orders
+    assert all(one.entity_resource == Resource() for one in order.spawn_requests)
+    assert "<namespace>" not in order.common.entity_resource.resource_string
+    assert "libgazebo_ros_diff_drive.so" in order.common.entity_resource.resource_string
+
+
+def test_fleet_says_what_became_of_each() -> None:
+    client = ListeningClient("r1")
+    done: list[str] = []
+
+    outcomes = spawn_fleet(
+        client,
+        "box_bot",
+        [RobotPlacement(f"r{i}", 0.0, 0.0) for i in range(3)],
+        lambda outcome: done.append(outcome.name),
+    )
+
+    assert [outcome.code for outcome in outcomes] == [1, SpawnCode.NAME_NOT_UNIQUE, 1]
+    assert outcomes[1].message == "NAME_NOT_UNIQUE (101): taken"
+    assert done == ["r0", "r1", "r2"]
+
+
+def test_fleet_ends_when_the_server_has_gone() -> None:
+    client = SimClient(cast("Bus", MemoryBus()))
+
+    with pytest.raises(NoServer):
+        spawn_fleet(client, "box_bot", [RobotPlacement("r0", 0.0, 0.0)], lambda _: None)
+
+
+def test_quaternion_of_no_turn_is_identity() -> None:
+    assert make_pose((0.0, 0.0, 0.0)).orientation == Quaternion()
