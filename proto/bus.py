@@ -131,7 +131,7 @@ class BusSubscription:
     def newest(self) -> Sample | None:
         """Take all and keep the last."""
         found = None
-        for found in self._drain():  # noqa: B007  the last one is the result
+        for found in self._drain():
             pass
         return found
 
@@ -268,16 +268,16 @@ __all__ = [
     "Bus",
     "BusConfig",
     "BusError",
+    "BusPublisher",
     "BusQuery",
     "BusQueryQueue",
-    "EndpointTaken",
-    "NoServer",
-    "BusPublisher",
-    "Sample",
-    "Stamp",
     "BusSubscription",
+    "EndpointTaken",
     "LivelinessToken",
     "LivelinessWatch",
+    "NoServer",
+    "Sample",
+    "Stamp",
     "Unreachable",
     "open_bus",
     "to_zenoh_json",
@@ -349,7 +349,7 @@ class Bus:
         """Make a stamp of now."""
         return self._session.new_timestamp()
 
-    def beside(self) -> "Bus":
+    def open_session(self) -> "Bus":
         """Open another session to the same network; close it too.
 
         Raises:
@@ -441,12 +441,12 @@ class Bus:
             )
         key = keys.service(world, service.name)
         encoding = make_encoding(request, Format.MSGPACK)
-        answer = self._ask(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
+        answer = self._query(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
         response = decode(service.response, answer.payload, answer.encoding)
         _raise_unless_ok(service, response)
         return response
 
-    def _ask(
+    def _query(
         self, key: str, payload: bytes, encoding: str, timeout_s: float, request_id: str
     ) -> Sample:
         for pause_s in RETRY_AFTER_S:

@@ -105,8 +105,8 @@ class KeyPublisher:
             stamp: Makes the stamps of a latched topic's values.
         """
         self._publisher = publisher
-        self._stamp = stamp
-        self._told: tuple[bytes, Stamp] | None = None
+        self._make_stamp = stamp
+        self._last_stamped: tuple[bytes, Stamp] | None = None
         self._gid = gid_from_endpoint(endpoint) if endpoint else b""
         self._was_matched = False
         self._sent = 0
@@ -119,7 +119,7 @@ class KeyPublisher:
     def send(self, payload: bytes) -> None:
         """Put one message."""
         self._sent += 1
-        self._publisher.send(payload, self.attachment(), self._stamp_of(payload))
+        self._publisher.send(payload, self.attachment(), self._find_stamp(payload))
 
     def attachment(self) -> bytes:
         """Write what goes with the last message, or will with the first."""
@@ -130,7 +130,7 @@ class KeyPublisher:
 
     def add_reply(self, call: TransportQuery, key: str, payload: bytes, encoding: str) -> None:
         """Tell the value to somebody who came late; who hears it twice takes it for one."""
-        if (stamp := self._stamp_of(payload)) is not None:
+        if (stamp := self._find_stamp(payload)) is not None:
             call.add_reply(key, payload, encoding, self.attachment(), stamp)
 
     def publish_to_new(self, payload: PayloadFactory) -> None:
@@ -144,13 +144,13 @@ class KeyPublisher:
         """Withdraw the publisher."""
         self._publisher.close()
 
-    def _stamp_of(self, payload: bytes) -> Stamp | None:
+    def _find_stamp(self, payload: bytes) -> Stamp | None:
         """Find the stamp of a value: the same as long as it is, since a stamp is heard once."""
-        if self._stamp is None:
+        if self._make_stamp is None:
             return None
-        if self._told is None or self._told[0] != payload:
-            self._told = payload, self._stamp()
-        return self._told[1]
+        if self._last_stamped is None or self._last_stamped[0] != payload:
+            self._last_stamped = payload, self._make_stamp()
+        return self._last_stamped[1]
 
 
 class LatchedCache:
@@ -160,15 +160,15 @@ class LatchedCache:
         self, queue: TransportQueryQueue, face: KeyPublisher, key: str, encoding: str
     ) -> None:
         self._queue = queue
-        self._face = face
+        self._publisher = face
         self._key = key
         self._encoding = encoding
 
-    def answer(self, payload: PayloadFactory) -> None:
+    def reply_to_late_joiners(self, payload: PayloadFactory) -> None:
         """Tell everybody who has asked."""
         for call in self._queue.take():
             if (value := payload()) is not None:
-                self._face.add_reply(call, self._key, value, self._encoding)
+                self._publisher.add_reply(call, self._key, value, self._encoding)
             call.drop()
 
     def close(self) -> None:
@@ -180,24 +180,24 @@ class TopicPublisher:
     """One topic, on all its faces."""
 
     def __init__(self, faces: Sequence[KeyPublisher], caches: Sequence[LatchedCache]) -> None:
-        self._faces = tuple(faces)
+        self._publishers = tuple(faces)
         self._caches = tuple(caches)
 
     @property
     def is_matched(self) -> bool:
         """Whether anybody listens to any face."""
-        return any(face.is_matched for face in self._faces)
+        return any(face.is_matched for face in self._publishers)
 
     def send(self, payload: bytes) -> None:
         """Put one message where somebody listens."""
-        for face in self._faces:
+        for face in self._publishers:
             if face.is_matched:
                 face.send(payload)
 
     def publish(self, payload: PayloadFactory) -> None:
         """Make the value, if there is one, and put it where somebody listens."""
         value = None
-        for face in self._faces:
+        for face in self._publishers:
             if face.is_matched:
                 if value is None and (value := payload()) is None:
                     return
@@ -205,17 +205,17 @@ class TopicPublisher:
 
     def publish_to_new(self, payload: PayloadFactory) -> None:
         """Put the value on faces that somebody has begun to listen to."""
-        for face in self._faces:
+        for face in self._publishers:
             face.publish_to_new(payload)
 
-    def answer(self, payload: PayloadFactory) -> None:
+    def reply_to_late_joiners(self, payload: PayloadFactory) -> None:
         """Tell the value to those who come late; only latched topics have any."""
         for cache in self._caches:
-            cache.answer(payload)
+            cache.reply_to_late_joiners(payload)
 
     def close(self) -> None:
         """Withdraw the topic."""
-        for face in self._faces:
+        for face in self._publishers:
             face.close()
         for cache in self._caches:
             cache.close()
@@ -303,7 +303,7 @@ def make_topic_factory(
     """Make faces for a node that is new in the graph, if there is one."""
     if graph is None:
         return TopicFactory(network)
-    return TopicFactory(network, graph.node(namespace, name), graph.settings)
+    return TopicFactory(network, graph.add_node(namespace, name), graph.settings)
 
 
 def to_plain_sample(sample: Sample) -> Sample:

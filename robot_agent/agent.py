@@ -59,18 +59,18 @@ class Housekeeping:
     """Answers questions, greets new listeners, and says what was malformed."""
 
     def __init__(self, kept: HousekeepingTarget) -> None:
-        self._kept = kept
+        self._target = kept
         self._announce_s = self._log_s = 0.0
 
     def poll(self, now_s: float) -> None:
         """Answer, and do what else is due."""
-        self._kept.answer()
+        self._target.answer()
         if now_s >= self._announce_s:
             self._announce_s = now_s + ANNOUNCE_PERIOD_S
-            self._kept.announce()
+            self._target.announce()
         if now_s >= self._log_s:
             self._log_s = now_s + LOG_PERIOD_S
-            self._kept.log_malformed()
+            self._target.log_malformed()
 
 
 LOG = logging.getLogger("zensim.agent")
@@ -91,7 +91,7 @@ class ClaimClient(Protocol):
     def retry_soon(self) -> None:
         """Ask soon: something has changed."""
 
-    def want(self, entities: tuple[str, ...]) -> None:
+    def reclaim(self, entities: tuple[str, ...]) -> None:
         """Learn that entities were lost."""
 
 
@@ -100,7 +100,7 @@ class RobotSet(HousekeepingTarget, Protocol):
 
     newest_claim: int
 
-    def take(self, claims: Sequence[Claim]) -> None:
+    def add_claims(self, claims: Sequence[Claim]) -> None:
         """Hold what was claimed."""
 
     def release_all_except(self, claims: bytes) -> tuple[str, ...]:
@@ -118,7 +118,7 @@ class RobotSet(HousekeepingTarget, Protocol):
     def revise(self) -> DriveCommand | None:
         """Answer the last state anew if a command that came since changes the answer."""
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the last state made due."""
 
 
@@ -136,16 +136,16 @@ class Agent:
         self._servers = network.watch_tokens(keys.alive_server(world))
         # What comes is matched against all that its session has declared: 0.2 ms a message with a
         # thousand publishers. States come with commands, so that one link keeps their order.
-        self._ears = network if config.pool_limit is None else network.beside()
-        self._states = self._ears.subscribe(keys.drive_state(world, agent))
+        self._rx_session = network if config.pool_limit is None else network.open_session()
+        self._states = self._rx_session.subscribe(keys.drive_state(world, agent))
         self._commands = network.advertise(
             keys.drive_command(world, agent), make_encoding(DriveCommand, Format.MSGPACK)
         )
         self._graph = RosGraph(network, config.ros)
         self._claim_client = _make_claim_client(network, config)
-        self._fleet = _make_robot_set(network, config, self._graph, self._ears)
+        self._robots = _make_robot_set(network, config, self._graph, self._rx_session)
         self._state_order = StateOrder()
-        self._housekeeping = Housekeeping(self._fleet)
+        self._housekeeping = Housekeeping(self._robots)
         self._priority = ProcessPriority(set_niceness)
         self._poll_schedule = PollSchedule(
             MAX_COMMAND_PAUSE_S if config.pool_limit is None else MAX_PAUSE_S
@@ -156,8 +156,8 @@ class Agent:
     def close(self) -> None:
         """Withdraw what is not withdrawn with the session."""
         self._graph.close()
-        if self._ears is not self._network:
-            self._ears.close()
+        if self._rx_session is not self._network:
+            self._rx_session.close()
 
     def pause_s(self, now_s: float) -> float:
         """Find how long to sleep [s] before the next poll."""
@@ -194,10 +194,10 @@ class Agent:
                 self._claim_client.retry_soon()
                 continue
             self._state_order.forget()
-            self._handle_lost(self._fleet.release_all_except(b""), "the server is gone")
+            self._handle_lost(self._robots.release_all_except(b""), "the server is gone")
 
     def _add_claims(self, claims: tuple[Claim, ...]) -> None:
-        self._fleet.take(override_rates(claims, self._config.rates))
+        self._robots.add_claims(override_rates(claims, self._config.rates))
         if len(claims) > MAX_LOGGED_CLAIMS:
             LOG.info("claimed agent=%s entities=%d", self._config.agent, len(claims))
             return
@@ -228,38 +228,38 @@ class Agent:
 
     def _follow(self, state: DriveState) -> None:
         # An older state does not speak of the newest claim.
-        if state.newest_claim < self._fleet.newest_claim or not self._fleet.holds(state.claims):
+        if state.newest_claim < self._robots.newest_claim or not self._robots.holds(state.claims):
             return
         order = self._state_order.place(state.epoch, state.step)
         if order == "stale":
             return
         if order == "reset":
-            self._fleet.reset()
-        self._handle_lost(self._fleet.release_all_except(state.claims), "the entity is gone")
+            self._robots.reset()
+        self._handle_lost(self._robots.release_all_except(state.claims), "the entity is gone")
         if not state.claims:
             return
-        payload = encode(self._fleet.advance(state), Format.MSGPACK)
+        payload = encode(self._robots.advance(state), Format.MSGPACK)
         self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:
             # One link keeps the order: who sees the command has seen what the state made due.
-            self._fleet.tell()
+            self._robots.publish()
             self._commands.send(payload)
         else:
             self._commands.send(payload)
-            self._fleet.tell()
+            self._robots.publish()
 
     def _revise(self) -> None:
         """Let a command that has come since the last state take effect before the next one."""
         if not self._late_command_window.is_open(self._now_s):
             return
-        if (command := self._fleet.revise()) is not None:
+        if (command := self._robots.revise()) is not None:
             self._commands.send(encode(command, Format.MSGPACK))
             self._late_command_window.close()
 
     def _handle_lost(self, entities: tuple[str, ...], reason: str) -> None:
         if not entities:
             return
-        self._claim_client.want(entities)
+        self._claim_client.reclaim(entities)
         if len(entities) > MAX_LOGGED_CLAIMS:
             LOG.info(
                 "lost agent=%s entities=%d reason=%r", self._config.agent, len(entities), reason
@@ -298,7 +298,7 @@ def _make_robot_set(
     if config.pool_limit is None:
         return IndividualRobots(network, timeout_ns, graph)
     # Numpy and what is made of arrays are half of what an agent has to load, and 10 MB.
-    from zensim.robot_agent.pool.pooled_robots import PooledRobots  # noqa: PLC0415
+    from zensim.robot_agent.pool.pooled_robots import PooledRobots
 
     return PooledRobots(network, timeout_ns, graph, ears)
 

@@ -60,7 +60,7 @@ class AgentNetwork(topic_endpoints.TopicTransport, Protocol):
     def zid(self) -> str:
         """The session's id."""
 
-    def beside(self) -> "AgentNetwork":
+    def open_session(self) -> "AgentNetwork":
         """Open another session."""
 
     def close(self) -> None:

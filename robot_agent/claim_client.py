@@ -66,7 +66,7 @@ class NamedClaimClient:
 
     def __init__(self, network: AgentNetwork, wish: ClaimSettings) -> None:
         self._network = network
-        self._wish = wish
+        self._settings = wish
         self._missing = wish.entities
         self._has_claimed = self._is_split = False
         self._give_up_s: float | None = None
@@ -74,7 +74,7 @@ class NamedClaimClient:
         self._reason = ""
         self._events: AgentSubscription | None = None
 
-    def want(self, entities: tuple[str, ...]) -> None:
+    def reclaim(self, entities: tuple[str, ...]) -> None:
         """Ask at once for entities that were lost."""
         self._missing += entities
         self.retry_soon()
@@ -95,18 +95,18 @@ class NamedClaimClient:
         """
         if not self._missing:
             return ()
-        self._hear()
+        self._take_events()
         if now_s < self._next_s:
             return ()
         if self._give_up_s is None:
-            self._give_up_s = now_s + self._wish.wait_s
-        claims = self._ask(now_s)
+            self._give_up_s = now_s + self._settings.wait_s
+        claims = self._claim(now_s)
         self._note_granted(claims)
         return claims
 
-    def _hear(self) -> None:
+    def _take_events(self) -> None:
         if self._events is None:
-            key = keys.events(self._wish.world)
+            key = keys.events(self._settings.world)
             self._events = self._network.subscribe(key, CLAIM_EVENTS_DEPTH)
         for sample in self._events.take():
             try:
@@ -116,17 +116,17 @@ class NamedClaimClient:
             if event.entity in self._missing and event.kind in ("spawned", "released"):
                 self.retry_soon()
 
-    def _ask(self, now_s: float) -> tuple[Claim, ...]:
+    def _claim(self, now_s: float) -> tuple[Claim, ...]:
         granted: list[Claim] = []
         groups = [(one,) for one in self._missing] if self._is_split else [self._missing]
         for group in groups:
-            claims = self._try(group, now_s)
+            claims = self._try_claim(group, now_s)
             if claims is None:
                 break
             granted += claims
         return tuple(granted)
 
-    def _try(self, entities: tuple[str, ...], now_s: float) -> tuple[Claim, ...] | None:
+    def _try_claim(self, entities: tuple[str, ...], now_s: float) -> tuple[Claim, ...] | None:
         """Ask once; none when refused, None when nobody is there to ask."""
         try:
             return self._call(entities, now_s)
@@ -140,7 +140,7 @@ class NamedClaimClient:
         return ()
 
     def _call(self, entities: tuple[str, ...], now_s: float) -> tuple[Claim, ...]:
-        wish, timeout_s = self._wish, CALL_TIMEOUT_S
+        wish, timeout_s = self._settings, CALL_TIMEOUT_S
         if self._give_up_s is not None and not self._has_claimed:
             timeout_s = min(timeout_s, max(MIN_CALL_TIMEOUT_S, self._give_up_s - now_s))
         request = ClaimEntityRequest(wish.agent, entities, wish.on_release)
@@ -150,13 +150,13 @@ class NamedClaimClient:
     def _schedule_retry(self, error: Exception, now_s: float, *, is_passing: bool) -> None:
         is_over = self._give_up_s is not None and now_s >= self._give_up_s
         if not self._has_claimed and (is_over or not is_passing):
-            raise_with_wait(error, self._wish.wait_s)
+            raise_with_wait(error, self._settings.wait_s)
         if self._has_claimed and isinstance(error, ServiceError):
             # Of several, those that are there need not wait for those that are not.
             self._is_split = True
         if str(error) != self._reason:
             self._reason = str(error)
-            LOG.info("waiting agent=%s reason=%r", self._wish.agent, self._reason)
+            LOG.info("waiting agent=%s reason=%r", self._settings.agent, self._reason)
         self._next_s = now_s + self._retry_s
         self._retry_s = min(2.0 * self._retry_s, MAX_RETRY_S)
 
@@ -198,7 +198,7 @@ class ShareClaimClient:
 
     def __init__(self, network: AgentNetwork, wish: ShareSettings) -> None:
         self._network = network
-        self._wish = wish
+        self._settings = wish
         self._events = network.subscribe(keys.events(wish.world), SHARE_EVENTS_DEPTH)
         self._has_asked = False
         self._give_up_s: float | None = None
@@ -206,7 +206,7 @@ class ShareClaimClient:
         self._retry_s = MIN_SHARE_PERIOD_S
         self._reason = ""
 
-    def want(self, entities: tuple[str, ...]) -> None:
+    def reclaim(self, entities: tuple[str, ...]) -> None:
         """Do nothing: robots that went to another pool are its own now."""
 
     def retry_soon(self) -> None:
@@ -227,10 +227,10 @@ class ShareClaimClient:
         if now_s < self._next_s:
             return ()
         if self._give_up_s is None:
-            self._give_up_s = now_s + self._wish.wait_s
+            self._give_up_s = now_s + self._settings.wait_s
         self._asked_s, self._next_s = now_s, now_s + MAX_SHARE_PERIOD_S
         try:
-            return self._ask()
+            return self._claim()
         except (ServiceError, NoServer, TimeoutError, MalformedPayload) as error:
             self._schedule_retry(error, now_s)
         return ()
@@ -245,8 +245,8 @@ class ShareClaimClient:
             has_news = has_news or event.kind in SHARE_EVENTS
         return has_news
 
-    def _ask(self) -> tuple[Claim, ...]:
-        wish = self._wish
+    def _claim(self) -> tuple[Claim, ...]:
+        wish = self._settings
         request = ClaimShareRequest(wish.agent, wish.limit, wish.on_release)
         response = self._network.call(
             CLAIM_SHARE, request, world=wish.world, timeout_s=CALL_TIMEOUT_S
@@ -263,9 +263,9 @@ class ShareClaimClient:
         )
         is_over = self._give_up_s is not None and now_s >= self._give_up_s
         if not self._has_asked and (is_over or not is_passing):
-            raise_with_wait(error, self._wish.wait_s)
+            raise_with_wait(error, self._settings.wait_s)
         if str(error) != self._reason:
             self._reason = str(error)
-            LOG.info("waiting agent=%s reason=%r", self._wish.agent, self._reason)
+            LOG.info("waiting agent=%s reason=%r", self._settings.agent, self._reason)
         self._next_s = now_s + self._retry_s
         self._retry_s = min(2.0 * self._retry_s, MAX_SHARE_PERIOD_S)

@@ -173,7 +173,7 @@ class MotionTelemetry:
             if gate is not None:
                 gate.reset()
 
-    def tell(self, reading: RobotState, motion: BaseMotion) -> None:
+    def publish(self, reading: RobotState, motion: BaseMotion) -> None:
         """Tell where the base is, how it moves, and where what hangs on it is."""
         self._reading, self._motion = reading, motion
         for outlet, gate in zip(self.publishers, self._limiters, strict=True):
@@ -245,7 +245,7 @@ class JointTelemetry:
         self._reading = None
         self._limiter.reset()
 
-    def tell(self, reading: RobotState) -> None:
+    def publish(self, reading: RobotState) -> None:
         """Tell positions and velocities if they are due."""
         if self._limiter.elapsed_s(reading.time_ns) is None:
             return

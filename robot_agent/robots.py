@@ -138,14 +138,14 @@ class Robot:
         twist = self.commanded.at(self._reading.time_ns)
         return twist != before and self._base.revise(twist)
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the last reading made due."""
         if self._reading is None:
             return
         if self._is_motion_new:
-            self._motion.tell(self._reading, self._base.motion)
-        self._joints.tell(self._reading)
-        self._truth.tell(self._reading)
+            self._motion.publish(self._reading, self._base.motion)
+        self._joints.publish(self._reading)
+        self._truth.publish(self._reading)
 
     def announce(self) -> None:
         """Publish what never changes to those who have begun to listen."""
@@ -197,17 +197,17 @@ class IndividualRobots:
         self._claims: bytes | None = None
         self.newest_claim = 0
         """The newest claim that is held; 0 without any."""
-        self._ordered: tuple[Robot, ...] = ()
+        self._robots_in_order: tuple[Robot, ...] = ()
         self._state: DriveState | None = None
         """That was answered last."""
-        self._layout = DriveStateLayout(())
+        self._state_layout = DriveStateLayout(())
 
     @property
     def robots(self) -> tuple[Robot, ...]:
         """All robots that are held."""
         return tuple(self._robots.values())
 
-    def take(self, claims: Sequence[Claim]) -> None:
+    def add_claims(self, claims: Sequence[Claim]) -> None:
         """Hold what was claimed."""
         for claim in claims:
             faces = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
@@ -223,7 +223,7 @@ class IndividualRobots:
 
     def release_all_except(self, claims: bytes) -> tuple[str, ...]:
         """Let go the robots that are not among these claims, and name them."""
-        if claims == self._claims and len(self._ordered) == len(self._robots):
+        if claims == self._claims and len(self._robots_in_order) == len(self._robots):
             return ()
         kept = set(_unpack_claims(claims))
         lost = {claim: robot for claim, robot in self._robots.items() if claim not in kept}
@@ -257,11 +257,15 @@ class IndividualRobots:
             MalformedPayload: The state does not fit the robots.
         """
         if state.claims != self._claims:
-            self._ordered = tuple(self._robots[claim] for claim in _unpack_claims(state.claims))
-            self._layout = DriveStateLayout([robot.joint_count for robot in self._ordered])
+            self._robots_in_order = tuple(
+                self._robots[claim] for claim in _unpack_claims(state.claims)
+            )
+            self._state_layout = DriveStateLayout(
+                [robot.joint_count for robot in self._robots_in_order]
+            )
             self._claims = state.claims
-        readings = self._layout.readings(state)
-        for robot, reading in zip(self._ordered, readings, strict=True):
+        readings = self._state_layout.readings(state)
+        for robot, reading in zip(self._robots_in_order, readings, strict=True):
             robot.advance(reading)
         self._state = state
         return self._command(state)
@@ -271,16 +275,16 @@ class IndividualRobots:
         if self._state is None or self._state.claims != self._claims:
             return None
         # All are asked: each takes what it hears.
-        is_revised = [robot.revise() for robot in self._ordered]
+        is_revised = [robot.revise() for robot in self._robots_in_order]
         return self._command(self._state) if any(is_revised) else None
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the last state made due."""
-        for robot in self._ordered:
-            robot.tell()
+        for robot in self._robots_in_order:
+            robot.publish()
 
     def _command(self, state: DriveState) -> DriveCommand:
-        targets = [target for robot in self._ordered for target in robot.targets]
+        targets = [target for robot in self._robots_in_order for target in robot.targets]
         packed = struct.pack(f"<{len(targets)}d", *targets)
         return DriveCommand(state.epoch, state.step, state.claims, packed)
 

@@ -55,7 +55,7 @@ class LazyTopicPublisher:
                 call.drop()
             else:
                 call.reply(payload, self._encoding, self._key)
-        self._publisher.answer(self._payload)
+        self._publisher.reply_to_late_joiners(self._payload)
 
     def close(self) -> None:
         """Withdraw the topic."""

@@ -143,7 +143,7 @@ class TrueOdometryTelemetry:
         for truth in self._truths:
             truth.reset()
 
-    def tell(self, reading: RobotState) -> None:
+    def publish(self, reading: RobotState) -> None:
         """Tell what is due."""
         for truth, outlet in zip(self._truths, self.publishers, strict=True):
             if truth.take(reading):
@@ -182,7 +182,7 @@ class TrueOdometry:
             return False
         self._reading = reading
         if self.wish.noise:
-            self._noise = (self._draw(), self._draw())
+            self._noise = (self._draw_noise(), self._draw_noise())
         return True
 
     def message(self) -> Odometry | None:
@@ -202,7 +202,7 @@ class TrueOdometry:
             TwistWithCovariance(twist, self._covariance),
         )
 
-    def _draw(self) -> Vec3:
+    def _draw_noise(self) -> Vec3:
         spread, draw = self.wish.noise, self._random.gauss
         return (draw(0.0, spread), draw(0.0, spread), draw(0.0, spread))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import logging
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -19,7 +18,6 @@ from zensim.proto.bus import Bus, NoServer, open_bus_with_retry
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.messages.telemetry_messages import InfoRequest
 from zensim.proto.service_catalog import INFO
-from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.journal.server_journal import Journal, open_journal
 from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import Lockstep
@@ -27,7 +25,6 @@ from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionCache
 from zensim.sim_server.parser_process.parser_client import ParserClient
-from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
@@ -55,7 +52,11 @@ from zensim.sim_server.world_loading.world_loader import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from zensim.sim_server.description.sdf.sdf_world import WorldModel
     from zensim.sim_server.journal.journal_contents import JournalContents
+    from zensim.sim_server.physics.engine import Engine
 
 LOG = logging.getLogger(__name__)
 STEP_HZ_TOLERANCE = 1e-6

@@ -1,15 +1,13 @@
 """What service handlers share: the world and the state that the server keeps beside it; responses that are given later."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import msgspec
 
-from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
-from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.lockstep import Lockstep
 from zensim.sim_server.pacing.loop_stats import LoopStats
@@ -18,6 +16,7 @@ from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_meshes
 from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog
+from zensim.sim_server.world_loading.world_loader import BuiltWorld, WorldFactory, refuse_new_world
 
 
 @dataclass(frozen=True)
@@ -31,28 +30,6 @@ class DeferredResponse:
 
     is_ready: Callable[[], bool]
     outcome: Callable[[], msgspec.Struct]
-
-
-@dataclass(frozen=True)
-class BuiltWorld:
-    """A world that is ready to take the place of another, and how fast it is to go."""
-
-    world: World
-    real_time_factor: float
-
-
-WorldFactory = Callable[[WorldModel], Iterator[BuiltWorld | None]]
-"""Makes an engine and puts a world's models into it, a part at a time; the world comes last.
-
-Raises SimError. Who does not go on to the end closes it.
-"""
-
-
-def refuse_new_world(model: WorldModel) -> Iterator[BuiltWorld | None]:
-    """Refuse: this desk has one world only."""
-    raise RequestRefused(
-        ResultCode.FEATURE_UNSUPPORTED, f"world {model.name[:80]!r} cannot be made here; start anew"
-    )
 
 
 @dataclass
@@ -78,7 +55,7 @@ class ServerContext:
     has_new_descriptions: bool = False
     """Whether descriptions have been read since the last turn."""
     journal: ChangeJournal | None = None
-    told: tuple[JournaledResponse, ...] = ()
+    earlier_responses: tuple[JournaledResponse, ...] = ()
     """What an earlier server answered, oldest first."""
     source: WorldModel = field(default_factory=lambda: WorldModel("default"))
     """The world as it was read."""

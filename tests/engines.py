@@ -49,7 +49,7 @@ class ObedientEngine:
     def bodies(self) -> tuple[int, ...]:
         return tuple(self._bodies)
 
-    def prepare(self, model: Model) -> bool:  # noqa: ARG002
+    def prepare(self, model: Model) -> bool:
         return True
 
     def add(self, model: Model, base: FloatArray) -> int:
@@ -142,8 +142,8 @@ class ObedientEngine:
 
 def _obey(body: _Body, targets: FloatArray) -> None:
     plan = make_actuation(body.model)
-    body.velocities[plan.speeds.joints] = targets[plan.speeds.places]
-    body.positions[plan.angles.joints] = targets[plan.angles.places]
+    body.velocities[plan.speeds.joints] = targets[plan.speeds.columns]
+    body.positions[plan.angles.joints] = targets[plan.angles.columns]
     if plan.twist is not None:
         twist = targets[plan.twist : plan.twist + 3]
         rows = impose_planar_twists(

@@ -41,7 +41,7 @@ class MemoryBus:
     def __init__(self) -> None:
         self.pumps: list[Callable[[], object]] = []
         self.is_closed = False
-        self.besides: list[MemoryBus] = []
+        self.opened_sessions: list[MemoryBus] = []
         self._subscriptions: list[MemorySubscription] = []
         self._queues: list[MemoryCallQueue] = []
         self._tokens: list[MemoryToken] = []
@@ -59,9 +59,9 @@ class MemoryBus:
     def stamp(self) -> Stamp:
         return cast("Stamp", object())
 
-    def beside(self) -> "MemoryBus":
-        self.besides.append(MemoryBus())
-        return self.besides[-1]
+    def open_session(self) -> "MemoryBus":
+        self.opened_sessions.append(MemoryBus())
+        return self.opened_sessions[-1]
 
     def advertise(self, key: str, encoding: str) -> "MemoryPublisher":
         return MemoryPublisher(self, key, encoding)

@@ -27,7 +27,7 @@ from zensim.proto.codec.cdr_layout import (
     group_runs,
 )
 
-DecodedMessage = TypeVar("Message", bound=msgspec.Struct)
+DecodedMessage = TypeVar("DecodedMessage", bound=msgspec.Struct)
 Found = TypeVar("Found")
 ReadOne: TypeAlias = Callable[[bytes, int], tuple[Found, int]]
 """Reads at a place, returns what it found and where that ends."""

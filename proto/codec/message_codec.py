@@ -13,11 +13,11 @@ __all__ = [
     "Format",
     "MalformedPayload",
     "decode",
+    "detect_format",
     "encode",
     "make_encoding",
-    "detect_format",
-    "supports_format",
     "parse_schema_name",
+    "supports_format",
 ]
 
 MAX_DETAIL = 200

@@ -98,14 +98,16 @@ class _SharedTables:
     def __init__(self) -> None:
         self.models: list[Model] = []
         self.texts: dict[str, int] = {}
-        self._place: dict[int, int] = {}
-        self._of_bytes: dict[bytes, int] = {}
+        self._index_by_id: dict[int, int] = {}
+        self._index_by_bytes: dict[bytes, int] = {}
 
     def model(self, model: Model) -> int:
         """Find the place of a model; two that say the same are one."""
-        if (place := self._place.get(id(model))) is None:
+        if (place := self._index_by_id.get(id(model))) is None:
             said = msgspec.msgpack.encode(model)
-            place = self._place[id(model)] = self._of_bytes.setdefault(said, len(self.models))
+            place = self._index_by_id[id(model)] = self._index_by_bytes.setdefault(
+                said, len(self.models)
+            )
             if place == len(self.models):
                 self.models.append(model)
         return place

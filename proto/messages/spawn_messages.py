@@ -6,7 +6,7 @@ import msgspec
 
 from zensim.proto.messages import drive_messages
 from zensim.proto.messages.asset_messages import AssetRef
-from zensim.proto.messages.entity_messages import Bounds, TagsFilter
+from zensim.proto.messages.entity_messages import Bounds, EntityInfo, TagsFilter
 from zensim.proto.messages.model_messages import Dynamics, ReportEntry
 from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.standard_messages import Pose, PoseStamped

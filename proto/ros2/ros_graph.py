@@ -44,7 +44,7 @@ class TokenSession(Protocol):
     def token(self, key: str) -> ClosableToken:
         """Declare a token."""
 
-    def beside(self) -> "TokenSession":
+    def open_session(self) -> "TokenSession":
         """Open another session."""
 
     def close(self) -> None:
@@ -68,7 +68,7 @@ class RosGraph:
         self.numbers = count()
         """Nodes and endpoints are numbered together."""
         self.nodes: list[RosNode] = []
-        self._seats = [GraphSession(session)]
+        self._sessions = [GraphSession(session)]
         self._bridge = (
             session.token(liveliness_tokens.make_bridge_token(self.zid))
             if self._is_bridged
@@ -80,7 +80,7 @@ class RosGraph:
         """The ROS domain; None when there is nothing of ROS 2 here."""
         return self.settings.domain
 
-    def node(self, namespace: str, name: str) -> "RosNode | None":
+    def add_node(self, namespace: str, name: str) -> "RosNode | None":
         """Add a node; None when there is nothing of ROS 2 here."""
         if self.domain is None:
             return None
@@ -91,7 +91,7 @@ class RosGraph:
             namespace=f"/{namespace.strip('/')}",
             name=name,
         )
-        found = RosNode(self, node, self._free_seat())
+        found = RosNode(self, node, self._find_free_session())
         # A token goes when nobody holds it.
         self.nodes.append(found)
         return found
@@ -99,10 +99,10 @@ class RosGraph:
     def data_key(self, topic: "Topic") -> str:
         """Find the key of a topic's data, or the pattern of several, in ROS 2's form."""
         return rmw_keys.make_data_key(
-            self.domain or 0, topic.key, topic.ros_type, self.hash_of(topic)
+            self.domain or 0, topic.key, topic.ros_type, self.find_type_hash(topic)
         )
 
-    def hash_of(self, topic: "Topic") -> str:
+    def find_type_hash(self, topic: "Topic") -> str:
         """Find the hash of a topic's type, as the distribution has it."""
         return hash_type(topic.kind) if self.settings.has_hashes else rmw_keys.NO_HASH
 
@@ -110,9 +110,9 @@ class RosGraph:
         """Withdraw all nodes, and end the sessions that were opened beside."""
         for node in tuple(self.nodes):
             node.close()
-        for seat in self._seats[1:]:
+        for seat in self._sessions[1:]:
             seat.session.close()
-        del self._seats[1:]
+        del self._sessions[1:]
         if self._bridge is not None:
             self._bridge.close()
             self._bridge = None
@@ -121,12 +121,12 @@ class RosGraph:
     def _is_bridged(self) -> bool:
         return self.settings.is_bridged and self.domain is not None
 
-    def _free_seat(self) -> GraphSession:
-        for seat in self._seats:
+    def _find_free_session(self) -> GraphSession:
+        for seat in self._sessions:
             if seat.nodes < MAX_NODES_PER_SESSION:
                 return seat
-        self._seats.append(GraphSession(self._seats[0].session.beside()))
-        return self._seats[-1]
+        self._sessions.append(GraphSession(self._sessions[0].session.open_session()))
+        return self._sessions[-1]
 
 
 class Topic(msgspec.Struct, frozen=True):
@@ -155,7 +155,7 @@ class RosNode:
         self.graph = graph
         self.domain = node.domain
         self._node = node
-        self._seat = address
+        self._session = address
         address.nodes += 1
         self._tokens = [address.session.token(make_node_token(node))]
 
@@ -165,11 +165,15 @@ class RosNode:
 
     def add_topic_endpoint(self, kind: EndpointKind, topic: Topic) -> GraphEndpoint:
         """Say that the node publishes a topic, or hears it."""
-        return self.join(
-            kind, topic.key, topic.ros_type, type_hash=self.graph.hash_of(topic), qos=topic.qos
+        return self.add_endpoint(
+            kind,
+            topic.key,
+            topic.ros_type,
+            type_hash=self.graph.find_type_hash(topic),
+            qos=topic.qos,
         )
 
-    def join(
+    def add_endpoint(
         self,
         kind: EndpointKind,
         key: str,
@@ -189,9 +193,11 @@ class RosNode:
             type_hash=type_hash,
             qos=qos,
         )
-        self._tokens.append(self._seat.session.token(make_endpoint_token(endpoint)))
+        self._tokens.append(self._session.session.token(make_endpoint_token(endpoint)))
         if self.graph.settings.is_bridged and ACTION_INFIX not in endpoint.name:
-            self._tokens.append(self._seat.session.token(_make_route_token(endpoint, bridge_key)))
+            self._tokens.append(
+                self._session.session.token(_make_route_token(endpoint, bridge_key))
+            )
         return endpoint
 
     def announce_action(self, key: str, ros_type: str) -> None:
@@ -200,13 +206,15 @@ class RosNode:
             route = liveliness_tokens.BridgeRoute(
                 zid=self._node.zid, kind="AS", key=key, ros_type=ros_type
             )
-            self._tokens.append(self._seat.session.token(liveliness_tokens.make_route_token(route)))
+            self._tokens.append(
+                self._session.session.token(liveliness_tokens.make_route_token(route))
+            )
 
     def close(self) -> None:
         """Withdraw all tokens, the node's last; once is enough."""
         if self in self.graph.nodes:
             self.graph.nodes.remove(self)
-            self._seat.nodes -= 1
+            self._session.nodes -= 1
         while self._tokens:
             self._tokens.pop().close()
 

@@ -247,12 +247,12 @@ class RosService(msgspec.Struct, frozen=True, dict=True):
         folder = "gazebo" if self.ros_type.startswith("gazebo_msgs/") else ""
         return f"{folder}{self.name}".lstrip("/")
 
-    def keys(self, domain: int) -> tuple[str, ...]:
+    def list_keys(self, domain: int) -> tuple[str, ...]:
         """Where rmw_zenoh asks, on all distributions that have this form."""
         hashes = (self.type_hash, NO_HASH) if self.is_humble_form else (self.type_hash,)
         return tuple(make_data_key(domain, self.name, self.ros_type, one) for one in hashes)
 
-    def read(self, payload: bytes) -> msgspec.Struct:
+    def decode_request(self, payload: bytes) -> msgspec.Struct:
         """Read a request, and say it in our own words.
 
         Raises:
@@ -260,7 +260,7 @@ class RosService(msgspec.Struct, frozen=True, dict=True):
         """
         return adapt_request(decode(self.request, payload, CDR_ENCODING_NAME))
 
-    def answer(self, payload: bytes, encoding: str) -> bytes:
+    def encode_response(self, payload: bytes, encoding: str) -> bytes:
         """Write our own response, however it is encoded, as CDR of this form."""
         ours = service_catalog.SERVICES[self.service].response
         if encoding == make_encoding(ours, Format.CDR) and self.response not in RESPONSE_ADAPTERS:
@@ -335,7 +335,7 @@ ROS_SERVICES: Final = _list_ros_services()
 
 def index_by_key(domain: int) -> dict[str, tuple[RosService, ...]]:
     """Find the services by the keys at which rmw_zenoh asks."""
-    return {key: (one,) for one in ROS_SERVICES for key in one.keys(domain)}
+    return {key: (one,) for one in ROS_SERVICES for key in one.list_keys(domain)}
 
 
 def index_by_bridge_key() -> dict[str, tuple[RosService, ...]]:

@@ -47,9 +47,9 @@ class FleetCmdVel:
         """Hear a key from now on; its robot gets a row later."""
         pattern = keys.make_pattern(key)
         if pattern not in self._subscriptions:
-            self._subscriptions[pattern] = self._hear(pattern)
+            self._subscriptions[pattern] = self._subscribe(pattern)
 
-    def _hear(self, pattern: str) -> TopicSubscription:
+    def _subscribe(self, pattern: str) -> TopicSubscription:
         plain = self._network.subscribe(pattern, FLEET_CMD_VEL_DEPTH)
         if self._domain is None:
             return TopicSubscription(plain, ())
@@ -86,20 +86,20 @@ class FleetCmdVel:
 
     def at(self, time_ns: int) -> FloatArray:
         """Find the twists (n, 6) at a moment of simulation time."""
-        heard = self._heard()
+        heard = self._take_samples()
         if heard:
             self._read(heard, time_ns)
         if self._timeout_ns:
             self._twists[time_ns - self._seen_ns > self._timeout_ns] = 0.0
         return self._twists
 
-    def complaints(self) -> Iterator[tuple[str, str]]:
+    def take_malformed_reports(self) -> Iterator[tuple[str, str]]:
         """Say which keys had malformed commands since the last time, and what was wrong."""
         faults, self._faults = self._faults, {}
         for key, (count, reason) in faults.items():
             yield key, f"malformed={count} reason={reason!r}"
 
-    def _heard(self) -> dict[tuple[int, ...], list[Sample]]:
+    def _take_samples(self) -> dict[tuple[int, ...], list[Sample]]:
         heard: dict[tuple[int, ...], list[Sample]] = {}
         for subscription in self._subscriptions.values():
             for sample in subscription.take():
@@ -117,14 +117,14 @@ class FleetCmdVel:
             for rows, fits in zip(list(plain), is_finite.tolist(), strict=True):
                 if not fits:
                     del plain[rows]
-            self._hold(list(plain), numbers[is_finite], time_ns)
+            self._store(list(plain), numbers[is_finite], time_ns)
         for rows in heard.keys() - plain.keys():
             if (twist := self._newest_good(heard[rows])) is not None:
                 linear, angular = twist.linear, twist.angular
                 row = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
-                self._hold([rows], np.array([row]), time_ns)
+                self._store([rows], np.array([row]), time_ns)
 
-    def _hold(self, robots: list[tuple[int, ...]], twists: FloatArray, time_ns: int) -> None:
+    def _store(self, robots: list[tuple[int, ...]], twists: FloatArray, time_ns: int) -> None:
         rows = [row for several in robots for row in several]
         if len(rows) != len(robots):
             twists = np.repeat(twists, [len(several) for several in robots], axis=0)

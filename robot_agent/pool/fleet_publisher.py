@@ -61,7 +61,7 @@ class AttachmentRows:
 
 MAX_CHECKED_AT_ONCE = 32
 """Publishers that are asked about in one go: a tenth of a millisecond."""
-OwnerT = TypeVar("Whose")
+OwnerT = TypeVar("OwnerT")
 
 
 class MatchedPublishers(Generic[OwnerT]):
@@ -170,7 +170,7 @@ class RosFleetPublisher:
         """Take a robot in; it is announced soon."""
         if line.node is not None:
             self._unjoined.append(line)
-            self._ros_keys[line] = self._graph.data_key(self._of(line))
+            self._ros_keys[line] = self._graph.data_key(self._make_topic(line))
 
     def remove(self, line: RosTopicMember) -> None:
         """Let a robot go; its node withdraws the token."""
@@ -217,7 +217,7 @@ class RosFleetPublisher:
         """Tell last values to those who have come late."""
         for call in self._queries.take() if self._queries is not None else ():
             for line in self._asked(call):
-                self._tell(line, call)
+                self._reply_with_last(line, call)
             call.drop()
 
     def close(self) -> None:
@@ -228,14 +228,14 @@ class RosFleetPublisher:
         if self._queries is not None:
             self._queries.close()
 
-    def _of(self, line: RosTopicMember) -> Topic:
+    def _make_topic(self, line: RosTopicMember) -> Topic:
         return msgspec.structs.replace(self._topic, key=line.key)
 
     def _join(self, line: RosTopicMember) -> GraphEndpoint | None:
         if line.node is None or line not in self._ros_keys:
             return None
         if line not in self._joined:
-            self._joined[line] = line.node.add_topic_endpoint("MP", self._of(line))
+            self._joined[line] = line.node.add_topic_endpoint("MP", self._make_topic(line))
         return self._joined[line]
 
     def _declare(self, line: RosTopicMember) -> None:
@@ -250,7 +250,7 @@ class RosFleetPublisher:
         if publisher.is_matched and (payload := line.values.payload(line.row)) is not None:
             face.send(payload)
 
-    def _tell(self, line: RosTopicMember, call: AgentCall) -> None:
+    def _reply_with_last(self, line: RosTopicMember, call: AgentCall) -> None:
         self._declare(line)
         payload, face = line.values.payload(line.row), self._faces.get(line)
         if payload is not None and face is not None:
@@ -259,10 +259,14 @@ class RosFleetPublisher:
     def _asked(self, call: AgentCall) -> Iterator[RosTopicMember]:
         wanted, is_cached, _ = call.key.partition("/@adv/")
         for line, key in tuple(self._ros_keys.items()):
-            if key == wanted if is_cached and "*" not in wanted else call.covers(self._place(key)):
+            if (
+                key == wanted
+                if is_cached and "*" not in wanted
+                else call.covers(self._make_cache_key(key))
+            ):
                 yield line
 
-    def _place(self, key: str) -> str:
+    def _make_cache_key(self, key: str) -> str:
         return f"{key}/{CACHE_SUFFIX}/{self._graph.zid}/0/_"
 
 

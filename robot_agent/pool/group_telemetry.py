@@ -74,7 +74,7 @@ class GroupJointTopic(GroupTopic):
         if len(rows):
             told = positions[rows][:, self._published], velocities[rows][:, self._published]
             self._states[rows] = np.concatenate(told, axis=1)
-            self.tell(rows, time_ns)
+            self.publish(rows, time_ns)
 
 
 class GroupTelemetry:
@@ -149,7 +149,7 @@ class GroupTelemetry:
         if self.shared is not None:
             self.shared.reset()
 
-    def tell(
+    def publish(
         self, rows: IntArray, *, positions: FloatArray, velocities: FloatArray, time_ns: int
     ) -> None:
         """Tell what is due.
@@ -161,12 +161,12 @@ class GroupTelemetry:
             time_ns: Simulation time.
         """
         if self.odometry is not None:
-            self.odometry.tell(self.odometry.due(rows, time_ns), time_ns)
+            self.odometry.publish(self.odometry.due(rows, time_ns), time_ns)
         rows = self._poses.take(rows, positions, time_ns)
         if self.transforms is not None:
-            self.transforms.tell(rows, time_ns)
+            self.transforms.publish(rows, time_ns)
         if self.shared is not None:
-            self.shared.tell(rows, time_ns)
+            self.shared.publish(rows, time_ns)
         if self.joints is not None:
             self.joints.publish_joints(positions, velocities, time_ns)
 
@@ -182,7 +182,7 @@ class StaticValue:
     def __init__(self, message: msgspec.Struct) -> None:
         self._payload = cdr.encode(message)
 
-    def payload(self, row: int) -> bytes:  # noqa: ARG002 - of the protocol
+    def payload(self, row: int) -> bytes:
         """Tell it."""
         return self._payload
 

@@ -221,7 +221,7 @@ class SharedTfTopic:
         """Forget all values: time may have gone back."""
         self._has_value[:] = False
 
-    def tell(self, rows: IntArray, time_ns: int) -> None:
+    def publish(self, rows: IntArray, time_ns: int) -> None:
         """Tell the frames of some rows."""
         if not len(rows):
             return
@@ -231,7 +231,7 @@ class SharedTfTopic:
             for message in self._messages(rows):
                 self._outlet.put((self._line,), (message,))
 
-    def payload(self, row: int) -> bytes | None:  # noqa: ARG002 - of the protocol
+    def payload(self, row: int) -> bytes | None:
         """Write the last values of all; see `outlet.Values`."""
         rows = np.flatnonzero(self._has_value)
         if not len(rows):

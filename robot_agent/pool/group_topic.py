@@ -170,7 +170,7 @@ class GroupTopic:
         found, _ = self._rates.open(time_ns)
         return np.intersect1d(rows, found, assume_unique=True)
 
-    def tell(self, rows: IntArray, time_ns: int) -> None:
+    def publish(self, rows: IntArray, time_ns: int) -> None:
         """Tell the values of some rows."""
         if not len(rows):
             return

@@ -78,14 +78,14 @@ class PooledRobots:
         self._members: dict[int, GroupMember] = {}
         self._robots: dict[int, Robot] = {}
         self._outlets: dict[tuple[str, type[msgspec.Struct]], FleetTopicPublisher] = {}
-        self._constants = StaticTopics(self._outlet, self._ros)
+        self._constants = StaticTopics(self._find_publisher, self._ros)
         self._commands = FleetCmdVel(ears or network, timeout_ns, graph.domain if graph else None)
         self._groups: dict[GroupKey, RobotGroup] = {}
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
 
-    def take(self, claims: Sequence[Claim]) -> None:
+    def add_claims(self, claims: Sequence[Claim]) -> None:
         """Hold what was claimed: it is heard from now on, and told of from its first state on."""
         for claim in claims:
             if can_be_grouped(claim.model):
@@ -111,7 +111,7 @@ class PooledRobots:
         gone = set(held).difference(unpack_claims(claims))
         if not gone:
             return ()
-        lost = tuple(self._dismiss(claim) for claim in held if claim in gone)
+        lost = tuple(self._release(claim) for claim in held if claim in gone)
         self._claims = None
         self.newest_claim = max((*self._members, *self._robots), default=0)
         if not self.newest_claim:
@@ -157,12 +157,12 @@ class PooledRobots:
     def revise(self) -> None:
         """Answer states only: for one robot's command, arrays of all would be made anew."""
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the last state made due."""
         for squad in self._groups.values():
-            squad.tell()
+            squad.publish()
         for loner in self._singles:
-            loner.robot.tell()
+            loner.robot.publish()
 
     def answer(self) -> None:
         """Tell last values to those who have asked; declare some of what is to be declared."""
@@ -183,20 +183,20 @@ class PooledRobots:
 
     def log_malformed(self) -> None:
         """Log which commands were malformed."""
-        for key, complaint in self._commands.complaints():
+        for key, complaint in self._commands.take_malformed_reports():
             LOG.warning("cmd_vel key=%s %s", key, complaint)
         for robot in self._robots.values():
             if robot.commanded and (complaint := robot.commanded.take_malformed_report()):
                 LOG.warning("cmd_vel entity=%s %s", robot.entity, complaint)
 
-    def _dismiss(self, claim: int) -> str:
+    def _release(self, claim: int) -> str:
         if (robot := self._robots.pop(claim, None)) is not None:
             robot.close()
             return robot.entity
         member = self._members.pop(claim)
         self._constants.remove(member.constants)
         if member.kind in self._groups:
-            self._groups[member.kind].dismiss(member)
+            self._groups[member.kind].release(member)
         if member.node is not None:
             member.node.close()
         return member.claim.entity
@@ -227,7 +227,9 @@ class PooledRobots:
             self._outlets.pop(key).close()
 
     def _update_group(self, kind: GroupKey, members: Sequence[GroupMember]) -> RobotGroup:
-        squad = self._groups.get(kind) or RobotGroup(kind, self._outlet, self._make_group_node())
+        squad = self._groups.get(kind) or RobotGroup(
+            kind, self._find_publisher, self._make_group_node()
+        )
         squad.remap(members, self._layout.find_group_slots([member.place for member in members]))
         return squad
 
@@ -242,7 +244,7 @@ class PooledRobots:
                 targets.append(self._robots[one].target_count)
         return PoolStateLayout(joints, targets)
 
-    def _outlet(self, pattern: str, message: type[msgspec.Struct]) -> FleetTopicPublisher:
+    def _find_publisher(self, pattern: str, message: type[msgspec.Struct]) -> FleetTopicPublisher:
         key = (pattern, message)
         if key not in self._outlets:
             ros = self._make_ros_publisher(
@@ -261,11 +263,11 @@ class PooledRobots:
         if self._graph is None:
             return None
         number = next(self._numbers)
-        return self._graph.node("", f"{GROUP_NODE_PREFIX}_{self._graph.zid[:8]}_{number}")
+        return self._graph.add_node("", f"{GROUP_NODE_PREFIX}_{self._graph.zid[:8]}_{number}")
 
     def _join_ros_graph(self, namespace: str, cmd_vel: str) -> RosNode | None:
         """Let a robot into ROS 2's graph: as a node that hears commands."""
-        node = self._graph.node(namespace, NODE_NAME) if self._graph else None
+        node = self._graph.add_node(namespace, NODE_NAME) if self._graph else None
         if node is not None:
             for kind in (Twist, TwistStamped):
                 node.add_topic_endpoint("MS", Topic(cmd_vel, kind))

@@ -83,13 +83,13 @@ class RobotGroup:
         self._kind = kind
         self._bases = GroupBaseController(kind)
         self._telemetry = GroupTelemetry(kind, self._bases, find_publisher, node)
-        self._seats: GroupSlots | None = None
+        self._slots: GroupSlots | None = None
         self._due: _DueTelemetry | None = None
 
     def remap(self, members: Sequence[GroupMember], seats: GroupSlots) -> None:
         """Take the robots as they are now, and where they stand."""
         before = np.array([member.row for member in members], dtype=np.int64)
-        self._seats, self._due = seats, None
+        self._slots, self._due = seats, None
         self._bases.remap(before)
         for row, member in enumerate(members):
             member.row = row
@@ -105,7 +105,7 @@ class RobotGroup:
 
     def advance(self, state: PoolDriveState, targets: FloatArray) -> None:
         """Take a state; write the targets of its robots into those of the pool."""
-        if (seats := self._seats) is None:
+        if (seats := self._slots) is None:
             return
         positions, velocities = state.positions[seats.joints], state.velocities[seats.joints]
         rows = self._bases.update(
@@ -118,15 +118,15 @@ class RobotGroup:
         targets[seats.targets] = self._bases.targets
         self._due = _DueTelemetry(rows, positions, velocities, state.time_ns)
 
-    def tell(self) -> None:
+    def publish(self) -> None:
         """Publish what the last state made due."""
         if (due := self._due) is not None:
             self._due = None
-            self._telemetry.tell(
+            self._telemetry.publish(
                 due.rows, positions=due.positions, velocities=due.velocities, time_ns=due.time_ns
             )
 
-    def dismiss(self, member: GroupMember) -> None:
+    def release(self, member: GroupMember) -> None:
         """Withdraw what a robot tells."""
         for topic, line in zip(self._telemetry.topics, member.lines, strict=False):
             topic.outlet.remove(line)

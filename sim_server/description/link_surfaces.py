@@ -151,18 +151,18 @@ class SurfaceParameters(msgspec.Struct, frozen=True):
     decay: Decay = Decay()
     self_collides: bool = False
 
-    def on(self, shape: Shape) -> Shape:
+    def apply_to_shape(self, shape: Shape) -> Shape:
         """Give a collision this surface."""
         friction = shape.friction if self.friction is None else self.friction
         along = rotate_vector(shape.origin, self.contact.direction)
         contact = msgspec.structs.replace(self.contact, direction=along)
         return msgspec.structs.replace(shape, friction=friction, contact=contact)
 
-    def under(self, link: Link) -> Link:
+    def apply_to_link(self, link: Link) -> Link:
         """Give a link, before it is lumped, what it asks for."""
         return msgspec.structs.replace(
             link,
-            collisions=tuple(map(self.on, link.collisions)),
+            collisions=tuple(map(self.apply_to_shape, link.collisions)),
             weightless=Inertial() if self.has_gravity else link.inertial,
             decay=self.decay,
             self_collides=self.self_collides,
@@ -195,41 +195,46 @@ class SurfaceTagReader:
         """
         for tag, reason in UNUSED_SURFACE_TAGS.items():
             if tag in self._texts:
-                self._report.ignored(self._of(tag), reason)
-        friction, direction, across = self._frictions()
-        stiffness, damping = self._stiffness()
+                self._report.ignored(self._subject_of(tag), reason)
+        friction, direction, across = self._read_frictions()
+        stiffness, damping = self._read_stiffness()
         return SurfaceParameters(
             friction=friction,
             contact=Contact(stiffness, damping, direction, across),
-            has_gravity=self._has_gravity(),
-            decay=self._decay(),
-            self_collides=self._flag("selfCollide"),
+            has_gravity=self._read_gravity(),
+            decay=self._read_decay(),
+            self_collides=self._read_flag("selfCollide"),
         )
 
-    def _of(self, tag: str) -> str:
+    def _subject_of(self, tag: str) -> str:
         return f"{self._subject}: <{tag}>"
 
-    def _frictions(self) -> tuple[float | None, Vec3, float]:
-        along = self._friction()
-        across = self._number("mu2")
-        direction = self._direction()
+    def _read_frictions(self) -> tuple[float | None, Vec3, float]:
+        along = self._read_friction()
+        across = self._read_number("mu2")
+        direction = self._read_direction()
         first = DEFAULT_FRICTION if along is None else along
         if across is None or across == first:
             if across is not None:
-                self._report.applied(self._of("mu2"))
+                self._report.applied(self._subject_of("mu2"))
             if direction is not None:
-                self._report.ignored(self._of("fdir1"), "needs a <mu1> and a <mu2> that differ")
+                self._report.ignored(
+                    self._subject_of("fdir1"), "needs a <mu1> and a <mu2> that differ"
+                )
             return (first if across is not None else along), ZERO, 0.0
         if direction is not None:
-            self._report.applied(self._of("mu2"), f"{across:g} across <fdir1>, {first:g} along it")
+            self._report.applied(
+                self._subject_of("mu2"), f"{across:g} across <fdir1>, {first:g} along it"
+            )
             return first, direction, across
         mean = (first + across) / 2.0
         self._report.applied(
-            self._of("mu2"), f"there is no <fdir1>: {mean:g} every way, the mean of mu1 and mu2"
+            self._subject_of("mu2"),
+            f"there is no <fdir1>: {mean:g} every way, the mean of mu1 and mu2",
         )
         return mean, ZERO, 0.0
 
-    def _friction(self) -> float | None:
+    def _read_friction(self) -> float | None:
         if "mu1" not in self._texts:
             return None
         where = f"{self._subject}, mu1"
@@ -238,11 +243,11 @@ class SurfaceTagReader:
             raise ModelError(
                 f"{where}: {friction:g} is negative; write a coefficient >= 0", slug=self._slug
             )
-        self._report.applied(self._of("mu1"))
+        self._report.applied(self._subject_of("mu1"))
         return friction
 
-    def _direction(self) -> Vec3 | None:
-        if (numbers := self._numbers("fdir1", 3)) is None:
+    def _read_direction(self) -> Vec3 | None:
+        if (numbers := self._read_numbers("fdir1", 3)) is None:
             return None
         length = math.hypot(*numbers)
         if length == 0.0 or not math.isfinite(length):
@@ -250,78 +255,87 @@ class SurfaceTagReader:
         x, y, z = numbers
         return (x / length, y / length, z / length)
 
-    def _stiffness(self) -> tuple[float, float]:
-        stiffness, damping = self._number("kp"), self._number("kd")
+    def _read_stiffness(self) -> tuple[float, float]:
+        stiffness, damping = self._read_number("kp"), self._read_number("kd")
         if not stiffness:
             if stiffness is not None:
-                self._report.suspicious(self._of("kp"), "0 would hold nothing up; rigid")
+                self._report.suspicious(self._subject_of("kp"), "0 would hold nothing up; rigid")
             if damping is not None:
-                self._report.ignored(self._of("kd"), "needs a <kp>; without it contacts are rigid")
+                self._report.ignored(
+                    self._subject_of("kd"), "needs a <kp>; without it contacts are rigid"
+                )
             return 0.0, 0.0
         firm, slow = clamp_contact(
             stiffness, DEFAULT_CONTACT_DAMPING if damping is None else damping
         )
         is_rigid = firm == RIGID_STIFFNESS and slow <= MAX_RIGID_TIME_S * firm
-        self._note_stiff("kp", firm, "rigid" if is_rigid else f"{firm:g} N/m at each point")
+        self._report_stiffness("kp", firm, "rigid" if is_rigid else f"{firm:g} N/m at each point")
         if damping is not None:
-            self._note_stiff("kd", slow, "or more, so that nothing that has sunk in jumps out")
+            self._report_stiffness(
+                "kd", slow, "or more, so that nothing that has sunk in jumps out"
+            )
         return (0.0, 0.0) if is_rigid else (firm, slow)
 
-    def _note_stiff(self, tag: str, used: float, effect: str) -> None:
+    def _report_stiffness(self, tag: str, used: float, effect: str) -> None:
         written = self._texts[tag][:40]
         if float(self._texts[tag]) > MAX_WRITTEN_STIFFNESS:
             self._report.suspicious(
-                self._of(tag), f"{written} is stiffer than anything; taken as {used:g}"
+                self._subject_of(tag), f"{written} is stiffer than anything; taken as {used:g}"
             )
         else:
-            self._report.applied(self._of(tag), effect)
+            self._report.applied(self._subject_of(tag), effect)
 
-    def _has_gravity(self) -> bool:
-        has_gravity = self._flag("gravity", default=True) and not self._flag("turnGravityOff")
+    def _read_gravity(self) -> bool:
+        has_gravity = self._read_flag("gravity", default=True) and not self._read_flag(
+            "turnGravityOff"
+        )
         for tag in ("gravity", "turnGravityOff"):
             if tag in self._texts:
                 self._report.applied(
-                    self._of(tag), "" if has_gravity else "gravity does not pull it"
+                    self._subject_of(tag), "" if has_gravity else "gravity does not pull it"
                 )
         return has_gravity
 
-    def _decay(self) -> Decay:
-        share = self._number("dampingFactor")
+    def _read_decay(self) -> Decay:
+        share = self._read_number("dampingFactor")
         if not share:
             return Decay()
         self._report.applied(
-            self._of("dampingFactor"), f"velocities lose {100.0 * share:g} % in a millisecond"
+            self._subject_of("dampingFactor"),
+            f"velocities lose {100.0 * share:g} % in a millisecond",
         )
         rate = to_decay_rate(share)
         return Decay(rate, rate)
 
-    def _flag(self, tag: str, *, default: bool = False) -> bool:
+    def _read_flag(self, tag: str, *, default: bool = False) -> bool:
         text = self._texts.get(tag)
         if text is None:
             return default
         if text.lower() not in (*TRUE, *FALSE):
-            self._report.suspicious(self._of(tag), f"{text[:40]!r} is neither true nor false")
+            self._report.suspicious(
+                self._subject_of(tag), f"{text[:40]!r} is neither true nor false"
+            )
             return default
         is_set = text.lower() in TRUE
         if tag == "selfCollide":
-            self._report.applied(self._of(tag), "" if is_set else "as by default")
+            self._report.applied(self._subject_of(tag), "" if is_set else "as by default")
         return is_set
 
-    def _number(self, tag: str) -> float | None:
-        numbers = self._numbers(tag, 1)
+    def _read_number(self, tag: str) -> float | None:
+        numbers = self._read_numbers(tag, 1)
         if numbers is None or numbers[0] >= 0.0:
             return None if numbers is None else numbers[0]
-        self._report.suspicious(self._of(tag), f"{numbers[0]:g} is negative; not used")
+        self._report.suspicious(self._subject_of(tag), f"{numbers[0]:g} is negative; not used")
         return None
 
-    def _numbers(self, tag: str, count: int) -> tuple[float, ...] | None:
+    def _read_numbers(self, tag: str, count: int) -> tuple[float, ...] | None:
         if tag not in self._texts:
             return None
         text = self._texts[tag]
         try:
             return read_numbers(text, counts=(count,), where=tag, slug=self._slug)
         except ModelError:
-            self._report.suspicious(self._of(tag), f"{text[:40]!r} is no number; not used")
+            self._report.suspicious(self._subject_of(tag), f"{text[:40]!r} is no number; not used")
             return None
 
 

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from zensim.proto.messages.model_messages import Inertial, Joint, Link, Shape, Vec3
-from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import quote_names
 from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from zensim.sim_server.description.report import ParseReport
 
 
 class ParsedModel(msgspec.Struct, frozen=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lxml import etree
@@ -13,6 +12,8 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lxml.etree import _Element as Element
 
 MAX_QUOTE_LENGTH = 80

@@ -95,7 +95,7 @@ def _run_attempts(tries: Sequence[Callable[[], None]], wanted: Sequence[int], wr
 def _run_attempt(make: Callable[[], None]) -> None:
     try:
         make()
-    except Exception:  # noqa: BLE001  whoever restores it is told
+    except Exception:
         return
 
 
@@ -175,7 +175,7 @@ class Journal:
 
     def prepare(self, context: ServerContext, now_s: float) -> None:
         """Give a desk what is no part of its world: answers, bonds, and what was read."""
-        context.told = self._told(now_s)
+        context.earlier_responses = self._recent_responses(now_s)
         if self.contents is not None:
             context.resource = self.contents.world.resource
         for kept in self.kept:
@@ -206,7 +206,7 @@ class Journal:
         if not self._is_owned_by_tracker:
             self.ledger.close()
 
-    def _told(self, now_s: float) -> tuple[JournaledResponse, ...]:
+    def _recent_responses(self, now_s: float) -> tuple[JournaledResponse, ...]:
         """What was answered not too long ago."""
         answers = self.contents.answers if self.contents else ()
         oldest_s = now_s - RESPONSE_LIFETIME_S

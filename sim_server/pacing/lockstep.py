@@ -47,7 +47,7 @@ class Lockstep:
 
     def __init__(self, settings: LockstepSettings | None = None) -> None:
         self.settings = settings or LockstepSettings()
-        self._told: dict[str, _SentState] = {}
+        self._sent: dict[str, _SentState] = {}
         self._awaited: set[str] = set()
         self._misses: dict[str, int] = {}
         self._unresponsive: set[str] = set()
@@ -70,10 +70,10 @@ class Lockstep:
 
     def has_sent(self, agent: str, state: DriveState) -> bool:
         """Whether an agent knows what it drives, in this epoch."""
-        told = self._told.get(agent)
+        told = self._sent.get(agent)
         return told is not None and (told.epoch, told.claims) == (state.epoch, state.claims)
 
-    def tell(self, agent: str, state: DriveState, now_ns: int) -> bool:
+    def record_sent(self, agent: str, state: DriveState, now_ns: int) -> bool:
         """Note that an agent is told a state; answers to older ones are owed no more.
 
         Returns:
@@ -82,7 +82,7 @@ class Lockstep:
         if not self._awaited:
             self._last_check_ns = now_ns
         self._awaited.discard(agent)
-        self._told[agent] = _SentState(state.epoch, state.step, state.claims, state.is_awaited)
+        self._sent[agent] = _SentState(state.epoch, state.step, state.claims, state.is_awaited)
         if not state.is_awaited:
             return True
         if self.settings.on_miss == "hold" and agent in self._unresponsive:
@@ -91,20 +91,20 @@ class Lockstep:
         self._awaited.add(agent)
         return True
 
-    def answer(self, agent: str, command: DriveCommand) -> bool:
+    def record_answer(self, agent: str, command: DriveCommand) -> bool:
         """Take note of a command; tell whether it may be carried out.
 
         A state that is awaited has one answer: a command for another one is not carried out.
         """
         self._unresponsive.discard(agent)
-        if (told := self._told.get(agent)) is None:
+        if (told := self._sent.get(agent)) is None:
             return True
         if not told.matches(command):
             return not told.is_awaited
         self._awaited.discard(agent)
         return True
 
-    def look(self, now_ns: int) -> tuple[str, ...]:
+    def find_late(self, now_ns: int) -> tuple[str, ...]:
         """Let wall time pass; name the agents whose time for an answer has just run out.
 
         With `wait` they go on owing it, and their time begins anew.
@@ -112,25 +112,25 @@ class Lockstep:
         passed_ns = min(now_ns - self._last_check_ns, MAX_CHECK_INTERVAL_NS)
         self._last_check_ns = now_ns
         for agent in self._awaited:
-            self._told[agent].waited_ns += passed_ns
+            self._sent[agent].waited_ns += passed_ns
         late = tuple(agent for agent in self.awaited if self._is_late(agent))
         for agent in late:
-            self._told[agent].waited_ns = 0
+            self._sent[agent].waited_ns = 0
             if self.settings.on_miss != "wait":
-                self._give_up(agent)
+                self._record_miss(agent)
         return late
 
     def forget(self, agent: str) -> None:
         """Owe nothing: the agent has gone, or drives nothing any more."""
-        self._told.pop(agent, None)
+        self._sent.pop(agent, None)
         self._misses.pop(agent, None)
         self._awaited.discard(agent)
         self._unresponsive.discard(agent)
 
     def _is_late(self, agent: str) -> bool:
-        return self._told[agent].waited_ns >= self.settings.timeout_s * NANOSECONDS
+        return self._sent[agent].waited_ns >= self.settings.timeout_s * NANOSECONDS
 
-    def _give_up(self, agent: str) -> None:
+    def _record_miss(self, agent: str) -> None:
         self._misses[agent] = self._misses.get(agent, 0) + 1
         self._unresponsive.add(agent)
         self._awaited.discard(agent)

@@ -24,7 +24,7 @@ class StepGoal:
 
     steps: int
     goal_id: str = ""
-    made: int = 0
+    completed: int = 0
     status: StepsGoalStatus = "executing"
     late: set[str] = field(default_factory=set)
     reason: str = ""
@@ -32,9 +32,9 @@ class StepGoal:
     """Wall time when its progress was told last."""
 
     @property
-    def left(self) -> int:
+    def remaining(self) -> int:
         """Steps that are not made yet."""
-        return self.steps - self.made
+        return self.steps - self.completed
 
     @property
     def is_over(self) -> bool:
@@ -44,7 +44,7 @@ class StepGoal:
     @property
     def progress(self) -> StepsProgress:
         """How far it is."""
-        return StepsProgress(self.goal_id, self.made, self.left, self.status)
+        return StepsProgress(self.goal_id, self.completed, self.remaining, self.status)
 
 
 class StepGoals:
@@ -61,7 +61,7 @@ class StepGoals:
     @property
     def has_steps_left(self) -> bool:
         """Whether the first goal has steps left to make."""
-        return bool(self._goals) and self._goals[0].left > 0
+        return bool(self._goals) and self._goals[0].remaining > 0
 
     def add(self, steps: int, goal_id: str = "") -> StepGoal:
         """Ask for steps behind those asked for before."""
@@ -72,13 +72,13 @@ class StepGoals:
             self._forget_oldest()
         return goal
 
-    def known(self, goal_id: str) -> StepGoal | None:
+    def find(self, goal_id: str) -> StepGoal | None:
         """Find a goal by its id, also one that is over."""
         return self._known.get(goal_id)
 
     def note_step(self) -> None:
         """Count a step for the first goal."""
-        self._goals[0].made += 1
+        self._goals[0].completed += 1
 
     def note_late(self, agents: Iterable[str]) -> None:
         """Remember which agents the steps of the first goal went on without."""
@@ -87,7 +87,7 @@ class StepGoals:
 
     def finish_completed(self) -> None:
         """End the goals that have made all their steps; call it when no agent is awaited."""
-        while self._goals and self._goals[0].left <= 0:
+        while self._goals and self._goals[0].remaining <= 0:
             self._end(self._goals[0], "succeeded")
 
     def cancel(self, goal_id: str) -> list[StepGoal]:

@@ -233,7 +233,7 @@ class ParserClient:
 
     def _send(self) -> None:
         left = CHUNK_BYTES
-        while left > 0 and (self._outgoing or self._fill()):
+        while left > 0 and (self._outgoing or self._fill_outgoing()):
             try:
                 written = os.write(self._in, self._outgoing[:left])
             except (BlockingIOError, BrokenPipeError):
@@ -241,7 +241,7 @@ class ParserClient:
             self._outgoing = self._outgoing[written:]
             left -= written
 
-    def _fill(self) -> bool:
+    def _fill_outgoing(self) -> bool:
         if not self._to_send:
             return False
         sha256, offset = self._to_send.popleft()

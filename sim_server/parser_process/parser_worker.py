@@ -21,9 +21,13 @@ UNUSED_MODULES = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimi
 if __name__ == "__main__":
     sys.modules.update(dict.fromkeys(UNUSED_MODULES))  # type: ignore[arg-type]
 
-from zensim.sim_server.description.pipeline import parse_description, parse_world, warm_up  # noqa: E402
+from zensim.sim_server.description.pipeline import (  # noqa: E402
+    parse_description,
+    parse_world,
+    warm_up,
+)
 from zensim.sim_server.errors import ModelError  # noqa: E402
-from zensim.sim_server.parser_process.parser_protocol import (
+from zensim.sim_server.parser_process.parser_protocol import (  # noqa: E402
     FRAME_LENGTH,
     ParsedMesh,
     ParseRequest,
@@ -102,14 +106,16 @@ def parse_request(request: ParseRequest, files: FileContents) -> tuple[ParseResu
     """Read a robot or a world; find the answer, and the meshes that were made for it."""
     wanted: MissingUris = {}
     try:
-        return (parse_world if request.is_world else parse_model)(request, files, wanted)
+        return (parse_world_request if request.is_world else parse_model_request)(
+            request, files, wanted
+        )
     except ModelError as error:
         message = error.message.removeprefix(f"{error.slug}: ")
         said = (request.number, None, int(error.code), error.slug, message)
         return ParseResult(*said, wanted=tuple(wanted)), {}
 
 
-def parse_model(
+def parse_model_request(
     request: ParseRequest, files: FileContents, _: MissingUris
 ) -> tuple[ParseResult, FileContents]:
     """Read a robot, and make its meshes."""
@@ -125,7 +131,7 @@ def parse_model(
     return ParseResult(request.number, model), described.meshes
 
 
-def parse_world(
+def parse_world_request(
     request: ParseRequest, files: FileContents, wanted: MissingUris
 ) -> tuple[ParseResult, FileContents]:
     """Read a world, and make its meshes; note in `wanted` which files it names and lacks."""

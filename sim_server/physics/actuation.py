@@ -17,11 +17,11 @@ class MotorGroup:
 
     joints: list[int]
     efforts: list[float]
-    places: list[int]
+    columns: list[int]
 
-    def of(self, numbers: list[float]) -> list[float]:
+    def select(self, numbers: list[float]) -> list[float]:
         """Pick the targets out of the numbers of a body."""
-        return [numbers[place] for place in self.places]
+        return [numbers[place] for place in self.columns]
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ def make_stop_targets(model: Model, positions: FloatArray) -> FloatArray:
     """
     plan = make_actuation(model)
     targets = np.zeros(plan.width)
-    targets[plan.angles.places] = positions[plan.angles.joints]
+    targets[plan.angles.columns] = positions[plan.angles.joints]
     return targets
 
 

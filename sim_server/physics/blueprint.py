@@ -271,17 +271,17 @@ class BlueprintCache:
         self._shape_kinds = shape_kinds
         self._last: tuple[Model, Blueprint] | None = None
 
-    def blueprint(self, model: Model) -> Blueprint:
+    def find(self, model: Model) -> Blueprint:
         """Plan a model, or find the plan again when it is the same object as the last.
 
         Raises:
             EngineRefused: The engine cannot build it.
         """
         if self._last is None or self._last[0] is not model:
-            self._last = (model, self._planned(model))
+            self._last = (model, self._make(model))
         return self._last[1]
 
-    def _planned(self, model: Model) -> Blueprint:
+    def _make(self, model: Model) -> Blueprint:
         plan = split_static_meshes(make_blueprint(model), max_parts=self._max_parts)
         check_blueprint(
             plan,

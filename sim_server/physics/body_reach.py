@@ -64,7 +64,7 @@ def can_move(model: Model) -> bool:
 def _measure_levers(model: Model, own: list[float]) -> FloatArray:
     plan = make_actuation(model)
     levers = np.zeros(plan.width)
-    for joint, place in zip(plan.speeds.joints, plan.speeds.places, strict=True):
+    for joint, place in zip(plan.speeds.joints, plan.speeds.columns, strict=True):
         levers[place] = own[joint + 1]
     if plan.twist is not None:
         levers[plan.twist : plan.twist + 3] = 1.0, 1.0, max(own)
@@ -101,35 +101,35 @@ class ReachCache:
     def __init__(self, mesh_folder: str) -> None:
         self._mesh_folder = mesh_folder
         self._known: dict[int, tuple[Model, BodyReach]] = {}
-        self._farthest: dict[tuple[str, Vec3], float] = {}
+        self._mesh_radii: dict[tuple[str, Vec3], float] = {}
 
     def prepare(self, model: Model) -> bool:
         """Measure one mesh of a model; say whether none is left, or one is not there."""
         meshes = (shape for link in model.links for shape in link.collisions if shape.mesh)
         for shape in meshes:
-            if (shape.mesh, shape.size) not in self._farthest:
+            if (shape.mesh, shape.size) not in self._mesh_radii:
                 with suppress(OSError):
-                    self.farthest(shape)
+                    self.mesh_radius(shape)
                     return False
         return True
 
-    def farthest(self, shape: Shape) -> float:
+    def mesh_radius(self, shape: Shape) -> float:
         """Measure a mesh; raises OSError when it is not in the folder."""
         key = (shape.mesh, shape.size)
-        if key not in self._farthest:
+        if key not in self._mesh_radii:
             corners = read_corners(Path(self._mesh_folder, f"{shape.mesh}.stl").read_bytes())
             arms = np.linalg.norm(corners * np.array(shape.size), axis=1)
-            self._farthest[key] = float(arms.max(initial=0.0))
-        return self._farthest[key]
+            self._mesh_radii[key] = float(arms.max(initial=0.0))
+        return self._mesh_radii[key]
 
-    def reach(self, model: Model) -> BodyReach:
+    def measure(self, model: Model) -> BodyReach:
         """Measure a model."""
         # Whoever is kept here keeps its identity.
         if (known := self._known.get(id(model))) is not None:
             return known[1]
         if len(self._known) >= MAX_CACHED_REACHES:
             self._known.clear()
-            self._farthest.clear()
-        found = measure_reach(model, self.farthest)
+            self._mesh_radii.clear()
+        found = measure_reach(model, self.mesh_radius)
         self._known[id(model)] = model, found
         return found

@@ -34,15 +34,15 @@ class HostedCell:
 
     def __init__(self, engine: Engine) -> None:
         self.engine = engine
-        self.inner: dict[int, int] = {}
+        self.engine_numbers: dict[int, int] = {}
 
-    def inners(self, bodies: Sequence[int]) -> tuple[int, ...]:
+    def to_engine_numbers(self, bodies: Sequence[int]) -> tuple[int, ...]:
         """Find the engine's numbers of bodies."""
-        return tuple([self.inner[body] for body in bodies])
+        return tuple([self.engine_numbers[body] for body in bodies])
 
-    def outers(self, inners: Sequence[int]) -> list[int]:
+    def to_server_numbers(self, inners: Sequence[int]) -> list[int]:
         """Find the server's numbers of bodies."""
-        outer = {inner: body for body, inner in self.inner.items()}
+        outer = {inner: body for body, inner in self.engine_numbers.items()}
         return [outer[inner] for inner in inners]
 
 
@@ -52,56 +52,56 @@ class CellWorker:
     def __init__(
         self, line: "Connection[Any, Any]", states: SharedArray, targets: SharedArray
     ) -> None:
-        self._line = line
+        self._connection = line
         self._states, self._targets = states, targets
         self._cells: dict[int, HostedCell] = {}
-        self._orders: CellConfig | None = None
+        self._config: CellConfig | None = None
         self._model: Model | None = None
 
     def run(self) -> None:
         """Do what is told until the server closes its end."""
         while True:
             try:
-                told = self._line.recv()
+                told = self._connection.recv()
             except EOFError:
                 return
             for order in told:
-                self._do(*pickle.loads(order))
+                self._dispatch(*pickle.loads(order))
 
-    def _do(self, what: str, given: tuple[Any, ...]) -> None:
+    def _dispatch(self, what: str, given: tuple[Any, ...]) -> None:
         if what in FORWARDED_METHODS:
             cell, body, *arguments = given
             known = self._cells[cell]
-            getattr(known.engine, what)(known.inner[body], *arguments)
+            getattr(known.engine, what)(known.engine_numbers[body], *arguments)
             return
         try:
             answer = getattr(self, f"_{what}")(*given)
         except EngineRefused as refused:
             answer = CellWorkerReply(refused=str(refused))
         if answer is not None:
-            self._line.send(answer)
+            self._connection.send(answer)
 
     def _begin(self, orders: CellConfig) -> None:
         use_mmap_for_large_blocks()
-        self._orders = orders
+        self._config = orders
 
     def _model_is(self, model: Model) -> None:
         self._model = model
 
     def _make(self, cell: int) -> None:
-        assert self._orders is not None
-        self._cells[cell] = HostedCell(self._orders.make())
+        assert self._config is not None
+        self._cells[cell] = HostedCell(self._config.make())
         release_zero_pages()
 
     def _conceal(self, cell: int, body: int) -> None:
         known = self._cells[cell]
         if engine := as_hiding(known.engine):
-            engine.hide(known.inner[body])
+            engine.hide(known.engine_numbers[body])
 
     def _reveal(self, cell: int, bodies: Sequence[int]) -> None:
         known = self._cells[cell]
         if engine := as_hiding(known.engine):
-            engine.show(known.inners(bodies))
+            engine.show(known.to_engine_numbers(bodies))
 
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
@@ -111,31 +111,33 @@ class CellWorker:
         return CellWorkerReply(self._cells[cell].engine.prepare(self._model))
 
     def _add(self, cell: int, body: int, base: FloatArray) -> CellWorkerReply:
-        self._put_in(cell, body, base)
+        self._add_body(cell, body, base)
         return CellWorkerReply(value=True)
 
     def _add_another(self, cell: int, body: int, base: FloatArray) -> None:
         try:
-            self._put_in(cell, body, base)
+            self._add_body(cell, body, base)
         except EngineRefused as refused:
             # It took others of this model, and nobody waits for what it says of this one.
             raise RuntimeError(f"body {body} of cell {cell}: {refused}") from refused
 
-    def _put_in(self, cell: int, body: int, base: FloatArray) -> None:
+    def _add_body(self, cell: int, body: int, base: FloatArray) -> None:
         assert self._model is not None
         known = self._cells[cell]
-        known.inner[body] = known.engine.add(self._model, base)
+        known.engine_numbers[body] = known.engine.add(self._model, base)
 
     def _remove(self, cell: int, body: int) -> None:
         known = self._cells[cell]
-        known.engine.remove(known.inner.pop(body))
+        known.engine.remove(known.engine_numbers.pop(body))
 
     def _forget_removed(self, cell: int) -> None:
         self._cells[cell].engine.forget_removed()
 
     def _overlapping(self, cell: int, body: int) -> CellWorkerReply:
         known = self._cells[cell]
-        return CellWorkerReply(known.outers(known.engine.find_overlaps(known.inner[body])))
+        return CellWorkerReply(
+            known.to_server_numbers(known.engine.find_overlaps(known.engine_numbers[body]))
+        )
 
     def _step(self, cells: Sequence[int], steps: int) -> CellWorkerReply:
         is_well = True
@@ -146,7 +148,7 @@ class CellWorker:
 
     def _read(self, asked: Sequence[tuple[int, Sequence[int]]]) -> CellWorkerReply:
         cells = ((self._cells[cell], bodies) for cell, bodies in asked)
-        found = [known.engine.read(known.inners(bodies)) for known, bodies in cells]
+        found = [known.engine.read(known.to_engine_numbers(bodies)) for known, bodies in cells]
         arrays = [(one.base, one.joint_positions, one.joint_velocities) for one in found]
         self._states.write([array for three in arrays for array in three])
         return CellWorkerReply([(len(one.base), one.joint_positions.size) for one in found])
@@ -158,7 +160,7 @@ class CellWorker:
 
     def _command_one(self, cell: int, bodies: Sequence[int], targets: FloatArray) -> None:
         known = self._cells[cell]
-        known.engine.command(known.inners(bodies), targets)
+        known.engine.command(known.to_engine_numbers(bodies), targets)
 
 
 def main() -> None:

@@ -32,21 +32,21 @@ class CommandCache:
 
     def __init__(self, width_of: Callable[[int], int]) -> None:
         self._width_of = width_of
-        self._told: FloatArray = np.full((64, 1), np.nan)
-        self._plans: dict[tuple[int, ...], _TargetIndex] = {}
+        self._targets: FloatArray = np.full((64, 1), np.nan)
+        self._indexes: dict[tuple[int, ...], _TargetIndex] = {}
 
     def forget(self, body: int) -> None:
         """Note that a body has come, has gone, or was moved past its orders."""
-        if body < len(self._told):
-            self._told[body] = np.nan
-        self._plans.clear()
+        if body < len(self._targets):
+            self._targets[body] = np.nan
+        self._indexes.clear()
 
     def take_changed(
         self, bodies: Sequence[int], numbers: FloatArray
     ) -> Iterator[tuple[int, list[float]]]:
         """List the bodies that are told something new, and their numbers; they are told now."""
-        plan = self._plan(tuple(bodies))
-        told = self._told.reshape(-1)
+        plan = self._find_index(tuple(bodies))
+        told = self._targets.reshape(-1)
         is_new = told[plan.places] != numbers
         if not is_new.any():
             return
@@ -55,29 +55,29 @@ class CommandCache:
         for row in np.unique(plan.rows[is_new]).tolist():
             yield bodies[row], listed[plan.starts[row] : plan.starts[row + 1]]
 
-    def _plan(self, bodies: tuple[int, ...]) -> _TargetIndex:
-        if (plan := self._plans.get(bodies)) is None:
-            if len(self._plans) == MAX_CACHED_INDEXES:
-                self._plans.clear()
-            plan = self._plans[bodies] = self._planned(bodies)
+    def _find_index(self, bodies: tuple[int, ...]) -> _TargetIndex:
+        if (plan := self._indexes.get(bodies)) is None:
+            if len(self._indexes) == MAX_CACHED_INDEXES:
+                self._indexes.clear()
+            plan = self._indexes[bodies] = self._make_index(bodies)
         return plan
 
-    def _planned(self, bodies: tuple[int, ...]) -> _TargetIndex:
+    def _make_index(self, bodies: tuple[int, ...]) -> _TargetIndex:
         widths = np.array([self._width_of(body) for body in bodies], dtype=np.intp)
         self._make_room(max(bodies, default=0), int(widths.max(initial=0)))
         starts = np.concatenate([[0], np.cumsum(widths)])
         rows = np.repeat(np.arange(len(bodies)), widths)
         columns = np.arange(starts[-1]) - starts[rows]
-        places = np.array(bodies, dtype=np.intp)[rows] * self._told.shape[1] + columns
+        places = np.array(bodies, dtype=np.intp)[rows] * self._targets.shape[1] + columns
         return _TargetIndex(places, rows, starts.tolist())
 
     def _make_room(self, body: int, width: int) -> None:
-        height, had = self._told.shape
+        height, had = self._targets.shape
         if body < height and width <= had:
             return
         while height <= body:
             height *= 2
         told = np.full((height, max(width, had)), np.nan)
-        told[: len(self._told), :had] = self._told
-        self._told = told
-        self._plans.clear()
+        told[: len(self._targets), :had] = self._targets
+        self._targets = told
+        self._indexes.clear()

@@ -39,7 +39,7 @@ class SleepState(IntEnum):
     UNKNOWN = 0
     FIXED = 1
     """Never moves, and wakes nobody."""
-    RESTLESS = 2
+    NEVER_SLEEPS = 2
     """Never sleeps."""
     AWAKE = 3
     ASLEEP = 4
@@ -82,7 +82,7 @@ class SleepTracker:
     """Bodies by number: where each was when it last moved, or where it sleeps."""
 
     def __init__(self, calm_steps: int) -> None:
-        self._calm_steps = calm_steps
+        self._delay_steps = calm_steps
         self.state = np.zeros(64, dtype=np.int8)
         self.is_driven = np.zeros(64, dtype=np.bool_)
         self.radius: FloatArray = np.zeros(64)
@@ -92,7 +92,7 @@ class SleepTracker:
         self._since = np.zeros(64, dtype=np.int64)
         self._bounds: FloatArray = np.zeros((64, 3))
 
-    def take(self, body: int, model: Model, radius_m: float, step: int) -> None:
+    def add(self, body: int, model: Model, radius_m: float, step: int) -> None:
         """Take a new body in."""
         self._make_room(body, len(model.joints))
         bounds = choose_sleep_thresholds(model)
@@ -108,7 +108,7 @@ class SleepTracker:
         self.base[body] = np.nan
         self._since[body] = step
 
-    def drop(self, body: int) -> None:
+    def remove(self, body: int) -> None:
         """Forget a body."""
         self.state[body] = SleepState.UNKNOWN
 
@@ -116,7 +116,7 @@ class SleepTracker:
         """Find the bodies that are in one of some states."""
         return np.asarray(np.isin(self.state, states))
 
-    def compare(self, bodies: IntArray, reading: BodyStates, step: int) -> BoolArray:
+    def update(self, bodies: IntArray, reading: BodyStates, step: int) -> BoolArray:
         """See how far bodies came, and say which have been calm for long enough."""
         positions = self._grid(bodies, reading.joint_positions)
         before = self.base[bodies]
@@ -132,7 +132,7 @@ class SleepTracker:
         self.base[stirred] = reading.base[~is_calm]
         self.joints[stirred] = positions[~is_calm]
         self._since[stirred] = step
-        return np.asarray(step - self._since[bodies] >= self._calm_steps)
+        return np.asarray(step - self._since[bodies] >= self._delay_steps)
 
     def store_asleep(self, bodies: IntArray, reading: BodyStates) -> None:
         """Keep the state in which bodies fall asleep: at rest."""
@@ -243,7 +243,7 @@ class SleepingEngine:
         self._steps = 0
         self._tracker = SleepTracker(max(1, round(SLEEP_DELAY_S / dt_s)))
         self._plans: dict[int, Actuation] = {}
-        self._orders = CommandCache(lambda body: self._plans[body].width)
+        self._commands = CommandCache(lambda body: self._plans[body].width)
         self._touched: dict[int, frozenset[int]] = {}
         self._hidden: dict[int, SleepState] = {}
         self._waking: set[int] = set()
@@ -258,7 +258,7 @@ class SleepingEngine:
     @property
     def asleep(self) -> tuple[int, ...]:
         """The bodies that sleep."""
-        return tuple(self._numbers(SleepState.ASLEEP).tolist())
+        return tuple(self._bodies_in(SleepState.ASLEEP).tolist())
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`."""
@@ -268,8 +268,8 @@ class SleepingEngine:
         """See `Engine.add`."""
         body = self._engine.add(model, base)
         self._plans[body] = make_actuation(model)
-        self._orders.forget(body)
-        self._tracker.take(body, model, self._radius_m(model), self._steps)
+        self._commands.forget(body)
+        self._tracker.add(body, model, self._find_radius_m(model), self._steps)
         if self._tracker.state[body] == SleepState.FIXED:
             # Else each sleeper that stands on it would be looked for contacts in each step.
             self._engine.sleep([body])
@@ -283,7 +283,7 @@ class SleepingEngine:
         if self._touched:
             self._wake_near(body, self._engine.read([body]).base[0])
         self._engine.remove(body)
-        self._tracker.drop(body)
+        self._tracker.remove(body)
         self._hidden.pop(body, None)
         self._deferred_pushes = [push for push in self._deferred_pushes if push.body != body]
         self._waking.discard(body)
@@ -293,7 +293,7 @@ class SleepingEngine:
         """See `SupportsHiding.conceal`."""
         self._engine.hide(body)
         self._hidden[body] = SleepState(self._tracker.state[body])
-        self._tracker.drop(body)
+        self._tracker.remove(body)
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `SupportsHiding.reveal`."""
@@ -320,7 +320,7 @@ class SleepingEngine:
         """See `Engine.read`; sleepers stand where they fell asleep."""
         if not self._touched:
             return self._engine.read(bodies)
-        rows = self._rows_of(bodies)
+        rows = self._split_rows(bodies)
         if not len(rows.asleep):
             return self._engine.read(bodies)
         reading = self._engine.read(rows.awake)
@@ -339,46 +339,46 @@ class SleepingEngine:
 
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
-        self._move(body, base)
+        self._mark_placed(body, base)
         self._engine.place(body, base)
 
     def put(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
         """See `Engine.put`."""
-        self._move(body, base)
+        self._mark_placed(body, base)
         self._engine.put(body, base, positions, velocities)
 
     def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
-        self._move(body, base)
-        self._orders.forget(body)
+        self._mark_placed(body, base)
+        self._commands.forget(body)
         self._tracker.is_driven[body] = False
         self._engine.rest(body, base, positions)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`; who is told something new wakes."""
-        news = list(self._orders.take_changed(bodies, targets))
+        news = list(self._commands.take_changed(bodies, targets))
         if not news:
             return
         self._engine.command(bodies, targets)
         for body, numbers in news:
             plan = self._plans[body]
             twist = numbers[plan.twist : plan.twist + 3] if plan.twist is not None else []
-            self._tracker.is_driven[body] = any(plan.speeds.of(numbers)) or any(twist)
+            self._tracker.is_driven[body] = any(plan.speeds.select(numbers)) or any(twist)
             self._tracker.mark_moved(body, self._steps)
         self._wake([body for body, _ in news])
 
     def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.push_link`; a sleeper is pushed a step later, when it is awake."""
-        if self._is_late(body):
+        if self._wake_for_push(body):
             self._deferred_pushes.append(DeferredPush(body, link, wrench.copy()))
         else:
             self._engine.push_link(body, link, wrench)
 
     def push_joint(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.push_joint`; a sleeper is pushed a step later, when it is awake."""
-        if self._is_late(body):
+        if self._wake_for_push(body):
             self._deferred_pushes.append(DeferredPush(body, joint, effort))
         else:
             self._engine.push_joint(body, joint, effort)
@@ -395,36 +395,36 @@ class SleepingEngine:
             else:
                 self._engine.push_link(push.body, push.where, push.what)
         if self._steps % self._every == 0 and is_well:
-            self._look()
+            self._update_sleepers()
         return is_well
 
     def close(self) -> None:
         """See `Engine.close`."""
         self._engine.close()
 
-    def _look(self) -> None:
+    def _update_sleepers(self) -> None:
         calm = self._tracker
-        asleep, awake = self._numbers(SleepState.ASLEEP), self._numbers(SleepState.AWAKE)
+        asleep, awake = self._bodies_in(SleepState.ASLEEP), self._bodies_in(SleepState.AWAKE)
         quiet = awake[~calm.is_driven[awake]]
         if not len(quiet) and not len(asleep):
             return
         reading = self._engine.read(tuple(quiet.tolist()))
-        is_ripe = calm.compare(quiet, reading, self._steps)
+        is_ripe = calm.update(quiet, reading, self._steps)
         if not is_ripe.any() and not len(asleep):
             return
         ripe, base = quiet[is_ripe], reading.base[is_ripe]
-        restless = np.setdiff1d(self._numbers(SleepState.AWAKE, SleepState.NEVER_SLEEPS), ripe)
+        restless = np.setdiff1d(self._bodies_in(SleepState.AWAKE, SleepState.NEVER_SLEEPS), ripe)
         moving = self._engine.read(tuple(restless.tolist())).base
         radius = calm.radius[restless]
         spots, radii = calm.base[asleep, :3], calm.radius[asleep]
         self._wake(asleep[find_reachable(moving, radius, spots, radii, self._ahead_s)].tolist())
         is_near = find_reachable(moving, radius, base[:, :3], calm.radius[ripe], self._ahead_s)
-        self._lay_down(ripe[~is_near].tolist())
+        self._put_to_sleep(ripe[~is_near].tolist())
 
-    def _lay_down(self, bodies: list[int]) -> None:
+    def _put_to_sleep(self, bodies: list[int]) -> None:
         """Let those sleep that touch none who stays awake."""
         touched = {body: frozenset(self._engine.find_contacts(body)) for body in bodies}
-        fixed = set(self._numbers(SleepState.FIXED).tolist())
+        fixed = set(self._bodies_in(SleepState.FIXED).tolist())
         while True:
             still = touched.keys() | self._touched.keys() | fixed
             awake = [body for body, others in touched.items() if not others <= still]
@@ -456,12 +456,12 @@ class SleepingEngine:
     def _wake_near(self, body: int, base: FloatArray) -> None:
         if not self._touched:
             return
-        asleep, calm = self._numbers(SleepState.ASLEEP), self._tracker
+        asleep, calm = self._bodies_in(SleepState.ASLEEP), self._tracker
         spots, radii = calm.base[asleep, :3], calm.radius[asleep]
         near = find_reachable(base[None], calm.radius[[body]], spots, radii, self._ahead_s)
         self._wake(asleep[near].tolist())
 
-    def _move(self, body: int, base: FloatArray) -> None:
+    def _mark_placed(self, body: int, base: FloatArray) -> None:
         """Note that a body is taken from where it is, and put somewhere."""
         self._wake([body])
         if self._touched:
@@ -469,13 +469,13 @@ class SleepingEngine:
             self._wake_near(body, base)
         self._tracker.mark_moved(body, self._steps)
 
-    def _is_late(self, body: int) -> bool:
+    def _wake_for_push(self, body: int) -> bool:
         """Wake a body, and say whether it was woken since the last step: the next passes it by."""
         self._wake([body])
         self._tracker.mark_moved(body, self._steps)
         return body in self._waking
 
-    def _rows_of(self, bodies: Sequence[int]) -> _ReadRows:
+    def _split_rows(self, bodies: Sequence[int]) -> _ReadRows:
         """Part the bodies of a reading: those of the same tuple are at hand."""
         if self._rows is not None and self._rows[0] == bodies:
             return self._rows[1]
@@ -494,11 +494,11 @@ class SleepingEngine:
             self._rows = bodies, found
         return found
 
-    def _numbers(self, *states: SleepState) -> IntArray:
+    def _bodies_in(self, *states: SleepState) -> IntArray:
         return np.flatnonzero(self._tracker.in_states(*states))
 
-    def _radius_m(self, model: Model) -> float:
+    def _find_radius_m(self, model: Model) -> float:
         """Find the radius of a ball about the root that holds a body, however far it slides."""
         slides = [joint for joint in model.joints if joint.kind == "prismatic"]
         ways = (max(abs(joint.lower), abs(joint.upper)) for joint in slides)
-        return min(self._measure.reach(model).radius_m + sum(ways) + WAKE_DISTANCE_M, MAX_REACH_M)
+        return min(self._measure.measure(model).radius_m + sum(ways) + WAKE_DISTANCE_M, MAX_REACH_M)

@@ -84,7 +84,7 @@ def parse_bounds(bounds: Bounds) -> Region | None:
             raise BoundsRefused(f"radius {radius:g} is negative; use metres as x of point 2")
         return Region(
             ConvexShape(points[:1], radius), points[0] - radius, points[0] + radius, False
-        )  # noqa: FBT003
+        )
     low, high = points.min(axis=0), points.max(axis=0)
     if bounds.type == BoundsType.BOX:
         points = (low + high) / 2.0 + UNIT_CUBE * (high - low)
@@ -93,7 +93,7 @@ def parse_bounds(bounds: Bounds) -> Region | None:
 
 def _parse_points(bounds: Bounds) -> FloatArray:
     is_hull, count = bounds.type == BoundsType.CONVEX_HULL, len(bounds.points)
-    fits = MIN_HULL_POINTS <= count <= MAX_BOUNDS_POINTS if is_hull else count == 2  # noqa: PLR2004
+    fits = MIN_HULL_POINTS <= count <= MAX_BOUNDS_POINTS if is_hull else count == 2
     if not fits:
         wanted = f"{MIN_HULL_POINTS} to {MAX_BOUNDS_POINTS}" if is_hull else "2"
         raise BoundsRefused(
@@ -175,13 +175,15 @@ def _find_overlapping_of_model(
     is_in: BoolArray = np.zeros(len(names), dtype=np.bool_)
     doubts = []
     for solid, places in solids:
-        low, high = solid.extents(places)
+        low, high = solid.bounds_at(places)
         is_near = _all_of_row((low <= region.high) & (high >= region.low))
         is_in |= is_near & _is_within(region, low, high)
         doubts.append((solid, places, is_near))
     yield [name for name, known in zip(names, is_in, strict=True) if known]
     for row in np.flatnonzero(~is_in):
-        near = [solid.at(places[row]) for solid, places, is_near in doubts if is_near[row]]
+        near = [
+            solid.transformed_by(places[row]) for solid, places, is_near in doubts if is_near[row]
+        ]
         if near:
             yield [names[row]] if any(are_overlapping(one, region.solid) for one in near) else []
 
@@ -206,7 +208,7 @@ def make_bounds(solids: list[tuple[ConvexShape, FloatArray]], wanted: BoundsType
     """Wrap solids, each with its pose (1, 7), in a box along the axes, a hull or a sphere."""
     if not solids or wanted == BoundsType.EMPTY:
         return Bounds()
-    reaches = [solid.extents(pose) for solid, pose in solids]
+    reaches = [solid.bounds_at(pose) for solid, pose in solids]
     low = np.min([reach[0][0] for reach in reaches], axis=0)
     high = np.max([reach[1][0] for reach in reaches], axis=0)
     if wanted == BoundsType.BOX:
@@ -218,7 +220,7 @@ def make_bounds(solids: list[tuple[ConvexShape, FloatArray]], wanted: BoundsType
 
 
 def _make_hull(solids: list[tuple[ConvexShape, FloatArray]]) -> tuple[Vector3, ...]:
-    points = np.vstack([solid.at(pose[0]).corners() for solid, pose in solids])
+    points = np.vstack([solid.transformed_by(pose[0]).vertices() for solid, pose in solids])
     return tuple(_to_vector(point) for point in find_extreme_points(points))
 
 

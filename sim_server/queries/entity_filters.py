@@ -81,7 +81,7 @@ def _format_reason(error: Exception) -> str:
     return said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said)
 
 
-FilterResponse = TypeVar("Answer", bound=msgspec.Struct)
+FilterResponse = TypeVar("FilterResponse", bound=msgspec.Struct)
 
 SEARCH_SLICE_NS = 2 * NANOSECONDS // 1000
 """What a search takes of each turn of the loop, or a quarter of a step where that is more."""
@@ -146,7 +146,7 @@ class _EntitySearch:
         self._work: Iterator[None] = iter(())
 
     def begin(self, pattern: PosixPattern | None, region: Region | None) -> None:
-        self._work = self._narrowed(pattern, region)
+        self._work = self._run_filters(pattern, region)
 
     def go_on(self) -> bool:
         start_ns = self._now_ns()
@@ -164,7 +164,7 @@ class _EntitySearch:
             )
         return tuple(self._entities)
 
-    def _narrowed(self, pattern: PosixPattern | None, region: Region | None) -> Iterator[None]:
+    def _run_filters(self, pattern: PosixPattern | None, region: Region | None) -> Iterator[None]:
         if pattern is not None:
             yield from self._keep(pattern.search(list(self._entities)))
         if region is not None:

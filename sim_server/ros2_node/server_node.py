@@ -40,7 +40,7 @@ class Ros2Call:
     """A request that came on a key of rmw_zenoh or of a bridge; see `IncomingCall`."""
 
     def __init__(
-        self, call: network.Call, forms: tuple[RosService, ...], attachment: Attachment | None
+        self, call: network.BusQuery, forms: tuple[RosService, ...], attachment: Attachment | None
     ) -> None:
         self._call = call
         self._forms = forms
@@ -60,7 +60,7 @@ class Ros2Call:
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """See `IncomingCall`: with the attachment by which ROS finds who asked."""
         del key
-        answer = self._form.answer(payload, encoding)
+        answer = self._form.encode_response(payload, encoding)
         back = b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
         self._call.reply(answer, CDR_ENCODING_NAME, attachment=back)
 
@@ -69,7 +69,7 @@ class Ros2Call:
         self._call.drop()
 
     def _read(self, form: RosService, kind: type[Message]) -> Message:
-        request = form.read(self.payload)
+        request = form.decode_request(self.payload)
         self._form = form
         return _widen_request(request, kind)
 
@@ -78,7 +78,7 @@ class Ros2CallQueues:
     """All requests that come in forms of ROS 2."""
 
     def __init__(
-        self, queues: tuple[network.CallQueue, ...], forms: Mapping[str, tuple[RosService, ...]]
+        self, queues: tuple[network.BusQueryQueue, ...], forms: Mapping[str, tuple[RosService, ...]]
     ) -> None:
         self._queues = queues
         self._forms = forms
@@ -116,7 +116,7 @@ def announce_services(node: RosNode) -> None:
     for form in ROS_SERVICES:
         if has_hashes or form.is_humble_form:
             type_hash = form.type_hash if has_hashes else NO_HASH
-            node.join(
+            node.add_endpoint(
                 "SS", form.name, form.ros_type, type_hash=type_hash, bridge_key=form.bridge_key
             )
 
@@ -176,7 +176,7 @@ class ServerNode:
 def start_server_node(bus: Bus, settings: RosSettings) -> ServerNode:
     """Show the server to ROS 2, as far as the settings want it."""
     graph = RosGraph(bus, settings)
-    node = graph.node("", NODE_NAME)
+    node = graph.add_node("", NODE_NAME)
     faces = TopicFactory(bus, node, settings)
     if node is None:
         return ServerNode((), faces, lambda _: None, graph.close)
@@ -185,7 +185,7 @@ def start_server_node(bus: Bus, settings: RosSettings) -> ServerNode:
     sources: tuple[CallSource, ...] = (serve_rmw_calls(bus, node.domain), steps)
     if settings.is_bridged:
         sources = (*sources, serve_bridge_calls(bus))
-    return ServerNode(sources, faces, steps.note, graph.close)
+    return ServerNode(sources, faces, steps.on_progress, graph.close)
 
 
 def _make_steps_action(bus: Bus, node: RosNode, faces: TopicFactory) -> SimulateStepsAction:
@@ -195,7 +195,7 @@ def _make_steps_action(bus: Bus, node: RosNode, faces: TopicFactory) -> Simulate
     for name, (request, response) in action.ACTION_SERVICES.items():
         kind = find_service_type(request)
         type_hash = hash_service(request, response) if settings.has_hashes else NO_HASH
-        node.join("SS", name, kind, type_hash=type_hash)
+        node.add_endpoint("SS", name, kind, type_hash=type_hash)
         keys = [make_data_key(node.domain, name, kind, ANY_HASH)]
         if settings.is_bridged:
             keys.append(name.strip("/"))

@@ -70,7 +70,7 @@ class ActionTopic(Protocol):
     def send(self, payload: bytes) -> None:
         """Put one message."""
 
-    def answer(self, payload: Callable[[], bytes]) -> None:
+    def reply_to_late_joiners(self, payload: Callable[[], bytes]) -> None:
         """Tell the value of now to those who come late."""
 
 
@@ -80,11 +80,11 @@ class ActionGoal:
 
     goal_id: action.GoalId
     stamp: Time
-    asked: ActionQuery | None
+    goal_query: ActionQuery | None
     """Who waits to hear whether it is accepted."""
     status: action.GoalStatusCode = action.GoalStatusCode.ACCEPTED
     result: Result = field(default_factory=Result)
-    waiting: list[ActionQuery] = field(default_factory=list)
+    result_queries: list[ActionQuery] = field(default_factory=list)
     """Who waits for its result."""
 
     @property
@@ -146,31 +146,31 @@ class SimulateStepsAction:
             tellers: One for each of `ros_actions.TOPICS`.
         """
         self._queues = queues
-        self._tellers = tellers
+        self._publishers = tellers
         self._goals: OrderedDict[str, ActionGoal] = OrderedDict()
         self._new: list[ActionGoal] = []
 
     def take(self) -> list[IncomingCall]:
         """Take what has come, as requests of the server's own; results are told at once."""
-        self._tellers[action.STATUS_TOPIC].answer(self.statuses)
+        self._publishers[action.STATUS_TOPIC].reply_to_late_joiners(self.statuses)
         while self._new:
             self._accept(self._new.pop())  # what was refused was so before this turn
         calls: list[IncomingCall] = []
         for query in self._queues[action.SEND_GOAL_SERVICE].take():
-            calls += self._begin(query)
+            calls += self._on_send_goal(query)
         for query in self._queues[action.CANCEL_GOAL_SERVICE].take():
             calls += self._on_cancel_goal(query)
         for query in self._queues[action.GET_RESULT_SERVICE].take():
             self._on_get_result(query)
         return calls
 
-    def note(self, progress: StepsProgress) -> None:
+    def on_progress(self, progress: StepsProgress) -> None:
         """Tell of the progress of a goal, if it is one of these."""
         goal = self._goals.get(progress.goal_id)
         if goal is None:
             return
         self._accept(goal)
-        if (teller := self._tellers[action.FEEDBACK_TOPIC]).is_matched:
+        if (teller := self._publishers[action.FEEDBACK_TOPIC]).is_matched:
             steps = action.StepsFeedback(progress.completed_steps, progress.remaining_steps)
             teller.send(encode(action.FeedbackMessage(goal.goal_id, steps), Format.CDR))
 
@@ -178,16 +178,16 @@ class SimulateStepsAction:
         """Take the answer to a goal: what is refused was never accepted."""
         response = decode(SimulateStepsResponse, payload, encoding)
         is_refused = response.result.result != ResultCode.OK and not response.goal_id
-        if goal.asked is not None and is_refused:
+        if goal.goal_query is not None and is_refused:
             del self._goals[goal_id_to_hex(goal.goal_id)]
-            self._answer(goal.asked, action.SendGoalResponse())
-            goal.asked = None
+            self._answer(goal.goal_query, action.SendGoalResponse())
+            goal.goal_query = None
             return
         self._accept(goal)
         goal.status, goal.result = FINAL_STATUSES[response.status], response.result
-        for query in goal.waiting:
+        for query in goal.result_queries:
             self._reply_result(query, goal)
-        goal.waiting.clear()
+        goal.result_queries.clear()
         self._forget_oldest()
         self._publish_status()
 
@@ -199,7 +199,7 @@ class SimulateStepsAction:
     def _infos(self, names: Sequence[str]) -> tuple[action.GoalInfo, ...]:
         return tuple(self._goals[name].info for name in names if name in self._goals)
 
-    def _begin(self, query: ActionQuery) -> list[IncomingCall]:
+    def _on_send_goal(self, query: ActionQuery) -> list[IncomingCall]:
         request = _decode_query(action.SendGoalRequest, query)
         name = "" if request is None else goal_id_to_hex(request.goal_id)
         if request is None or not name or name in self._goals:
@@ -251,17 +251,17 @@ class SimulateStepsAction:
     def _on_get_result(self, query: ActionQuery) -> None:
         request = _decode_query(action.GetResultRequest, query)
         goal = None if request is None else self._goals.get(goal_id_to_hex(request.goal_id))
-        if goal is None or len(goal.waiting) >= MAX_RESULT_QUERIES:
+        if goal is None or len(goal.result_queries) >= MAX_RESULT_QUERIES:
             self._answer(query, action.GetResultResponse(action.GoalStatusCode.UNKNOWN))
         elif goal.is_over:
             self._reply_result(query, goal)
         else:
-            goal.waiting.append(query)
+            goal.result_queries.append(query)
 
     def _accept(self, goal: ActionGoal) -> None:
-        if (asked := goal.asked) is None:
+        if (asked := goal.goal_query) is None:
             return
-        goal.asked, goal.status = None, action.GoalStatusCode.EXECUTING
+        goal.goal_query, goal.status = None, action.GoalStatusCode.EXECUTING
         self._answer(asked, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
         self._publish_status()
 
@@ -270,12 +270,12 @@ class SimulateStepsAction:
         self._answer(query, action.GetResultResponse(goal.status, result))
 
     def _publish_status(self) -> None:
-        if (teller := self._tellers[action.STATUS_TOPIC]).is_matched:
+        if (teller := self._publishers[action.STATUS_TOPIC]).is_matched:
             teller.send(self.statuses())
 
     def statuses(self) -> bytes:
         """Write how far all goals are, as the status topic tells it."""
-        goals = [one for one in self._goals.values() if one.asked is None]
+        goals = [one for one in self._goals.values() if one.goal_query is None]
         told = tuple(action.GoalStatusMessage(goal.info, goal.status) for goal in goals)
         return encode(action.GoalStatusArray(told), Format.CDR)
 

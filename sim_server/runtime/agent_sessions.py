@@ -29,9 +29,9 @@ class AgentSessions:
         self._world = context.world
         self._lockstep = context.lockstep
         self._inbox = inbox
-        self._outlet = outlet
-        self._published_version = self._seen
-        self._told_ns = -MIN_STATE_INTERVAL_NS
+        self._publisher = outlet
+        self._published_version = self._version
+        self._published_ns = -MIN_STATE_INTERVAL_NS
         self._has_unsent_states = False
         """Whether a control step has passed that somebody was not told of."""
         self._awaited_since_ns: dict[str, int] = {}
@@ -46,33 +46,33 @@ class AgentSessions:
         for sample in self._inbox.take_commands():
             self._command(sample)
 
-    def tell(self) -> None:
+    def publish_states(self) -> None:
         """Tell every agent: this is a control step.
 
         When time runs faster than the wall clock they are told no more often than they answer.
         """
         now_ns = self._context.now_ns()
         runs_fast = self._is_unpaced
-        if runs_fast and now_ns - self._told_ns < MIN_STATE_INTERVAL_NS:
+        if runs_fast and now_ns - self._published_ns < MIN_STATE_INTERVAL_NS:
             self._has_unsent_states = True
             return
-        self._told_ns = now_ns
+        self._published_ns = now_ns
         busy = self._find_busy_agents(now_ns) if runs_fast else frozenset()
         self._has_unsent_states = bool(busy)
         for agent, state in self._world.drive_states(busy):
-            self._tell(agent, state)
-        self._published_version = self._seen
+            self._publish_state(agent, state)
+        self._published_version = self._version
 
     def publish_changed_claims(self) -> None:
         """Tell those whose claims or whose epoch are others than when they were told last."""
         if self._has_unsent_states and self._world.state != State.PLAYING:
-            self.tell()
-        if self._published_version == self._seen:
+            self.publish_states()
+        if self._published_version == self._version:
             return
         for agent, state in self._world.drive_states():
             if not self._lockstep.has_sent(agent, state):
-                self._tell(agent, state)
-        self._published_version = self._seen
+                self._publish_state(agent, state)
+        self._published_version = self._version
 
     def must_wait(self) -> bool:
         """Whether time stands until agents have answered; those that are too late are dealt with.
@@ -81,7 +81,7 @@ class AgentSessions:
         """
         if not self._lockstep.is_waiting:
             return False
-        late = self._lockstep.look(self._context.now_ns())
+        late = self._lockstep.find_late(self._context.now_ns())
         if late and self._lockstep.settings.on_miss == "wait":
             self._publish_again(late)
         elif late:
@@ -98,7 +98,7 @@ class AgentSessions:
         return not (is_paced or self._is_awaited) and self._world.state == State.PLAYING
 
     @property
-    def _seen(self) -> tuple[int, int]:
+    def _version(self) -> tuple[int, int]:
         return self._world.epoch, self._world.claims.changes
 
     def _find_busy_agents(self, now_ns: int) -> frozenset[str]:
@@ -106,24 +106,24 @@ class AgentSessions:
         asked = self._awaited_since_ns.items()
         return frozenset(agent for agent, told_ns in asked if now_ns - told_ns < RESEND_AFTER_NS)
 
-    def _tell(self, agent: str, state: DriveState) -> None:
+    def _publish_state(self, agent: str, state: DriveState) -> None:
         told = msgspec.structs.replace(
             state,
             newest_claim=self._world.claims.newest,
             is_awaited=self._is_awaited,
         )
-        self._outlet.publish_drive_state(agent, told)
+        self._publisher.publish_drive_state(agent, told)
         self._awaited_since_ns[agent] = self._context.now_ns()
         if not told.claims:
             self._lockstep.forget(agent)
-        elif not self._lockstep.tell(agent, told, self._context.now_ns()):
+        elif not self._lockstep.record_sent(agent, told, self._context.now_ns()):
             self._context.step_goals.note_late((agent,))
 
     def _publish_again(self, late: tuple[str, ...]) -> None:
         """Repeat what may have been lost on the way: a congested network drops messages."""
         for agent, state in self._world.drive_states():
             if agent in late:
-                self._tell(agent, state)
+                self._publish_state(agent, state)
 
     def _miss(self, late: tuple[str, ...]) -> None:
         settings, step = self._lockstep.settings, self._world.steps
@@ -131,7 +131,7 @@ class AgentSessions:
             text = f"agent '{agent}' did not answer step {step} within {settings.timeout_s:g} s"
             LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
             event = Event("missed", "", agent, step, self._world.epoch, text)
-            self._outlet.tell("events", event)
+            self._publisher.publish("events", event)
         if settings.on_miss == "fail":
             self._abort_and_pause(f"{text}; see that it runs, and go on")
         else:
@@ -151,7 +151,7 @@ class AgentSessions:
         self._world.release(agent)
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)
-        self._outlet.forget_agent(agent)
+        self._publisher.forget_agent(agent)
 
     def _on_bond_liveliness(self, bond: str, *, is_alive: bool) -> None:
         if is_alive:
@@ -168,7 +168,7 @@ class AgentSessions:
             self._world.claims.dropped += 1
             LOG.debug("drive command dropped agent=%s reason=%s", agent, error)
             return
-        if not self._lockstep.answer(agent, command):
+        if not self._lockstep.record_answer(agent, command):
             self._world.claims.dropped += 1
         elif self._world.command(agent, command):
             self._world.record_ready_time(agent, self._context.now_ns())

@@ -45,7 +45,7 @@ class ServerLoop:
         self._world = context.world
         self._loop_stats = context.loop_stats
         self._inbox = inbox
-        self._outlet = outlet
+        self._publisher = outlet
         self._clock = clock
         self._telemetry = WorldTelemetry(context)
         self._deadline_ns = clock.now_ns()
@@ -98,7 +98,7 @@ class ServerLoop:
             late_ns=max(0, now_ns - self._deadline_ns),
         )
         if self._world.is_control_step:
-            self._agent_sessions.tell()
+            self._agent_sessions.publish_states()
 
     def publish(self) -> None:
         """Tell everybody what is due."""
@@ -110,14 +110,14 @@ class ServerLoop:
                 event.agent,
                 event.message,
             )
-            self._outlet.tell("events", event)
+            self._publisher.publish("events", event)
         now_ns = self._clock.now_ns()
         self._publish_progress(now_ns)
-        if self._loop_stats.close_window(now_ns) and self._outlet.is_wanted("stats"):
-            self._outlet.tell("stats", self._telemetry.stats())
+        if self._loop_stats.close_window(now_ns) and self._publisher.is_wanted("stats"):
+            self._publisher.publish("stats", self._telemetry.stats())
         for topic in self._telemetry.due(now_ns):
-            if self._outlet.is_wanted(topic):
-                self._outlet.tell(topic, self._telemetry.message(topic))
+            if self._publisher.is_wanted(topic):
+                self._publisher.publish(topic, self._telemetry.message(topic))
 
     def _advance(self, now_ns: int) -> None:
         self._apply_speed_change(now_ns)
@@ -169,4 +169,4 @@ class ServerLoop:
 
     def _publish_progress(self, now_ns: int) -> None:
         for progress in self._context.step_goals.due_progress(now_ns):
-            self._outlet.tell("simulate_steps_feedback", progress)
+            self._publisher.publish("simulate_steps_feedback", progress)

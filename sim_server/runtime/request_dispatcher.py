@@ -45,7 +45,7 @@ class ResponseCache:
         self._responses: OrderedDict[tuple[str, bytes], CachedResponse] = OrderedDict()
         self._bytes = 0
 
-    def known(self, call: IncomingCall) -> CachedResponse | None:
+    def find(self, call: IncomingCall) -> CachedResponse | None:
         """Find the answer that this very request has had."""
         return self._responses.get((call.name, call.request_id)) if call.request_id else None
 
@@ -164,7 +164,7 @@ class RequestDispatcher:
         self._context = context
         self._telemetry = telemetry
         self._responses = ResponseCache()
-        self._responses.load(context.told)
+        self._responses.load(context.earlier_responses)
         self._pending: list[_PendingRequest] = []
         self._parked: list[tuple[IncomingCall, int]] = []
         self._reply_queue = ReplyQueue(lambda name: service_key(context.world.name, name))
@@ -191,7 +191,7 @@ class RequestDispatcher:
     def _take(self, call: IncomingCall) -> None:
         if call.name in GETTABLE_TOPICS:
             self._reply(call, self._telemetry.message(call.name))
-        elif (answer := self._responses.known(call)) is not None:
+        elif (answer := self._responses.find(call)) is not None:
             self._send(call, answer)
         elif not (self._attach_to_pending(call) or self._defer_until_writable(call)):
             self._execute(call)
@@ -280,7 +280,7 @@ class RequestDispatcher:
         if call.name in JOURNALED_SERVICES:
             self._responses.forget(call)
             self._refuse(call)
-        elif self._responses.known(call) is not None:
+        elif self._responses.find(call) is not None:
             self._reply_queue.send(waiting)  # what it did stands, and is kept as soon as can be
         else:
             self._take(call)

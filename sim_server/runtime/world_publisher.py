@@ -6,7 +6,7 @@ from typing import Protocol
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import Bus, Publisher
+from zensim.proto.bus import Bus, BusPublisher
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
@@ -30,7 +30,7 @@ class WorldPublisher(Protocol):
     def is_wanted(self, topic: str) -> bool:
         """Whether anybody listens to a topic."""
 
-    def tell(self, topic: str, message: msgspec.Struct) -> None:
+    def publish(self, topic: str, message: msgspec.Struct) -> None:
         """Publish on a topic of the world."""
 
     def publish_drive_state(self, agent: str, state: DriveState) -> None:
@@ -67,7 +67,7 @@ class BusWorldPublisher:
             "link_states": (keys.link_states(world), LinkStates),
             "simulate_steps_feedback": (keys.steps_progress(world), StepsProgress),
         }
-        self._heed = on_progress
+        self._on_progress = on_progress
         self._bus = bus
         self._world = world
         self._topics = {
@@ -79,17 +79,17 @@ class BusWorldPublisher:
             for topic, kind in ROS2_TOPICS.items()
             if faces
         }
-        self._agents: dict[str, Publisher] = {}
+        self._agents: dict[str, BusPublisher] = {}
 
     def is_wanted(self, topic: str) -> bool:
         """See `WorldPublisher`."""
         faced = self._ros2_publishers.get(topic)
         return self._topics[topic].is_matched or (faced is not None and faced.is_matched)
 
-    def tell(self, topic: str, message: msgspec.Struct) -> None:
+    def publish(self, topic: str, message: msgspec.Struct) -> None:
         """See `WorldPublisher`."""
-        if self._heed is not None and isinstance(message, StepsProgress):
-            self._heed(message)
+        if self._on_progress is not None and isinstance(message, StepsProgress):
+            self._on_progress(message)
         faced = self._ros2_publishers.get(topic)
         if faced is not None and faced.is_matched:
             faced.send(encode(message, Format.CDR))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zensim.sim_server.physics.engine import FloatArray
+from zensim.proto.rotation import FloatArray
 
 IntArray = npt.NDArray[np.intp]
 
@@ -122,7 +122,7 @@ class PointGrid:
     size_m: float
     width: int
 
-    def of(self, points: FloatArray) -> npt.NDArray[np.int64]:
+    def find_keys(self, points: FloatArray) -> npt.NDArray[np.int64]:
         """Find the keys of cells; those of a column follow one another."""
         cells = np.floor((points - self.origin) / self.size_m).astype(np.int64)
         # Beyond the border nothing is: one cell there stands for all.
@@ -135,7 +135,7 @@ def make_point_grid(points: FloatArray, size_m: float) -> PointGrid:
     origin = points.min(axis=0)
     rows = int((points[:, 1].max() - origin[1]) / size_m) + 1
     made = PointGrid(np.zeros(0, np.intp), np.zeros(0, np.int64), origin, size_m, rows + 3)
-    keys = made.of(points)
+    keys = made.find_keys(points)
     order = np.argsort(keys, kind="stable")
     return PointGrid(order, keys[order], origin, size_m, rows + 3)
 
@@ -146,7 +146,7 @@ def find_close_pairs(points: FloatArray, reach: FloatArray) -> tuple[IntArray, I
     Returns:
         Indices (k,) of the one and of the other; each pair once, the lower index first.
     """
-    if len(points) < 2:  # noqa: PLR2004 - a pair
+    if len(points) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     is_large = reach > LARGE_DISC_RATIO * float(np.median(reach))
     rest, large = np.flatnonzero(~is_large), np.flatnonzero(is_large)
@@ -166,7 +166,7 @@ def find_close_pairs(points: FloatArray, reach: FloatArray) -> tuple[IntArray, I
 
 
 def _close_pairs_on_grid(points: FloatArray, reach: FloatArray) -> tuple[IntArray, IntArray]:
-    if len(points) < 2:  # noqa: PLR2004 - a pair
+    if len(points) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     cells = make_point_grid(points, max(2.0 * float(reach.max()), MIN_GRID_CELL_M))
     keys, places = cells.keys, np.arange(len(points))
@@ -193,7 +193,7 @@ def find_near_points(
     Returns:
         Indices (k,) of the queries and of the points.
     """
-    keys = cells.of(queries)
+    keys = cells.find_keys(queries)
     found = []
     for beside in (-cells.width, 0, cells.width):
         column = keys + beside

@@ -40,13 +40,13 @@ class ConvexShape:
     disc_radius_m: float = 0.0
     axis: FloatArray = field(default_factory=lambda: Z_AXIS)
 
-    def at(self, pose: FloatArray) -> "ConvexShape":
+    def transformed_by(self, pose: FloatArray) -> "ConvexShape":
         """Move it by a pose (7,)."""
         points = pose[:3] + rotate(pose[3:], self.points)
         return replace(self, points=points, axis=rotate(pose[3:], self.axis))
 
     @property
-    def reach(self) -> float:
+    def radius_from_origin(self) -> float:
         """How far [m] it reaches from the origin, at most."""
         return (
             float(np.linalg.norm(self.points, axis=1).max())
@@ -54,7 +54,7 @@ class ConvexShape:
             + self.disc_radius_m
         )
 
-    def farthest(self, direction: FloatArray) -> FloatArray:
+    def support_point(self, direction: FloatArray) -> FloatArray:
         """Find the point (3,) that lies farthest in a direction (3,)."""
         point = self.points[int(np.argmax(self.points @ direction))]
         if self.sphere_radius_m:
@@ -64,7 +64,7 @@ class ConvexShape:
             point = point + across * (self.disc_radius_m / max(_norm(across), 1e-12))
         return np.asarray(point)
 
-    def extents(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def bounds_at(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Find the lowest and the highest coordinates (n, 3) when moved by poses (n, 7)."""
         points = poses[:, None, :3] + rotate(poses[:, None, 3:], self.points)
         reach = np.full((len(poses), 3), self.sphere_radius_m)
@@ -73,7 +73,7 @@ class ConvexShape:
             reach = reach + self.disc_radius_m * np.sqrt(np.maximum(1.0 - along * along, 0.0))
         return points.min(axis=1) - reach, points.max(axis=1) + reach
 
-    def corners(self) -> FloatArray:
+    def vertices(self) -> FloatArray:
         """Find points (k, 3) whose hull it is; of what is round, `RING_VERTICES` on each circle."""
         if self.disc_radius_m:
             return (self.points[:, None, :] + self.disc_radius_m * _unit_ring(self.axis)).reshape(
@@ -91,7 +91,10 @@ def list_collision_shapes(model: Model, corners: MeshVertices) -> Iterator[tuple
     for link in model.links:
         for shape in link.collisions:
             if shape.kind != "plane":
-                yield link.name, _to_convex_shape(shape, corners).at(origin_to_pose(shape.origin))
+                yield (
+                    link.name,
+                    _to_convex_shape(shape, corners).transformed_by(origin_to_pose(shape.origin)),
+                )
 
 
 def place_collision_shapes(
@@ -111,7 +114,10 @@ def find_bounding_radius(model: Model, corners: MeshVertices) -> float:
         if joint.kind not in ("revolute", "continuous", "fixed") and not slide:
             links[joint.child] = math.inf
     return max(
-        (links[link] + solid.reach for link, solid in list_collision_shapes(model, corners)),
+        (
+            links[link] + solid.radius_from_origin
+            for link, solid in list_collision_shapes(model, corners)
+        ),
         default=0.0,
     )
 
@@ -147,7 +153,7 @@ def are_overlapping(one: ConvexShape, other: ConvexShape) -> bool:
     for _ in range(MAX_GJK_ITERATIONS):
         if _norm(nearest) <= TOUCH_TOLERANCE_M:
             return True
-        newest = one.farthest(-nearest) - other.farthest(nearest)
+        newest = one.support_point(-nearest) - other.support_point(nearest)
         if float(newest @ nearest) > TOUCH_TOLERANCE_M * _norm(nearest):
             return False
         if (corners == newest).all(axis=1).any():

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model, Origin, Shape
-from zensim.proto.rotation import rotate
+from zensim.proto.rotation import FloatArray, rotate
 from zensim.sim_server.description.model_geometry import (
     compose_poses,
     find_link_poses,
     links_in_contact,
 )
-from zensim.sim_server.physics.engine import FloatArray
 
 MeshTriangles = Callable[[str], FloatArray]
 """Corners (3 f, 3) of the triangles of the mesh of a `Shape.mesh`, unscaled."""

@@ -74,7 +74,7 @@ def simulate_steps(
 ) -> DeferredResponse:
     """Make steps of a paused world, tell of their progress, and answer at the end."""
     goal_id = _check_goal_id(request.goal_id)
-    goal = context.step_goals.known(goal_id)
+    goal = context.step_goals.find(goal_id)
     if goal is None:
         goal = _add_goal(context, request.steps, goal_id)
     elif goal.steps != request.steps:
@@ -91,7 +91,7 @@ def cancel_steps(
     """End a goal, or all, before the last step."""
     canceled = context.step_goals.cancel(request.goal_id)
     if not canceled and request.goal_id:
-        known = context.step_goals.known(request.goal_id)
+        known = context.step_goals.find(request.goal_id)
         raise RequestRefused(
             ResultCode.NOT_FOUND if known is None else ResultCode.INCORRECT_STATE,
             f"goal {request.goal_id[:80]!r} {'is unknown' if known is None else 'is over'}; "
@@ -125,7 +125,7 @@ def run_to(context: ServerContext, request: simulation_messages.RunToRequest) ->
     return DeferredResponse(
         is_over,
         lambda: simulation_messages.RunToResponse(
-            _make_goal_result(goal), time_from_ns(world.time_ns), goal.made
+            _make_goal_result(goal), time_from_ns(world.time_ns), goal.completed
         ),
     )
 
@@ -169,16 +169,16 @@ def _check_goal_id(goal_id: str) -> str:
 
 def _make_steps_response(goal: StepGoal) -> simulation_messages.SimulateStepsResponse:
     return simulation_messages.SimulateStepsResponse(
-        _make_goal_result(goal), goal.goal_id, goal.status, goal.made, goal.left
+        _make_goal_result(goal), goal.goal_id, goal.status, goal.completed, goal.remaining
     )
 
 
 def _make_goal_result(goal: StepGoal) -> Result:
     if goal.status == "canceled":
-        text = f"canceled after {goal.made} of {goal.steps} steps"
+        text = f"canceled after {goal.completed} of {goal.steps} steps"
         return Result(ResultCode.OPERATION_FAILED, text)
     if goal.status == "aborted":
-        text = f"ended after {goal.made} of {goal.steps} steps: {goal.reason}"
+        text = f"ended after {goal.completed} of {goal.steps} steps: {goal.reason}"
         return Result(ResultCode.OPERATION_FAILED, text)
     if goal.late:
         names = ", ".join(sorted(goal.late))

@@ -324,7 +324,7 @@ class _AtomicSpawns(_SpawnBatch):
         super().__init__(context, [replace(order, dry_run=False) for order in orders])
         self._unparsed = list({id(one.entity_resource): one for one in self._orders}.values())
         self._has_begun = False
-        self._expected: list[StagedSpawn] = []
+        self._staged: list[StagedSpawn] = []
 
     def go_on(self) -> bool:
         """Make some once all is read; let all in with the last; say whether that is over."""
@@ -337,10 +337,10 @@ class _AtomicSpawns(_SpawnBatch):
             if not self._stage_some() or not self._context.world.is_idle:
                 return False
             if not self._is_dry_run:
-                commit_staged(self._context, self._expected)
+                commit_staged(self._context, self._staged)
         except SimError as error:
-            self._give_up(error)
-        self._context.world.rollback_staged(one.entity for one in self._expected)
+            self._fail_all(error)
+        self._context.world.rollback_staged(one.entity for one in self._staged)
         return True
 
     def _collect_parsed(self) -> None:
@@ -356,17 +356,17 @@ class _AtomicSpawns(_SpawnBatch):
     def _stage_some(self) -> bool:
         """Make entities while there is time; say whether none is left to be made."""
         end_ns = _find_slice_end(self._context)
-        for order in self._orders[len(self._expected) :]:
+        for order in self._orders[len(self._staged) :]:
             if not self._is_ready_to_spawn(order):
                 break
             made = stage_model(self._context, order, *self._model(order))
-            self._expected.append(made)
+            self._staged.append(made)
             self._results.append(SpawnResult(Result(), made.entity.name))
             if self._context.now_ns() >= end_ns:
                 break
-        return len(self._expected) == len(self._orders)
+        return len(self._staged) == len(self._orders)
 
-    def _give_up(self, error: SimError) -> None:
+    def _fail_all(self, error: SimError) -> None:
         failed = len(self._results)
         if failed == len(self._orders):
             self._results = [_make_refused_result(error)] * failed

@@ -19,8 +19,9 @@ from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.parser_protocol import ParseResult
 from zensim.sim_server.queries.entity_filters import make_tags_test
-from zensim.sim_server.server_context import BuiltWorld, DeferredResponse, ServerContext
+from zensim.sim_server.server_context import DeferredResponse, ServerContext
 from zensim.sim_server.world_loading.world_catalog import ONLINE_SCHEMES, WorldSearch
+from zensim.sim_server.world_loading.world_loader import BuiltWorld
 from zensim.sim_server.world_loading.world_resources import WorldParseJob
 
 EMPTY_WORLD = WorldModel("", gravity=(0.0, 0.0, 0.0))

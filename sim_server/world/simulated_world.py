@@ -142,7 +142,7 @@ class EntityStore(SimulationClock):
     def _add_entity(self, entity: Entity) -> None:
         self._entities[entity.name] = entity
         self._changed()
-        self._tell("spawned", entity=entity.name)
+        self._add_event("spawned", entity=entity.name)
 
     def set_info(self, name: str, info: EntityInfo) -> None:
         """Say what an entity is; raises EntityNotFound."""
@@ -223,7 +223,7 @@ class World(EntityStore):
         self._names.drop(self._entities.pop(name))
         self.ready_s.pop(name, None)
         self._changed()
-        self._tell("deleted", entity=name)
+        self._add_event("deleted", entity=name)
 
     def state_of(self, name: str) -> FloatArray:
         """Read one entity's state row (13,), alone unless all have been read already."""
@@ -299,7 +299,7 @@ class World(EntityStore):
         held = self.claims.list_claims(agent)
         for name, _ in held:
             self.claims.drop(name)
-            self._tell("released", entity=name, agent=agent)
+            self._add_event("released", entity=name, agent=agent)
         self._stop([self._entities[name] for name, hold in held if hold.on_release == "stop"])
         for name, hold in held:
             if hold.on_release == "delete":
@@ -367,7 +367,7 @@ class World(EntityStore):
         self.claims.forget_targets()
         self.applied_forces.forget_all()
         self._reading = None
-        self._tell("reset", message=f"scope={scope}")
+        self._add_event("reset", message=f"scope={scope}")
 
     def reading(self) -> BodyStates:
         """Read every entity back, once a step at most; those that have gone bad are mended."""
@@ -422,7 +422,7 @@ class World(EntityStore):
         """
         for name in self._entities:
             self.claims.drop(name)
-            self._tell("deleted", entity=name)
+            self._add_event("deleted", entity=name)
         self._engine.close()
         self.claims.forget_targets()
         self.applied_forces.forget_all()
@@ -432,9 +432,9 @@ class World(EntityStore):
         self.step_ns, self.control_steps = other.step_ns, other.control_steps
         self.watch, self.state = DivergenceGuard(), state
         self.steps, self.epoch = 0, self.epoch + 1
-        self._tell("unloaded" if state == State.NO_WORLD else "loaded")
+        self._add_event("unloaded" if state == State.NO_WORLD else "loaded")
         for name in self._entities:
-            self._tell("spawned", entity=name)
+            self._add_event("spawned", entity=name)
         self._changed()
 
     def release_engine(self) -> tuple[Engine, dict[str, Entity]]:
@@ -461,7 +461,7 @@ class World(EntityStore):
         self._recreate_body(entity, make_frozen_model(entity.model, stand.positions), stand.base)
         if agent := self.claims.agent_of(entity.name):
             self.claims.drop(entity.name)
-            self._tell("released", entity=entity.name, agent=agent)
+            self._add_event("released", entity=entity.name, agent=agent)
         self.warn(entity.name, FROZEN_MESSAGE)
 
     def _unfreeze(self, entity: Entity) -> None:
@@ -483,7 +483,7 @@ class World(EntityStore):
 
     def _grant(self, agent: str, entity: Entity, on_release: OnRelease) -> Claim:
         hold = self.claims.grant(agent, entity.name, on_release)
-        self._tell("claimed", entity=entity.name, agent=agent)
+        self._add_event("claimed", entity=entity.name, agent=agent)
         return Claim(
             hold.claim,
             entity.name,

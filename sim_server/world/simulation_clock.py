@@ -68,7 +68,7 @@ class SimulationClock:
     def change_state(self, state: State) -> None:
         """Let time run or stand, or get ready to end."""
         self.state = state
-        self._tell(STATE_EVENTS[state])
+        self._add_event(STATE_EVENTS[state])
 
     def play(self) -> None:
         """Let time run."""
@@ -94,9 +94,9 @@ class SimulationClock:
 
     def warn(self, entity: str, message: str) -> None:
         """Tell everybody of something odd that was accepted."""
-        self._tell("warning", entity=entity, message=message)
+        self._add_event("warning", entity=entity, message=message)
 
-    def _tell(
+    def _add_event(
         self, kind: EventKind, *, entity: str = "", agent: str = "", message: str = ""
     ) -> None:
         self._events.append(Event(kind, entity, agent, self.steps, self.epoch, message))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -14,17 +16,36 @@ from zensim.sim_server.description.builtin_models import list_builtin_worlds, re
 from zensim.sim_server.description.sdf.sdf_world import WorldModel, read_world
 from zensim.sim_server.errors import RequestRefused, SimError
 from zensim.sim_server.server_config import ConfigError, fill_pace
-from zensim.sim_server.server_context import BuiltWorld
 from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
     from zensim.proto.messages.model_messages import ReportEntry
     from zensim.sim_server.physics.engine import Engine
     from zensim.sim_server.server_config import ServerConfig
-    from zensim.sim_server.server_context import WorldFactory
+
+
+@dataclass(frozen=True)
+class BuiltWorld:
+    """A world that is ready to take the place of another, and how fast it is to go."""
+
+    world: World
+    real_time_factor: float
+
+
+WorldFactory = Callable[[WorldModel], Iterator[BuiltWorld | None]]
+"""Makes an engine and puts a world's models into it, a part at a time; the world comes last.
+
+Raises SimError. Who does not go on to the end closes it.
+"""
+
+
+def refuse_new_world(model: WorldModel) -> Iterator[BuiltWorld | None]:
+    """Refuse: this desk has one world only."""
+    raise RequestRefused(
+        ResultCode.FEATURE_UNSUPPORTED, f"world {model.name[:80]!r} cannot be made here; start anew"
+    )
+
 
 COMMAND = (sys.executable, "-m", "zensim.sim_server.world_loading.world_loader_process")
 

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from zensim.proto import keys
-from zensim.proto.bus import BusError, Publisher, Sample, Subscription
+from zensim.proto.bus import BusError, BusPublisher, BusSubscription, Sample
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -180,7 +180,7 @@ def _make_twist(linear: float, angular: float) -> Twist:
     return Twist(Vector3(x=linear), Vector3(z=angular))
 
 
-def _wait_for_subscriber(publisher: Publisher, key: str) -> None:
+def _wait_for_subscriber(publisher: BusPublisher, key: str) -> None:
     deadline = time.monotonic() + SUBSCRIBER_TIMEOUT_S
     while not publisher.is_matched:
         if time.monotonic() > deadline:
@@ -189,7 +189,7 @@ def _wait_for_subscriber(publisher: Publisher, key: str) -> None:
         time.sleep(POLL_S)
 
 
-def _publish_at_rate(publisher: Publisher, payload: bytes, period_s: float, count: int) -> None:
+def _publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, count: int) -> None:
     """Send at a steady rate; count 0 = for ever."""
     start, sent = time.monotonic(), 0
     while count == 0 or sent < count:
@@ -227,7 +227,7 @@ def echo(
             samples = _wait_for_samples(listener, key, timeout)
 
 
-def _wait_for_samples(listener: Subscription, key: str, timeout_s: float) -> list[Sample]:
+def _wait_for_samples(listener: BusSubscription, key: str, timeout_s: float) -> list[Sample]:
     deadline = time.monotonic() + (timeout_s or math.inf)
     while not (samples := listener.take()):
         if time.monotonic() > deadline:
@@ -274,7 +274,7 @@ def hz(
 
 
 def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
-    if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two
+    if len(arrivals) < 2:
         typer.echo("zensim hz: no new messages", err=True)
         return
     gaps = [later - earlier for earlier, later in pairwise(arrivals)]

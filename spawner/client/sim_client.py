@@ -7,7 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 
 from zensim.proto import keys, service_catalog
-from zensim.proto.bus import Bus, NoServer, Subscription
+from zensim.proto.bus import Bus, BusSubscription, NoServer
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.asset_messages import (
     MissingAssetsRequest,
@@ -133,7 +133,7 @@ def run_step_goal(
 
 
 def _follow_progress(
-    progress: Subscription,
+    progress: BusSubscription,
     goal_id: str,
     answer: "Future[SimulateStepsResponse]",
     on_progress: OnProgress,
@@ -331,7 +331,7 @@ class SimClient:
             service_catalog.STEP_SIMULATION,
             StepSimulationRequest(steps),
             world=self.world,
-            timeout_s=self._patience_s(steps),
+            timeout_s=self._step_timeout_s(steps),
         )
 
     def simulate_steps(
@@ -351,7 +351,7 @@ class SimClient:
             timeout_s: After it TimeoutError is raised, but the goal goes on.
         """
         request = SimulateStepsRequest(steps, goal_id or uuid.uuid4().hex)
-        patience_s = self._patience_s(steps) if timeout_s is None else timeout_s
+        patience_s = self._step_timeout_s(steps) if timeout_s is None else timeout_s
         return run_step_goal(
             self.bus,
             self.world,
@@ -367,7 +367,7 @@ class SimClient:
     def run_to(self, time_ns: int, timeout_s: float | None = None) -> RunToResponse:
         """Advance a paused world to the first step at or after a simulation time [ns]."""
         if timeout_s is None:
-            timeout_s = self._patience_s(self.steps_until(time_ns))
+            timeout_s = self._step_timeout_s(self.steps_until(time_ns))
         request = RunToRequest(time_from_ns(time_ns))
         return self.bus.call(service_catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
 
@@ -381,7 +381,7 @@ class SimClient:
         """Choose the real-time factor to hold; 0 = as fast as it can."""
         self._call(service_catalog.SET_SPEED, SetSpeedRequest(real_time_factor))
 
-    def _patience_s(self, steps: int) -> float:
+    def _step_timeout_s(self, steps: int) -> float:
         return max(self._timeout_s, steps * TIMEOUT_PER_STEP_S)
 
     def reset(self, scope: int = ResetScope.DEFAULT) -> None:

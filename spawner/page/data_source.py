@@ -102,21 +102,21 @@ class MeshFetcher:
                 timeout_s=MESH_CALL_TIMEOUT_S,
             )
         except ServiceError:
-            self._end(name, None)
+            self._finish(name, None)
             return
         except (BusError, TimeoutError, MalformedPayload):
             self._ask_at = self._clock() + MESH_RETRY_S
             return
         data += answer.data
         if not self._has_room(answer.total) or not answer.data:
-            self._end(name, None)
+            self._finish(name, None)
         elif len(data) >= answer.total:
-            self._end(name, _read_mesh(name, bytes(data)))
+            self._finish(name, _read_mesh(name, bytes(data)))
 
     def _has_room(self, total: int) -> bool:
         return total <= MAX_MESH_BYTES and sum(self._sizes.values()) + total <= self._budget_bytes
 
-    def _end(self, name: str, mesh: TriangleMesh | None) -> None:
+    def _finish(self, name: str, mesh: TriangleMesh | None) -> None:
         data = self._wanted.pop(name)
         if mesh is not None:
             self._found[name], self._sizes[name] = mesh, len(data)
@@ -218,14 +218,14 @@ class CommandMonitor:
         """Tell the last command that made sense, if any."""
         sample = self._samples.newest()
         if sample is not None:
-            self._hear(sample, now)
+            self._receive(sample, now)
         return LastCommand(*self._told, age_s=now - self._told_at) if self._told else None
 
     def close(self) -> None:
         """Stop listening."""
         self._samples.close()
 
-    def _hear(self, sample: Sample, now: float) -> None:
+    def _receive(self, sample: Sample, now: float) -> None:
         try:
             twist = decode_twist(sample.payload, sample.encoding)
         except MalformedPayload:
@@ -304,7 +304,7 @@ class ViewerDataSource:
 
     def _view(self, snapshot: Snapshot) -> ViewState | None:
         if self._models is None or snapshot.roster != self._models.roster:
-            self._ask()
+            self._request_models()
         if self._models is None:
             return None
         source = (snapshot.names, self._models, self._fetcher.meshes)
@@ -320,7 +320,7 @@ class ViewerDataSource:
         )
         return ViewState(self._fleet, make_frame(self._fleet, snapshot), status)
 
-    def _ask(self) -> None:
+    def _request_models(self) -> None:
         if self._clock() < self._ask_at:
             return
         try:

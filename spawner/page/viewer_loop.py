@@ -97,9 +97,9 @@ class Viewer:
         """Heed visitors and, when there are any, show what is new."""
         is_watched = self._page.is_watched
         for button in self._page.wait_for_input(POLL_S if is_watched else IDLE_S):
-            self._press(button)
+            self._handle_button(button)
         if self._page.is_watched:
-            self._update(self._feed or self._listen())
+            self._update(self._feed or self._open_data_source())
         else:
             self.close()
 
@@ -109,7 +109,7 @@ class Viewer:
             self._feed.close()
             self._feed, self._warned = None, ""
 
-    def _listen(self) -> ViewerDataSource:
+    def _open_data_source(self) -> ViewerDataSource:
         self._feed = ViewerDataSource(self._network, self._world, self._clock, self._fetcher)
         return self._feed
 
@@ -126,7 +126,7 @@ class Viewer:
             self._warned = feed.error_text
             self._page.warn(feed.error_text or "the models of the robots are here again")
 
-    def _press(self, button: Button) -> None:
+    def _handle_button(self, button: Button) -> None:
         if button == "Play":
             self._set_state(State.PLAYING)
         elif button == "Pause":

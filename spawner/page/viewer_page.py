@@ -118,11 +118,11 @@ class FleetNodes:
             self._names.pop(self._forms[gone].path, None)
             self._forms.pop(gone).remove()
         for cohort, links in zip(fleet.groups, frame.links, strict=True):
-            self._show_cohort(cohort, links, fleet.meshes)
+            self._show_group(cohort, links, fleet.meshes)
 
     def label(self, fleet: RenderedFleet, frame: RenderedFrame, *, is_on: bool) -> None:
         """Write names above the first `MAX_LABELS` robots, or take them away."""
-        wanted = self._labelled(fleet, frame) if is_on else {}
+        wanted = self._find_label_positions(fleet, frame) if is_on else {}
         for name in self._labels.keys() - wanted.keys():
             self._labels.pop(name).remove()
         for name, position in wanted.items():
@@ -140,7 +140,7 @@ class FleetNodes:
         """Names of the instances by scene node, for the script that shows them."""
         return msgspec.json.encode(dict(self._names))
 
-    def _show_cohort(
+    def _show_group(
         self, cohort: InstanceGroup, links: Sequence[LinkPoses], meshes: TriangleMeshes
     ) -> None:
         drawn = self._forms.get(cohort.form)
@@ -149,14 +149,16 @@ class FleetNodes:
             self._forms[cohort.form] = drawn
         self._names[drawn.path] = cohort.names
         if drawn.show(links):
-            drawn.on_click(partial(self._clicked, drawn.path))
+            drawn.on_click(partial(self._handle_click, drawn.path))
 
-    def _clicked(self, path: str, event: ClickEvent) -> None:
+    def _handle_click(self, path: str, event: ClickEvent) -> None:
         names, index = self._names.get(path, ()), event.instance_index
         if index is not None and index < len(names):
             self._pick(event.client_id, names[index])
 
-    def _labelled(self, fleet: RenderedFleet, frame: RenderedFrame) -> dict[str, np.ndarray]:
+    def _find_label_positions(
+        self, fleet: RenderedFleet, frame: RenderedFrame
+    ) -> dict[str, np.ndarray]:
         above: dict[str, np.ndarray] = {}
         for name in fleet.robots[:MAX_LABELS]:
             top = np.array((0.0, 0.0, self.top_m(fleet.forms[name]) + LABEL_GAP_M))
@@ -209,7 +211,7 @@ class ViewerClient:
         self._folder = self._text = self._label = None
         self.follows = member.entity if member else ""
         if member:
-            self._begin(member.entity)
+            self._add_follow_panel(member.entity)
 
     def move(self, position: Array, *, label_at: Array, has_label: bool) -> None:
         """Bring camera and label nearer to the followed robot; call it often."""
@@ -242,7 +244,7 @@ class ViewerClient:
             camera.position, self._left_at, rtol=0.0, atol=CAMERA_TOLERANCE
         )
 
-    def _begin(self, name: str) -> None:
+    def _add_follow_panel(self, name: str) -> None:
         self._focus = np.array(self._client.camera.look_at)
         self._label = self._client.scene.add_label(
             "/followed", name, anchor="bottom-center", font_screen_scale=1.3
@@ -320,7 +322,7 @@ class ViewerPage:
             "Names", initial_value=False, hint=f"Above robots, the first {MAX_LABELS} of them."
         )
         everybody = self._server.gui.add_button("Show all", color=scene_setup.MUTED_BUTTON)
-        everybody.on_click(self._search)
+        everybody.on_click(self._show_all)
         self._server.on_client_connect(
             lambda client: self._deeds.put(ClientConnected(client.client_id))
         )
@@ -352,7 +354,7 @@ class ViewerPage:
                 if isinstance(deed, ButtonPressed):
                     pressed.append(deed.button)
                 else:
-                    self._heed(deed)
+                    self._handle_event(deed)
                 deed = self._deeds.get_nowait()
         return pressed
 
@@ -369,17 +371,17 @@ class ViewerPage:
             self._lighting.show(fleet.scene)
             self._drawn.show(fleet, frame)
         self._names = self._drawn.names_json()
-        for visitor in self._present():
+        for visitor in self._connected_clients():
             visitor.frame_all_if_changed(fleet.names, frame.base[:, :3])
         self.move_cameras()
         if time.monotonic() >= self._texts_due:
             self._texts_due = time.monotonic() + TEXT_PERIOD_S
-            self._write(status, commands)
+            self._update_texts(status, commands)
 
     def move_cameras(self) -> None:
         """Bring every camera nearer to the robot that it follows; call it often."""
         has_label = not self._has_names.value
-        for visitor in self._present():
+        for visitor in self._connected_clients():
             if visitor.follows in self._fleet.rows:
                 position = self._frame.base[self._fleet.rows[visitor.follows], :3]
                 top_m = self._drawn.top_m(self._fleet.forms[visitor.follows]) + LABEL_GAP_M
@@ -392,14 +394,14 @@ class ViewerPage:
 
     def warn(self, text: str) -> None:
         """Tell every visitor once."""
-        for visitor in self._present():
+        for visitor in self._connected_clients():
             visitor.warn(text)
 
     def close(self) -> None:
         """Stop serving."""
         close_server(self._server)
 
-    def _present(self) -> list[ViewerClient]:
+    def _connected_clients(self) -> list[ViewerClient]:
         """Visitors that viser still knows: a page may have gone without its deed being read."""
         connected = self._server.get_clients()
         return [visitor for number, visitor in self._visitors.items() if number in connected]
@@ -407,11 +409,11 @@ class ViewerPage:
     def _pick(self, visitor: int, entity: str) -> None:
         self._deeds.put(RobotPicked(visitor, entity))
 
-    def _search(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+    def _show_all(self, event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
         if event.client_id is not None:
             self._deeds.put(ShowAllPressed(event.client_id))
 
-    def _heed(self, deed: ClientEvent) -> None:
+    def _handle_event(self, deed: ClientEvent) -> None:
         number = deed.visitor
         client = self._server.get_clients().get(number)
         if isinstance(deed, ClientDisconnected) or client is None:
@@ -425,10 +427,10 @@ class ViewerPage:
             if self._fleet.names:
                 self._visitors[number].look_at_all(self._fleet.names, self._frame.base[:, :3])
 
-    def _write(self, status: SimulationStatus, commands: Mapping[str, LastCommand]) -> None:
+    def _update_texts(self, status: SimulationStatus, commands: Mapping[str, LastCommand]) -> None:
         self._status.content = make_status_html(status)
         self._drawn.label(self._fleet, self._frame, is_on=self._has_names.value)
-        for visitor in self._present():
+        for visitor in self._connected_clients():
             if visitor.follows in self._fleet.rows:
                 state = self._frame.base[self._fleet.rows[visitor.follows]]
                 member = self._fleet.members[visitor.follows]

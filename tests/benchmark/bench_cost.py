@@ -20,7 +20,7 @@ from tests.benchmark.fleet import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
 from tests.integration.processes import joined, read_json_line, running
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
-from zensim.proto.bus import Subscription
+from zensim.proto.bus import BusSubscription
 from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
@@ -110,7 +110,7 @@ def _worked_s(processes: list[psutil.Process]) -> float:
     return sum(times.user + times.system for times in (p.cpu_times() for p in processes))
 
 
-def _command(robots: list[Robot], tf: Subscription) -> None:
+def _command(robots: list[Robot], tf: BusSubscription) -> None:
     for found in robots:
         found.command(*CIRCLE)
         found.read()

@@ -27,7 +27,7 @@ from tests.benchmark.plain import PlainLoop
 from tests.benchmark.served import Served, served, spawn
 from tests.benchmark.staffed import crowd, staffed
 from tests.integration.processes import zensim
-from zensim.proto.bus import Subscription
+from zensim.proto.bus import BusSubscription
 from zensim.proto.messages.simulation_messages import State
 
 __all__ = ["rows", "table"]
@@ -151,7 +151,7 @@ def _all_moved(count: int, pools: int) -> tuple[float, int]:
                 return tally.wall_s - start_s, tally.moved
 
 
-def _newest(tallies: Subscription) -> Tally | None:
+def _newest(tallies: BusSubscription) -> Tally | None:
     sample = tallies.newest()
     return None if sample is None else msgspec.msgpack.decode(sample.payload, type=Tally)
 

@@ -46,7 +46,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             yield from _pool_figures(bus, listener, robots, rounds)
     with _buses() as (bus, _):
         fleet = IndividualRobots(bus, 0)
-        fleet.take(_claims(5 if is_short else SINGLE))
+        fleet.add_claims(_claims(5 if is_short else SINGLE))
         states = _states(5 if is_short else SINGLE)
         took = _cpu_ms(rounds, lambda: fleet.advance(next(states)))
         yield _figure(f"{SINGLE} robots one by one: a state answered", took)
@@ -54,7 +54,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator[Figure]:
     pool, states = PooledRobots(bus, 0), _states(robots)
-    pool.take(_claims(robots))
+    pool.add_claims(_claims(robots))
     commands = [
         bus.advertise(f"r{number}/cmd_vel", make_encoding(Twist, Format.CDR))
         for number in range(robots)
@@ -71,7 +71,7 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
     yield _figure(f"{name}a state answered", answered)
     heard = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
     yield _figure(f"{name}a state answered, each robot has a new command", heard)
-    unheard = _cpu_ms(rounds, pool.tell, before=lambda: pool.advance(next(states)))
+    unheard = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
     yield _figure(f"{name}odometry and tf told, nobody listens", unheard)
     heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
     for _ in range(DECLARED_IN):
@@ -103,7 +103,7 @@ def _interleaved(
     told: list[float] = []
     floor: list[float] = []
     for _ in range(rounds):
-        told += _cpu_ms(1, pool.tell, before=lambda: pool.advance(next(states)))
+        told += _cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
         floor += _cpu_ms(1, put_all)
         # So that neither finds the other's messages still on their way.
         time.sleep(0.02)

@@ -130,7 +130,7 @@ def _look_late(bus: Bus, robots: int) -> tuple[int, float, float]:
     held = []
     with ExitStack() as stack:
         for start in range(0, count, TOKENS_OF_SESSION):
-            session = stack.enter_context(bus.beside())
+            session = stack.enter_context(bus.open_session())
             numbers = range(start, min(start + TOKENS_OF_SESSION, count))
             held += [session.token(f"{PLAIN}/{number}") for number in numbers]
         _settled_at(bus, f"{PLAIN}/*", count)

@@ -16,7 +16,7 @@ from tests.benchmark.fleet import CIRCLE, POLL_S
 from tests.benchmark.motion import MOVES
 from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto import keys
-from zensim.proto.bus import Bus, BusConfig, Subscription, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 
@@ -73,7 +73,7 @@ class Crowd:
             self.tally.moved += 1
 
 
-def _count(subscription: Subscription) -> int:
+def _count(subscription: BusSubscription) -> int:
     return len(subscription.take())
 
 
@@ -98,5 +98,5 @@ def _serve(bus: Bus, mouth: Bus, names: list[str], hz: float) -> NoReturn:
 if __name__ == "__main__":
     die_with_parent(os.environ)
     # A session matches each message that comes against all publishers that it has.
-    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined, joined.beside() as mouth:
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined, joined.open_session() as mouth:
         _serve(joined, mouth, [f"box_bot{i}" for i in range(int(sys.argv[2]))], float(sys.argv[3]))

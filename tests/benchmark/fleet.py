@@ -10,7 +10,7 @@ from tests.benchmark.figures import Asked, Figure
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
-from zensim.proto.bus import Subscription
+from zensim.proto.bus import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Stats
 
@@ -53,18 +53,18 @@ def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
         yield Fleet(server, [robot(server.bus, name) for name in names])
 
 
-def stats_of(found: Fleet) -> Subscription:
+def stats_of(found: Fleet) -> BusSubscription:
     """Listen to what the server says of itself each second."""
     return found.server.bus.subscribe(keys.stats("default"), 4096)
 
 
-def observed(stats: Subscription, act: Callable[[], object]) -> list[Stats]:
+def observed(stats: BusSubscription, act: Callable[[], object]) -> list[Stats]:
     """Act, and return the statistics of the seconds that it took."""
     return next(observed_in_turn(stats, [act]))
 
 
 def observed_in_turn(
-    stats: Subscription, acts: Iterable[Callable[[], object]]
+    stats: BusSubscription, acts: Iterable[Callable[[], object]]
 ) -> Iterator[list[Stats]]:
     """Carry out one act after another; return the statistics of the seconds of each."""
     # From the end of a window of the server on, to the end of the one in which it ends.

@@ -13,7 +13,7 @@ import pybullet
 from tests.benchmark.bodies import standing_at
 from tests.benchmark.circling import WHEEL_SPEEDS
 from tests.benchmark.fleet import SPACING_M
-from tests.sim_server.physics.bullet import client_of
+from tests.sim_server.physics.bullet_probe import client_of
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.bullet_contact import SOLVER_ITERATIONS

@@ -14,7 +14,7 @@ from tests.benchmark.fleet import soon
 from tests.benchmark.machine import used_s
 from tests.benchmark.served import PATIENCE_S, program
 from tests.integration.processes import free_endpoint, joined, running
-from zensim.proto.bus import Bus, Subscription
+from zensim.proto.bus import Bus, BusSubscription
 from zensim.spawner.client.sim_client import SimClient
 
 CALL_TIMEOUT_S = 60.0
@@ -60,7 +60,7 @@ def staffed(serve: Sequence[str], agents: Sequence[Sequence[str]]) -> Iterator[C
 
 
 @contextmanager
-def crowd(bus: Bus, count: int, hz: float) -> Iterator[tuple[Subscription, int]]:
+def crowd(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscription, int]]:
     """Run the users of a fleet, who command each robot this often; return their tallies and pid."""
     tallies = bus.subscribe(TALLY, TALLIES)
     with program("crowd", bus.endpoint, str(count), f"{hz:g}") as process:
@@ -90,7 +90,7 @@ class _Look:
 
 
 def observed(
-    crew: Crew, tallies: Subscription, robots: int, seconds: float, act: Callable[[], object]
+    crew: Crew, tallies: BusSubscription, robots: int, seconds: float, act: Callable[[], object]
 ) -> list[Span]:
     """Act again and again, once so many robots have moved; return what every second was."""
     give_up_s = time.monotonic() + ALL_MOVE_S
@@ -108,7 +108,7 @@ def observed(
     return [_span(before, after) for before, after in pairwise(looks)]
 
 
-def _look(crew: Crew, tallies: Subscription) -> _Look | None:
+def _look(crew: Crew, tallies: BusSubscription) -> _Look | None:
     """Look at everything when a tally has come."""
     if (sample := tallies.newest()) is None:
         return None

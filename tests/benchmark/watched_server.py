@@ -14,7 +14,7 @@ import msgspec
 from tests.benchmark.stopwatch import Stopwatch
 from zensim.deploy.cli import main
 from zensim.deploy.parent_death_signal import die_with_parent
-from zensim.proto.bus import Publisher
+from zensim.proto.bus import BusPublisher
 from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.runtime import world_publisher
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
@@ -75,14 +75,14 @@ class Watch:
 
     def _look_inside(self, world: World) -> None:
         self._is_in = True
-        watch, engine = self._stopwatch, world._engine  # noqa: SLF001  it is looked into
+        watch, engine = self._stopwatch, world._engine
         for name, part in ENGINE_PARTS.items():
             setattr(engine, name, watch.timed(part, getattr(engine, name)))
         for owner, name, part in (
             (World, "reading", "read-back"),
             (World, "snapshot", "messages"),
             (world_publisher, "encode", "encode"),
-            (Publisher, "send", "put"),
+            (BusPublisher, "send", "put"),
             (AgentSessions, "serve", "take"),
         ):
             setattr(owner, name, watch.timed(part, getattr(owner, name)))

@@ -18,7 +18,7 @@ from tests.benchmark.figures import Asked, Figure
 from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
 from tests.integration.processes import START_S, eventually, zensim
 from zensim.proto import keys, service_catalog
-from zensim.proto.bus import Bus, BusConfig, NoServer, Subscription, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusSubscription, NoServer, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
@@ -137,7 +137,7 @@ def _toll(folder: Path, rounds: int, robots: int) -> Toll:
     return toll
 
 
-def _kill_once(server: Mortal, bus: Bus, clock: Subscription, churn: Churn, toll: Toll) -> None:
+def _kill_once(server: Mortal, bus: Bus, clock: BusSubscription, churn: Churn, toll: Toll) -> None:
     heard = eventually(lambda: _clocks(clock) or None, START_S, "a clock")
     server.die()
     last = [*heard, *_clocks(clock)][-1]
@@ -179,7 +179,7 @@ def _compare(
     toll.undone += len(gone & set(names))
 
 
-def _clocks(clock: Subscription) -> list[WorldClock]:
+def _clocks(clock: BusSubscription) -> list[WorldClock]:
     return [decode(WorldClock, one.payload, one.encoding) for one in clock.take()]
 
 

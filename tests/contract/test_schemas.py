@@ -13,12 +13,10 @@ MAX_BYTES = 400 * 1024
 WITHOUT_MESSAGES = {
     "zensim.proto.bus",
     "zensim.proto.service_catalog",
-    "zensim.proto.bus",
     "zensim.proto.cmd_vel_decoding",
     "zensim.proto.ros2.ros_graph",
     "zensim.proto.codec.cdr_layout",
     "zensim.proto.ros2.action_messages",
-    "zensim.proto.ros2.ros_service_catalog",
     "zensim.proto.ros2.ros_service_catalog",
 }
 """Modules whose structs do not travel by themselves, or whose schemas are ROS 2's own."""

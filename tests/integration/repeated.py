@@ -18,7 +18,7 @@ from tests.integration.processes import (
 )
 from tests.integration.robots import Robot, robot
 from zensim.proto import keys
-from zensim.proto.bus import Bus, Subscription
+from zensim.proto.bus import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Snapshot
 
@@ -121,7 +121,7 @@ def _command(fleet: list[Robot], draws: random.Random) -> None:
 class _Heard:
     """Hashes messages as they come."""
 
-    def __init__(self, odom: Subscription) -> None:
+    def __init__(self, odom: BusSubscription) -> None:
         self.counts: dict[str, int] = {}
         self._odom = odom
         self._hashes: dict[str, hashlib._Hash] = {}

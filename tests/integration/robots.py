@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from tests.integration.processes import eventually
 from zensim.proto import keys
-from zensim.proto.bus import Bus, Publisher, Subscription
+from zensim.proto.bus import Bus, BusPublisher, BusSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (
@@ -30,8 +30,8 @@ class Robot:
     """One robot's topics."""
 
     namespace: str
-    odom: Subscription
-    cmd_vel: Publisher
+    odom: BusSubscription
+    cmd_vel: BusPublisher
     last: Odometry | None = None
     turned_rad: float = 0.0
     """Turn summed up over all odometry that was read."""

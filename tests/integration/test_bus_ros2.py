@@ -7,7 +7,7 @@ import zenoh
 import zenoh.ext
 
 from tests.integration.processes import eventually, free_endpoint
-from zensim.proto.bus import Bus, BusConfig, Call, CallQueue, Sample, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, Sample, open_bus
 
 KEY = "0/r1/tf_static/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369"
 ATTACHMENT = b"a" * 33
@@ -28,8 +28,8 @@ def stranger(router: Bus) -> Iterator[zenoh.Session]:
         yield session
 
 
-def one_call(queue: CallQueue) -> Call:
-    found: list[Call] = []
+def one_call(queue: BusQueryQueue) -> BusQuery:
+    found: list[BusQuery] = []
 
     def has_come() -> bool:
         found.extend(queue.take())
@@ -41,7 +41,7 @@ def one_call(queue: CallQueue) -> Call:
 
 def test_attachment_travels_with_its_sample(router: Bus) -> None:
     heard = router.subscribe("r1/odom", depth=10)
-    with router.beside() as beside:
+    with router.open_session() as beside:
         publisher = beside.advertise("r1/odom", "")
         eventually(lambda: publisher.is_matched, 5.0, "matching")
 
@@ -59,7 +59,7 @@ def test_attachment_travels_with_its_sample(router: Bus) -> None:
 
 
 def test_session_beside_has_an_id_of_its_own(router: Bus) -> None:
-    with router.beside() as beside, beside.beside() as another:
+    with router.open_session() as beside, beside.open_session() as another:
         assert len({router.zid, beside.zid, another.zid}) == 3
 
 

@@ -21,7 +21,7 @@ from tests.integration.ros_grammar import NoToken, check_hash, graph_of
 from tests.integration.ros_rules import BrokenRule, Heard, check_topic, heard_of
 from tests.integration.ros_watching import tokens
 from tests.proto.ros_hashes import hash_of_message
-from zensim.proto.bus import Bus, BusConfig, Publisher, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.messages.standard_messages import Odometry
@@ -95,23 +95,23 @@ FOUND = {
 class BrokenPublisher:
     """Puts what it is given, but for the attachment."""
 
-    def __init__(self, publisher: Publisher, ways: Ways) -> None:
+    def __init__(self, publisher: BusPublisher, ways: Ways) -> None:
         self._publisher, self._ways = publisher, ways
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._publisher, name)
 
-    def send(self, payload: bytes, attachment: bytes = b"", *stamp: Any) -> None:  # noqa: ANN401
+    def send(self, payload: bytes, attachment: bytes = b"", *stamp: Any) -> None:
         self._publisher.send(payload, self._ways.attachment(attachment), *stamp)
 
 
 class BrokenCall:
     """A request whose answer has another attachment."""
 
-    def __init__(self, call: Any, ways: Ways) -> None:  # noqa: ANN401
+    def __init__(self, call: Any, ways: Ways) -> None:
         self._call, self._ways = call, ways
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._call, name)
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
@@ -121,10 +121,10 @@ class BrokenCall:
 class BrokenQueue:
     """Requests that are answered wrongly."""
 
-    def __init__(self, queue: Any, ways: Ways) -> None:  # noqa: ANN401
+    def __init__(self, queue: Any, ways: Ways) -> None:
         self._queue, self._ways = queue, ways
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._queue, name)
 
     def take(self) -> list[BrokenCall]:
@@ -137,7 +137,7 @@ class BrokenBus:
     def __init__(self, bus: Bus, ways: Ways) -> None:
         self._bus, self._ways = bus, ways
 
-    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
+    def __getattr__(self, name: str) -> Any:
         return getattr(self._bus, name)
 
     def advertise(self, key: str, encoding: str) -> BrokenPublisher:
@@ -148,7 +148,7 @@ class BrokenBus:
         queue = self._bus.serve(self._ways.key(key), depth, is_complete=is_complete)
         return BrokenQueue(queue, self._ways)
 
-    def token(self, key: str) -> Any:  # noqa: ANN401
+    def token(self, key: str) -> Any:
         return self._bus.token(self._ways.token(key))
 
 

@@ -9,7 +9,7 @@ from tests.features import PROOFS
 from tests.integration.processes import Server, agent_of, driven, eventually, serving
 from tests.integration.robots import robot
 from zensim.proto import keys
-from zensim.proto.bus import Subscription
+from zensim.proto.bus import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import (
     Bounds,
@@ -58,7 +58,7 @@ def a_fleet(*names: str, info: EntityInfo | None = None) -> SpawnEntitiesOrder:
     return SpawnEntitiesOrder(requests, atomic=True, common=common)
 
 
-def spawned_in(events: Subscription, found: list[Event]) -> list[Event]:
+def spawned_in(events: BusSubscription, found: list[Event]) -> list[Event]:
     told = [decode(Event, sample.payload, sample.encoding) for sample in events.take()]
     found.extend(event for event in told if event.kind == "spawned")
     return found

@@ -21,8 +21,8 @@ ENCODING = "application/cdr;std_msgs/msg/String"
 PAYLOAD = b"\x00\x01\x00\x00payload"
 
 
-def faces_on(bus: MemoryBus, settings: RosSettings = RosSettings()) -> TopicFactory:  # noqa: B008
-    return TopicFactory(bus, RosGraph(bus, settings).node("r1", "agent"), settings)
+def faces_on(bus: MemoryBus, settings: RosSettings = RosSettings()) -> TopicFactory:
+    return TopicFactory(bus, RosGraph(bus, settings).add_node("r1", "agent"), settings)
 
 
 def a_publisher(bus: MemoryBus) -> TopicPublisher:
@@ -103,7 +103,7 @@ def test_each_face_greets_its_own_first_listener() -> None:
 def late_join(
     bus: MemoryBus, publisher: TopicPublisher, payload: Callable[[], bytes | None]
 ) -> int:
-    bus.pumps.append(lambda: publisher.answer(payload))
+    bus.pumps.append(lambda: publisher.reply_to_late_joiners(payload))
     answers = bus.get(f"{ROS_KEY}/@adv/**")
     assert all(answer.key == ROS_KEY for answer in answers)
     assert all(read_attachment(answer.attachment) for answer in answers)

@@ -39,7 +39,7 @@ def test_robot_tells_odometry_and_tf_at_the_rates_it_is_given(
 
     for step in range(100):
         robot.advance(RobotState(step * PERIOD_NS, AT_REST, (0.0, 0.0), (0.0, 0.0)))
-        robot.tell()
+        robot.publish()
 
     assert [len(heard[topic].take()) for topic in ("odom", "tf")] == [odom, tf]
 

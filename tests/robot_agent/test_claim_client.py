@@ -189,7 +189,7 @@ def test_claimer_never_gives_up_once_it_had_something() -> None:
     claimer = a_claimer(bus, "r1", wait_s=0.0)
     claimer.poll(0.0)
     server.entities.clear()
-    claimer.want(("r1",))
+    claimer.reclaim(("r1",))
     for now_s in (1.0, 100.0, 10_000.0):
         server.refusal = ClaimCode.NOT_DRIVABLE
         assert granted(claimer, now_s) == []
@@ -207,7 +207,7 @@ def test_claimer_takes_those_that_are_there_when_others_stay_away() -> None:
     claimer.poll(0.0)
     del server.entities["r2"]
 
-    claimer.want(("r1", "r2", "r3"))
+    claimer.reclaim(("r1", "r2", "r3"))
 
     assert granted(claimer, 1.0) == []
     assert granted(claimer, 2.0) == ["r1", "r3"]
@@ -219,7 +219,7 @@ def test_claimer_asks_one_by_one_no_further_when_the_server_goes() -> None:
     claimer = a_claimer(bus, "r1", "r2")
     claimer.poll(0.0)
     server.entities.clear()
-    claimer.want(("r1", "r2"))
+    claimer.reclaim(("r1", "r2"))
     claimer.poll(1.0)
 
     bus.pumps.clear()

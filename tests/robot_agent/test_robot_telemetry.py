@@ -92,8 +92,8 @@ def reading(time_ns: int = 5 * SECOND) -> RobotState:
 
 def heard(bus: MemoryBus, key: str, kind: type[Message], model: Model | None = None) -> Message:
     listener = bus.subscribe(key)
-    MotionTelemetry(TopicFactory(bus), a_claim(model=model)).tell(reading(), MOTION)
-    JointTelemetry(TopicFactory(bus), a_claim(model=model)).tell(reading())
+    MotionTelemetry(TopicFactory(bus), a_claim(model=model)).publish(reading(), MOTION)
+    JointTelemetry(TopicFactory(bus), a_claim(model=model)).publish(reading())
     (sample,) = listener.take()
     return decode(kind, sample.payload, sample.encoding)
 
@@ -165,7 +165,7 @@ def test_joint_states_are_not_offered_when_there_are_none() -> None:
     telemetry = JointTelemetry(
         TopicFactory(bus), a_claim(model=two_wheeler(joint_state=JointStatePublisher(("missing",))))
     )
-    telemetry.tell(reading())
+    telemetry.publish(reading())
 
     assert not bus.is_served("r1/*")
 
@@ -179,7 +179,7 @@ def test_joint_states_come_at_their_own_rate(rate_hz: float | None, count: int) 
     telemetry = JointTelemetry(TopicFactory(bus), a_claim(model=two_wheeler(joint_state=publisher)))
 
     for i in range(80):
-        telemetry.tell(reading(i * SECOND // 80))
+        telemetry.publish(reading(i * SECOND // 80))
 
     assert len(listener.take()) == count
 
@@ -206,8 +206,8 @@ def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None
     bus.pumps += [outlet.answer for outlet in (*motion.publishers, *joints.publishers)]
     assert bus.get("r1/*") == []
 
-    motion.tell(reading(), MOTION)
-    joints.tell(reading())
+    motion.publish(reading(), MOTION)
+    joints.publish(reading())
     assert {sample.key for sample in bus.get("r1/*")} == {
         "r1/odom",
         "r1/tf",
@@ -223,10 +223,10 @@ def test_joint_states_come_at_once_after_a_reset() -> None:
     bus = MemoryBus()
     listener = bus.subscribe("r1/joint_states", 8)
     telemetry = JointTelemetry(TopicFactory(bus), a_claim())
-    telemetry.tell(reading(5 * SECOND))
+    telemetry.publish(reading(5 * SECOND))
 
     telemetry.reset()
-    telemetry.tell(reading(0))
+    telemetry.publish(reading(0))
 
     assert len(listener.take()) == 2
 

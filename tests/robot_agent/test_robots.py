@@ -246,7 +246,7 @@ def test_fleet_tells_for_every_robot() -> None:
     fleet = a_fleet(bus, 1, 2)
 
     fleet.advance(a_state(1, (1, 2)))
-    fleet.tell()
+    fleet.publish()
 
     assert {sample.key for sample in listener.take()} == {"r1/odom", "r2/odom"}
 

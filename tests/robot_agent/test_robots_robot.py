@@ -66,7 +66,7 @@ def test_robot_tells_nothing_before_its_first_reading() -> None:
     bus = MemoryBus()
     listener = bus.subscribe("r1/*", 8)
 
-    a_robot(bus).tell()
+    a_robot(bus).publish()
 
     assert listener.take() == []
 
@@ -77,11 +77,11 @@ def test_robot_tells_motion_when_its_drive_is_due_and_joints_when_they_are() -> 
     robot = a_robot(bus, two_wheeler(msgspec.structs.replace(DRIVE, update_rate_hz=10.0)))
 
     robot.advance(reading(0))
-    robot.tell()
+    robot.publish()
     assert {s.key for s in listener.take()} == {"r1/odom", "r1/tf", "r1/joint_states"}
 
     robot.advance(reading(40))
-    robot.tell()
+    robot.publish()
     assert {s.key for s in listener.take()} == {"r1/joint_states"}
 
 
@@ -92,7 +92,7 @@ def test_robot_without_a_drive_tells_its_joints_and_hears_nothing() -> None:
 
     assert robot.commanded is None
     assert robot.advance(reading(0)) == ()
-    robot.tell()
+    robot.publish()
 
     assert {s.key for s in listener.take()} == {"r1/tf", "r1/joint_states"}
 
@@ -103,7 +103,7 @@ def test_robot_without_a_drive_tells_again_at_once_after_a_reset() -> None:
     robot = a_robot(bus, two_wheeler(None))
     for time_ms in (5000, 0):
         robot.advance(reading(time_ms))
-        robot.tell()
+        robot.publish()
         robot.reset()
 
     assert len(listener.take()) == 2
@@ -114,7 +114,7 @@ def test_robot_answers_all_its_last_values() -> None:
     robot = a_robot(bus)
     bus.pumps.append(robot.answer)
     robot.advance(reading(0))
-    robot.tell()
+    robot.publish()
 
     assert {sample.key for sample in bus.get("r1/*")} == {
         "r1/odom",

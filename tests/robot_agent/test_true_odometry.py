@@ -11,7 +11,7 @@ from tests.engines import STEP_NS
 from tests.fakes import MemoryBus, MemorySubscription
 from tests.models import a_body, a_state, angle_between
 from tests.robot_agent.models import DRIVE, a_claim, two_wheeler
-from tests.sim_server.physics.bullet import client_of
+from tests.sim_server.physics.bullet_probe import client_of
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.model_messages import (
     Frame,
@@ -109,7 +109,7 @@ def messages(listener: MemorySubscription) -> list[Odometry]:
 def told(truth: GroundTruth, key: str = "r1/truth") -> Odometry:
     bus = MemoryBus()
     listener = bus.subscribe(key)
-    telling(bus, truth).tell(reading())
+    telling(bus, truth).publish(reading())
     (message,) = messages(listener)
     return message
 
@@ -136,7 +136,7 @@ def test_truth_is_of_links_that_move_or_are_merged() -> None:
     wheel, camera = bus.subscribe("r1/wheel"), bus.subscribe("r1/camera")
     truths = (GroundTruth("left_wheel", topic="wheel"), GroundTruth("camera", topic="camera"))
 
-    telling(bus, *truths).tell(reading(velocities=(3.0, 0.0)))
+    telling(bus, *truths).publish(reading(velocities=(3.0, 0.0)))
 
     (spin,), (view,) = messages(wheel), messages(camera)
     assert spin.twist.twist.angular.y == pytest.approx(3.0)
@@ -171,7 +171,7 @@ def test_truth_is_told_at_its_rate_where_it_is_remapped_to() -> None:
     telemetry = telling(bus, GroundTruth("base_link", update_rate_hz=20.0, ros=rules))
 
     for time_ms in range(0, 1000, 10):
-        telemetry.tell(reading(time_ms))
+        telemetry.publish(reading(time_ms))
 
     assert len(messages(listener)) == 20
 
@@ -181,12 +181,12 @@ def velocities_told(*, resets: bool = False) -> list[float]:
     listener = bus.subscribe("r1/truth", depth=2000)
     telemetry = telling(bus, msgspec.structs.replace(TRUTH, noise=0.1))
     for time_ms in range(0, 500, 1):
-        telemetry.tell(reading(time_ms))
+        telemetry.publish(reading(time_ms))
     if resets:
         telemetry.reset()
         listener.take()
         for time_ms in range(0, 500, 1):
-            telemetry.tell(reading(time_ms))
+            telemetry.publish(reading(time_ms))
     heard = messages(listener)
     assert heard[0].twist.covariance[::7] == pytest.approx((0.01,) * 6)
     return [message.twist.twist.linear.x for message in heard]
@@ -208,7 +208,7 @@ def test_robot_tells_and_answers_its_ground_truth_until_it_is_closed() -> None:
     listener = bus.subscribe("r1/truth")
     robot.advance(reading())
 
-    robot.tell()
+    robot.publish()
 
     assert len(messages(listener)) == 1
     assert bus.is_served("r1/truth")

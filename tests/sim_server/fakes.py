@@ -81,7 +81,7 @@ class ReadHere:
         self.store = store or AssetStore()
         self.unread: list[tuple[ParseResult, Callable[[ParseResult], None]]] = []
 
-    def is_read(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
+    def is_read(self, order: SpawnEntityOrder) -> bool:
         return not self.is_slow
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
@@ -153,7 +153,7 @@ class RecordingOutlet:
     def is_wanted(self, topic: str) -> bool:
         return topic not in self.unwanted
 
-    def tell(self, topic: str, message: msgspec.Struct) -> None:
+    def publish(self, topic: str, message: msgspec.Struct) -> None:
         self.told.append((topic, message))
 
     def publish_drive_state(self, agent: str, state: DriveState) -> None:

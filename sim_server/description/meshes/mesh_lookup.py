@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    pass
 
 HasMesh = Callable[[str], bool]
 """Whether a mesh URI, as written in a description, can be served."""
 
 
-def no_meshes(uri: str) -> bool:  # noqa: ARG001  every HasMesh takes a URI
+def no_meshes(uri: str) -> bool:
     """Say that no mesh is here."""
     return False
 

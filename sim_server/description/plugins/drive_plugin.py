@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, TypeVar
 
 import msgspec
@@ -16,17 +15,19 @@ from zensim.proto.messages.drive_messages import (
 )
 from zensim.proto.messages.model_messages import Joint, Link, Origin, Shape, Vec3
 from zensim.proto.names import InvalidName, check_frame, check_namespace
-from zensim.sim_server.description.joint_reduction import LumpedModel
 from zensim.sim_server.description.model_geometry import (
     find_link_poses,
     rotate_vector,
     transform_point,
 )
-from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from zensim.sim_server.description.joint_reduction import LumpedModel
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
+    from zensim.sim_server.description.report import ParseReport
 
 LENGTH_TOLERANCE = 0.05
 """Share by which a written length may differ from the measured one."""

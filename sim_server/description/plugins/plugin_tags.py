@@ -134,9 +134,9 @@ class PluginTags:
         Raises:
             ModelError: It is none, or negative.
         """
-        number = self._number(tag, self.text(tag, repr(default)))
+        number = self._parse_number(tag, self.text(tag, repr(default)))
         if number < 0.0:
-            raise self._refusal(tag, f"{number:g} is negative; write a number >= 0")
+            raise self._make_error(tag, f"{number:g} is negative; write a number >= 0")
         return number
 
     def signed(self, tag: str) -> float | None:
@@ -146,7 +146,7 @@ class PluginTags:
             ModelError: It is none.
         """
         text = self.text(tag, "")
-        return self._number(tag, text) if text else None
+        return self._parse_number(tag, text) if text else None
 
     def vector(self, tag: str) -> Vec3:
         """Read three numbers; 0 0 0 when they are not there.
@@ -173,10 +173,10 @@ class PluginTags:
         Raises:
             ModelError: One is not positive.
         """
-        numbers = [self._number(tag, text) for text in self.texts(tag)]
+        numbers = [self._parse_number(tag, text) for text in self.texts(tag)]
         for number in numbers:
             if number <= 0.0:
-                raise self._refusal(tag, f"{number:g} is not positive; write a length in metres")
+                raise self._make_error(tag, f"{number:g} is not positive; write a length in metres")
         return numbers
 
     def flag(self, tag: str, *, default: bool) -> bool:
@@ -202,7 +202,7 @@ class PluginTags:
             elif tag not in self._read:
                 self.report.unread_tag(self.subject, tag, sorted(self._read))
 
-    def _number(self, tag: str, text: str) -> float:
+    def _parse_number(self, tag: str, text: str) -> float:
         if text.startswith(("${", "$(")):
             raise ModelError(
                 f"{self.subject}, {tag}: {text[:80]!r} is xacro's; run xacro on it first",
@@ -211,5 +211,5 @@ class PluginTags:
             )
         return read_number(text, where=f"{self.subject}, {tag}", slug=f"{self._slug}.{tag}")
 
-    def _refusal(self, tag: str, fault: str) -> ModelError:
+    def _make_error(self, tag: str, fault: str) -> ModelError:
         return ModelError(f"{self.subject}, {tag}: {fault}", slug=f"{self._slug}.{tag}")

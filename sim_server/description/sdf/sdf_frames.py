@@ -78,22 +78,22 @@ class PoseGraph:
         Raises:
             ModelError: There is none, or frames are placed relative to each other in a circle.
         """
-        chain = self._chain(name, stop=MODEL_FRAME)
+        chain = self._chain_to(name, stop=MODEL_FRAME)
         for link in reversed(chain):
             parent, _ = self._parents[link]
-            self._poses[link] = compose_poses(self._poses[parent], self._local(link))
+            self._poses[link] = compose_poses(self._poses[parent], self._pose_in_parent(link))
         return self._poses[name]
 
-    def _local(self, name: str) -> Origin:
+    def _pose_in_parent(self, name: str) -> Origin:
         origin = self._parents[name][1]
         if name not in self._placements:
             return origin
         inner = Origin()
-        for link in reversed(self._chain(self._placements[name], stop=name)):
-            inner = compose_poses(inner, self._local(link))
+        for link in reversed(self._chain_to(self._placements[name], stop=name)):
+            inner = compose_poses(inner, self._pose_in_parent(link))
         return compose_poses(origin, invert_pose(inner))
 
-    def _chain(self, name: str, *, stop: str) -> list[str]:
+    def _chain_to(self, name: str, *, stop: str) -> list[str]:
         chain: dict[str, None] = {}
         at = name
         while at != stop and (at not in self._poses or stop != MODEL_FRAME):

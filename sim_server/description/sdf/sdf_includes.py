@@ -31,7 +31,7 @@ MAX_INCLUDED_TAGS = 400_000
 INCLUDE_TAGS = ("uri", "name", "pose", "static", "placement_frame", "plugin")
 
 
-def no_includes(uri: str) -> str | None:  # noqa: ARG001  every Resolve takes a URI
+def no_includes(uri: str) -> str | None:
     """Say that no model is here."""
     return None
 
@@ -83,26 +83,26 @@ class IncludeExpander:
                 self.expand(child, chain, depth=depth + 1)
             elif child.tag == "include":
                 uri = read_text(child, "uri")
-                if self._leaves_out(uri):
+                if self._is_left_out(uri):
                     owner.remove(child)
                     continue
-                model = self._model(child, uri, chain)
+                model = self._load_include(child, uri, chain)
                 owner.replace(child, model)
                 self.expand(model, (*chain, uri), depth=depth + 1)
 
-    def _leaves_out(self, uri: str) -> bool:
+    def _is_left_out(self, uri: str) -> bool:
         if not self._allow_missing or uri in self._read or self._resolve(uri) is not None:
             return False
         self._report.suspicious(f"include {quote(uri)}", "left out: it is not here")
         return True
 
-    def _model(self, include: Element, uri: str, chain: tuple[str, ...]) -> Element:
+    def _load_include(self, include: Element, uri: str, chain: tuple[str, ...]) -> Element:
         if uri in chain:
             raise ModelError(
                 f"{quote(uri)} includes itself, by {' > '.join(map(quote, chain[:5]))}",
                 slug="sdf.include_cycle",
             )
-        model = deepcopy(self._found(uri))
+        model = deepcopy(self._read_model(uri))
         self._count += 1
         self._tags += sum(1 for _ in model.iter())
         if self._count > MAX_INCLUDES or self._tags > MAX_INCLUDED_TAGS:
@@ -115,7 +115,7 @@ class IncludeExpander:
         self._report.applied(f"include {quote(uri)}")
         return model
 
-    def _found(self, uri: str) -> Element:
+    def _read_model(self, uri: str) -> Element:
         if uri in self._read:
             return self._read[uri]
         text = self._resolve(uri) if uri else None
@@ -134,11 +134,11 @@ class IncludeExpander:
                 code=SpawnCode.UNSUPPORTED_FORMAT,
                 slug="sdf.model",
             )
-        self._join(models[0], uri)
+        self._make_uris_absolute(models[0], uri)
         self._read[uri] = models[0]
         return models[0]
 
-    def _join(self, model: Element, uri: str) -> None:
+    def _make_uris_absolute(self, model: Element, uri: str) -> None:
         """Write relative URIs out, so that those of two models are not mistaken for one another."""
         for tag in model.iter("mesh", "include"):
             written = tag.find("uri")

@@ -94,7 +94,7 @@ class SdfJointReader:
         start = compose_poses(invert_pose(parent), child)
         if kind == "fixed":
             return [Joint(tag.name, "fixed", tag.parent, tag.child, start)]
-        steps = self._steps(tag, kind, child)
+        steps = self._read_steps(tag, kind, child)
         offset = compose_poses(invert_pose(child), joint).position
         if not _needs_pivot(steps, offset):
             offset = (0.0, 0.0, 0.0)
@@ -102,9 +102,9 @@ class SdfJointReader:
             self.report.applied(
                 f"joint {quote(tag.name)}", f"{kind}: {len(steps)} joints in a chain"
             )
-        return self._chain(tag, steps, start, offset)
+        return self._make_chain(tag, steps, start, offset)
 
-    def _chain(
+    def _make_chain(
         self, tag: JointElement, steps: Sequence[Joint], start: Origin, offset: Vec3
     ) -> list[Joint]:
         chain: list[Joint] = []
@@ -112,27 +112,27 @@ class SdfJointReader:
         is_offset = any(offset)
         for number, step in enumerate(steps, start=1):
             is_last = number == len(steps)
-            child = tag.child if is_last and not is_offset else self._pivot(tag.name)
-            name = tag.name if is_last else self._free(f"{tag.name}_{number}")
+            child = tag.child if is_last and not is_offset else self._add_pivot(tag.name)
+            name = tag.name if is_last else self._make_unique_name(f"{tag.name}_{number}")
             chain.append(
                 msgspec.structs.replace(step, name=name, parent=parent, child=child, origin=origin)
             )
             parent, origin = child, Origin()
         if is_offset:
             back = Origin((-offset[0], -offset[1], -offset[2]))
-            held = self._free(f"{tag.name}_held")
+            held = self._make_unique_name(f"{tag.name}_held")
             chain.append(Joint(held, "fixed", parent, tag.child, back))
         return chain
 
-    def _steps(self, tag: JointElement, kind: str, child: Origin) -> list[Joint]:
+    def _read_steps(self, tag: JointElement, kind: str, child: Origin) -> list[Joint]:
         if kind == "ball":
             # Rolling, about y, comes first: a chain sticks when its middle turns by a quarter.
             return [_make_step("continuous", axis) for axis in (Y, Z, X)]
         tags = ("axis", "axis2") if kind in DOUBLE_AXIS_KINDS else ("axis",)
-        steps = [self._step(tag, name, kind, child) for name in tags]
+        steps = [self._read_step(tag, name, kind, child) for name in tags]
         return steps[::-1] if tag.is_turned else steps
 
-    def _step(self, tag: JointElement, name: str, kind: str, child: Origin) -> Joint:
+    def _read_step(self, tag: JointElement, name: str, kind: str, child: Origin) -> Joint:
         where = f"joint {quote(tag.name)}, {name}"
         axis = tag.element.find(name)
         if axis is None:
@@ -146,7 +146,7 @@ class SdfJointReader:
         moves: JointKind = "prismatic" if kind == "prismatic" else "revolute"
         return msgspec.structs.replace(
             _make_step("continuous" if is_free and moves == "revolute" else moves, Z),
-            axis=self._direction(tag, axis, child, where),
+            axis=self._read_direction(tag, axis, child, where),
             lower=0.0 if is_free and moves == "revolute" else max(lower, -reach),
             upper=0.0 if is_free and moves == "revolute" else min(upper, reach),
             effort=_to_limit(read_bound(axis, "limit/effort", -1.0, where)),
@@ -156,11 +156,11 @@ class SdfJointReader:
             mimic=_read_mimic(tag, axis, where),
         )
 
-    def _direction(self, tag: JointElement, axis: Element, child: Origin, where: str) -> Vec3:
+    def _read_direction(self, tag: JointElement, axis: Element, child: Origin, where: str) -> Vec3:
         xyz = axis.find("xyz")
         direction = read_vector(axis, "xyz", Z, where)
         frame = ((xyz.get("expressed_in") or "") if xyz is not None else "").strip()
-        if not frame and self._is_in_model(tag, axis, where):
+        if not frame and self._is_axis_in_model_frame(tag, axis, where):
             frame = MODEL_FRAME
         name = self.frames.full_name(tag.scope, frame) if frame else tag.frame
         in_model = rotate_vector(self.frames.pose(name), direction)
@@ -169,19 +169,19 @@ class SdfJointReader:
         return (-x, -y, -z) if tag.is_turned else (x, y, z)
 
     @staticmethod
-    def _is_in_model(tag: JointElement, axis: Element, where: str) -> bool:
+    def _is_axis_in_model_frame(tag: JointElement, axis: Element, where: str) -> bool:
         model = tag.element.getparent()
         version = (model.get(VERSION_ATTRIBUTE) or "") if model is not None else ""
         return read_flag(
             axis, "use_parent_model_frame", default=version in MODEL_FRAME_VERSIONS, where=where
         )
 
-    def _pivot(self, joint: str) -> str:
-        name = self._free(f"{joint}_pivot")
+    def _add_pivot(self, joint: str) -> str:
+        name = self._make_unique_name(f"{joint}_pivot")
         self.pivots.append(Link(name))
         return name
 
-    def _free(self, wish: str) -> str:
+    def _make_unique_name(self, wish: str) -> str:
         while wish in self.taken:
             wish += "_"
         self.taken.add(wish)

@@ -283,29 +283,29 @@ class SdfLinkReader:
         Raises:
             ModelError: A number is none, a size is not positive, or a collision's mesh is missing.
         """
-        where, inertial = f"link {quote(tag.name)}", self._inertial(tag)
+        where, inertial = f"link {quote(tag.name)}", self._read_inertial(tag)
         has_gravity = read_flag(tag.element, "gravity", default=True, where=where)
         return Link(
             tag.name,
             inertial,
-            tuple(self._collisions(tag)),
-            tuple(self._visuals(tag)),
+            tuple(self._read_collisions(tag)),
+            tuple(self._read_visuals(tag)),
             weightless=Inertial() if has_gravity else inertial,
-            decay=Decay(*(self._decay(tag, part) for part in ("linear", "angular"))),
+            decay=Decay(*(self._read_decay(tag, part) for part in ("linear", "angular"))),
             self_collides=tag.scope in self.self_colliding
             or read_flag(tag.element, "self_collide", default=False, where=where),
         )
 
-    def _decay(self, tag: LinkElement, part: str) -> float:
+    def _read_decay(self, tag: LinkElement, part: str) -> float:
         where = f"link {quote(tag.name)}"
         share = read_scalar(tag.element, f"velocity_decay/{part}", 0.0, where)
         return to_decay_rate(max(share, 0.0))
 
-    def _inertial(self, tag: LinkElement) -> Inertial:
+    def _read_inertial(self, tag: LinkElement) -> Inertial:
         inertial, where = tag.element.find("inertial"), f"link {quote(tag.name)}, inertial"
         if inertial is None:
             return Inertial()
-        origin = self._place(tag, inertial, where)
+        origin = self._read_origin(tag, inertial, where)
         matrix = inertial.find("inertia")
         if matrix is None:
             self.report.suspicious(where, "has no <inertia>; 1 kg m^2 is used, as by SDF")
@@ -322,11 +322,11 @@ class SdfLinkReader:
             (ixx, ixy, ixz, iyy, iyz, izz),
         )
 
-    def _collisions(self, tag: LinkElement) -> list[Shape]:
+    def _read_collisions(self, tag: LinkElement) -> list[Shape]:
         kept = []
         for element in tag.element.findall("collision"):
             where = _describe_place(tag, element)
-            shape = self._shape(tag, element, where)
+            shape = self._read_shape(tag, element, where)
             if shape is None:
                 continue
             if shape.kind == "plane" and not self.is_static:
@@ -334,14 +334,14 @@ class SdfLinkReader:
                 continue
             shape = make_ground_slab(shape) if shape.kind == "plane" else shape
             if has_usable_mesh(shape, where, rule=self.rule, report=self.report, collides=True):
-                kept.append(read_surface(element, where, self.report).on(shape))
+                kept.append(read_surface(element, where, self.report).apply_to_shape(shape))
         return kept
 
-    def _visuals(self, tag: LinkElement) -> list[Shape]:
+    def _read_visuals(self, tag: LinkElement) -> list[Shape]:
         kept = []
         for element in tag.element.findall("visual"):
             where = _describe_place(tag, element)
-            shape = self._shape(tag, element, where)
+            shape = self._read_shape(tag, element, where)
             if shape is not None and has_usable_mesh(
                 shape, where, rule=self.rule, report=self.report, collides=False
             ):
@@ -353,12 +353,12 @@ class SdfLinkReader:
                 )
         return kept
 
-    def _shape(self, tag: LinkElement, element: Element, where: str) -> Shape | None:
-        origin = self._place(tag, element, where)
+    def _read_shape(self, tag: LinkElement, element: Element, where: str) -> Shape | None:
+        origin = self._read_origin(tag, element, where)
         shape = read_geometry(element, where, self.report)
         return None if shape is None else transform_shape(shape, origin)
 
-    def _place(self, tag: LinkElement, element: Element, where: str) -> Origin:
+    def _read_origin(self, tag: LinkElement, element: Element, where: str) -> Origin:
         pose = read_pose(element, where)
         if not pose.frame:
             return pose.origin

@@ -109,7 +109,7 @@ class FlattenedModel:
     attached_to: dict[str, str] = field(default_factory=dict)
     self_colliding: set[str] = field(default_factory=set)
 
-    def link_of(self, name: str, where: str, *, slug: str) -> str:
+    def find_link(self, name: str, where: str, *, slug: str) -> str:
         """Find the link that carries a scoped name.
 
         Raises:
@@ -248,8 +248,10 @@ def _resolve_joint_ends(tag: JointElement, found: FlattenedModel) -> JointElemen
             f"{where} has the world as its child; make it the parent", slug="sdf.unknown_child"
         )
     if parent != WORLD_LINK:
-        parent = found.link_of(to_scoped_name(tag.scope, parent), where, slug="sdf.unknown_parent")
-    child = found.link_of(to_scoped_name(tag.scope, child), where, slug="sdf.unknown_child")
+        parent = found.find_link(
+            to_scoped_name(tag.scope, parent), where, slug="sdf.unknown_parent"
+        )
+    child = found.find_link(to_scoped_name(tag.scope, child), where, slug="sdf.unknown_child")
     return replace(tag, parent=parent, child=child)
 
 
@@ -259,7 +261,7 @@ def find_canonical_link(found: FlattenedModel) -> str:
     Raises:
         ModelError: It does not exist.
     """
-    return found.link_of(MODEL_FRAME, "canonical_link", slug="sdf.canonical_link")
+    return found.find_link(MODEL_FRAME, "canonical_link", slug="sdf.canonical_link")
 
 
 MAX_JOINTS = 120

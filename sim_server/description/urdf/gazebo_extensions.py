@@ -60,7 +60,7 @@ class GazeboExtensions:
         self_collides: All its links touch each other.
     """
 
-    wishes: dict[str, dict[str, str]] = field(default_factory=dict)
+    surface_texts: dict[str, dict[str, str]] = field(default_factory=dict)
     surfaces: dict[str, SurfaceParameters] = field(default_factory=dict)
     colours: dict[str, Quat] = field(default_factory=dict)
     kept_joints: set[str] = field(default_factory=set)
@@ -94,7 +94,7 @@ def read_gazebo_extensions(
             report.suspicious(
                 f"gazebo {reference[:80]!r}", "no link or joint of this name; block not read"
             )
-    for link, texts in blocks.wishes.items():
+    for link, texts in blocks.surface_texts.items():
         tags = SurfaceTagReader(texts, subject=f"gazebo {link!r}", slug="gazebo.mu1", report=report)
         blocks.surfaces[link] = tags.read()
     return blocks
@@ -108,7 +108,7 @@ def apply_surfaces(links: Iterable[Link], blocks: GazeboExtensions) -> tuple[Lin
 def _apply_surface(link: Link, blocks: GazeboExtensions) -> Link:
     replace = msgspec.structs.replace
     if link.name in blocks.surfaces:
-        link = blocks.surfaces[link.name].under(link)
+        link = blocks.surfaces[link.name].apply_to_link(link)
     if link.name in blocks.colours:
         colour = blocks.colours[link.name]
         link = replace(link, visuals=tuple(replace(shape, rgba=colour) for shape in link.visuals))
@@ -135,7 +135,7 @@ def _read_link_tag(
 ) -> None:
     subject = f"gazebo {link!r}"
     if child.tag in SURFACE_TAGS:
-        blocks.wishes.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _element_text(child)
+        blocks.surface_texts.setdefault(link, {})[SURFACE_TAGS[child.tag]] = _element_text(child)
     elif child.tag == "material":
         _read_material(link, child, blocks, report)
     elif child.tag == "sensor":

@@ -1,1 +1,1 @@
-"""bullet"""
+"""The PyBullet engine."""

@@ -70,7 +70,7 @@ class BodyPool:
         """Let so many of the newest stay awake: one that slept cannot come back moving."""
         self._parked: dict[BodyBuildKey, list[tuple[int, BulletBody]]] = {}
         self._count = 0
-        self._may_be_awake = awake
+        self._max_awake = awake
         self._awake: list[int] = []
         self._waking: list[int] = []
 
@@ -78,7 +78,7 @@ class BodyPool:
         """Whether a body may be parked: gears would wake it."""
         return self._count < MAX_PARKED_BODIES and not body.gears
 
-    def keep(self, number: int, body: BulletBody) -> FloatArray:
+    def park(self, number: int, body: BulletBody) -> FloatArray:
         """Park a body, and tell in which state (13,)."""
         self._parked.setdefault(_make_build_key(body.model), []).append((number, body))
         self._count += 1
@@ -89,7 +89,7 @@ class BodyPool:
     def add_awake(self, number: int) -> list[int]:
         """Note that a parked body is awake; name those that are to sleep."""
         self._awake.append(number)
-        return self._tired()
+        return self._take_excess_awake()
 
     def take(self, model: Model, *, awake: bool) -> ParkedBody | None:
         """Take a parked body that is built as a model is, as one of this model.
@@ -124,7 +124,7 @@ class BodyPool:
         """Note that a step is over; name those that are to sleep."""
         self._awake += self._waking
         self._waking.clear()
-        return self._tired()
+        return self._take_excess_awake()
 
     def take_all(self) -> list[int]:
         """Take all that are parked."""
@@ -135,8 +135,8 @@ class BodyPool:
         self._count = 0
         return taken
 
-    def _tired(self) -> list[int]:
-        over = max(0, len(self._awake) - self._may_be_awake)
+    def _take_excess_awake(self) -> list[int]:
+        over = max(0, len(self._awake) - self._max_awake)
         tired, self._awake = self._awake[:over], self._awake[over:]
         return tired
 

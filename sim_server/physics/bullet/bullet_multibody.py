@@ -223,7 +223,7 @@ class CollisionShapeCache:
         self._dented = dented
         self._made: dict[ShapeKey, int] = {(): -1}
 
-    def of(self, plan: Blueprint, shapes: tuple[Shape, ...]) -> int:
+    def find(self, plan: Blueprint, shapes: tuple[Shape, ...]) -> int:
         """Find the engine's number for the shapes of one part, made now if need be."""
         key = make_shape_key(shapes, is_static=plan.is_static)
         if key not in self._made:

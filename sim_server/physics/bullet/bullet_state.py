@@ -69,7 +69,7 @@ class ComFrames:
         self._root_from_com: FloatArray = np.tile([0.0, 0.0, 0.0, 1.0], (64, 1))
         self._known: tuple[Sequence[int], _ComOffsets] | None = None
 
-    def remember(self, body: int, root: RigidPart) -> None:
+    def add(self, body: int, root: RigidPart) -> None:
         """Take the root of a new body."""
         while body >= len(self._com_in_root):
             self._com_in_root = np.concatenate([self._com_in_root, self._com_in_root * 0.0])

@@ -109,13 +109,13 @@ class PyBulletEngine:
             self.name, max_parts=MAX_PARTS, joint_kinds=JOINT_TYPES, shape_kinds=GEOMETRY_TYPES
         )
         self._twists: dict[int, list[float]] = {}
-        self._held: set[int] = set()
+        self._resisting: set[int] = set()
         self._loads: dict[int, Sequence[LinkForce]] = {}
         self._pending_velocities: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._gravity = config.gravity
         self._dt_s = dt_s = config.step_ns * 1e-9
         self._com_frames = ComFrames()
-        self._orders = CommandCache(lambda body: self._bodies[body].actuation.width)
+        self._commands = CommandCache(lambda body: self._bodies[body].actuation.width)
         pybullet.setPhysicsEngineParameter(
             fixedTimeStep=dt_s, **SOLVER_ARGUMENTS, physicsClientId=client
         )
@@ -129,10 +129,10 @@ class PyBulletEngine:
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`: makes the collision shape of one part."""
         try:
-            plan = self._blueprints.blueprint(model)
+            plan = self._blueprints.find(model)
             for part in self._shapes.find_missing(plan)[:1]:
                 self._shapes.check(plan, [part])
-                self._shapes.of(plan, part.shapes)
+                self._shapes.find(plan, part.shapes)
                 return False
         except (EngineRefused, pybullet.error):
             return True
@@ -140,33 +140,33 @@ class PyBulletEngine:
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; one that slept would lose its velocity in the first step."""
-        blueprint = self._blueprints.blueprint(model)
+        blueprint = self._blueprints.find(model)
         self._shapes.check(blueprint, self._shapes.find_missing(blueprint))
         if (parked := self._pool.take(model, awake=bool(base[7:].any()))) is not None:
             known = replace(parked.body, holds=find_rolling_frictions(model, blueprint))
-            return self._bring_back(base, parked.number, known, awake=parked.was_awake)
+            return self._reuse_parked(base, parked.number, known, awake=parked.was_awake)
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
             raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
-        self._com_frames.remember(body, blueprint.parts[0])
+        self._com_frames.add(body, blueprint.parts[0])
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
         loads = make_link_forces(blueprint, self._gravity, self._dt_s)
-        gears = [self._make_gear(body, gear) for gear in list_gear_constraints(model)]
-        self._admit(body, make_bullet_body(model, blueprint, loads, gears))
+        gears = [self._make_gear_constraint(body, gear) for gear in list_gear_constraints(model)]
+        self._register(body, make_bullet_body(model, blueprint, loads, gears))
         # Made at its place, with joints at zero: placing it again would cost as much as making it.
         self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
-        self._let_go(body)
+        self._clear_targets(body)
         return body
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`; a body is parked where there is a place for it."""
-        self._hold(body, is_held=False)
+        self._set_rolling_resistance(body, is_held=False)
         known = self._bodies.pop(body)
         for kept in (self._twists, self._loads, self._pending_velocities):
             kept.pop(body, None)
-        if self._pool.has_room_for(known) and self._is_good(body):
+        if self._pool.has_room_for(known) and self._is_finite(body):
             self._park(body, known)
             return
         for gear in known.gears:
@@ -177,23 +177,23 @@ class PyBulletEngine:
         """See `Concealing.conceal`; gears would wake it."""
         if not (known := self._bodies[body]).gears:
             self._loads.pop(body, None)
-            self._let_touch(body, known, *COLLIDE_WITH_NOTHING)
-            self._set_state([body], ACTIVATION_ASLEEP)
+            self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
+            self._set_activation([body], ACTIVATION_ASLEEP)
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Concealing.reveal`."""
-        self._set_state(bodies, ACTIVATION_AWAKE)
+        self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
-            self._let_touch(body, known := self._bodies[body], *COLLIDE_WITH_ALL)
-            self._admit(body, known)
+            self._set_collision_filter(body, known := self._bodies[body], *COLLIDE_WITH_ALL)
+            self._register(body, known)
 
     def sleep(self, bodies: Sequence[int]) -> None:
         """See `Dozing.doze`."""
-        self._set_state(bodies, ACTIVATION_ASLEEP)
+        self._set_activation(bodies, ACTIVATION_ASLEEP)
 
     def wake(self, bodies: Sequence[int]) -> None:
         """See `Dozing.rouse`."""
-        self._set_state(bodies, ACTIVATION_AWAKE)
+        self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(self._bodies[body].joints))
 
@@ -247,16 +247,18 @@ class PyBulletEngine:
         self.place(body, base)
         zeros = np.zeros(len(self._bodies[body].joints))
         self._set_joints(body, zeros if positions is None else positions, zeros)
-        self._let_go(body)
+        self._clear_targets(body)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        for body, numbers in self._orders.take_changed(bodies, targets):
+        for body, numbers in self._commands.take_changed(bodies, targets):
             self._actuate(body, numbers)
 
     def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.push_link`."""
-        self._push(body, link - 1, self._part_state(body, link - 1)[0], wrench[:3], wrench[3:])
+        self._apply_wrench(
+            body, link - 1, self._part_state(body, link - 1)[0], wrench[:3], wrench[3:]
+        )
 
     def push_joint(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.push_joint`."""
@@ -270,9 +272,9 @@ class PyBulletEngine:
             self._impose_twists()
         self._apply_loads()
         pybullet.stepSimulation(physicsClientId=self._client)
-        self._set_state(self._pool.after_step(), ACTIVATION_ASLEEP)
-        self._set_off()
-        if self._ground is None or self._is_good(self._ground):
+        self._set_activation(self._pool.after_step(), ACTIVATION_ASLEEP)
+        self._apply_pending_velocities()
+        if self._ground is None or self._is_finite(self._ground):
             return True
         self.place(self._ground, ORIGIN_STATE)
         return False
@@ -281,7 +283,7 @@ class PyBulletEngine:
         """See `Engine.close`."""
         pybullet.disconnect(physicsClientId=self._client)
 
-    def _admit(self, body: int, known: BulletBody) -> None:
+    def _register(self, body: int, known: BulletBody) -> None:
         self._bodies[body] = known
         if known.loads:
             self._loads[body] = known.loads
@@ -299,31 +301,31 @@ class PyBulletEngine:
 
     def _park(self, body: int, known: BulletBody) -> None:
         """Put a body where it touches nothing, to sleep there unless it is to be ready."""
-        self._let_touch(body, known, *COLLIDE_WITH_NOTHING)
-        self.place(body, self._pool.keep(body, known))
-        self._set_state(self._pool.add_awake(body), ACTIVATION_ASLEEP)
+        self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
+        self.place(body, self._pool.park(body, known))
+        self._set_activation(self._pool.add_awake(body), ACTIVATION_ASLEEP)
 
-    def _let_touch(self, body: int, known: BulletBody, group: int, mask: int) -> None:
+    def _set_collision_filter(self, body: int, known: BulletBody, group: int, mask: int) -> None:
         client = self._client
         for part in range(-1, known.parts):
             pybullet.setCollisionFilterGroupMask(body, part, group, mask, physicsClientId=client)
 
-    def _set_state(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
+    def _set_activation(self, bodies: Sequence[int], states: tuple[int, int]) -> None:
         for body, state in product(bodies, states):
             pybullet.changeDynamics(body, -1, activationState=state, physicsClientId=self._client)
 
-    def _bring_back(self, base: FloatArray, body: int, known: BulletBody, *, awake: bool) -> int:
+    def _reuse_parked(self, base: FloatArray, body: int, known: BulletBody, *, awake: bool) -> int:
         if not awake:
-            self._set_state([body], ACTIVATION_AWAKE)
+            self._set_activation([body], ACTIVATION_AWAKE)
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(known.joints))
         elif (sleeper := self._pool.wake_next(known.model)) is not None:
-            self._set_state([sleeper], ACTIVATION_AWAKE)
-        self._let_touch(body, known, *COLLIDE_WITH_ALL)
-        self._admit(body, known)
+            self._set_activation([sleeper], ACTIVATION_AWAKE)
+        self._set_collision_filter(body, known, *COLLIDE_WITH_ALL)
+        self._register(body, known)
         self.rest(body, base)
         return body
 
-    def _set_off(self) -> None:
+    def _apply_pending_velocities(self) -> None:
         """Move what was brought back: Bullet stops what slept in the first step after its sleep."""
         for body, (velocity, speeds) in list(self._pending_velocities.items()):
             if velocity.any() or speeds.any():
@@ -332,9 +334,9 @@ class PyBulletEngine:
                 self._set_joints(body, positions, speeds)
         self._pending_velocities.clear()
 
-    def _let_go(self, body: int) -> None:
+    def _clear_targets(self, body: int) -> None:
         """Give a body targets of 0, and its own way where a twist moved it."""
-        self._orders.forget(body)
+        self._commands.forget(body)
         self._actuate(body, [0.0] * self._bodies[body].actuation.width)
         self._twists.pop(body, None)
 
@@ -342,19 +344,19 @@ class PyBulletEngine:
         plan = self._bodies[body].actuation
         for motors, (mode, targets) in ((plan.speeds, VELOCITY_MODE), (plan.angles, POSITION_MODE)):
             if motors.joints:
-                how: dict[str, Any] = {targets: motors.of(numbers), "forces": motors.efforts}
+                how: dict[str, Any] = {targets: motors.select(numbers), "forces": motors.efforts}
                 pybullet.setJointMotorControlArray(
                     body, motors.joints, mode, **how, physicsClientId=self._client
                 )
-        self._hold(body, is_held=not any(plan.speeds.of(numbers)))
+        self._set_rolling_resistance(body, is_held=not any(plan.speeds.select(numbers)))
         if plan.twist is not None:
             self._twists[body] = numbers[plan.twist : plan.twist + 3]
 
-    def _hold(self, body: int, *, is_held: bool) -> None:
+    def _set_rolling_resistance(self, body: int, *, is_held: bool) -> None:
         """Let the wheels of a body that stands resist rolling, and those of one that goes not."""
-        if is_held == (body in self._held):
+        if is_held == (body in self._resisting):
             return
-        (self._held.add if is_held else self._held.remove)(body)
+        (self._resisting.add if is_held else self._resisting.remove)(body)
         for part, friction in self._bodies[body].holds:
             found = friction if is_held else 0.0
             pybullet.changeDynamics(body, part, rollingFriction=found, physicsClientId=self._client)
@@ -373,9 +375,9 @@ class PyBulletEngine:
         for body, loads in self._loads.items():
             for load in loads:
                 place, turn, velocity = self._part_state(body, load.part)
-                self._push(body, load.part, place, *load.wrench(turn, velocity))
+                self._apply_wrench(body, load.part, place, *load.wrench(turn, velocity))
 
-    def _push(
+    def _apply_wrench(
         self, body: int, part: int, place: list[float], force: FloatArray, torque: FloatArray
     ) -> None:
         how = {"flags": pybullet.WORLD_FRAME, "physicsClientId": self._client}
@@ -395,7 +397,7 @@ class PyBulletEngine:
         place_of, velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
         return read_base_states(bodies, self._client, place_of, velocity_of)
 
-    def _is_good(self, body: int) -> bool:
+    def _is_finite(self, body: int) -> bool:
         return math.isfinite(pybullet.getBaseVelocity(body, physicsClientId=self._client)[0][0])
 
     def _add_ground(self, friction: float) -> int:
@@ -404,7 +406,7 @@ class PyBulletEngine:
         ground = pybullet.createMultiBody(0.0, plane, self._visual, physicsClientId=self._client)
         friction = limit_static_body_friction(friction)
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
-        self._set_state(
+        self._set_activation(
             [ground], ACTIVATION_ASLEEP
         )  # so that nobody looks for contacts of sleepers
         for _ in range(2):  # until it sleeps
@@ -412,7 +414,7 @@ class PyBulletEngine:
         return ground
 
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
-        shapes = [self._shapes.of(blueprint, part.shapes) for part in blueprint.parts]
+        shapes = [self._shapes.find(blueprint, part.shapes) for part in blueprint.parts]
         creation = make_multibody_arguments(
             blueprint, base, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
         )
@@ -441,7 +443,7 @@ class PyBulletEngine:
         for link, damping in limit_joint_dampings(moving, masses, self._dt_s):
             pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=client)
 
-    def _make_gear(self, body: int, gear: GearConstraint) -> int:
+    def _make_gear_constraint(self, body: int, gear: GearConstraint) -> int:
         made: int = pybullet.createConstraint(
             *(body, gear.follower, body, gear.leader, pybullet.JOINT_GEAR),
             *(gear.axis, ZERO, ZERO),

@@ -30,13 +30,13 @@ class CellCapacity:
     at_once: int
     largest: int = 0
 
-    def of(self, count: int) -> int:
+    def max_bodies(self, count: int) -> int:
         """Say how many bodies a cell has at most in a world of so many."""
         return max(self.most, min(self.largest, count // LARGE_WORLD_CELLS))
 
-    def filled(self, count: int) -> int:
+    def fill_limit(self, count: int) -> int:
         """Say up to how many a cell is filled in a world of so many."""
-        return max(1, int(self.of(count) * FILL_RATIO))
+        return max(1, int(self.max_bodies(count) * FILL_RATIO))
 
 
 def assign_cells(
@@ -54,7 +54,7 @@ def assign_cells(
         (n,) cells. Numbers that nobody had may be among them: the least that are free.
     """
     found = _merge_groups(cells, groups)
-    for cell in np.flatnonzero(np.bincount(found, minlength=1) > room.of(len(cells))):
+    for cell in np.flatnonzero(np.bincount(found, minlength=1) > room.max_bodies(len(cells))):
         _offload_groups(int(cell), found, groups, places, room)
     return found
 
@@ -78,7 +78,11 @@ def _offload_groups(
     held = np.flatnonzero(cells == cell)
     left, moved = len(held), 0
     for members in _groups_from_far_end(held, groups, places):
-        if left <= room.filled(len(cells)) or moved >= room.at_once or len(members) == len(held):
+        if (
+            left <= room.fill_limit(len(cells))
+            or moved >= room.at_once
+            or len(members) == len(held)
+        ):
             return
         target = _find_receiving_cell(cell, members, cells, places, room)
         cells[members] = target
@@ -101,7 +105,7 @@ def _find_receiving_cell(
 ) -> int:
     """Find the nearest cell that has room for a group, else a new one."""
     counts = np.bincount(cells)
-    fits = (counts > 0) & (counts + len(members) <= room.filled(len(cells)))
+    fits = (counts > 0) & (counts + len(members) <= room.fill_limit(len(cells)))
     fits[giver] = False
     if not fits.any():
         free = np.flatnonzero(counts == 0)

@@ -85,12 +85,12 @@ class CellBodyTable:
         moving = self.moving
         return np.setdiff1d(moving, list(self.concealed)) if self.concealed else moving
 
-    def show(self, number: int, *, is_concealed: bool) -> None:
+    def set_concealed(self, number: int, *, is_concealed: bool) -> None:
         """Note that a body takes part, or does not."""
         (self.concealed.add if is_concealed else self.concealed.discard)(number)
         self.version += 1
 
-    def admit(self, model: Model, reach: BodyReach, *, cell: int, inner: int) -> int:
+    def add(self, model: Model, reach: BodyReach, *, cell: int, inner: int) -> int:
         """Give a new body the least number that is free."""
         number = heapq.heappop(self._free) if self._free else len(self.by_number)
         while number >= len(self.cell):
@@ -106,7 +106,7 @@ class CellBodyTable:
         self.version += 1
         return number
 
-    def dismiss(self, number: int) -> CellBody:
+    def remove(self, number: int) -> CellBody:
         """Forget a body."""
         member = self.by_number.pop(number)
         self.moving_count -= int(self.cell[number]) >= 0
@@ -126,7 +126,7 @@ class CellBodyTable:
         self.is_due[number] = self.told[number]
         self.version += 1
 
-    def targets_of(self, numbers: IntArray) -> tuple[IntArray, IntArray]:
+    def find_target_ranges(self, numbers: IntArray) -> tuple[IntArray, IntArray]:
         """Find where the targets of bodies start, and how many each has."""
         found = [self.by_number[number].targets for number in numbers.tolist()]
         starts = np.array([one.start for one in found], np.intp)
@@ -211,7 +211,7 @@ def make_body_order(members: CellBodyTable) -> CellBodyOrder:
     row[numbers] = np.arange(len(numbers))
     counts = [len(members.by_number[number].model.joints) for number in numbers.tolist()]
     joint_start = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
-    starts, widths = members.targets_of(numbers)
+    starts, widths = members.find_target_ranges(numbers)
     slides = [
         (at, joint_start[at] + slide)
         for at, number in enumerate(numbers.tolist())
@@ -261,7 +261,7 @@ class CellIndexMap:
     driven: IntArray
     alone: tuple[int, ...]
 
-    def cut(self, now: BodyStates) -> BodyStates:
+    def select(self, now: BodyStates) -> BodyStates:
         """Cut the answer out of a reading of the lineup."""
         base = self.base.copy()
         base[self.into] = now.base[self.rows]
@@ -284,7 +284,7 @@ def make_index_map(
     base = np.zeros((len(found), 13))
     for at in np.flatnonzero(rows < 0).tolist():
         base[at] = found[at].base
-    slices, widths = members.targets_of(numbers)
+    slices, widths = members.find_target_ranges(numbers)
     is_driven = widths > 0
     ends = np.cumsum(widths)
     return CellIndexMap(

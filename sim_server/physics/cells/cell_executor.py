@@ -161,18 +161,18 @@ class WorkerCellExecutor:
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
         """See `Cells.step`."""
-        own, shares = self._shared(cells)
+        own, shares = self._split_by_worker(cells)
         for worker, share in shares:
-            worker.tell("step", share.cells, steps)
+            worker.send("step", share.cells, steps)
         is_well = self._here.step([cells[place] for place in own], steps)
-        return all([is_well, *(worker.answer(bool) for worker, _ in shares)])
+        return all([is_well, *(worker.wait_for_reply(bool) for worker, _ in shares)])
 
     def read(self, asked: Sequence[CellReadRequest]) -> list[BodyStates]:
         """See `Cells.read`."""
-        own, shares = self._shared([cell for cell, _ in asked])
+        own, shares = self._split_by_worker([cell for cell, _ in asked])
         for worker, share in shares:
             wanted = [asked[place].bodies for place in share.places]
-            worker.tell("read", tuple(zip(share.cells, wanted, strict=True)))
+            worker.send("read", tuple(zip(share.cells, wanted, strict=True)))
         found = dict(zip(own, self._here.read([asked[place] for place in own]), strict=True))
         for worker, share in shares:
             found.update(zip(share.places, worker.readings(), strict=True))
@@ -180,7 +180,7 @@ class WorkerCellExecutor:
 
     def command(self, told: Sequence[CellTargets]) -> None:
         """See `Cells.command`."""
-        own, shares = self._shared([cell for cell, _, _ in told])
+        own, shares = self._split_by_worker([cell for cell, _, _ in told])
         for worker, share in shares:
             mine = [told[place] for place in share.places]
             bodies = [(one.bodies, len(one.targets)) for one in mine]
@@ -194,7 +194,7 @@ class WorkerCellExecutor:
             worker.close()
         self._workers.clear()
 
-    def _shared(
+    def _split_by_worker(
         self, cells: Sequence[Engine]
     ) -> tuple[list[int], list[tuple[CellWorkerClient, WorkerShare]]]:
         """Part what is asked: what is for cells of this process, and a share for each worker."""

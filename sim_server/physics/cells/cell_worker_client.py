@@ -98,11 +98,11 @@ class PendingReply(Generic[Kind]):
         self._kind = kind
         self.answer: CellWorkerReply | None = None
 
-    def outcome(self) -> Kind:
+    def wait(self) -> Kind:
         """Wait for what was asked; raises as `CellWorkerClient.answer` does."""
         while self.answer is None:
-            self._worker.receive()
-        return self._worker.value(self.answer, self._kind)
+            self._worker.receive_reply()
+        return self._worker.unwrap(self.answer, self._kind)
 
 
 class CellWorkerClient:
@@ -131,28 +131,28 @@ class CellWorkerClient:
         there.close()
         self._line: Connection[Any, Any] = Connection(here.detach())
         self._model: Model | None = None
-        self._held: list[bytes] = []
+        self._queued: list[bytes] = []
         self._pending_replies: deque[PendingReply[Any]] = deque()
-        self.tell("begin", orders)
+        self.send("begin", orders)
 
     @property
     def process_id(self) -> int:
         """Of the worker."""
         return self._process.pid
 
-    def tell(self, what: str, *given: object) -> None:
+    def send(self, what: str, *given: object) -> None:
         """Have something done at once, and wait for nothing.
 
         Raises:
             WorkerEnded: It is no more.
         """
-        self._hold(what, given)
+        self._queue_call(what, given)
         self._flush()
 
     def enqueue(self, what: str, *given: object) -> None:
         """Have something done before anything that is told later; raises as `tell` does."""
-        self._hold(what, given)
-        if len(self._held) >= MAX_QUEUED_CALLS:
+        self._queue_call(what, given)
+        if len(self._queued) >= MAX_QUEUED_CALLS:
             self._flush_if_writable()
 
     def select_model(self, model: Model) -> None:
@@ -171,15 +171,15 @@ class CellWorkerClient:
     def is_idle(self) -> bool:
         """Whether all that it was told is sent, and all that it was asked is answered."""
         self._flush_if_writable()
-        return not (self._held or self._pending_replies)
+        return not (self._queued or self._pending_replies)
 
-    def receive(self) -> None:
+    def receive_reply(self) -> None:
         """Wait for the next answer that was promised."""
-        if self._held:
+        if self._queued:
             self._flush()
-        self._pending_replies.popleft().answer = self._received()
+        self._pending_replies.popleft().answer = self._receive()
 
-    def answer(self, kind: type[Kind]) -> Kind:
+    def wait_for_reply(self, kind: type[Kind]) -> Kind:
         """Wait for what was asked, which is of a kind.
 
         Raises:
@@ -187,10 +187,10 @@ class CellWorkerClient:
             WorkerEnded: It is no more, or something went wrong in it.
         """
         while self._pending_replies:
-            self.receive()
-        return self.value(self._received(), kind)
+            self.receive_reply()
+        return self.unwrap(self._receive(), kind)
 
-    def value(self, answer: CellWorkerReply, kind: type[Kind]) -> Kind:
+    def unwrap(self, answer: CellWorkerReply, kind: type[Kind]) -> Kind:
         """Take an answer apart; raises as `answer` does."""
         if answer.refused:
             raise EngineRefused(answer.refused)
@@ -199,19 +199,19 @@ class CellWorkerClient:
         assert isinstance(answer.value, kind)
         return answer.value
 
-    def ask(self, kind: type[Kind], what: str, *given: object) -> Kind:
+    def call(self, kind: type[Kind], what: str, *given: object) -> Kind:
         """Have something done and wait for what comes of it."""
-        self.tell(what, *given)
-        return self.answer(kind)
+        self.send(what, *given)
+        return self.wait_for_reply(kind)
 
     def send_targets(self, told: Sequence[CellTargetLayout], targets: FloatArray) -> None:
         """Have targets set, cell by cell; they are chained in this order."""
         self._targets.write([targets])
-        self.tell("command", told)
+        self.send("command", told)
 
     def readings(self) -> list[BodyStates]:
         """Wait for what was asked to be read, cell by cell."""
-        counts = self.answer(list)
+        counts = self.wait_for_reply(list)
         sizes = [size for rows, joints in counts for size in (13 * rows, joints, joints)]
         found = self._states.read(sizes)
         return [
@@ -229,35 +229,35 @@ class CellWorkerClient:
         self._states.close()
         self._targets.close()
 
-    def _hold(self, what: str, given: tuple[object, ...]) -> None:
+    def _queue_call(self, what: str, given: tuple[object, ...]) -> None:
         # At once: arrays may be others by the time that they are sent.
-        self._held.append(pickle.dumps((what, given), pickle.HIGHEST_PROTOCOL))
+        self._queued.append(pickle.dumps((what, given), pickle.HIGHEST_PROTOCOL))
 
     def _flush_if_writable(self) -> None:
         """Send what is held, unless that would wait for the worker; take what it has answered."""
         try:
             while self._pending_replies and self._line.poll():
-                self.receive()
+                self.receive_reply()
         except OSError as error:
-            raise self._ended() from error
-        if self._held and select.select((), (self._line,), (), 0.0)[1]:
+            raise self._died_error() from error
+        if self._queued and select.select((), (self._line,), (), 0.0)[1]:
             self._flush()
 
     def _flush(self) -> None:
-        held, self._held = self._held, []
+        held, self._queued = self._queued, []
         try:
             self._line.send(held)
         except OSError as error:
-            raise self._ended() from error
+            raise self._died_error() from error
 
-    def _received(self) -> CellWorkerReply:
+    def _receive(self) -> CellWorkerReply:
         try:
             answer: CellWorkerReply = self._line.recv()
         except (EOFError, OSError) as error:
-            raise self._ended() from error
+            raise self._died_error() from error
         return answer
 
-    def _ended(self) -> CellWorkerDied:
+    def _died_error(self) -> CellWorkerDied:
         status = self._process.poll()
         said = "" if status is None else f" with status {status}"
         return CellWorkerDied(f"engine worker {self.number} ended{said}, and its robots with it")
@@ -277,7 +277,7 @@ class RemoteCell:
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`."""
         self.worker.select_model(model)
-        return self.worker.ask(bool, "prepare", self.cell)
+        return self.worker.call(bool, "prepare", self.cell)
 
     def skip_validation(self, model: Model) -> None:
         """See `Patient.trust`; files of meshes may be gone by the time that they are read here."""
@@ -291,7 +291,7 @@ class RemoteCell:
         if model is self._taken:
             self.worker.enqueue("add_another", self.cell, number, base)
         else:
-            self.worker.ask(bool, "add", self.cell, number, base)
+            self.worker.call(bool, "add", self.cell, number, base)
             self._taken = model
         return number
 
@@ -313,11 +313,11 @@ class RemoteCell:
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
-        return self.worker.ask(list, "overlapping", self.cell, body)
+        return self.worker.call(list, "overlapping", self.cell, body)
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`."""
-        return self.worker.call_async(list, "overlapping", self.cell, body).outcome
+        return self.worker.call_async(list, "overlapping", self.cell, body).wait
 
     def is_idle(self) -> bool:
         """See `Patient.is_settled`."""
@@ -325,7 +325,7 @@ class RemoteCell:
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
-        self.worker.tell("read", ((self.cell, bodies),))
+        self.worker.send("read", ((self.cell, bodies),))
         return self.worker.readings()[0]
 
     def place(self, body: int, base: FloatArray) -> None:
@@ -356,13 +356,13 @@ class RemoteCell:
 
     def step(self) -> bool:
         """See `Engine.step`."""
-        return self.worker.ask(bool, "step", (self.cell,), 1)
+        return self.worker.call(bool, "step", (self.cell,), 1)
 
     def close(self) -> None:
         """See `Engine.close`."""
         self.worker.cells -= 1
         with suppress(CellWorkerDied):
-            self.worker.tell("close", self.cell)
+            self.worker.send("close", self.cell)
 
 
 def _has_meshes(model: Model) -> bool:

@@ -52,7 +52,7 @@ class CellMap:
     def __init__(self, cells: CellExecutor, alone: int, room: CellCapacity) -> None:
         self._cells = cells
         self._alone = alone
-        self._room = room
+        self._capacity = room
         self.members = CellBodyTable()
         self._taken: Model | None = None
         self.engines: dict[int, Engine] = {0: cells.make()}
@@ -74,7 +74,7 @@ class CellMap:
         """Make a body where it may live; raises EngineRefused."""
         if not can_move(model):
             copies = {cell: engine.add(model, base) for cell, engine in self.engines.items()}
-            number = self.members.admit(model, reach, cell=ALL_CELLS, inner=-1)
+            number = self.members.add(model, reach, cell=ALL_CELLS, inner=-1)
             self.members.by_number[number].copies = copies
             self.record_static(number)
             return number
@@ -83,42 +83,42 @@ class CellMap:
         cell = self._find_nearest_cell(base)
         inner = self._find_accepting_engine(cell, model).add(model, base)
         self._taken = model
-        return self.members.admit(model, reach, cell=cell, inner=inner)
+        return self.members.add(model, reach, cell=cell, inner=inner)
 
     def remove(self, body: int) -> None:
         """Take a body out of wherever it is."""
-        for engine, inner in self.of(body):
+        for engine, inner in self.locate(body):
             engine.remove(inner)
-        self.members.dismiss(body)
+        self.members.remove(body)
 
     def hide(self, body: int) -> None:
         """Let a body wait; one whose engine cannot do that stands where it will be."""
-        for engine, inner in self.of(body):
+        for engine, inner in self.locate(body):
             if (hiding := as_hiding(engine)) is not None:
                 hiding.hide(inner)
-                self.members.show(body, is_concealed=True)
+                self.members.set_concealed(body, is_concealed=True)
 
     def show(self, bodies: Iterable[int]) -> None:
         """Let bodies that wait take part."""
         homes: dict[int, tuple[SupportsHiding, list[int]]] = {}
         for body in bodies:
-            for engine, inner in self.of(body) if body in self.members.concealed else ():
+            for engine, inner in self.locate(body) if body in self.members.concealed else ():
                 if (waiting := as_hiding(engine)) is not None:
                     homes.setdefault(id(engine), (waiting, []))[1].append(inner)
-            self.members.show(body, is_concealed=False)
+            self.members.set_concealed(body, is_concealed=False)
         for waiting, inners in homes.values():
             waiting.show(inners)
 
     def read_each(self, bodies: Iterable[int]) -> BodyStates:
         """Read bodies one by one: also those that are in no lineup."""
-        each = [engine.read([inner]) for engine, inner in (self.of(body)[0] for body in bodies)]
+        each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
         return BodyStates(
             np.concatenate([one.base for one in each]),
             np.concatenate([one.joint_positions for one in each]),
             np.concatenate([one.joint_velocities for one in each]),
         )
 
-    def of(self, body: int) -> Sequence[tuple[Engine, int]]:
+    def locate(self, body: int) -> Sequence[tuple[Engine, int]]:
         """List the engines that have a body, and its number there."""
         if copies := self.members.by_number[body].copies:
             return [(self.engines[cell], inner) for cell, inner in copies.items()]
@@ -127,11 +127,11 @@ class CellMap:
 
     def record_static(self, body: int) -> None:
         """Remember where something that never moves is."""
-        engine, inner = self.of(body)[0]
+        engine, inner = self.locate(body)[0]
         self.members.by_number[body].base = engine.read([inner]).base[0]
         self.members.version += 1
 
-    def engine(self, cell: int) -> Engine:
+    def get_engine(self, cell: int) -> Engine:
         """Find the engine of a cell; a new one gets all that never moves."""
         if (known := self.engines.get(cell)) is not None:
             return known
@@ -147,7 +147,9 @@ class CellMap:
         homes = members.by_number[body].copies or {int(members.cell[body]): members.inner[body]}
         found: set[int] = set()
         for cell, inner in homes.items():
-            found.update(self._numbers(cell, set(self.engines[cell].find_overlaps(int(inner)))))
+            found.update(
+                self._to_body_numbers(cell, set(self.engines[cell].find_overlaps(int(inner))))
+            )
         return sorted(found)
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
@@ -157,7 +159,7 @@ class CellMap:
             found = self.find_overlaps(body)
             return lambda: found
         soon = engine.find_overlaps_async(inner)
-        return lambda: sorted(self._numbers(cell, set(soon())))
+        return lambda: sorted(self._to_body_numbers(cell, set(soon())))
 
     def is_idle(self) -> bool:
         """See `Patient.is_settled`."""
@@ -208,7 +210,7 @@ class CellMap:
 
     def _find_accepting_engine(self, cell: int, model: Model) -> Engine:
         """Find the engine of a cell; it knows whether others have taken a model."""
-        engine = self.engine(cell)
+        engine = self.get_engine(cell)
         if model is self._taken and (trusting := as_async(engine)) is not None:
             trusting.skip_validation(model)
         return engine
@@ -220,13 +222,13 @@ class CellMap:
         moving = self.members.moving
         cells = self.members.cell[moving]
         counts = np.bincount(cells, minlength=1)
-        has_room = counts[cells] < self._room.of(len(moving))
+        has_room = counts[cells] < self._capacity.max_bodies(len(moving))
         if not has_room.any():
             return int(np.append(counts, 0).argmin())
         apart = np.linalg.norm(self.members.place[moving] - base[:2], axis=1)
         return int(cells[np.where(has_room, apart, np.inf).argmin()])
 
-    def _numbers(self, cell: int, inner: set[int]) -> Iterator[int]:
+    def _to_body_numbers(self, cell: int, inner: set[int]) -> Iterator[int]:
         """Find whom a cell means."""
         if not inner:
             return
@@ -291,7 +293,7 @@ class CelledEngine:
         self._cell_map = CellMap(cells, settings.alone, self._room)
         self._members = self._cell_map.members
         self._pushes: list[QueuedLoad] = []
-        self._lineup: tuple[int, CellBodyOrder] | None = None
+        self._body_order: tuple[int, CellBodyOrder] | None = None
         self._routes: dict[int, tuple[Sequence[int], int, CellIndexMap]] = {}
         self._now: BodyStates | None = None
         self._steps = self._last_regroup = self._next_regroup = self._alert_until = 0
@@ -308,7 +310,7 @@ class CelledEngine:
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
-        number = self._cell_map.add(model, self._measure.reach(model), base)
+        number = self._cell_map.add(model, self._measure.measure(model), base)
         self._was_due = self._is_due
         self._record_place(number, base)
         return number
@@ -346,7 +348,7 @@ class CelledEngine:
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`."""
         if not self._cell_map.is_single_cell and self._may_touch_other_cells(body):
-            self._look()
+            self._regroup()
         return self._cell_map.find_overlaps_async(body)
 
     def is_idle(self) -> bool:
@@ -358,18 +360,18 @@ class CelledEngine:
         if not self._members.concealed.isdisjoint(bodies):
             return self._cell_map.read_each(bodies)
         if self._cell_map.is_single_cell:
-            return self._cell_map.engines[0].read(self._route(bodies).alone)
-        return self._route(bodies).cut(self._reading())
+            return self._cell_map.engines[0].read(self._index_map(bodies).alone)
+        return self._index_map(bodies).select(self._read_moving())
 
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
-        for engine, inner in self._cell_map.of(body):
+        for engine, inner in self._cell_map.locate(body):
             engine.place(inner, base)
         self._record_place(body, base)
 
     def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.rest`."""
-        for engine, inner in self._cell_map.of(body):
+        for engine, inner in self._cell_map.locate(body):
             engine.rest(inner, base, positions)
         self._members.forget_targets(body)
         self._record_place(body, base)
@@ -378,13 +380,13 @@ class CelledEngine:
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
         """See `Engine.put`."""
-        for engine, inner in self._cell_map.of(body):
+        for engine, inner in self._cell_map.locate(body):
             engine.put(inner, base, positions, velocities)
         self._record_place(body, base)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`: cells are told before the next step, all at once."""
-        members, route = self._members, self._route(bodies)
+        members, route = self._members, self._index_map(bodies)
         if not len(route.driven):
             return
         members.targets[route.targets] = targets
@@ -414,11 +416,11 @@ class CelledEngine:
         if not self._cell_map.is_single_cell and (
             self._is_due or self._steps >= self._next_regroup
         ):
-            self._look()
+            self._regroup()
         if self._has_new_targets:
-            self._tell()
+            self._send_targets()
         if self._pushes:
-            self._push()
+            self._apply_loads()
         is_well = self._advance()
         self._steps += 1
         self._now = None
@@ -462,11 +464,11 @@ class CelledEngine:
         self._is_due |= bool(members.kick[body] > SPEED_MARGIN_MPS / 4.0)
 
     def _current_order(self) -> CellBodyOrder:
-        if self._lineup is None or self._lineup[0] != self._members.version:
-            self._lineup = (self._members.version, make_body_order(self._members))
-        return self._lineup[1]
+        if self._body_order is None or self._body_order[0] != self._members.version:
+            self._body_order = (self._members.version, make_body_order(self._members))
+        return self._body_order[1]
 
-    def _route(self, bodies: Sequence[int]) -> CellIndexMap:
+    def _index_map(self, bodies: Sequence[int]) -> CellIndexMap:
         version = self._members.version
         known = self._routes.get(id(bodies))
         if known is not None and known[0] is bodies and known[1] == version:
@@ -478,7 +480,7 @@ class CelledEngine:
             self._routes[id(bodies)] = (bodies, version, route)
         return route
 
-    def _reading(self) -> BodyStates:
+    def _read_moving(self) -> BodyStates:
         """Read all that moves, once a step at most."""
         if self._now is None:
             lineup, engines = self._current_order(), self._cell_map.engines
@@ -488,12 +490,12 @@ class CelledEngine:
             )
         return self._now
 
-    def _look(self) -> None:
+    def _regroup(self) -> None:
         """Put bodies that may touch before the next look into one cell."""
-        lineup, now, members = self._current_order(), self._reading(), self._members
+        lineup, now, members = self._current_order(), self._read_moving(), self._members
         numbers, places = lineup.numbers, now.base[:, :2]
         self._check_speed_bounds(places - members.place[numbers], members.bound[numbers])
-        parting = self._part(lineup, now)
+        parting = self._find_groups(lineup, now)
         members.place[numbers], members.bound[numbers] = places, parting.speeds
         members.kick[numbers] = 0.0
         is_good = np.asarray(np.isfinite(now.base).all(axis=1))
@@ -518,7 +520,7 @@ class CelledEngine:
         if (beyond > CELL_GAP_M / 2.0).any():
             self._alert_until = self._steps + round(ALERT_S / self._dt_s)
 
-    def _part(self, lineup: CellBodyOrder, now: BodyStates) -> InteractionGroups:
+    def _find_groups(self, lineup: CellBodyOrder, now: BodyStates) -> InteractionGroups:
         members, numbers = self._members, lineup.numbers
         radii = members.radius[numbers] = self._radii(lineup, now)
         velocity = now.base[:, 7:]
@@ -536,7 +538,7 @@ class CelledEngine:
             found = find_interaction_groups(
                 now.base[:, :2], radii, speeds, period_s, periods=periods
             )
-            if found.largest <= self._room.of(len(numbers)):
+            if found.largest <= self._room.max_bodies(len(numbers)):
                 break
         return found
 
@@ -548,22 +550,22 @@ class CelledEngine:
         np.add.at(radii, rows, np.abs(now.joint_positions[joints]) + ahead)
         return radii
 
-    def _tell(self) -> None:
+    def _send_targets(self) -> None:
         """Tell cells the targets of their bodies."""
-        self._cells.command(list(self._told()))
+        self._cells.command(list(self._list_pending_targets()))
         self._members.is_due[:] = self._has_new_targets = False
 
-    def _push(self) -> None:
+    def _apply_loads(self) -> None:
         """Push what is to be pushed in this step."""
         for body, where, push in self._pushes:
-            for engine, inner in self._cell_map.of(body):
+            for engine, inner in self._cell_map.locate(body):
                 if isinstance(push, float):
                     engine.push_joint(inner, where, push)
                 else:
                     engine.push_link(inner, where, push)
         self._pushes.clear()
 
-    def _told(self) -> Iterator[CellTargets]:
+    def _list_pending_targets(self) -> Iterator[CellTargets]:
         lineup, members, engines = self._current_order(), self._members, self._cell_map.engines
         is_due = members.is_due[lineup.numbers]
         if is_due[lineup.driven].all():

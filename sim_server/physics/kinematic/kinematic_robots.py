@@ -180,11 +180,11 @@ class KinematicRobots:
         self._makes: dict[PlanarVehicle, VehicleGroup] = {}
         self._vehicles: dict[int, PlanarVehicle] = {}
 
-    def admit(self, row: int, vehicle: PlanarVehicle) -> None:
+    def add(self, row: int, vehicle: PlanarVehicle) -> None:
         """Take a robot in, joints and targets at zero."""
         known = self._known
-        known.joint_start[row] = self.positions.take(vehicle.joint_count)
-        known.target_start[row] = self.targets.take(vehicle.width)
+        known.joint_start[row] = self.positions.allocate(vehicle.joint_count)
+        known.target_start[row] = self.targets.allocate(vehicle.width)
         if len(self.velocities) < len(self.positions.numbers):
             more = len(self.positions.numbers) - len(self.velocities)
             self.velocities = np.concatenate([self.velocities, np.zeros(more)])
@@ -195,12 +195,12 @@ class KinematicRobots:
         self._makes[vehicle].members.add(row)
         self._vehicles[row] = vehicle
 
-    def dismiss(self, row: int) -> None:
+    def remove(self, row: int) -> None:
         """Forget a robot."""
         vehicle = self._vehicles.pop(row)
         self._makes[vehicle].members.discard(row)
-        self.positions.give_back(int(self._known.joint_start[row]), vehicle.joint_count)
-        self.targets.give_back(int(self._known.target_start[row]), vehicle.width)
+        self.positions.free(int(self._known.joint_start[row]), vehicle.joint_count)
+        self.targets.free(int(self._known.target_start[row]), vehicle.width)
 
     def vehicle(self, row: int) -> PlanarVehicle:
         """Find how a robot is driven."""
@@ -224,20 +224,20 @@ class KinematicRobots:
         self.positions.numbers[self._joints(row)] = positions
         self.velocities[self._joints(row)] = velocities
 
-    def told(self, row: int) -> FloatArray:
+    def targets_of(self, row: int) -> FloatArray:
         """Find the targets (w,) of a robot."""
         start = int(self._known.target_start[row])
         return self.targets.numbers[start : start + int(self._known.width[row])]
 
     def set_targets(self, row: int, targets: FloatArray) -> None:
         """Tell a robot what to do."""
-        self.told(row)[:] = targets
+        self.targets_of(row)[:] = targets
 
     def twist(self, row: int) -> FloatArray:
         """Find the root twist (3,) that its joints and what it was told give a robot."""
         vehicle = self._vehicles[row]
         if vehicle.twist >= 0:
-            return self.told(row)[vehicle.twist : vehicle.twist + 3]
+            return self.targets_of(row)[vehicle.twist : vehicle.twist + 3]
         positions, velocities = (numbers[None] for numbers in self.joints(row))
         speeds = velocities[:, list(vehicle.driven.joints)]
         if vehicle.matrix:
@@ -261,7 +261,7 @@ class KinematicRobots:
             is_pulled = vehicle.can_tip & (change > TIPPING_SPEED_CHANGE_M_S)
             known.exceeds_limits[rows] = is_pulled | (ahead * spin > vehicle.max_lateral_accel)
 
-    def propose(self) -> tuple[FloatArray, FloatArray]:
+    def propose_motions(self) -> tuple[FloatArray, FloatArray]:
         """Turn motors for a step, and find root twists and ways (3, n) of `rows`."""
         twists = [self._driven(make) for make in self._makes.values() if len(make.rows)]
         found = twists[0] if len(twists) == 1 else np.concatenate([NO_TWISTS, *twists], axis=1)
@@ -296,7 +296,7 @@ class KinematicRobots:
         by_speed = make.joints[:, list(vehicle.turned.joints)]
         self.velocities[by_speed] = told[:, list(vehicle.turned.places)]
 
-    def moves(
+    def disc_motions(
         self, way: FloatArray, discs: RowSelection, mine: RowSelection, unseen_s: float
     ) -> DiscMotions:
         """Say where discs want to go: those of `rows` by their ways, others are about where seen.
@@ -344,10 +344,10 @@ class KinematicRobots:
         for make in self._makes.values():
             count = len(make.rows)
             if count and make.vehicle.joint_count:
-                self._roll(make, shares[at : at + count, None], is_free=is_free)
+                self._roll_group(make, shares[at : at + count, None], is_free=is_free)
             at += count
 
-    def _roll(self, make: VehicleGroup, share: FloatArray, *, is_free: bool) -> None:
+    def _roll_group(self, make: VehicleGroup, share: FloatArray, *, is_free: bool) -> None:
         vehicle = make.vehicle
         wheels = make.wheels
         rolled = self.velocities[wheels]

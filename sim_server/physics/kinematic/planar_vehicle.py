@@ -25,11 +25,11 @@ from zensim.sim_server.description.model_geometry import (
 )
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
-from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.footprints import Footprint, MeshTriangles, measure_footprint
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Dynamics
+    from zensim.sim_server.physics.engine_config import EngineConfig
 
 
 def make_mesh_reader(folder: str) -> MeshTriangles:
@@ -161,7 +161,7 @@ class _VehicleGeometry:
 
     def vehicle(self, footprint: Footprint, gravity: float) -> PlanarVehicle:
         plan = make_actuation(self.model)
-        speeds = list(zip(plan.speeds.places, plan.speeds.joints, strict=True))
+        speeds = list(zip(plan.speeds.columns, plan.speeds.joints, strict=True))
         turned_by = set(self.steering)
         friction = min(1.0, min((s.friction for s in _list_tyres(self.model)), default=1.0))
         grip = friction * gravity
@@ -172,7 +172,7 @@ class _VehicleGeometry:
             joint_count=len(self.model.joints),
             twist=-1 if plan.twist is None else plan.twist,
             driven=_make_motors([one for one in speeds if one[1] not in turned_by]),
-            steered=_make_motors(list(zip(plan.angles.places, plan.angles.joints, strict=True))),
+            steered=_make_motors(list(zip(plan.angles.columns, plan.angles.joints, strict=True))),
             turned=_make_motors([one for one in speeds if one[1] in turned_by]),
             wheels=self.wheels,
             steering=self.steering,

@@ -150,7 +150,7 @@ class NeighbourLists:
         self._edges, self._cells = edges, None
         self._is_valid = False
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Make the lists anew next time: other discs are there."""
         self._is_valid = False
 
@@ -230,12 +230,12 @@ class ProximityIndex:
         self._outlines: dict[int, StaticEdges] = {}
         self._edges: StaticEdges | None = NO_EDGES
 
-    def stand(self, row: int, outline: StaticEdges) -> None:
+    def set_outline(self, row: int, outline: StaticEdges) -> None:
         """Note what never moves, or that it was put elsewhere."""
         self._outlines[row] = outline
         self._edges = None
 
-    def clear(self, row: int) -> None:
+    def remove_outline(self, row: int) -> None:
         """Note that what never moved is gone."""
         if self._outlines.pop(row, None) is not None:
             self._edges = None
@@ -245,18 +245,18 @@ class ProximityIndex:
         known = self._known
         discs = np.flatnonzero((known.tier != Tier.NONE) & ~known.is_static)
         if not np.array_equal(discs, self.discs):
-            self._neighbours.forget()
+            self._neighbours.invalidate()
         self.discs = discs
         place = np.zeros(len(known.tier), np.intp)
         place[discs] = np.arange(len(discs))
         self.mine = select_rows(place[self._kinematic.rows])
         self._at = select_rows(discs)
 
-    def moved(self) -> None:
+    def invalidate(self) -> None:
         """Note that somebody was put elsewhere."""
-        self._neighbours.forget()
+        self._neighbours.invalidate()
 
-    def look(self) -> ProximityResult:
+    def find_near(self) -> ProximityResult:
         """See who is near whom, until the next look."""
         known, rows = self._known, self.discs
         is_loose = (known.tier[rows] == Tier.FULL) & ~known.is_held[rows]
@@ -264,23 +264,25 @@ class ProximityIndex:
         self._refresh(discs.centres, np.zeros(len(rows)))
         neighbours = self._neighbours
         found = find_discs_near_discs(discs, (neighbours.one, neighbours.other), self._period_s)
-        if len(self._standing()):
-            near = find_discs_near_edges(discs, self._standing(), self._before(), self._period_s)
+        if len(self._static_edges()):
+            near = find_discs_near_edges(
+                discs, self._static_edges(), self._edge_pairs_at_height(), self._period_s
+            )
             found = combine_results(found, near)
         return found
 
-    def shares(self, way: FloatArray) -> FloatArray:
+    def find_free_fractions(self, way: FloatArray) -> FloatArray:
         """Find how much (n,) of their ways (3, n) kinematic robots can go."""
-        moves = self._kinematic.moves(way, self._at, self.mine, self._period_s)
+        moves = self._kinematic.disc_motions(way, self._at, self.mine, self._period_s)
         self._refresh(moves.start, np.hypot(moves.way[:, 0], moves.way[:, 1]))
         neighbours, shares = self._neighbours, np.ones(len(self.discs))
         if len(neighbours.disc):
-            shares = self._shares_by_edges(moves)
+            shares = self._limit_by_edges(moves)
         if len(neighbours.one):
             shares = limit_by_other_discs(moves, neighbours.one, neighbours.other, shares)
         return shares[self.mine]
 
-    def within(self, row: int) -> tuple[list[int], bool]:
+    def find_overlapping(self, row: int) -> tuple[list[int], bool]:
         """Find whose discs a disc reaches into, and whether it reaches an edge."""
         known = self._known
         rows = np.flatnonzero((known.tier != Tier.NONE) & ~known.is_static)
@@ -288,22 +290,22 @@ class ProximityIndex:
         centre = known.discs(np.array([row]))
         apart = np.hypot(*(known.discs(rows) - centre).T)
         found: list[int] = rows[apart < known.radius[rows] + known.radius[row]].tolist()
-        edges = self._standing()
+        edges = self._static_edges()
         if not len(edges):
             return found, False
         _, gap = find_distances_to_edges(np.broadcast_to(centre, (len(edges), 2)), edges.ends)
         return found, bool((gap < edges.thick + known.radius[row]).any())
 
-    def _shares_by_edges(self, moves: DiscMotions) -> FloatArray:
-        disc, edge = self._before()
-        edges = self._standing()
+    def _limit_by_edges(self, moves: DiscMotions) -> FloatArray:
+        disc, edge = self._edge_pairs_at_height()
+        edges = self._static_edges()
         may = moves.may_stop[disc]
         return limit_by_edges(moves, disc[may], edges.ends[edge[may]], edges.thick[edge[may]])
 
-    def _before(self) -> tuple[IntArray, IntArray]:
+    def _edge_pairs_at_height(self) -> tuple[IntArray, IntArray]:
         """Pairs of a disc and an edge near it that is as high as it."""
         known, disc, edge = self._known, self._neighbours.disc, self._neighbours.edge
-        rows, heights = self.discs[disc], self._standing().heights[edge]
+        rows, heights = self.discs[disc], self._static_edges().heights[edge]
         low = known.place[2, rows] + known.heights[0, rows] + CLEARABLE_HEIGHT_M
         high = known.place[2, rows] + known.heights[1, rows]
         meets = (heights[:, 0] < high) & (heights[:, 1] > low)
@@ -311,11 +313,11 @@ class ProximityIndex:
 
     def _refresh(self, centres: FloatArray, way: FloatArray) -> None:
         known = self._known
-        self._standing()
+        self._static_edges()
         far = np.maximum(way, known.pace[self._at] * self._period_s)
         self._neighbours.refresh(centres, known.radius[self._at], far)
 
-    def _standing(self) -> StaticEdges:
+    def _static_edges(self) -> StaticEdges:
         if self._edges is None:
             self._edges = concatenate_edges(list(self._outlines.values()))
             self._neighbours.set_edges(self._edges)

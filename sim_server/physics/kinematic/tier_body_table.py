@@ -73,7 +73,7 @@ class TierBodyTable:
         self.exceeds_limits: BoolColumn = np.zeros(INITIAL_ROWS, np.bool_)
         self._free = list(range(INITIAL_ROWS))
 
-    def take(self) -> int:
+    def allocate(self) -> int:
         """Take the lowest row that is free, all zeros."""
         if not self._free:
             self._grow()
@@ -84,7 +84,7 @@ class TierBodyTable:
         self.full[row] = -1
         return row
 
-    def give_back(self, row: int) -> None:
+    def free(self, row: int) -> None:
         """Free a row."""
         self.tier[row] = Tier.NONE
         heapq.heappush(self._free, row)
@@ -158,7 +158,7 @@ class ArrayPool:
         self._end = 0
         self._free: dict[int, list[int]] = {}
 
-    def take(self, count: int) -> int:
+    def allocate(self, count: int) -> int:
         """Find room for so many; it is the caller's to fill."""
         if free := self._free.get(count):
             return heapq.heappop(free)
@@ -167,7 +167,7 @@ class ArrayPool:
             self.numbers = np.concatenate([self.numbers, np.zeros_like(self.numbers)])
         return start
 
-    def give_back(self, start: int, count: int) -> None:
+    def free(self, start: int, count: int) -> None:
         """Free what was taken."""
         heapq.heappush(self._free.setdefault(count, []), start)
 
@@ -270,7 +270,7 @@ class TierIndexMapCache:
     def __len__(self) -> int:
         return len(self._kept)
 
-    def of(self, bodies: Sequence[int]) -> TierIndexMap:
+    def get(self, bodies: Sequence[int]) -> TierIndexMap:
         """Part bodies by tier."""
         if not isinstance(bodies, tuple):
             return split_by_tier(self._known, np.array(bodies, np.intp))
@@ -285,7 +285,7 @@ class TierIndexMapCache:
             self._kept.popitem(last=False)
         return mapping
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """Note that bodies changed tiers, came or went; what nobody asked for since is gone."""
         kept = list(self._kept.items())
         self._kept.clear()

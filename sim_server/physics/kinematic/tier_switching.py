@@ -7,9 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zensim.proto.rotation import to_yaw
-from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.kinematic.kinematic_robots import KinematicRobots
-from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarVehicle
 from zensim.sim_server.physics.kinematic.proximity import (
     MOVING_M_S,
     ProximityIndex,
@@ -27,8 +25,8 @@ from zensim.sim_server.scene.footprints import MeshTriangles, find_max_reach, fi
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
-    from zensim.sim_server.physics.engine import BodyStates, Engine
-    from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan
+    from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+    from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan, PlanarVehicle
 
 SETTLED_S = 0.3
 """For how long a robot has been alone and even before it leaves full dynamics."""
@@ -105,8 +103,8 @@ class TieredBodies:
         self.mappings = TierIndexMapCache(self.rows)
         self.models: dict[int, Model] = {}
         self.numbers: dict[int, int] = {}
-        self.told: set[int] = set()
-        self.held = 0
+        self.commanded: set[int] = set()
+        self.held_count = 0
         self.movers: tuple[int, ...] = ()
         self.moving_rows: IntColumn = np.zeros(0, np.intp)
         self._full = full
@@ -115,9 +113,9 @@ class TieredBodies:
         self._is_gathered = True
         self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
-    def take(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
+    def add(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
         """Make a row of a body that is in no engine yet."""
-        rows, row = self.rows, self.rows.take()
+        rows, row = self.rows, self.rows.allocate()
         self.models[row] = model
         rows.tier[row] = Tier.KINEMATIC
         rows.joint_count[row], rows.width[row] = len(model.joints), model.target_count
@@ -127,31 +125,31 @@ class TieredBodies:
             rows.is_held[row], rows.is_auto[row] = True, is_auto
             rows.radius[row], rows.centre[:, row] = footprint.radius_m, footprint.centre
             rows.heights[:, row] = footprint.low, footprint.high
-            self.kinematic.admit(row, vehicle)
-            self.held += 1
-        self._changed()
+            self.kinematic.add(row, vehicle)
+            self.held_count += 1
+        self._invalidate()
         return row
 
-    def give_back(self, row: int) -> None:
+    def remove(self, row: int) -> None:
         """Forget a body, in whatever tier it is."""
         if self.rows.full[row] >= 0:
             self.move_to_kinematic(row)
         if self.rows.is_held[row]:
-            self.kinematic.dismiss(row)
-            self.held -= 1
-        self.surroundings.clear(row)
+            self.kinematic.remove(row)
+            self.held_count -= 1
+        self.surroundings.remove_outline(row)
         self._pending_outlines.pop(row, None)
-        self.told.discard(row)
+        self.commanded.discard(row)
         del self.models[row]
-        self.rows.give_back(row)
-        self._changed()
+        self.rows.free(row)
+        self._invalidate()
 
-    def belong(self, row: int, number: int) -> None:
+    def register_full(self, row: int, number: int) -> None:
         """Note that a body is one of the full engine."""
         rows = self.rows
         rows.full[row], rows.tier[row] = number, Tier.FULL
         self.numbers[number] = row
-        self._changed()
+        self._invalidate()
 
     def move_to_full(self, row: int, *, at_once: bool = False) -> int:
         """Find the number of a body in the full engine; put it there if it is not.
@@ -162,18 +160,18 @@ class TieredBodies:
         """
         rows = self.rows
         if rows.full[row] < 0:
-            number = self.visit(row, WAKING_TURN_RAD_S if at_once else 0.0)
+            number = self.add_guest(row, WAKING_TURN_RAD_S if at_once else 0.0)
             positions, velocities = self.kinematic.joints(row)
             state = rows.states(np.array([row]))[0]
             self._full.put(number, state, positions, velocities)
-            if row in self.told:
-                self._full.command([number], self.kinematic.told(row))
+            if row in self.commanded:
+                self._full.command([number], self.kinematic.targets_of(row))
             rows.full[row], rows.tier[row] = number, Tier.FULL
             self.numbers[number] = row
-            self._changed()
+            self._invalidate()
         return int(rows.full[row])
 
-    def visit(self, row: int, turning: float = 0.0) -> int:
+    def add_guest(self, row: int, turning: float = 0.0) -> int:
         """Make a body in the full engine where a kinematic one is, turning so fast [rad/s]."""
         state = self.rows.states(np.array([row]))[0]
         state[7:12], state[12] = 0.0, turning
@@ -185,19 +183,19 @@ class TieredBodies:
         self._full.remove(number)
         del self.numbers[number]
         self.rows.full[row], self.rows.tier[row] = -1, Tier.KINEMATIC
-        self._changed()
+        self._invalidate()
 
     def set_state(self, row: int, base: FloatArray) -> None:
         """Note where a body was put (13,)."""
         if self.rows.is_static[row]:
             self._pending_outlines[row] = base.copy()
-        elif self.held:
-            self.see(np.array([row]), base[None])
-        self.surroundings.moved()
+        elif self.held_count:
+            self.record_states(np.array([row]), base[None])
+        self.surroundings.invalidate()
         self._last = None
         self._is_gathered = False
 
-    def see(self, rows: IntColumn, base: FloatArray) -> None:
+    def record_states(self, rows: IntColumn, base: FloatArray) -> None:
         """Note where bodies are (n, 13)."""
         known, yaw = self.rows, to_yaw(base[:, 3:7])
         known.place[:, rows] = base[:, :3].T
@@ -216,7 +214,7 @@ class TieredBodies:
         """Let a robot stand, its joints at `positions` or zero, and told nothing."""
         count = int(self.rows.joint_count[row])
         angles = np.zeros(count) if positions is None else positions
-        self.told.discard(row)
+        self.commanded.discard(row)
         self.kinematic.set_targets(row, np.zeros(int(self.rows.width[row])))
         self.kinematic.set_joints(row, angles, np.zeros(count))
 
@@ -236,7 +234,7 @@ class TieredBodies:
             return
         known = self.rows
         for row, base in self._pending_outlines.items():
-            self.surroundings.stand(row, find_outline(self.models[row], base, self._corners))
+            self.surroundings.set_outline(row, find_outline(self.models[row], base, self._corners))
         self._pending_outlines.clear()
         self.kinematic.gather()
         self.surroundings.gather()
@@ -246,10 +244,10 @@ class TieredBodies:
             known.radius[row] = max(find_max_reach(self.models[row], self._corners), MIN_RADIUS_M)
         self._is_gathered = True
 
-    def _changed(self) -> None:
+    def _invalidate(self) -> None:
         self._last = None
         self._is_gathered = False
-        self.mappings.forget()
+        self.mappings.invalidate()
 
 
 FALL_MARGIN_M_S2 = 20.0
@@ -266,13 +264,13 @@ class TierSwitcher:
         self._bodies = bodies
         self._period_s = period_s
         self._settled_s: dict[int, float] = {}
-        self._seen: dict[int, FloatArray] = {}
+        self._last_states: dict[int, FloatArray] = {}
 
     def forget(self, row: int) -> None:
         """Note that a robot was taken out, or set to rest."""
         self._settled_s.pop(row, None)
 
-    def look(self) -> None:
+    def update(self) -> None:
         """See where all are, and change the tiers of those that have to or may."""
         bodies, rows = self._bodies, self._bodies.rows
         bodies.gather()
@@ -280,7 +278,7 @@ class TierSwitcher:
         if not rows.is_auto.any():
             return
         bodies.kinematic.update_speed_bounds()
-        sight = bodies.surroundings.look()
+        sight = bodies.surroundings.find_near()
         discs = bodies.surroundings.discs
         needs_full = sight.is_near | rows.exceeds_limits[discs]
         is_flat = rows.is_auto[discs] & (rows.full[discs] < 0)
@@ -288,12 +286,12 @@ class TierSwitcher:
             bodies.move_to_full(row)
         self._release_settled(sight, discs)
 
-    def within(self, row: int) -> tuple[list[int], bool]:
+    def find_overlapping(self, row: int) -> tuple[list[int], bool]:
         """Find whose discs a disc reaches into now, and whether it reaches an edge."""
         self._bodies.gather()
         if self._bodies.movers:
             self._read_full_bodies()
-        return self._bodies.surroundings.within(row)
+        return self._bodies.surroundings.find_overlapping(row)
 
     def _read_full_bodies(self) -> None:
         bodies, rows = self._bodies, self._bodies.rows
@@ -302,8 +300,8 @@ class TierSwitcher:
         reading, moving = bodies.read_full(bodies.movers), bodies.moving_rows
         base = reading.base
         good = np.isfinite(base).all(axis=1)
-        bodies.see(moving[good], base[good])
-        self._seen = dict(zip(moving.tolist(), base, strict=True))
+        bodies.record_states(moving[good], base[good])
+        self._last_states = dict(zip(moving.tolist(), base, strict=True))
         speed = np.linalg.norm(base[:, 7:10], axis=1)
         falling = np.where(speed > MOVING_M_S, speed + FALL_MARGIN_M_S2 * self._period_s, 0.0)
         rows.pace[moving] = np.where(good, falling, 0.0)
@@ -331,11 +329,11 @@ class TierSwitcher:
             self._settled_s[row] = min(calm_s, SETTLED_S)
 
     def _may_become_kinematic(self, row: int) -> bool:
-        bodies, base = self._bodies, self._seen.get(row)
+        bodies, base = self._bodies, self._last_states.get(row)
         if base is None or not is_level_on_ground(base, float(bodies.rows.heights[0, row])):
             return False
         kinematic, vehicle = bodies.kinematic, bodies.kinematic.vehicle(row)
         _, velocities = kinematic.joints(row)
-        if not has_reached_targets(vehicle, kinematic.told(row), velocities):
+        if not has_reached_targets(vehicle, kinematic.targets_of(row), velocities):
             return False
         return matches_planar_twist(base, kinematic.twist(row))

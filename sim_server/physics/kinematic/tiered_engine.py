@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from zensim.sim_server.physics.engine import BodyStates, FloatArray, as_async, as_hiding
-from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlanCache
 from zensim.sim_server.physics.kinematic.tier_body_table import Tier
 from zensim.sim_server.physics.kinematic.tier_switching import (
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
 
     from zensim.proto.messages.model_messages import Dynamics, Model, TierName
     from zensim.sim_server.physics.engine import Engine
+    from zensim.sim_server.physics.engine_config import EngineConfig
     from zensim.sim_server.physics.kinematic.tier_body_table import TierIndexMap
 
 PROXIMITY_PERIOD_S = 0.02
@@ -41,7 +41,7 @@ class TieredEngine:
         self._every = max(1, round(PROXIMITY_PERIOD_S / dt_s))
         self._steps_to_check = 0
         self._bodies = TieredBodies(full, self._plans.corners, dt_s, self._every * dt_s)
-        self._watching = TierSwitcher(self._bodies, self._every * dt_s)
+        self._switcher = TierSwitcher(self._bodies, self._every * dt_s)
         self._tried: dict[int, Model] = {}
 
     @property
@@ -71,16 +71,16 @@ class TieredEngine:
             number = self._full.add(model, base)
         else:
             self._verify_model(model, base)
-        row = bodies.take(model, plan, is_auto=is_auto)
+        row = bodies.add(model, plan, is_auto=is_auto)
         if number >= 0:
-            bodies.belong(row, number)
+            bodies.register_full(row, number)
         bodies.set_state(row, base)
         return row
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`."""
-        self._bodies.give_back(body)
-        self._watching.forget(body)
+        self._bodies.remove(body)
+        self._switcher.forget(body)
 
     def skip_validation(self, model: Model) -> None:
         """See `Patient.trust`."""
@@ -106,11 +106,13 @@ class TieredEngine:
         """See `Engine.overlapping`; who is kinematic is asked of the full engine if need be."""
         bodies = self._bodies
         full = bodies.rows.full
-        guests, is_by_edge = self._watching.within(body) if bodies.held else ([], False)
+        guests, is_by_edge = (
+            self._switcher.find_overlapping(body) if bodies.held_count else ([], False)
+        )
         if full[body] < 0 and not guests and not is_by_edge:
             return []
         guests = [row for row in (body, *guests) if full[row] < 0]
-        visits = {row: bodies.visit(row) for row in guests}
+        visits = {row: bodies.add_guest(row) for row in guests}
         rows = {**bodies.numbers, **{visit: row for row, visit in visits.items()}}
         mine = visits.get(body, int(full[body]))
         found = sorted(rows[other] for other in self._full.find_overlaps(mine))
@@ -121,7 +123,7 @@ class TieredEngine:
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
         """See `Patient.overlapping_soon`; where somebody is kinematic it is found at once."""
         number, full = int(self._bodies.rows.full[body]), as_async(self._full)
-        if full is None or number < 0 or self._bodies.held:
+        if full is None or number < 0 or self._bodies.held_count:
             found = self.find_overlaps(body)
             return lambda: found
         soon, rows = full.find_overlaps_async(number), self._bodies.numbers
@@ -134,7 +136,7 @@ class TieredEngine:
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
-        mapping = self._bodies.mappings.of(bodies)
+        mapping = self._bodies.mappings.get(bodies)
         kinematic, full = mapping.kinematic, mapping.full
         if not len(kinematic.rows):
             return self._full.read(mapping.bodies)
@@ -181,7 +183,7 @@ class TieredEngine:
         """See `Engine.rest`; who may be kinematic there is so from now on."""
         bodies, rows = self._bodies, self._bodies.rows
         if rows.is_held[body]:
-            self._watching.forget(body)
+            self._switcher.forget(body)
             bodies.stand_still(body, positions)
             if rows.full[body] >= 0 and self._starts_kinematic(base, float(rows.heights[0, body])):
                 bodies.move_to_kinematic(body)
@@ -193,13 +195,13 @@ class TieredEngine:
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        mapping = self._bodies.mappings.of(bodies)
+        mapping = self._bodies.mappings.get(bodies)
         if not len(mapping.held):
             self._full.command(mapping.bodies, targets)
             return
         pool = self._bodies.kinematic.targets.numbers
         pool[mapping.pooled_targets] = targets[mapping.held_targets]
-        self._bodies.told.update(mapping.held)
+        self._bodies.commanded.update(mapping.held)
         if mapping.bodies:
             self._full.command(mapping.bodies, targets[mapping.full.targets])
 
@@ -216,14 +218,14 @@ class TieredEngine:
     def step(self) -> bool:
         """See `Engine.step`: look around, go, and then all that is full."""
         bodies = self._bodies
-        if not bodies.held:
+        if not bodies.held_count:
             return self._full.step()
         if self._steps_to_check == 0:
-            self._watching.look()
+            self._switcher.update()
             self._steps_to_check = self._every
         self._steps_to_check -= 1
         bodies.gather()
-        self._go()
+        self._move_kinematic()
         bodies.invalidate_reading()
         return self._full.step() if bodies.movers else True
 
@@ -231,11 +233,11 @@ class TieredEngine:
         """See `Engine.close`."""
         self._full.close()
 
-    def _go(self) -> None:
+    def _move_kinematic(self) -> None:
         kinematic = self._bodies.kinematic
-        twists, way = kinematic.propose()
+        twists, way = kinematic.propose_motions()
         if way.shape[1]:
-            kinematic.commit(twists, way, self._bodies.surroundings.shares(way))
+            kinematic.commit(twists, way, self._bodies.surroundings.find_free_fractions(way))
 
     def _verify_model(self, model: Model, base: FloatArray) -> None:
         """See that the full engine takes a model, before it has to."""

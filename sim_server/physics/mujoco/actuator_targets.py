@@ -32,14 +32,14 @@ class ActuatorTargets:
     twists: FloatArray
     is_twist_imposed: npt.NDArray[np.bool_]
 
-    def moved(self, old: IndexArray, new: IndexArray, count: int) -> "ActuatorTargets":
+    def remap(self, old: IndexArray, new: IndexArray, count: int) -> "ActuatorTargets":
         """Move entries from places to places of another cast that has so many."""
         found = make_zero_targets(count)
         for field in fields(self):
             getattr(found, field.name)[new] = getattr(self, field.name)[old]
         return found
 
-    def forget(self, places: IndexArray) -> None:
+    def clear(self, places: IndexArray) -> None:
         """Wish nothing any more."""
         for field in fields(self):
             getattr(self, field.name)[places] = 0
@@ -73,7 +73,7 @@ class TargetScatter:
     roots: IndexArray
     root_numbers: IndexArray
 
-    def tell(self, wishes: ActuatorTargets, numbers: FloatArray) -> bool:
+    def apply(self, wishes: ActuatorTargets, numbers: FloatArray) -> bool:
         """Set what is wished; return whether a root is moved that was not before."""
         wishes.speeds[self.speeds] = numbers[self.speed_numbers]
         wishes.angles[self.angles] = numbers[self.angle_numbers]
@@ -93,7 +93,7 @@ def make_target_scatter(bodies: Iterable[tuple[SlotAddress, Actuation]]) -> Targ
     first = 0
     for seat, plan in bodies:
         for found, motors in ((speeds, plan.speeds), (angles, plan.angles)):
-            for joint, place in zip(motors.joints, motors.places, strict=True):
+            for joint, place in zip(motors.joints, motors.columns, strict=True):
                 if (at := seat.joint_velocity(joint)) != NO_INDEX:
                     found.append((at, first + place))
         if plan.twist is not None and seat.is_free:

@@ -40,7 +40,7 @@ class StateGather:
     positions: IndexArray
     velocities: IndexArray
 
-    def bases(self, rows: FloatArray, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
+    def read_bases(self, rows: FloatArray, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
         """Fill in the states (n, 13) of what is free; `rows` has those of the others."""
         state = qpos[self.roots]
         turns = state[:, 3:]
@@ -101,12 +101,12 @@ class MujocoBody:
     """
 
     model: Model
-    make: Archetype
+    archetype: Archetype
     slot: int
     address: SlotAddress
     actuation: Actuation
     loads: Sequence[LinkForce]
-    stand: FloatArray | None = None
+    fixed_state: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -118,12 +118,12 @@ class BodySelection:
     static_bodies: tuple[tuple[int, MujocoBody], ...]
     """Rows of what is static."""
 
-    def bases(self, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
+    def read_bases(self, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
         """Read states (n, 13)."""
         rows = np.empty((len(self.gather.free) + len(self.static_bodies), 13))
         for row, body in self.static_bodies:
-            rows[row] = body.stand
-        return self.gather.bases(rows, qpos, qvel)
+            rows[row] = body.fixed_state
+        return self.gather.read_bases(rows, qpos, qvel)
 
 
 def make_body_selection(bodies: Sequence[MujocoBody]) -> BodySelection:
@@ -131,5 +131,5 @@ def make_body_selection(bodies: Sequence[MujocoBody]) -> BodySelection:
     return BodySelection(
         make_state_gather([body.address for body in bodies]),
         make_target_scatter((body.address, body.actuation) for body in bodies),
-        tuple((row, body) for row, body in enumerate(bodies) if body.make.is_static),
+        tuple((row, body) for row, body in enumerate(bodies) if body.archetype.is_static),
     )

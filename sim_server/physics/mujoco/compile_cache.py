@@ -22,22 +22,22 @@ class CompileCache(Generic[Made]):
     def __init__(self, compile_cast: Callable[[SlotCounts, EngineConfig], Made]) -> None:
         """Get ready; `compile_cast` raises ValueError, and lets Python go on meanwhile."""
         self._compile = compile_cast
-        self._made: OrderedDict[CompileKey, Future[Made]] = OrderedDict()
+        self._compiled_models: OrderedDict[CompileKey, Future[Made]] = OrderedDict()
         self._thread = ThreadPoolExecutor(1, "casts")
 
     def is_ready(self, cast: SlotCounts, config: EngineConfig) -> bool:
         """Whether `cast` would not have to wait; else have it made besides."""
-        return self._begin((cast, config)).done()
+        return self._start((cast, config)).done()
 
-    def cast(self, cast: SlotCounts, config: EngineConfig) -> Made:
+    def compile(self, cast: SlotCounts, config: EngineConfig) -> Made:
         """Find a cast, or make it now; raises ValueError when it cannot be made."""
         key = cast, config
-        if (known := self._made.get(key)) is None:
-            known = self._made[key] = Future()
+        if (known := self._compiled_models.get(key)) is None:
+            known = self._compiled_models[key] = Future()
             _compile_into(known, self._compile, key)
-        self._made.move_to_end(key)
-        while len(self._made) > MAX_CACHED_MODELS:
-            self._made.popitem(last=False)
+        self._compiled_models.move_to_end(key)
+        while len(self._compiled_models) > MAX_CACHED_MODELS:
+            self._compiled_models.popitem(last=False)
         return known.result()
 
     def compile_ahead(self, cast: SlotCounts, make: Archetype, config: EngineConfig) -> None:
@@ -47,11 +47,11 @@ class CompileCache(Generic[Made]):
             return
         for count in (2 * slots, 4 * slots):
             if count <= PRECOMPILE_MAX_SLOTS:
-                self._begin((tuple({**dict(cast), make: count}.items()), config))
+                self._start((tuple({**dict(cast), make: count}.items()), config))
 
-    def _begin(self, key: CompileKey) -> "Future[Made]":
-        if (known := self._made.get(key)) is None:
-            known = self._made[key] = self._thread.submit(self._compile, *key)
+    def _start(self, key: CompileKey) -> "Future[Made]":
+        if (known := self._compiled_models.get(key)) is None:
+            known = self._compiled_models[key] = self._thread.submit(self._compile, *key)
         return known
 
 

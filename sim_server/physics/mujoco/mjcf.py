@@ -234,7 +234,7 @@ class ModelLayout:
         parts: The part of each geometry of a slot.
     """
 
-    cast: SlotCounts
+    slot_counts: SlotCounts
     first_slot: SlotSizes
     start: Mapping[Archetype, SlotSizes]
     layouts: Mapping[Archetype, SlotLayout]
@@ -245,9 +245,9 @@ class ModelLayout:
         layout = self.layouts[make]
         return SlotAddress(self.start[make] + layout.sizes.times(slot), layout, not make.is_static)
 
-    def seats(self) -> Iterator[tuple[Archetype, SlotAddress]]:
+    def addresses(self) -> Iterator[tuple[Archetype, SlotAddress]]:
         """List all slots."""
-        for make, count in self.cast:
+        for make, count in self.slot_counts:
             for slot in range(count):
                 yield make, self.address(make, slot)
 
@@ -255,14 +255,14 @@ class ModelLayout:
         """List where in qpos the heights of all roots are that move."""
         found = [
             self.start[make].positions + 2 + self.layouts[make].sizes.positions * np.arange(count)
-            for make, count in self.cast
+            for make, count in self.slot_counts
             if not make.is_static
         ]
         return np.concatenate([np.zeros(0, np.intp), *found])
 
     def invalid_inertias(self) -> Iterator[tuple[int, FloatArray]]:
         """List bodies with moments that no solid could have: MuJoCo makes others of them."""
-        for make, seat in self.seats():
+        for make, seat in self.addresses():
             for link, part in enumerate(make.link_parts):
                 moments = np.maximum(part.inertia, MIN_INERTIA)
                 if 2.0 * moments.max() > moments.sum():
@@ -270,7 +270,7 @@ class ModelLayout:
 
     def soft_geometries(self) -> Iterator[tuple[int, RigidPart]]:
         """List geometries that are not rigid."""
-        for make, seat in self.seats():
+        for make, seat in self.addresses():
             for offset, part in enumerate(self.parts[make]):
                 if part.contact.stiffness > 0.0:
                     yield seat.start.geometries + offset, part

@@ -115,36 +115,34 @@ class MujocoEngine:
         self._broken: set[int] = set()
         self._hidden: dict[int, FloatArray] = {}
         self._numbers = count(1)
-        self._makes, self._slots = ArchetypeCache(), SlotAllocator()
+        self._archetypes, self._slots = ArchetypeCache(), SlotAllocator()
         self._is_pushed = False
-        self._use(_COMPILE_CACHE.cast((), config))
+        self._start_with(_COMPILE_CACHE.compile((), config))
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`: what is missing is compiled besides."""
         try:
-            cast = self._slots.with_one_more(self._make(model))
+            cast = self._slots.with_one_more(self._find_archetype(model))
         except EngineRefused:
             return True
-        return cast == self._slots.cast or _COMPILE_CACHE.is_ready(cast, self._config)
+        return cast == self._slots.counts or _COMPILE_CACHE.is_ready(cast, self._config)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
-        make = self._make(model)
-        casting = self._casting_with_one_more(make, model.name)
+        make = self._find_archetype(model)
+        casting = self._compile_with_one_more(make, model.name)
         number = next(self._numbers)
         slot = self._slots.take(make, number)
         if casting is not self._compiled:
-            self._recast(casting)
-            _COMPILE_CACHE.compile_ahead(casting.plan.cast, make, self._config)
-        loads = make_link_forces(
-            self._blueprints.blueprint(model), self._config.gravity, self._dt_s
-        )
+            self._switch_model(casting)
+            _COMPILE_CACHE.compile_ahead(casting.plan.slot_counts, make, self._config)
+        loads = make_link_forces(self._blueprints.find(model), self._config.gravity, self._dt_s)
         seat = casting.plan.address(make, slot)
         body = self._bodies[number] = MujocoBody(
             model, make, slot, seat, make_actuation(model), loads
         )
         self._owners[seat.geometries] = number
-        self._fill(body)
+        self._activate(body)
         zeros = np.zeros(len(model.joints))
         self.put(number, base, zeros, zeros)
         return number
@@ -154,16 +152,16 @@ class MujocoEngine:
         gone = self._bodies.pop(body)
         self._broken.discard(body)
         self._hidden.pop(body, None)
-        self._empty(gone.address)
+        self._deactivate(gone.address)
         self._owners[gone.address.geometries] = NO_INDEX
-        self._slots.release(gone.make, gone.slot)
+        self._slots.release(gone.archetype, gone.slot)
 
     def hide(self, body: int) -> None:
         """See `Concealing.conceal`."""
         seat = self._bodies[body].address
         self._hidden[body] = self._data.qpos[seat.positions]
         freeze_slot(self._model, self._data, seat)
-        self._targets.forget(seat.velocities)
+        self._targets.clear(seat.velocities)
         self._is_changed = True
 
     def show(self, bodies: Sequence[int]) -> None:
@@ -173,14 +171,14 @@ class MujocoEngine:
             # To the bit: what hangs drifts by what gravity and its compensation are rounded by.
             self._data.qpos[body.address.positions] = self._hidden.pop(number)
             self._data.qvel[body.address.velocities] = 0.0
-            self._fill(body)
+            self._activate(body)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self._slots = SlotAllocator()
         for number, body in self._bodies.items():
-            body.slot = self._slots.take(body.make, number)
-        self._recast(_COMPILE_CACHE.cast(self._slots.cast, self._config))
+            body.slot = self._slots.take(body.archetype, number)
+        self._switch_model(_COMPILE_CACHE.compile(self._slots.counts, self._config))
 
     def find_overlaps(self, body: int) -> Sequence[int]:
         """See `Engine.overlapping`."""
@@ -198,9 +196,9 @@ class MujocoEngine:
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`; what is broken reads as NaN where it is not what broke it."""
         chosen, data = self._selection(bodies), self._data
-        base = chosen.bases(data.qpos, data.qvel)
+        base = chosen.read_bases(data.qpos, data.qvel)
         for body in self._broken.intersection(bodies):
-            base[bodies.index(body)] = self._bodies[body].stand
+            base[bodies.index(body)] = self._bodies[body].fixed_state
         return BodyStates(
             base,
             chosen.gather.gather_joints(data.qpos, chosen.gather.positions),
@@ -210,15 +208,15 @@ class MujocoEngine:
     def place(self, body: int, base: FloatArray) -> None:
         """See `Engine.place`."""
         placed = self._bodies[body]
-        if placed.make.is_static:
-            self._nail(placed, base)
+        if placed.archetype.is_static:
+            self._place_static(placed, base)
             return
         if not is_within_limits(base):
-            self._break(body, base)
+            self._mark_broken(body, base)
             return
         if body in self._broken:
             self._broken.discard(body)
-            self._fill(placed)
+            self._activate(placed)
         first, rate = placed.address.start.positions, placed.address.start.velocities
         self._data.qpos[first + QPOS_POSE_ORDER] = base[:7]
         self._data.qvel[rate : rate + 3] = base[7:10]
@@ -246,7 +244,7 @@ class MujocoEngine:
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        if self._selection(bodies).scatter.tell(self._targets, targets):
+        if self._selection(bodies).scatter.apply(self._targets, targets):
             self._is_changed = True
 
     def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
@@ -265,15 +263,15 @@ class MujocoEngine:
         """See `Engine.step`; lets other threads run meanwhile."""
         model, data = self._model, self._data
         if self._is_changed:
-            self._take_stock()
+            self._update_step_inputs()
         stock = self._step_inputs
-        if len(stock.moved.free):
+        if len(stock.twisted_roots.free):
             stock.impose_twists(self._targets, data.qpos, data.qvel)
         mujoco.mj_step1(model, data)
         if len(stock.link_forces):
-            stock.link_forces.act(data, model.body_rootid)
+            stock.link_forces.apply(data, model.body_rootid)
         if len(stock.motors):
-            self._drive()
+            self._apply_motor_speeds()
         if data.ncon:
             correct_contact_rows(
                 data.efc_aref, data.contact, data.efc_KBIP, self._dt_s, self._weight
@@ -290,28 +288,28 @@ class MujocoEngine:
     def close(self) -> None:
         """See `Engine.close`."""
         self._bodies.clear()
-        self._use(_COMPILE_CACHE.cast((), self._config))
+        self._start_with(_COMPILE_CACHE.compile((), self._config))
 
-    def _casting_with_one_more(self, make: Archetype, name: str) -> CompiledModel:
+    def _compile_with_one_more(self, make: Archetype, name: str) -> CompiledModel:
         cast = self._slots.with_one_more(make)
-        if cast == self._slots.cast:
+        if cast == self._slots.counts:
             return self._compiled
         try:
-            return _COMPILE_CACHE.cast(cast, self._config)
+            return _COMPILE_CACHE.compile(cast, self._config)
         except ValueError as error:
             raise EngineRefused(f"model '{name}' was refused by MuJoCo: {error}") from error
 
-    def _takes_part(self, body: int) -> bool:
+    def _is_active(self, body: int) -> bool:
         return body not in self._broken and body not in self._hidden
 
-    def _make(self, model: Model) -> Archetype:
-        blueprint = self._blueprints.blueprint(model)
-        make = self._makes.of(blueprint)
+    def _find_archetype(self, model: Model) -> Archetype:
+        blueprint = self._blueprints.find(model)
+        make = self._archetypes.find(blueprint)
         if make not in self._compiled.plan.start:
             check_mesh_files(blueprint.name, blueprint.parts, self._config.mesh_folder)
         return make
 
-    def _use(self, casting: CompiledModel) -> None:
+    def _start_with(self, casting: CompiledModel) -> None:
         """Begin with a cast of which every slot is empty."""
         self._compiled = casting
         self._model = copy(casting.model)
@@ -322,45 +320,45 @@ class MujocoEngine:
         self._selections: dict[tuple[int, ...], BodySelection] = {}
         deactivate_all_slots(self._model, self._data, casting.plan)
 
-    def _recast(self, casting: CompiledModel) -> None:
+    def _switch_model(self, casting: CompiledModel) -> None:
         """Go on with a cast that has other slots; what is in them stays as it is."""
         model, data, wishes, plan = self._model, self._data, self._targets, casting.plan
         old = [body.address for body in self._bodies.values()]
-        self._use(casting)
+        self._start_with(casting)
         for number, body in self._bodies.items():
-            body.address = plan.address(body.make, body.slot)
+            body.address = plan.address(body.archetype, body.slot)
             self._owners[body.address.geometries] = number
-            if self._takes_part(number):
-                self._fill(body)
+            if self._is_active(number):
+                self._activate(body)
         new = [body.address for body in self._bodies.values()]
         self._targets = copy_slot_states(
             (model, data, old), (self._model, self._data, new), (wishes, self._model.nv)
         )
 
-    def _fill(self, body: MujocoBody) -> None:
+    def _activate(self, body: MujocoBody) -> None:
         """Let what is in a slot touch, fall and be driven."""
         activate_slot(self._model, self._data, self._compiled.model, body.address)
         activate_motors(self._model, self._targets, body.address, body.actuation)
         self._is_changed = True
 
-    def _empty(self, address: SlotAddress) -> None:
+    def _deactivate(self, address: SlotAddress) -> None:
         """Let what is in a slot touch nothing, hang still, and wish for nothing."""
         deactivate_slot(self._model, self._data, address)
-        self._targets.forget(address.velocities)
+        self._targets.clear(address.velocities)
         self._is_changed = True
 
-    def _nail(self, body: MujocoBody, base: FloatArray) -> None:
-        body.stand = np.concatenate([base[:7], np.zeros(6)])
+    def _place_static(self, body: MujocoBody, base: FloatArray) -> None:
+        body.fixed_state = np.concatenate([base[:7], np.zeros(6)])
         if is_within_limits(base):
             root = body.address.start.bodies
             self._model.body_pos[root] = base[:3]
             self._model.body_quat[root] = base[[6, 3, 4, 5]]
 
-    def _break(self, number: int, base: FloatArray) -> None:
+    def _mark_broken(self, number: int, base: FloatArray) -> None:
         """Take a body out of reach of the others: MuJoCo cannot bear its numbers."""
         body = self._bodies[number]
-        body.stand = np.where(np.abs(base) <= MAX_STATE_VALUE, base, np.nan)
-        self._empty(body.address)
+        body.fixed_state = np.where(np.abs(base) <= MAX_STATE_VALUE, base, np.nan)
+        self._deactivate(body.address)
         self._broken.add(number)
 
     def _find_broken(self) -> None:
@@ -370,14 +368,14 @@ class MujocoEngine:
                 self._data.qvel[body.address.velocities],
             )
             if not np.isfinite(np.concatenate(state)).all():
-                self._break(number, np.full(13, np.nan))
+                self._mark_broken(number, np.full(13, np.nan))
 
-    def _take_stock(self) -> None:
+    def _update_step_inputs(self) -> None:
         """Work out anew what a step has to do beside MuJoCo."""
         model = self._model
         self._is_changed = False
         self._step_inputs = make_step_inputs(
-            (body for number, body in self._bodies.items() if self._takes_part(number)),
+            (body for number, body in self._bodies.items() if self._is_active(number)),
             self._targets,
             model.dof_frictionloss,
             model.jnt_qposadr[model.dof_jntid].astype(np.intp),
@@ -401,7 +399,7 @@ class MujocoEngine:
         mujoco.mj_step2(model, data)
         model.opt.solver, model.opt.iterations = solver, iterations
 
-    def _drive(self) -> None:
+    def _apply_motor_speeds(self) -> None:
         """Give each motor the speed that it is to reach in this step.
 
         A motor is a friction about a speed, which is shifted here from 0: rows of constraints are

@@ -133,7 +133,7 @@ def copy_slot_states(
     other_data.xfrc_applied[links[1]] = data.xfrc_applied[links[0]]
     other_model.body_pos[links[1]] = model.body_pos[links[0]]
     other_model.body_quat[links[1]] = model.body_quat[links[0]]
-    return wishes[0].moved(rates[0], rates[1], wishes[1])
+    return wishes[0].remap(rates[0], rates[1], wishes[1])
 
 
 def _join_slot_indexes(places: Sequence[IndexArray]) -> IndexArray:

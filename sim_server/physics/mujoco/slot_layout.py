@@ -65,7 +65,7 @@ class ArchetypeCache:
     def __init__(self) -> None:
         self._last: tuple[Blueprint, Archetype] | None = None
 
-    def of(self, blueprint: Blueprint) -> Archetype:
+    def find(self, blueprint: Blueprint) -> Archetype:
         """Find the make of a blueprint, or find it again when it is the same object."""
         if self._last is None or self._last[0] is not blueprint:
             self._last = (blueprint, make_archetype(blueprint))
@@ -252,7 +252,7 @@ class SlotAllocator:
         self._owners: dict[Archetype, list[int | None]] = {}
 
     @property
-    def cast(self) -> SlotCounts:
+    def counts(self) -> SlotCounts:
         """What is to be compiled for these slots."""
         return tuple((make, len(owners)) for make, owners in self._owners.items())
 
@@ -260,7 +260,7 @@ class SlotAllocator:
         """Say what the cast is once one more body of a make has a slot."""
         owners = self._owners.get(make, [])
         count = len(owners) if FREE_SLOT in owners else round_up_slots(len(owners) + 1)
-        return tuple({**dict(self.cast), make: count}.items())
+        return tuple({**dict(self.counts), make: count}.items())
 
     def take(self, make: Archetype, body: int) -> int:
         """Give a body a slot of its make, of which there are more from now on if it needs be."""

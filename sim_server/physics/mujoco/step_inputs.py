@@ -44,7 +44,7 @@ class LinkForceArrays:
         """How many there are."""
         return len(self.bodies)
 
-    def act(self, data: MjBodyMotions, roots: npt.NDArray[np.int32]) -> None:
+    def apply(self, data: MjBodyMotions, roots: npt.NDArray[np.int32]) -> None:
         """Push what is pulled in the next step; `roots` (bodies,) of each body's robot."""
         bodies = self.bodies
         spins = data.cvel[bodies, :3]
@@ -93,23 +93,25 @@ class StepInputs:
     """
 
     motors: IndexArray
-    holders: IndexArray
-    held: IndexArray
-    moved: StateGather
+    position_motors: IndexArray
+    position_qpos: IndexArray
+    twisted_roots: StateGather
     link_forces: LinkForceArrays
 
     def speeds(self, wishes: ActuatorTargets, qpos: FloatArray, dt_s: float) -> FloatArray:
         """Find the speed that each motor is to reach in this step; what only rubs has 0."""
         found = wishes.speeds[self.motors]
-        if len(self.holders):
-            errors = wishes.angles[self.motors[self.holders]] - qpos[self.held]
-            found[self.holders] = POSITION_ERP / dt_s * errors
+        if len(self.position_motors):
+            errors = wishes.angles[self.motors[self.position_motors]] - qpos[self.position_qpos]
+            found[self.position_motors] = POSITION_ERP / dt_s * errors
         return found
 
     def impose_twists(self, wishes: ActuatorTargets, qpos: FloatArray, qvel: FloatArray) -> None:
         """Let roots go in the plane as they are told; changes `qvel`."""
-        rows = self.moved.bases(np.empty((len(self.moved.free), 13)), qpos, qvel)
-        places = self.moved.twists
+        rows = self.twisted_roots.read_bases(
+            np.empty((len(self.twisted_roots.free), 13)), qpos, qvel
+        )
+        places = self.twisted_roots.twists
         twists = wishes.twists[places[:, :3]]
         found = impose_planar_twists(rows[:, 7:], rows[:, 3:7], np.zeros((len(rows), 3)), twists)
         qvel[places[:, :3]] = found[:, :3]

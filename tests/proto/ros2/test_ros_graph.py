@@ -12,8 +12,8 @@ from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 ODOM = Topic("r1/odom", Odometry)
 
 
-def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:  # noqa: B008
-    node = RosGraph(bus, settings).node("r1", "agent")
+def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:
+    node = RosGraph(bus, settings).add_node("r1", "agent")
     assert node is not None
     return node
 
@@ -99,7 +99,7 @@ def test_bridge_is_not_told_unless_asked_for() -> None:
 def test_nothing_is_told_without_a_domain() -> None:
     bus = MemoryBus()
 
-    assert RosGraph(bus, NO_ROS).node("r1", "agent") is None
+    assert RosGraph(bus, NO_ROS).add_node("r1", "agent") is None
     assert bus.list_tokens("**") == []
 
 
@@ -111,18 +111,18 @@ def test_nodes_of_many_robots_are_spread_over_sessions(nodes: int, sessions: int
     graph = RosGraph(bus, RosSettings())
 
     for number in range(nodes):
-        graph.node(f"r{number}", "agent")
+        graph.add_node(f"r{number}", "agent")
 
-    assert len(bus.besides) == sessions
+    assert len(bus.opened_sessions) == sessions
     graph.close()
-    assert all(session.is_closed for session in bus.besides)
+    assert all(session.is_closed for session in bus.opened_sessions)
 
 
 def test_closed_graph_leaves_no_token() -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings(is_bridged=True))
     for name in ("r1", "r2"):
-        node = graph.node(name, "agent")
+        node = graph.add_node(name, "agent")
         assert node is not None
         node.add_topic_endpoint("MP", ODOM)
 
@@ -135,8 +135,8 @@ def test_seat_of_a_closed_node_is_taken_again() -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings())
     for number in range(MAX_NODES_PER_SESSION + 1):
-        node = graph.node(f"r{number}", "agent")
+        node = graph.add_node(f"r{number}", "agent")
         assert node is not None
         node.close()
 
-    assert bus.besides == []
+    assert bus.opened_sessions == []

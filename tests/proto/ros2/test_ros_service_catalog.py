@@ -94,7 +94,7 @@ def test_version_1_of_a_spawn_names_its_resource_by_two_fields() -> None:
         "r1", uri="u", resource_string="text", entity_namespace="ns"
     )
 
-    read = form("spawn_entity", "V1").read(encode(asked, Format.CDR))
+    read = form("spawn_entity", "V1").decode_request(encode(asked, Format.CDR))
 
     assert read == SpawnEntityRequest(
         "r1", entity_resource=Resource("u", "text"), entity_namespace="ns"
@@ -104,7 +104,7 @@ def test_version_1_of_a_spawn_names_its_resource_by_two_fields() -> None:
 def test_version_1_of_a_state_sets_pose_and_twist() -> None:
     asked = ros_service_catalog.SetEntityStateRequestV1("r1", EntityState(pose=POSE))
 
-    read = form("set_entity_state", "V1").read(encode(asked, Format.CDR))
+    read = form("set_entity_state", "V1").decode_request(encode(asked, Format.CDR))
 
     assert read == SetEntityStateRequest(
         "r1", EntityState(pose=POSE), set_pose=True, set_twist=True
@@ -114,7 +114,9 @@ def test_version_1_of_a_state_sets_pose_and_twist() -> None:
 def test_gazebos_spawn_is_ours_in_other_words() -> None:
     asked = ros_service_catalog.GazeboSpawnEntityRequest("r1", "<robot/>", "ns", POSE, "world")
 
-    read = form("spawn_entity", "GazeboSpawnEntityRequest").read(encode(asked, Format.CDR))
+    read = form("spawn_entity", "GazeboSpawnEntityRequest").decode_request(
+        encode(asked, Format.CDR)
+    )
 
     assert read == SpawnEntityRequest(
         "r1",
@@ -127,16 +129,16 @@ def test_gazebos_spawn_is_ours_in_other_words() -> None:
 def test_gazebos_delete_is_ours_in_other_words() -> None:
     asked = encode(ros_service_catalog.GazeboDeleteEntityRequest("r1"), Format.CDR)
 
-    assert form("delete_entity", "GazeboDeleteEntityRequest").read(asked) == DeleteEntityRequest(
-        "r1"
-    )
+    assert form("delete_entity", "GazeboDeleteEntityRequest").decode_request(
+        asked
+    ) == DeleteEntityRequest("r1")
 
 
 @pytest.mark.parametrize("written", [Format.CDR, Format.MSGPACK])
 def test_an_answer_to_gazebo_says_why_it_is_no(written: Format) -> None:
     no = DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "there is no r1"))
 
-    told = form("delete_entity", "GazeboDeleteEntityRequest").answer(
+    told = form("delete_entity", "GazeboDeleteEntityRequest").encode_response(
         encode(no, written), make_encoding(no, written)
     )
 
@@ -150,7 +152,7 @@ def test_an_answer_to_gazebo_says_why_it_is_no(written: Format) -> None:
 def test_an_answer_to_gazebo_names_what_was_spawned() -> None:
     yes = SpawnEntityReport(Result(), "r1_0")
 
-    told = form("spawn_entity", "GazeboSpawnEntityRequest").answer(
+    told = form("spawn_entity", "GazeboSpawnEntityRequest").encode_response(
         encode(yes, Format.MSGPACK), make_encoding(yes, Format.MSGPACK)
     )
 
@@ -162,7 +164,7 @@ def test_an_answer_to_gazebo_names_what_was_spawned() -> None:
 def test_an_answer_in_our_own_form_goes_as_it_is() -> None:
     yes = encode(SpawnEntityReport(Result(), "r1"), Format.CDR)
 
-    told = form("spawn_entity", "SpawnEntityOrder").answer(
+    told = form("spawn_entity", "SpawnEntityOrder").encode_response(
         yes, make_encoding(SpawnEntityReport, Format.CDR)
     )
 
@@ -175,7 +177,7 @@ def test_spawnables_of_version_1_are_uris() -> None:
     (found,) = (
         one for one in ROS_SERVICES if one.response is ros_service_catalog.GetSpawnablesResponseV1
     )
-    told = found.answer(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
+    told = found.encode_response(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
 
     answer = decode(ros_service_catalog.GetSpawnablesResponseV1, told, CDR_ENCODING_NAME)
     assert [one.uri for one in answer.spawnables] == ["zensim://box_bot"]
@@ -184,7 +186,7 @@ def test_spawnables_of_version_1_are_uris() -> None:
 def test_a_refusal_that_a_response_has_no_place_for_leaves_it_empty() -> None:
     no = DeleteEntityResponse(Result(ResultCode.OPERATION_FAILED, "malformed"))
 
-    told = form("get_simulator_features", "Request").answer(
+    told = form("get_simulator_features", "Request").encode_response(
         encode(no, Format.MSGPACK), make_encoding(no, Format.MSGPACK)
     )
 
@@ -198,7 +200,7 @@ def test_a_refusal_that_a_response_has_no_place_for_leaves_it_empty() -> None:
 def test_every_form_says_all_that_a_request_of_ours_needs(one: RosService) -> None:
     ours = SERVICES[one.service].request
 
-    read = one.read(encode(make_sample_message(one.request), Format.CDR))
+    read = one.decode_request(encode(make_sample_message(one.request), Format.CDR))
 
     assert set(read.__struct_fields__) <= set(ours.__struct_fields__)
     assert issubclass(ours, type(read))
@@ -208,11 +210,11 @@ def test_every_form_says_all_that_a_request_of_ours_needs(one: RosService) -> No
 def test_every_form_of_an_answer_can_be_written(one: RosService) -> None:
     ours = make_sample_message(SERVICES[one.service].response)
 
-    told = one.answer(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
+    told = one.encode_response(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
 
     assert type(decode(one.response, told, CDR_ENCODING_NAME)) is one.response
 
 
 def test_bytes_that_are_no_request_are_malformed() -> None:
     with pytest.raises(MalformedPayload):
-        form("spawn_entity", "V1").read(b"\x00\x01\x00\x00\xff\xff\xff\xff")
+        form("spawn_entity", "V1").decode_request(b"\x00\x01\x00\x00\xff\xff\xff\xff")

@@ -184,7 +184,7 @@ class Same:
 
 
 def a_node(graph: RosGraph, name: str) -> RosNode:
-    node = graph.node(name, "agent")
+    node = graph.add_node(name, "agent")
     assert node is not None
     return node
 

@@ -99,7 +99,7 @@ class Told:
         self.bus = MemoryBus()
         self.pool = PooledRobots(self.bus, 0, RosGraph(self.bus, RosSettings()))
         self.claims = claims_of(models)
-        self.pool.take(self.claims)
+        self.pool.add_claims(self.claims)
         self.plain = self.bus.subscribe("tf", 64)
         self.face = self.bus.subscribe(FACE, 64)
         self.step = 0
@@ -112,7 +112,7 @@ class Told:
         self.pool.advance(state)
         for _ in range(3):
             self.pool.answer()
-        self.pool.tell()
+        self.pool.publish()
 
 
 def messages(heard: MemorySubscription) -> list[TFMessage]:
@@ -142,13 +142,13 @@ def test_transforms_are_those_of_robots_that_are_driven_one_by_one(kinds: Sequen
     told = Told(*[robot_of(DRIVES[kind]) for kind in kinds])
     bus = MemoryBus()
     fleet = IndividualRobots(bus, 0, RosGraph(bus, RosSettings()))
-    fleet.take(told.claims)
+    fleet.add_claims(told.claims)
     heard = bus.subscribe("tf", 64)
 
     for step in range(1, 20):
         told.tell()
         fleet.advance(a_state(told.claims, step))
-        fleet.tell()
+        fleet.publish()
         found, expected = (by_frame(messages(one)) for one in (told.plain, heard))
         assert list(found) == list(expected)
         for child, edge in expected.items():

@@ -82,7 +82,7 @@ class Both:
             name = f"{namespace}r{number}"
             self.claims.append(Claim(number, f"r{number}", name, model, "<robot/>"))
             for one in (self.pool, self.fleet):
-                one.take(self.claims[-1:])
+                one.add_claims(self.claims[-1:])
         for _ in range(len(self.claims)):
             self.pool.answer()
             self.pool.announce()
@@ -116,8 +116,8 @@ class Both:
         found, expected = self.pool.advance(state), self.fleet.advance(state)
         assert targets_of(found) == pytest.approx(targets_of(expected), abs=1e-12)
         self.pool.answer()
-        self.pool.tell()
-        self.fleet.tell()
+        self.pool.publish()
+        self.fleet.publish()
         told = [
             sorted((s for s in heard.take() if last_chunk(s.key) in KINDS), key=lambda s: s.key)
             for heard in self.heard
@@ -233,7 +233,9 @@ def _asked(both: Both, key: str) -> list[Sample]:
 def test_pool_announces_constants_to_each_who_begins_to_listen() -> None:
     bus = MemoryBus()
     pool = PooledRobots(bus, 0)
-    pool.take([Claim(n, f"r{n}", f"r{n}", robot_of(DRIVES["diff"]), "<robot/>") for n in (1, 2)])
+    pool.add_claims(
+        [Claim(n, f"r{n}", f"r{n}", robot_of(DRIVES["diff"]), "<robot/>") for n in (1, 2)]
+    )
 
     def heard(listener_key: str) -> list[str]:
         listener = bus.subscribe(listener_key, 16)
@@ -249,7 +251,7 @@ def test_pool_announces_constants_to_each_who_begins_to_listen() -> None:
 def test_pool_announces_again_to_who_listens_when_others_have_gone() -> None:
     bus = MemoryBus()
     pool = PooledRobots(bus, 0)
-    pool.take([Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")])
+    pool.add_claims([Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")])
     for _ in range(2):
         listener = bus.subscribe("*/tf_static", 16)
         for _ in range(3):
@@ -273,7 +275,7 @@ def test_pool_leaves_nothing_when_it_has_lost_all() -> None:
     assert lost == ("r1", "r2")
     assert both.pool.newest_claim == 0
     assert not bus.is_served("**")
-    assert [one.key for one in bus._subscriptions] == ["**"]  # noqa: SLF001
+    assert [one.key for one in bus._subscriptions] == ["**"]
 
 
 def test_pool_makes_nothing_when_nobody_listens() -> None:
@@ -281,11 +283,11 @@ def test_pool_makes_nothing_when_nobody_listens() -> None:
     pool = PooledRobots(bus, 0)
     both = Both()
     both.take(robot_of(DRIVES["diff"]))
-    pool.take(both.claims)
+    pool.add_claims(both.claims)
 
     pool.advance(both.state(np.random.default_rng(1), both.claims))
     pool.answer()
-    pool.tell()
+    pool.publish()
 
     assert not bus.is_heard("r1/odom")
 

@@ -241,4 +241,4 @@ def test_merged_links_weigh_slow_down_and_touch_as_their_parts_do() -> None:
 def test_share_of_everything_is_lost_at_a_finite_rate() -> None:
     assert to_decay_rate(0.0) == 0.0
     assert 1e4 < to_decay_rate(1.0) == to_decay_rate(5.0) < 1e5
-    assert SurfaceParameters().on(Shape("box", origin=Origin())) == Shape("box")
+    assert SurfaceParameters().apply_to_shape(Shape("box", origin=Origin())) == Shape("box")

@@ -32,17 +32,17 @@ def look_for(lockstep: Lockstep, seconds: float, start_ns: int = 0) -> list[str]
     """Look again and again for so long; name those who became late."""
     late: list[str] = []
     for now_ns in range(start_ns, start_ns + round(seconds * SECOND), MAX_CHECK_INTERVAL_NS // 2):
-        late += lockstep.look(now_ns)
+        late += lockstep.find_late(now_ns)
     return late
 
 
 def test_agents_are_awaited_until_they_answer() -> None:
     lockstep = a_lockstep()
-    lockstep.tell("b", state(3), 0)
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("b", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
     both = lockstep.awaited
 
-    assert lockstep.answer("b", command(3))
+    assert lockstep.record_answer("b", command(3))
 
     assert both == ("a", "b")
     assert lockstep.awaited == ("a",)
@@ -51,10 +51,10 @@ def test_agents_are_awaited_until_they_answer() -> None:
 def test_agent_that_is_told_of_an_unawaited_state_owes_nothing() -> None:
     lockstep = a_lockstep()
 
-    lockstep.tell("a", state(3, is_awaited=False), 0)
+    lockstep.record_sent("a", state(3, is_awaited=False), 0)
 
     assert not lockstep.is_waiting
-    assert lockstep.answer("a", command(1))
+    assert lockstep.record_answer("a", command(1))
 
 
 @pytest.mark.parametrize(
@@ -62,15 +62,15 @@ def test_agent_that_is_told_of_an_unawaited_state_owes_nothing() -> None:
 )
 def test_command_for_another_state_is_no_answer_to_an_awaited_one(other: DriveCommand) -> None:
     lockstep = a_lockstep()
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
 
-    assert not lockstep.answer("a", other)
+    assert not lockstep.record_answer("a", other)
     assert lockstep.awaited == ("a",)
 
 
 def test_late_agent_is_named_once_and_counted() -> None:
     lockstep = a_lockstep()
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
 
     early = look_for(lockstep, 0.9)
     late = look_for(lockstep, 1.0, round(0.9 * SECOND))
@@ -82,15 +82,15 @@ def test_late_agent_is_named_once_and_counted() -> None:
 
 def test_late_answer_is_carried_out_as_long_as_nothing_newer_was_told() -> None:
     lockstep = a_lockstep()
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
     look_for(lockstep, 2.0)
 
-    assert lockstep.answer("a", command(3))
+    assert lockstep.record_answer("a", command(3))
 
 
 def test_waiting_lockstep_waits_for_ever() -> None:
     lockstep = a_lockstep("wait")
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
 
     assert look_for(lockstep, 4.5) == ["a"] * 4
     assert lockstep.awaited == ("a",)
@@ -99,12 +99,12 @@ def test_waiting_lockstep_waits_for_ever() -> None:
 
 def test_silent_agent_is_held_without_waiting_until_it_is_heard_again() -> None:
     lockstep = a_lockstep("hold")
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
     look_for(lockstep, 2.0)
 
-    is_owed = lockstep.tell("a", state(6), 0)
-    lockstep.answer("a", command(3))
-    lockstep.tell("a", state(9), 0)
+    is_owed = lockstep.record_sent("a", state(6), 0)
+    lockstep.record_answer("a", command(3))
+    lockstep.record_sent("a", state(9), 0)
 
     assert not is_owed
     assert lockstep.misses == {"a": 2}
@@ -113,19 +113,19 @@ def test_silent_agent_is_held_without_waiting_until_it_is_heard_again() -> None:
 
 def test_failing_lockstep_waits_for_a_silent_agent_again() -> None:
     lockstep = a_lockstep("fail")
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
     look_for(lockstep, 2.0)
 
-    lockstep.tell("a", state(6), 0)
+    lockstep.record_sent("a", state(6), 0)
 
     assert lockstep.awaited == ("a",)
 
 
 def test_agent_that_has_gone_is_not_awaited_and_has_missed_nothing() -> None:
     lockstep = a_lockstep()
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
     look_for(lockstep, 2.0)
-    lockstep.tell("b", state(3), 0)
+    lockstep.record_sent("b", state(3), 0)
 
     lockstep.forget("a")
     lockstep.forget("b")
@@ -135,16 +135,16 @@ def test_agent_that_has_gone_is_not_awaited_and_has_missed_nothing() -> None:
 
 def test_time_in_which_the_server_itself_was_stopped_does_not_count() -> None:
     lockstep = a_lockstep()
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
 
-    assert lockstep.look(60 * SECOND) == ()
+    assert lockstep.find_late(60 * SECOND) == ()
     assert lockstep.awaited == ("a",)
 
 
 def test_agent_knows_what_it_was_told_in_this_epoch() -> None:
     lockstep = a_lockstep()
     unknown = lockstep.has_sent("a", state(3))
-    lockstep.tell("a", state(3), 0)
+    lockstep.record_sent("a", state(3), 0)
 
     assert not unknown
     assert lockstep.has_sent("a", state(6))

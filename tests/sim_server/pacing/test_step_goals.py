@@ -37,7 +37,7 @@ def test_goal_is_not_over_before_it_is_settled() -> None:
 
     stepping.note_step()
 
-    assert (goal.left, goal.is_over, stepping.has_steps_left) == (0, False, False)
+    assert (goal.remaining, goal.is_over, stepping.has_steps_left) == (0, False, False)
 
 
 def test_goal_of_no_steps_is_over_when_it_is_settled() -> None:
@@ -57,7 +57,7 @@ def test_cancel_ends_the_goal_of_an_id_and_leaves_the_others() -> None:
     canceled = stepping.cancel("a")
 
     assert canceled == [first]
-    assert (first.status, first.made, first.left) == ("canceled", 4, 6)
+    assert (first.status, first.completed, first.remaining) == ("canceled", 4, 6)
     assert second.status == "executing"
 
 
@@ -117,8 +117,8 @@ def test_goals_that_are_over_are_known_until_many_others_are() -> None:
         stepping.add(1, f"goal{i}")
         make(stepping, 1)
 
-    assert stepping.known("goal0") is None
-    assert stepping.known(f"goal{MAX_FINISHED_GOALS + 9}") is not None
+    assert stepping.find("goal0") is None
+    assert stepping.find(f"goal{MAX_FINISHED_GOALS + 9}") is not None
 
 
 def test_late_agents_are_noted_for_the_goal_that_is_under_way() -> None:

@@ -24,15 +24,15 @@ def test_wheels_are_found_by_name_among_the_joints() -> None:
     assert plan.width == 2
     assert plan.speeds.joints == [1, 0]
     assert plan.speeds.efforts == [2.0, 2.0]
-    assert plan.speeds.of([7.0, 8.0]) == [7.0, 8.0]
+    assert plan.speeds.select([7.0, 8.0]) == [7.0, 8.0]
     assert (plan.angles.joints, plan.twist) == ([], None)
 
 
 def test_speeds_and_angles_are_told_apart() -> None:
     plan = make_actuation(a_fork(effort=9.0))
 
-    assert (plan.speeds.joints, plan.speeds.places) == ([0], [0])
-    assert (plan.angles.joints, plan.angles.places, plan.angles.efforts) == ([3], [1], [9.0])
+    assert (plan.speeds.joints, plan.speeds.columns) == ([0], [0])
+    assert (plan.angles.joints, plan.angles.columns, plan.angles.efforts) == ([3], [1], [9.0])
 
 
 def test_twist_takes_three_numbers() -> None:

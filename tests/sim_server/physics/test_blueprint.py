@@ -185,17 +185,17 @@ def a_planner(max_parts: int = 128) -> BlueprintCache:
 def test_model_is_planned_once_while_it_is_the_last() -> None:
     planner, model = a_planner(), a_box()
 
-    first = planner.blueprint(model)
+    first = planner.find(model)
 
     assert first == make_blueprint(model)
-    assert planner.blueprint(model) is first
+    assert planner.find(model) is first
 
 
 def test_another_model_is_planned_by_itself() -> None:
     planner, box = a_planner(), a_box()
-    planner.blueprint(box)
+    planner.find(box)
 
-    found = planner.blueprint(Model("other", box.links))
+    found = planner.find(Model("other", box.links))
 
     assert found.name == "other"
 
@@ -205,7 +205,7 @@ def test_model_that_cannot_be_built_is_refused_each_time() -> None:
 
     for _ in range(2):
         with pytest.raises(EngineRefused, match="use at most 1"):
-            planner.blueprint(model)
+            planner.find(model)
 
 
 MESHES = 20

@@ -14,7 +14,7 @@ from zensim.sim_server.physics.body_reach import MAX_REACH_M, SHAPE_MARGIN_M, Re
 
 
 def radius(model: Model, folder: str = "") -> float:
-    return ReachCache(folder).reach(model).radius_m - SHAPE_MARGIN_M
+    return ReachCache(folder).measure(model).radius_m - SHAPE_MARGIN_M
 
 
 @pytest.mark.parametrize(
@@ -46,18 +46,18 @@ def test_reach_holds_wheels_and_casters() -> None:
 
 
 def test_reach_names_what_slides() -> None:
-    assert ReachCache("").reach(an_arm("prismatic")).slides == (0,)
-    assert ReachCache("").reach(an_arm("revolute")).slides == ()
+    assert ReachCache("").measure(an_arm("prismatic")).slides == (0,)
+    assert ReachCache("").measure(an_arm("revolute")).slides == ()
 
 
 def test_reach_knows_how_fast_wheels_roll() -> None:
-    levers = ReachCache("").reach(a_cart()).levers
+    levers = ReachCache("").measure(a_cart()).levers
 
     assert levers == pytest.approx([0.05, 0.05])
 
 
 def test_reach_knows_that_a_twist_is_a_speed() -> None:
-    ahead, left, _ = ReachCache("").reach(a_puck()).levers
+    ahead, left, _ = ReachCache("").measure(a_puck()).levers
 
     assert (ahead, left) == (1.0, 1.0)
 
@@ -81,7 +81,7 @@ def test_meshes_are_measured_one_at_a_time_before_they_are_needed(tmp_path: Path
         file.unlink()
 
     assert answers == [False, False, True]
-    assert measure.reach(model).radius_m == pytest.approx(2.0 + SHAPE_MARGIN_M)
+    assert measure.measure(model).radius_m == pytest.approx(2.0 + SHAPE_MARGIN_M)
 
 
 def test_mesh_that_is_not_there_is_prepared_by_nobody(tmp_path: Path) -> None:

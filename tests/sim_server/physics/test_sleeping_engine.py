@@ -9,7 +9,7 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import a_box, a_box_bot, a_state, an_arm, box_bot_at
-from tests.sim_server.physics.bullet import client_of
+from tests.sim_server.physics.bullet_probe import client_of
 from zensim.proto.messages.model_messages import Decay, Model
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
@@ -35,15 +35,13 @@ def a_reading(base: FloatArray, *positions: float) -> BodyStates:
 
 def calm_with(model: Model) -> SleepTracker:
     calm = SleepTracker(STEPS)
-    calm.take(int(ONE[0]), model, 0.2, 0)
+    calm.add(int(ONE[0]), model, 0.2, 0)
     return calm
 
 
 def is_calm_after(calm: SleepTracker, states: list[FloatArray]) -> bool:
     """Compare a state at each step, and say whether the last is one of calm."""
-    return bool(
-        [calm.compare(ONE, a_reading(state), step) for step, state in enumerate(states)][-1]
-    )
+    return bool([calm.update(ONE, a_reading(state), step) for step, state in enumerate(states)][-1])
 
 
 def test_body_is_calm_when_it_has_stayed_for_long_enough() -> None:
@@ -71,7 +69,7 @@ def test_body_whose_joint_swings_is_not_calm() -> None:
     calm = calm_with(an_arm("revolute"))
     still = a_state()
 
-    found = [calm.compare(ONE, a_reading(still, 0.01 * step), step) for step in range(30)]
+    found = [calm.update(ONE, a_reading(still, 0.01 * step), step) for step in range(30)]
 
     assert not any(is_calm.any() for is_calm in found)
 
@@ -87,7 +85,7 @@ def test_body_that_stirs_begins_anew() -> None:
 
     calm.mark_moved(int(ONE[0]), STEPS)
 
-    assert not calm.compare(ONE, a_reading(a_state()), STEPS + 1).any()
+    assert not calm.update(ONE, a_reading(a_state()), STEPS + 1).any()
 
 
 def test_sleeper_keeps_its_pose_and_loses_its_velocity() -> None:
@@ -103,7 +101,7 @@ def test_sleeper_keeps_its_pose_and_loses_its_velocity() -> None:
 def test_room_is_made_for_more_bodies_and_more_joints() -> None:
     calm = calm_with(a_box())
 
-    calm.take(500, a_box_bot(), 0.1, 7)
+    calm.add(500, a_box_bot(), 0.1, 7)
 
     assert (calm.state[3], calm.state[500], calm.state[499]) == (
         SleepState.AWAKE,

@@ -49,7 +49,7 @@ class Told:
     def send(self, payload: bytes) -> None:
         self.payloads.append(payload)
 
-    def answer(self, payload: Callable[[], bytes]) -> None:
+    def reply_to_late_joiners(self, payload: Callable[[], bytes]) -> None:
         self.latched = payload()
 
 
@@ -81,7 +81,7 @@ class Scene:
     def result(self, goal_id: action.GoalId) -> MemoryCall:
         return self.ask(action.GET_RESULT_SERVICE, action.GetResultRequest(goal_id))
 
-    def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:  # noqa: B008
+    def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:
         info = action.GoalInfo(goal_id, stamp)
         return self.ask(action.CANCEL_GOAL_SERVICE, action.CancelGoalRequest(info))
 
@@ -92,7 +92,7 @@ class Scene:
             self.stage.loop.turn()
             for topic, message in self.stage.outlet.told[before:]:
                 if topic == "simulate_steps_feedback" and isinstance(message, StepsProgress):
-                    self.action.note(message)
+                    self.action.on_progress(message)
 
     def statuses(self) -> list[int]:
         told = decode(

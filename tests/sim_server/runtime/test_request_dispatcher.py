@@ -28,8 +28,8 @@ def test_answers_know_a_retry_by_its_id() -> None:
     answers = ResponseCache()
     answers.keep(a_call(b"1"), an_answer("one"))
 
-    assert answers.known(a_call(b"1")) == an_answer("one")
-    assert answers.known(a_call(b"2")) is None
+    assert answers.find(a_call(b"1")) == an_answer("one")
+    assert answers.find(a_call(b"2")) is None
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_answers_keep_only_what_changes_something_and_has_an_id(
 
     answers.keep(a_call(request_id, service), an_answer("one"))
 
-    assert answers.known(a_call(request_id, service)) is None
+    assert answers.find(a_call(request_id, service)) is None
 
 
 def test_answers_forget_the_oldest_when_there_are_many() -> None:
@@ -51,8 +51,8 @@ def test_answers_forget_the_oldest_when_there_are_many() -> None:
     for i in range(MAX_CACHED_RESPONSES + 1):
         answers.keep(a_call(str(i).encode()), an_answer(str(i)))
 
-    assert answers.known(a_call(b"0")) is None
-    assert answers.known(a_call(b"1")) == an_answer("1")
+    assert answers.find(a_call(b"0")) is None
+    assert answers.find(a_call(b"1")) == an_answer("1")
 
 
 def test_answers_forget_the_oldest_when_they_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -63,8 +63,8 @@ def test_answers_forget_the_oldest_when_they_are_large(monkeypatch: pytest.Monke
     forgotten = answers.keep(a_call(b"2"), an_answer("123456"))
 
     assert forgotten == (("delete_entity", b"1"),)
-    assert answers.known(a_call(b"1")) is None
-    assert answers.known(a_call(b"2")) == an_answer("123456")
+    assert answers.find(a_call(b"1")) is None
+    assert answers.find(a_call(b"2")) == an_answer("123456")
 
 
 def test_answers_know_what_another_server_told() -> None:
@@ -75,7 +75,7 @@ def test_answers_know_what_another_server_told() -> None:
 
     second.load([kept])
 
-    assert second.known(a_call(b"1")) == an_answer("one")
+    assert second.find(a_call(b"1")) == an_answer("one")
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_answer_that_was_taken_back_is_forgotten() -> None:
     answers.forget(a_call(b"1"))
     answers.forget(a_call(b"2"))
 
-    assert answers.known(a_call(b"1")) is None
+    assert answers.find(a_call(b"1")) is None
 
 
 def a_reply(number: int, position: int) -> tuple[MemoryCall, QueuedReply]:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fakes import MemoryBus, MemoryPublisher
 from zensim.proto import keys
-from zensim.proto.bus import Bus, Publisher
+from zensim.proto.bus import Bus, BusPublisher
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
@@ -45,7 +45,7 @@ def test_outlet_tells_a_topic_on_its_key(topic: str, message: msgspec.Struct) ->
     bus = MemoryBus()
     listener = bus.subscribe(f"sim/w/{topic}")
 
-    an_outlet(bus).tell(topic, message)
+    an_outlet(bus).publish(topic, message)
 
     (sample,) = listener.take()
     assert sample.encoding == "application/msgpack"
@@ -107,4 +107,4 @@ def test_outlet_tells_an_agent_again_that_was_forgotten_and_came_back() -> None:
 
 
 def test_outlet_publishes_as_a_publisher_of_the_bus_does() -> None:
-    assert {"send", "close", "is_matched"} <= set(dir(Publisher)) & set(dir(MemoryPublisher))
+    assert {"send", "close", "is_matched"} <= set(dir(BusPublisher)) & set(dir(MemoryPublisher))

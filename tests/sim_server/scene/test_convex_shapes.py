@@ -51,7 +51,7 @@ def ball(centre: tuple[float, float, float], radius: float) -> ConvexShape:
     ],
 )
 def test_extents_are_those_of_the_shape(shape: Shape, high: tuple[float, float, float]) -> None:
-    low_found, high_found = solid_of(shape).extents(at(1.0, 0.0, 0.0)[None])
+    low_found, high_found = solid_of(shape).bounds_at(at(1.0, 0.0, 0.0)[None])
 
     assert high_found[0] == pytest.approx([1.0 + high[0], high[1], high[2]])
     assert low_found[0] == pytest.approx([1.0 - high[0], -high[1], -high[2]])
@@ -60,7 +60,7 @@ def test_extents_are_those_of_the_shape(shape: Shape, high: tuple[float, float, 
 def test_extents_of_a_turned_cylinder_are_exact() -> None:
     solid = solid_of(Shape("cylinder", (0.5, 2.0, 0.0)))
 
-    _, high = solid.extents(at(0.0, 0.0, 0.0, turn=(math.pi / 4.0, 0.0, 0.0))[None])
+    _, high = solid.bounds_at(at(0.0, 0.0, 0.0, turn=(math.pi / 4.0, 0.0, 0.0))[None])
 
     assert high[0] == pytest.approx([0.5, 1.5 * math.sqrt(0.5), 1.5 * math.sqrt(0.5)])
 
@@ -131,7 +131,7 @@ def test_reach_is_never_less_than_where_a_collision_is(position: float, kind: Jo
     poses = compute_link_poses(model, at(0.0, 0.0, 0.0)[None], np.array([[position]]))
 
     (solid, places), *_ = place_collision_shapes(model, poses, NO_MESHES)
-    farthest = np.linalg.norm(solid.at(places[0]).points, axis=1).max()
+    farthest = np.linalg.norm(solid.transformed_by(places[0]).points, axis=1).max()
     assert farthest <= find_bounding_radius(model, NO_MESHES) + 1e-9
 
 

@@ -24,7 +24,7 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.proto.messages.spawn_messages import Resource
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.server_context import BuiltWorld, DeferredResponse, ServerContext
+from zensim.sim_server.server_context import DeferredResponse, ServerContext
 from zensim.sim_server.services.service_registry import handle_request
 from zensim.sim_server.services.world_services import WORLD_BUILD_SLICE_NS
 from zensim.sim_server.world_loading.world_catalog import (
@@ -32,6 +32,7 @@ from zensim.sim_server.world_loading.world_catalog import (
     WorldCatalog,
     read_world_metadata,
 )
+from zensim.sim_server.world_loading.world_loader import BuiltWorld
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 CRATE = (

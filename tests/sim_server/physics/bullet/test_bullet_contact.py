@@ -7,7 +7,7 @@ import pytest
 
 from tests.engines import STEP_NS, advance
 from tests.models import a_body, a_box, a_box_bot, box_bot_at
-from tests.sim_server.physics.bullet import dynamics_of
+from tests.sim_server.physics.bullet_probe import dynamics_of
 from zensim.proto.messages.model_messages import Contact, Joint, Link, Model, Shape
 from zensim.sim_server.physics.blueprint import RigidPart, make_blueprint
 from zensim.sim_server.physics.bullet.bullet_contact import (

@@ -10,7 +10,7 @@ import pytest
 from tests.engines import PHYSICAL, STEP_NS, advance, running
 from tests.models import a_box_bot, a_state, an_arm
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
-from tests.sim_server.physics.bullet import dynamics_of
+from tests.sim_server.physics.bullet_probe import dynamics_of
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
 from zensim.sim_server.physics.blueprint import make_blueprint
@@ -36,11 +36,11 @@ def test_shapes_of_alike_parts_are_made_once() -> None:
     plan = make_blueprint(a_box_bot())
     _, left, right, _ = plan.parts
 
-    first, second = shapes.of(plan, left.shapes), shapes.of(plan, right.shapes)
+    first, second = shapes.find(plan, left.shapes), shapes.find(plan, right.shapes)
 
     assert first == second == len(made) == 1
     assert left not in shapes.find_missing(plan)
-    assert shapes.of(plan, ()) == -1
+    assert shapes.find(plan, ()) == -1
 
 
 LIMIT = '<limit lower="-3" upper="3" effort="1" velocity="1"/>'

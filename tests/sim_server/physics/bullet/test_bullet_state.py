@@ -71,7 +71,7 @@ def test_state_of_a_root_link_comes_back_from_that_of_its_centre(
     state: FloatArray, body: int
 ) -> None:
     roots = ComFrames()
-    roots.remember(body, make_blueprint(a_lopsided_box()).parts[0])
+    roots.add(body, make_blueprint(a_lopsided_box()).parts[0])
 
     back = roots.states([body], roots.to_com_state(body, state)[None])[0]
 
@@ -82,7 +82,7 @@ def test_state_of_a_root_link_comes_back_from_that_of_its_centre(
 
 def test_centre_goes_round_a_root_link_that_turns() -> None:
     roots = ComFrames()
-    roots.remember(0, make_blueprint(a_lopsided_box()).parts[0])
+    roots.add(0, make_blueprint(a_lopsided_box()).parts[0])
 
     com = roots.to_com_state(0, a_state((1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0)))
 
@@ -92,8 +92,8 @@ def test_centre_goes_round_a_root_link_that_turns() -> None:
 
 def test_body_whose_number_is_used_again_has_the_root_of_its_own() -> None:
     roots = ComFrames()
-    roots.remember(0, make_blueprint(a_lopsided_box()).parts[0])
-    roots.remember(0, make_blueprint(a_box()).parts[0])
+    roots.add(0, make_blueprint(a_lopsided_box()).parts[0])
+    roots.add(0, make_blueprint(a_box()).parts[0])
 
     turns, arms = roots.turns_and_arms([0], a_state()[None])
 

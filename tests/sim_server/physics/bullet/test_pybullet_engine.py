@@ -24,7 +24,13 @@ from tests.models import (
     box_bot_at,
     on_ground,
 )
-from tests.sim_server.physics.bullet import bodies_in, client_of, dynamics_of, next_shape, touching
+from tests.sim_server.physics.bullet_probe import (
+    bodies_in,
+    client_of,
+    dynamics_of,
+    next_shape,
+    touching,
+)
 from zensim.proto.messages.model_messages import (
     Inertial,
     Joint,
@@ -88,13 +94,13 @@ def test_silence_ends_when_something_fails_inside(capfd: pytest.CaptureFixture[s
 
 
 def test_silence_leaves_no_file_open() -> None:
-    before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  a list of numbers, not of paths
+    before = len(os.listdir("/proc/self/fd"))
 
     for _ in range(5):
         with suppress_output():
             pass
 
-    assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208
+    assert len(os.listdir("/proc/self/fd")) == before
 
 
 DT_S = STEP_NS * 1e-9

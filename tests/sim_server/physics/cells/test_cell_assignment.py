@@ -66,7 +66,7 @@ def test_deal_never_parts_a_group(bodies: list[tuple[int, int]]) -> None:
 def test_cells_of_a_large_world_are_larger_but_not_without_end() -> None:
     room = CellCapacity(most=100, at_once=1, largest=250)
 
-    assert [room.of(count) for count in (0, 400, 500, 900, 1000, 9000)] == [
+    assert [room.max_bodies(count) for count in (0, 400, 500, 900, 1000, 9000)] == [
         *(100, 100, 125),
         *(225, 250, 250),
     ]

@@ -18,7 +18,7 @@ def three_rows() -> TierBodyTable:
         (Tier.FULL, 0, 0, 7),
         (Tier.FULL, 1, 3, 9),
     ):
-        row = rows.take()
+        row = rows.allocate()
         rows.tier[row], rows.joint_count[row], rows.width[row] = tier, joints, width
         rows.full[row], rows.is_held[row] = full, joints > 0
     rows.joint_start[:3], rows.target_start[:3] = (10, 0, 12), (20, 0, 22)
@@ -42,31 +42,31 @@ def test_sequence_is_parted_and_every_number_has_its_place() -> None:
 def test_mapping_is_made_once_and_anew_after_a_change() -> None:
     rows = three_rows()
     mappings, bodies = TierIndexMapCache(rows), (0, 1)
-    first = mappings.of(bodies)
+    first = mappings.get(bodies)
 
-    assert mappings.of(bodies) is first
+    assert mappings.get(bodies) is first
     rows.tier[0], rows.full[0] = Tier.FULL, 3
-    mappings.forget()
+    mappings.invalidate()
 
-    assert mappings.of(bodies).bodies == (3, 7)
+    assert mappings.get(bodies).bodies == (3, 7)
 
 
 def test_mapping_of_a_list_is_never_an_old_one() -> None:
     mappings, bodies = TierIndexMapCache(three_rows()), [0]
-    mappings.of(bodies)
+    mappings.get(bodies)
 
     bodies[0] = 1
 
-    assert mappings.of(bodies).bodies == (7,)
+    assert mappings.get(bodies).bodies == (7,)
 
 
 def test_sequences_that_nobody_asks_for_are_forgotten() -> None:
     mappings = TierIndexMapCache(three_rows())
     for number in range(50):
-        mappings.of((0, 1, number % 3))
-        mappings.forget()
+        mappings.get((0, 1, number % 3))
+        mappings.invalidate()
 
-    mappings.forget()
-    mappings.forget()
+    mappings.invalidate()
+    mappings.invalidate()
 
     assert len(mappings) == 0

@@ -41,7 +41,7 @@ def test_cast_is_made_once_by_who_asks() -> None:
     shop = Workshop()
     foundry = CompileCache(shop.make)
 
-    found = [foundry.cast(of(4), CONFIG) for _ in range(2)]
+    found = [foundry.compile(of(4), CONFIG) for _ in range(2)]
 
     assert found == [4, 4]
     assert shop.made == [4]
@@ -57,7 +57,7 @@ def test_what_is_not_ready_is_made_besides() -> None:
 
     shop.may_go_on.set()
     eventually(lambda: foundry.is_ready(of(8), CONFIG) or None, WITHIN_S, "a cast")
-    assert foundry.cast(of(8), CONFIG) == 8
+    assert foundry.compile(of(8), CONFIG) == 8
     assert shop.made == [8]
     assert get_ident() not in shop.threads
 
@@ -69,7 +69,7 @@ def test_larger_casts_are_made_ahead_as_far_as_cells_go() -> None:
     for slots in (8, 32, 128, 256):
         foundry.compile_ahead(of(slots), MAKE, CONFIG)
 
-    assert foundry.cast(of(256), CONFIG) == 256
+    assert foundry.compile(of(256), CONFIG) == 256
     assert shop.made == [64, 128, 256]
 
 
@@ -78,5 +78,5 @@ def test_what_cannot_be_made_is_refused_to_everybody() -> None:
 
     for _ in range(2):
         with pytest.raises(ValueError, match="unlucky"):
-            foundry.cast(of(13), CONFIG)
+            foundry.compile(of(13), CONFIG)
     assert foundry.is_ready(of(13), CONFIG)

@@ -33,7 +33,7 @@ def test_cast_names_makes_in_the_order_of_their_first_body() -> None:
     for body, make in enumerate((CART, BOX, BOX, CART, BOX)):
         slots.take(make, body)
 
-    assert slots.cast == ((CART, 2), (BOX, 4))
+    assert slots.counts == ((CART, 2), (BOX, 4))
 
 
 def test_cast_is_told_before_a_slot_is_taken() -> None:
@@ -42,7 +42,7 @@ def test_cast_is_told_before_a_slot_is_taken() -> None:
         foretold = slots.with_one_more(make)
         slots.take(make, body)
 
-        assert slots.cast == foretold
+        assert slots.counts == foretold
 
 
 def test_robots_that_differ_in_name_only_are_of_one_make() -> None:
