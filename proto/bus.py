@@ -131,7 +131,7 @@ class BusSubscription:
     def newest(self) -> Sample | None:
         """Take all and keep the last."""
         found = None
-        for found in self._drain():
+        for found in self._drain():  # noqa: B007  the last one is the result
             pass
         return found
 

@@ -67,5 +67,5 @@ def _fill_scalar(info: inspect.Type, name: str, numbers: Iterator[int]) -> objec
     if isinstance(info, inspect.LiteralType):
         return info.values[0]
     raise TypeError(
-        f"field '{name}' is a {type(info).__name__}; say in proto.example how to fill it"
+        f"field '{name}' is a {type(info).__name__}; say in proto.sample_messages how to fill it"
     )

@@ -298,7 +298,7 @@ def _make_robot_set(
     if config.pool_limit is None:
         return IndividualRobots(network, timeout_ns, graph)
     # Numpy and what is made of arrays are half of what an agent has to load, and 10 MB.
-    from zensim.robot_agent.pool.pooled_robots import PooledRobots
+    from zensim.robot_agent.pool.pooled_robots import PooledRobots  # noqa: PLC0415
 
     return PooledRobots(network, timeout_ns, graph, ears)
 

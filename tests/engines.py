@@ -49,7 +49,7 @@ class ObedientEngine:
     def bodies(self) -> tuple[int, ...]:
         return tuple(self._bodies)
 
-    def prepare(self, model: Model) -> bool:
+    def prepare(self, model: Model) -> bool:  # noqa: ARG002
         return True
 
     def add(self, model: Model, base: FloatArray) -> int:

@@ -28,7 +28,7 @@ class AckermannSteering:
         twist: Twist,
         *,
         measured: MeasuredJoints,
-        elapsed_s: float,
+        elapsed_s: float,  # noqa: ARG002 - of the protocol
     ) -> tuple[float, ...]:
         """Find rear wheel speeds [rad/s] and steering angles [rad]; see `Controller.update`.
 

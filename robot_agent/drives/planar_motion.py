@@ -20,8 +20,8 @@ class PlanarMotion:
         self,
         twist: Twist,
         *,
-        measured: MeasuredJoints,
-        elapsed_s: float,
+        measured: MeasuredJoints,  # noqa: ARG002 - of the protocol
+        elapsed_s: float,  # noqa: ARG002
     ) -> tuple[float, ...]:
         """Find vx, vy [m/s] and wz [rad/s] in the base; see `Controller.update`."""
         wanted = (twist.linear.x, twist.linear.y, twist.angular.z)

@@ -225,7 +225,7 @@ class GroupDifferentialDrive:
         rows: IntArray,
         twists: FloatArray,
         *,
-        positions: FloatArray,
+        positions: FloatArray,  # noqa: ARG002 - of the protocol
         velocities: FloatArray,
         elapsed_s: FloatArray,
     ) -> FloatArray:
@@ -281,12 +281,12 @@ class GroupPlanarMotion(StatelessController):
 
     def update(
         self,
-        rows: IntArray,
+        rows: IntArray,  # noqa: ARG002 - of the protocol
         twists: FloatArray,
         *,
-        positions: FloatArray,
-        velocities: FloatArray,
-        elapsed_s: FloatArray,
+        positions: FloatArray,  # noqa: ARG002
+        velocities: FloatArray,  # noqa: ARG002
+        elapsed_s: FloatArray,  # noqa: ARG002
     ) -> FloatArray:
         """See `GroupDriveController`."""
         return _clamp_rows(twists[:, (VX, VY, WZ)], MAX_PLANAR_SPEED)
@@ -302,12 +302,12 @@ class GroupAckermannSteering(StatelessController):
 
     def update(
         self,
-        rows: IntArray,
+        rows: IntArray,  # noqa: ARG002 - of the protocol
         twists: FloatArray,
         *,
         positions: FloatArray,
-        velocities: FloatArray,
-        elapsed_s: FloatArray,
+        velocities: FloatArray,  # noqa: ARG002 - of the protocol
+        elapsed_s: FloatArray,  # noqa: ARG002 - of the protocol
     ) -> FloatArray:
         """See `GroupDriveController`."""
         parameters = self._parameters
@@ -337,7 +337,7 @@ class GroupTricycleSteering(StatelessController):
 
     def update(
         self,
-        rows: IntArray,
+        rows: IntArray,  # noqa: ARG002 - of the protocol
         twists: FloatArray,
         *,
         positions: FloatArray,

@@ -92,7 +92,7 @@ class GroupTelemetry:
         Args:
             kind: Of the robots.
             bases: Their motions.
-            outlet_of: See there.
+            find_publisher: Where the topics are published.
             node: Who tells in ROS 2 what all robots share a topic for.
         """
         wanted = kind.patterns
@@ -182,7 +182,7 @@ class StaticValue:
     def __init__(self, message: msgspec.Struct) -> None:
         self._payload = cdr.encode(message)
 
-    def payload(self, row: int) -> bytes:
+    def payload(self, row: int) -> bytes:  # noqa: ARG002 - of the protocol
         """Tell it."""
         return self._payload
 

@@ -231,7 +231,7 @@ class SharedTfTopic:
             for message in self._messages(rows):
                 self._outlet.put((self._line,), (message,))
 
-    def payload(self, row: int) -> bytes | None:
+    def payload(self, row: int) -> bytes | None:  # noqa: ARG002 - of the protocol
         """Write the last values of all; see `outlet.Values`."""
         rows = np.flatnonzero(self._has_value)
         if not len(rows):

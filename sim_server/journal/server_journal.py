@@ -95,7 +95,7 @@ def _run_attempts(tries: Sequence[Callable[[], None]], wanted: Sequence[int], wr
 def _run_attempt(make: Callable[[], None]) -> None:
     try:
         make()
-    except Exception:
+    except Exception:  # noqa: BLE001  whoever restores it is told
         return
 
 

@@ -214,7 +214,7 @@ def _open_locked(folder: Path, lock: int) -> SqliteStore:
     connection = _connect(folder)
     ledger = SqliteStore(folder, connection, lock)
     try:
-        _migrate(folder, connection, ledger._read_mark())
+        _migrate(folder, connection, ledger._read_mark())  # noqa: SLF001  of this very file
         ledger.check()
     except BaseException:
         connection.close()

@@ -82,9 +82,8 @@ def parse_bounds(bounds: Bounds) -> Region | None:
         radius = float(points[1, 0])
         if radius < 0.0:
             raise BoundsRefused(f"radius {radius:g} is negative; use metres as x of point 2")
-        return Region(
-            ConvexShape(points[:1], radius), points[0] - radius, points[0] + radius, False
-        )
+        shape = ConvexShape(points[:1], radius)
+        return Region(shape, points[0] - radius, points[0] + radius, False)  # noqa: FBT003
     low, high = points.min(axis=0), points.max(axis=0)
     if bounds.type == BoundsType.BOX:
         points = (low + high) / 2.0 + UNIT_CUBE * (high - low)
@@ -93,7 +92,7 @@ def parse_bounds(bounds: Bounds) -> Region | None:
 
 def _parse_points(bounds: Bounds) -> FloatArray:
     is_hull, count = bounds.type == BoundsType.CONVEX_HULL, len(bounds.points)
-    fits = MIN_HULL_POINTS <= count <= MAX_BOUNDS_POINTS if is_hull else count == 2
+    fits = MIN_HULL_POINTS <= count <= MAX_BOUNDS_POINTS if is_hull else count == 2  # noqa: PLR2004
     if not fits:
         wanted = f"{MIN_HULL_POINTS} to {MAX_BOUNDS_POINTS}" if is_hull else "2"
         raise BoundsRefused(

@@ -56,7 +56,7 @@ class BusWorldPublisher:
             bus: Where.
             world: Whose.
             faces: By which ROS 2 sees some of them.
-            heed: Hears of the progress of steps before it is told.
+            on_progress: Called with the progress of steps before it is published.
         """
         topics: dict[str, tuple[str, type[msgspec.Struct]]] = {
             "clock": (keys.clock(world), WorldClock),

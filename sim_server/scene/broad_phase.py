@@ -146,7 +146,7 @@ def find_close_pairs(points: FloatArray, reach: FloatArray) -> tuple[IntArray, I
     Returns:
         Indices (k,) of the one and of the other; each pair once, the lower index first.
     """
-    if len(points) < 2:
+    if len(points) < 2:  # noqa: PLR2004 - a pair
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     is_large = reach > LARGE_DISC_RATIO * float(np.median(reach))
     rest, large = np.flatnonzero(~is_large), np.flatnonzero(is_large)
@@ -166,7 +166,7 @@ def find_close_pairs(points: FloatArray, reach: FloatArray) -> tuple[IntArray, I
 
 
 def _close_pairs_on_grid(points: FloatArray, reach: FloatArray) -> tuple[IntArray, IntArray]:
-    if len(points) < 2:
+    if len(points) < 2:  # noqa: PLR2004 - a pair
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     cells = make_point_grid(points, max(2.0 * float(reach.max()), MIN_GRID_CELL_M))
     keys, places = cells.keys, np.arange(len(points))

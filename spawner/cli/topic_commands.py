@@ -274,7 +274,7 @@ def hz(
 
 
 def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
-    if len(arrivals) < 2:
+    if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two
         typer.echo("zensim hz: no new messages", err=True)
         return
     gaps = [later - earlier for earlier, later in pairwise(arrivals)]

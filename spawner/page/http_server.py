@@ -138,7 +138,7 @@ class CannotListen(OSError):
 class LocalViserServer(viser.ViserServer):
     """A viser server that has no public tunnel."""
 
-    def request_share_url(self, verbose: bool = True) -> str | None:
+    def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002, FBT001, FBT002
         """Refuse: a page may ask for a tunnel, but nobody gets one."""
         return None
 

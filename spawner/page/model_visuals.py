@@ -76,9 +76,9 @@ def find_link_poses(
     """Find the pose of every link of k entities: the base, then what each hinge moves.
 
     Args:
-        hinges: Parents before children.
+        visual_joints: Parents before children.
         base: (k, 7), position and quaternion x y z w of the base in the world frame.
-        joint_positions: (k, hinges) [rad or m].
+        joint_positions: (k, joints) [rad or m].
     """
     placed = [LinkPoses(base[:, :3], base[:, 3:7])]
     for hinge, moved in zip(visual_joints, joint_positions.T, strict=True):

@@ -82,7 +82,7 @@ def _parse_as_gazebo(text: str) -> ET.Element:
     parser.StartElementHandler = tree.start
     parser.EndElementHandler = tree.end
     parser.CharacterDataHandler = tree.data
-    parser.Parse(text, True)
+    parser.Parse(text, True)  # noqa: FBT003 - expat knows it by place only
     return tree.close()
 
 

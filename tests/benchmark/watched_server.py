@@ -75,7 +75,7 @@ class Watch:
 
     def _look_inside(self, world: World) -> None:
         self._is_in = True
-        watch, engine = self._stopwatch, world._engine
+        watch, engine = self._stopwatch, world._engine  # noqa: SLF001  it is looked into
         for name, part in ENGINE_PARTS.items():
             setattr(engine, name, watch.timed(part, getattr(engine, name)))
         for owner, name, part in (

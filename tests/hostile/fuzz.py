@@ -201,7 +201,7 @@ def main() -> None:
         found = fuzz(reader, runs=int(given.runs * share), seed=given.seed)
         took_s = time.perf_counter() - began
         first = ", ".join(f"{slug} {count}" for slug, count in found.most_common(4))
-        print(f"{reader}: {found.total()} runs in {took_s:.0f} s; {len(found)} ends: {first}")
+        print(f"{reader}: {found.total()} runs in {took_s:.0f} s; {len(found)} ends: {first}")  # noqa: T201
 
 
 if __name__ == "__main__":

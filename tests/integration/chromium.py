@@ -95,7 +95,7 @@ class Tab:
         if gone.get("errorText"):
             raise ConnectionError(f"{url}: {gone['errorText']}; is the page served there?")
 
-    def evaluate(self, expression: str) -> Any:
+    def evaluate(self, expression: str) -> Any:  # noqa: ANN401  it is JSON
         """Return what an expression, or the promise that it is, comes to."""
         done = self.call(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
@@ -104,7 +104,7 @@ class Tab:
             raise RuntimeError(f"{expression.strip()[:200]}: {done['exceptionDetails']}")
         return done["result"].get("value")
 
-    def until(self, expression: str, within_s: float = 30.0) -> Any:
+    def until(self, expression: str, within_s: float = 30.0) -> Any:  # noqa: ANN401
         """Wait until an expression is true; return it."""
         return self.evaluate(UNTIL % (within_s, expression))
 

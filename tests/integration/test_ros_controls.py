@@ -98,20 +98,20 @@ class BrokenPublisher:
     def __init__(self, publisher: BusPublisher, ways: Ways) -> None:
         self._publisher, self._ways = publisher, ways
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._publisher, name)
 
-    def send(self, payload: bytes, attachment: bytes = b"", *stamp: Any) -> None:
+    def send(self, payload: bytes, attachment: bytes = b"", *stamp: Any) -> None:  # noqa: ANN401
         self._publisher.send(payload, self._ways.attachment(attachment), *stamp)
 
 
 class BrokenCall:
     """A request whose answer has another attachment."""
 
-    def __init__(self, call: Any, ways: Ways) -> None:
+    def __init__(self, call: Any, ways: Ways) -> None:  # noqa: ANN401
         self._call, self._ways = call, ways
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._call, name)
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
@@ -121,10 +121,10 @@ class BrokenCall:
 class BrokenQueue:
     """Requests that are answered wrongly."""
 
-    def __init__(self, queue: Any, ways: Ways) -> None:
+    def __init__(self, queue: Any, ways: Ways) -> None:  # noqa: ANN401
         self._queue, self._ways = queue, ways
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._queue, name)
 
     def take(self) -> list[BrokenCall]:
@@ -137,7 +137,7 @@ class BrokenBus:
     def __init__(self, bus: Bus, ways: Ways) -> None:
         self._bus, self._ways = bus, ways
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401
         return getattr(self._bus, name)
 
     def advertise(self, key: str, encoding: str) -> BrokenPublisher:
@@ -148,7 +148,7 @@ class BrokenBus:
         queue = self._bus.serve(self._ways.key(key), depth, is_complete=is_complete)
         return BrokenQueue(queue, self._ways)
 
-    def token(self, key: str) -> Any:
+    def token(self, key: str) -> Any:  # noqa: ANN401
         return self._bus.token(self._ways.token(key))
 
 

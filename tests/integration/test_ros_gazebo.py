@@ -47,7 +47,7 @@ def description_by_the_script(namespace: str) -> str:
     return ET.tostring(root, encoding="unicode")
 
 
-def spawned(ask: Ask, name: str, type_hash: str = ros.OF_HUMBLE, **fields: object) -> Any:
+def spawned(ask: Ask, name: str, type_hash: str = ros.OF_HUMBLE, **fields: object) -> Any:  # noqa: ANN401
     return ask("/spawn_entity", SPAWN, type_hash, name=name, **fields)
 
 
@@ -169,7 +169,7 @@ def test_bridge_spawns_and_deletes_on_bare_keys(server: Server) -> None:
     assert [one.success for one in told] == [True, True], told
 
 
-def answer_to(server: Server, key: str, request: object, kind: str) -> Any:
+def answer_to(server: Server, key: str, request: object, kind: str) -> Any:  # noqa: ANN401
     payload = bytes(HUMBLE.serialize_cdr(request, f"gazebo_msgs/msg/{kind}_Request"))
     (answer,) = replies(server, key, payload, None)
     return HUMBLE.deserialize_cdr(answer.payload.to_bytes(), f"gazebo_msgs/msg/{kind}_Response")

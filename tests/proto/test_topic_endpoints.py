@@ -21,7 +21,7 @@ ENCODING = "application/cdr;std_msgs/msg/String"
 PAYLOAD = b"\x00\x01\x00\x00payload"
 
 
-def faces_on(bus: MemoryBus, settings: RosSettings = RosSettings()) -> TopicFactory:
+def faces_on(bus: MemoryBus, settings: RosSettings = RosSettings()) -> TopicFactory:  # noqa: B008
     return TopicFactory(bus, RosGraph(bus, settings).add_node("r1", "agent"), settings)
 
 

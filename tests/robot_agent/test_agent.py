@@ -262,7 +262,7 @@ def test_agent_answers_a_state_that_came_right_behind_its_claim() -> None:
 
 @pytest.mark.parametrize(("is_awaited", "order"), [(True, "oc"), (False, "co")])
 def test_agent_publishes_before_its_command_when_that_is_awaited(
-    is_awaited: bool,
+    is_awaited: bool,  # noqa: FBT001  a parameter of the test
     order: str,
 ) -> None:
     scene = Scene("r1")

@@ -81,7 +81,7 @@ class ReadHere:
         self.store = store or AssetStore()
         self.unread: list[tuple[ParseResult, Callable[[ParseResult], None]]] = []
 
-    def is_read(self, order: SpawnEntityOrder) -> bool:
+    def is_read(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
         return not self.is_slow
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:

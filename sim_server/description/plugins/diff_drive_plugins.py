@@ -228,7 +228,7 @@ def read_gz_diff_drive(tags: PluginTags, lumped: LumpedModel) -> DiffDrive | Non
     fault = find_joint_fault((*left, *right), {joint.name: joint for joint in lumped.joints})
     if not left or len(left) != len(right):
         fault = f"{len(left)} left and {len(right)} right joints; name as many of each"
-    wheels = [WheelPair(*names, separation, 2.0 * radius) for names in zip(left, right)]
+    wheels = [WheelPair(*names, separation, 2.0 * radius) for names in zip(left, right)]  # noqa: B905 - the fault says so
     drive = DiffDrive(
         pairs=tuple(wheels),
         max_torque_nm=find_grip_torque(

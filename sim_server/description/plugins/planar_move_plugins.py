@@ -76,7 +76,7 @@ UNUSED_PLANAR_MOVE_TAGS = (
 DEFAULT_ODOMETRY_RATE_HZ = 20.0
 
 
-def read_planar_move(tags: PluginTags, lumped: LumpedModel) -> PlanarMove:
+def read_planar_move(tags: PluginTags, lumped: LumpedModel) -> PlanarMove:  # noqa: ARG001 - as for all
     """Read the plug-in.
 
     Raises:

@@ -31,7 +31,7 @@ MAX_INCLUDED_TAGS = 400_000
 INCLUDE_TAGS = ("uri", "name", "pose", "static", "placement_frame", "plugin")
 
 
-def no_includes(uri: str) -> str | None:
+def no_includes(uri: str) -> str | None:  # noqa: ARG001  every Resolve takes a URI
     """Say that no model is here."""
     return None
 

@@ -90,7 +90,7 @@ def _find_components(corners: HullPoints) -> list[HullPoints]:
 
 
 @cache
-def load_convex_pieces(folder: str, shape: Shape, is_static: bool) -> tuple[HullPoints, ...]:
+def load_convex_pieces(folder: str, shape: Shape, is_static: bool) -> tuple[HullPoints, ...]:  # noqa: FBT001
     """Cut the mesh of a shape, scaled as it is."""
     corners = read_corners(Path(folder, f"{shape.mesh}.stl").read_bytes()) * np.array(shape.size)
     return tuple(split_into_convex_pieces(corners, is_static=is_static))

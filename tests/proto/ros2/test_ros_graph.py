@@ -12,7 +12,7 @@ from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 ODOM = Topic("r1/odom", Odometry)
 
 
-def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:
+def a_node(bus: MemoryBus, settings: RosSettings = RosSettings()) -> RosNode:  # noqa: B008
     node = RosGraph(bus, settings).add_node("r1", "agent")
     assert node is not None
     return node

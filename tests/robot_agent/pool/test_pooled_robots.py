@@ -275,7 +275,7 @@ def test_pool_leaves_nothing_when_it_has_lost_all() -> None:
     assert lost == ("r1", "r2")
     assert both.pool.newest_claim == 0
     assert not bus.is_served("**")
-    assert [one.key for one in bus._subscriptions] == ["**"]
+    assert [one.key for one in bus._subscriptions] == ["**"]  # noqa: SLF001
 
 
 def test_pool_makes_nothing_when_nobody_listens() -> None:

@@ -21,7 +21,7 @@ from zensim.sim_server.errors import ModelError
         ("", False),
     ],
 )
-def test_root_tag_is_found_after_what_may_come_before_it(text: str, expected: bool) -> None:
+def test_root_tag_is_found_after_what_may_come_before_it(text: str, expected: bool) -> None:  # noqa: FBT001
     assert is_sdf(text) == expected
 
 

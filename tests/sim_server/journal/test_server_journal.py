@@ -39,10 +39,10 @@ def test_probing_numbers_those_that_kill(
 
 
 def test_probing_leaves_out_nobody_who_kills_once(tmp_path: os.PathLike[str]) -> None:
-    mark = os.path.join(tmp_path, "mark")
+    mark = os.path.join(tmp_path, "mark")  # noqa: PTH118
 
     def fatal_once() -> None:
-        if not os.path.exists(mark):
+        if not os.path.exists(mark):  # noqa: PTH110
             os.close(os.open(mark, os.O_CREAT))
             fatal()
 

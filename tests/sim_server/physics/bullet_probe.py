@@ -22,7 +22,7 @@ class Dynamics:
 
 
 def client_of(engine: PyBulletEngine) -> int:
-    return engine._client
+    return engine._client  # noqa: SLF001  Bullet is asked past the engine
 
 
 def dynamics_of(engine: PyBulletEngine, body: int) -> list[Dynamics]:

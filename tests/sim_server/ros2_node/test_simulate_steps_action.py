@@ -81,7 +81,7 @@ class Scene:
     def result(self, goal_id: action.GoalId) -> MemoryCall:
         return self.ask(action.GET_RESULT_SERVICE, action.GetResultRequest(goal_id))
 
-    def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:
+    def cancel(self, goal_id: action.GoalId, stamp: Time = Time()) -> MemoryCall:  # noqa: B008
         info = action.GoalInfo(goal_id, stamp)
         return self.ask(action.CANCEL_GOAL_SERVICE, action.CancelGoalRequest(info))
 

@@ -40,4 +40,4 @@ def test_topic_answers_a_get(topic: str, kind: type[msgspec.Struct]) -> None:
     stage.loop.turn()
 
     answer = answer_of(call, kind)
-    assert getattr(answer, "name")[0].startswith("r0")
+    assert getattr(answer, "name")[0].startswith("r0")  # noqa: B009

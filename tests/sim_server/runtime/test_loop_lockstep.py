@@ -282,7 +282,7 @@ def test_entity_that_is_deleted_while_its_agent_is_awaited_stops_nothing() -> No
 
 
 @pytest.mark.parametrize("is_on", [True, False])
-def test_step_request_is_answered_when_the_agents_have_answered(is_on: bool) -> None:
+def test_step_request_is_answered_when_the_agents_have_answered(is_on: bool) -> None:  # noqa: FBT001
     stage = a_locked_stage("r0", is_on=is_on)
     stage.world.pause()
     turn(stage, 3)

@@ -38,7 +38,7 @@ FOR_EVER = Duration(-1)
 
 
 @pytest.fixture
-def desk() -> ServerContext:
+def context() -> ServerContext:
     """A box that looks along y, and an arm."""
     world = a_world()
     world.spawn(a_birth("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))

@@ -228,7 +228,7 @@ REFUSED = {
 
 
 @pytest.fixture
-def desk() -> ServerContext:
+def context() -> ServerContext:
     """Two entities, of which agent b drives the second."""
     made = a_desk(a_world("r0", "r1"))
     made.alive_agents |= {"a", "b"}

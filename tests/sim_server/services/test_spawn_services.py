@@ -195,7 +195,7 @@ class Unready(ObedientEngine):
 
     asked = 0
 
-    def prepare(self, model: Model) -> bool:
+    def prepare(self, model: Model) -> bool:  # noqa: ARG002
         self.asked += 1
         return self.asked % 2 == 0
 
@@ -284,7 +284,7 @@ class TickingWall(WallTime):
 @pytest.mark.parametrize(("spare", "is_over"), [(0, False), (1000, True)])
 def test_spawning_uses_the_time_that_is_left_before_the_next_step(
     spare: int,
-    is_over: bool,
+    is_over: bool,  # noqa: FBT001
 ) -> None:
     wall = TickingWall()
     desk = a_desk(a_world(), wall)
@@ -310,7 +310,7 @@ names = st.sampled_from(["a", "b", "c", "d", "", "1x"])
 def test_entities_are_those_that_the_results_name(
     first: list[str],
     second: list[str],
-    atomic: bool,
+    atomic: bool,  # noqa: FBT001
 ) -> None:
     desk = a_desk(a_world())
 

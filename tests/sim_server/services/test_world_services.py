@@ -79,7 +79,7 @@ def available(
 
 
 @pytest.fixture
-def desk() -> ServerContext:
+def context() -> ServerContext:
     return a_desk(a_world("r0", "r1"))
 
 

@@ -24,7 +24,7 @@ class Done:
         self.out = result.stdout
         self.err = result.stderr
 
-    def json(self) -> Any:
+    def json(self) -> Any:  # noqa: ANN401  whatever the command printed
         return json.loads(self.out)
 
 

@@ -45,7 +45,7 @@ def test_meshes_of_urdf_are_named_once_and_collisions_known() -> None:
         "</link>", '<visual><geometry><mesh filename="base.stl"/></geometry></visual></link>'
     )
 
-    assert list_meshes(text) == (MeshReference("base.stl", True), MeshReference("drawn.stl", False))
+    assert list_meshes(text) == (MeshReference("base.stl", True), MeshReference("drawn.stl", False))  # noqa: FBT003
 
 
 def test_meshes_of_sdf_are_named() -> None:

@@ -50,7 +50,7 @@ def a_xacro(folder: Path, text: str) -> Path:
         ("r.urdf", "<robot><!--><xacro:imu/><--></robot>", False),
     ],
 )
-def test_file_is_expanded_when_it_is_xacro(name: str, text: str, needed: bool) -> None:
+def test_file_is_expanded_when_it_is_xacro(name: str, text: str, needed: bool) -> None:  # noqa: FBT001
     assert is_xacro(text, Path(name)) is needed
 
 

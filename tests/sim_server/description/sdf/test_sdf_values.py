@@ -63,7 +63,7 @@ def test_pose_is_refused_when_it_is_none(text: str, attributes: str) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"), [("true", True), ("1", True), ("False", False), ("0", False), ("", False)]
 )
-def test_flag_is_true_or_false(text: str, expected: bool) -> None:
+def test_flag_is_true_or_false(text: str, expected: bool) -> None:  # noqa: FBT001
     element = an_element(f"<model><static>{text}</static></model>")
 
     assert read_flag(element, "static", default=True, where="here") == expected
