@@ -7,7 +7,7 @@ from typing import Final, Protocol, TypeAlias
 import msgspec
 
 from zensim.proto.bus import Sample, Stamp
-from zensim.proto.codec.message_codec import Format, make_encoding
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
@@ -17,8 +17,11 @@ from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 CACHE_DEPTH: Final = 64
 CACHE_SUFFIX: Final = "@adv/pub"
 """Where subscribers of transient_local topics ask for what was before them."""
+QUERY_DEPTH: Final = 64
 PayloadFactory: TypeAlias = Callable[[], bytes | None]
-"""Makes the value of now; None while there is none."""
+"""Makes the last value; None while there is none."""
+MakePayload: TypeAlias = Callable[[], msgspec.Struct | bytes | None]
+"""Makes the last value, as a message or as its CDR bytes; None while there is none."""
 
 
 class TransportPublisher(Protocol):
@@ -295,6 +298,59 @@ class TopicFactory:
         """Withdraw the node; its topics are closed by who has them."""
         if self._node is not None:
             self._node.close()
+
+
+class LazyTopicPublisher:
+    """A topic whose value is made only when it is wanted."""
+
+    def __init__(
+        self,
+        faces: TopicFactory,
+        topic: Topic,
+        value: MakePayload,
+        *,
+        is_shared: bool = False,
+    ) -> None:
+        """Declare the topic.
+
+        Args:
+            faces: Where.
+            topic: What to put on, and to be asked for.
+            value: What is told.
+            is_shared: Whether others tell this topic too, so that who asks has to ask all.
+        """
+        self._key = topic.key
+        self._encoding = make_encoding(topic.kind, Format.CDR)
+        self._value = value
+        self._publisher = faces.publisher(topic)
+        self._queries = faces.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
+
+    def publish(self) -> None:
+        """Put the value if anybody listens."""
+        self._publisher.publish(self._payload)
+
+    def announce(self) -> None:
+        """Put the value now, and later each time that somebody begins to listen."""
+        self._publisher.publish_to_new(self._payload)
+
+    def answer(self) -> None:
+        """Tell the value to everybody who has asked."""
+        for call in self._queries.take():
+            payload = self._payload()
+            if payload is None:
+                call.drop()
+            else:
+                call.reply(payload, self._encoding, self._key)
+        self._publisher.reply_to_late_joiners(self._payload)
+
+    def close(self) -> None:
+        """Withdraw the topic."""
+        self._publisher.close()
+        self._queries.close()
+
+    def _payload(self) -> bytes | None:
+        value = self._value()
+        return encode(value, Format.CDR) if isinstance(value, msgspec.Struct) else value
 
 
 def make_topic_factory(

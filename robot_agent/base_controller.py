@@ -11,6 +11,7 @@ from zensim.proto.messages.drive_messages import (
 )
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
+from zensim.proto.rate_limiter import RateLimiter
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.drives.ackermann_steering import AckermannSteering
 from zensim.robot_agent.drives.differential_drive import DifferentialDrive
@@ -18,7 +19,6 @@ from zensim.robot_agent.drives.drive_controller import DriveController, Measured
 from zensim.robot_agent.drives.planar_motion import PlanarMotion
 from zensim.robot_agent.drives.tricycle_steering import TricycleSteering
 from zensim.robot_agent.odometry import BaseMotion, EncoderOdometry, find_world_motion
-from zensim.robot_agent.rate_limiter import RateLimiter
 from zensim.robot_agent.robot_frames import find_base_frame
 
 

@@ -1,17 +1,10 @@
-"""Messages encoded once as CDR, whose numbers and stamps are filled in, and the paths of those."""
+"""Message templates of a robot's topics, and the paths of the numbers and stamps to fill in."""
 
-import struct
 from collections.abc import Sequence
-from itertools import pairwise
 
-import msgspec
-
-from zensim.proto.codec import cdr
-from zensim.proto.codec.cdr_layout import find_offsets
 from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import (
-    NANOSECONDS,
     Header,
     JointState,
     Odometry,
@@ -26,49 +19,6 @@ from zensim.robot_agent.robot_frames import (
     make_moving_transforms,
     make_odometry_edge,
 )
-
-FLOAT_BYTES = 8
-STAMP_STRUCT = struct.Struct("<iI")
-
-
-class CdrTemplate:
-    """One message, each byte as `zensim.proto.codec.cdr.encode` writes it; made at a tenth of the cost."""
-
-    def __init__(
-        self, template: msgspec.Struct, *, numbers: Sequence[str], stamps: Sequence[str]
-    ) -> None:
-        """Write the message.
-
-        Args:
-            template: As it is but for what changes.
-            numbers: Paths of its float64 numbers that change; see `zensim.proto.codec.cdr_layout`.
-            stamps: Paths of its `Time`s.
-        """
-        self._buffer = bytearray(cdr.encode(template))
-        places = find_offsets(template)
-        self._runs = _find_runs([places[path] for path in numbers])
-        self._stamps = tuple(places[f"{path}.sec"] for path in stamps)
-
-    def payload(self, time_ns: int, numbers: Sequence[float]) -> bytes:
-        """Fill in a moment of simulation time and the numbers; return the whole message."""
-        moment = divmod(time_ns, NANOSECONDS)
-        for place in self._stamps:
-            STAMP_STRUCT.pack_into(self._buffer, place, *moment)
-        for run, place, where in self._runs:
-            run.pack_into(self._buffer, place, *numbers[where])
-        return bytes(self._buffer)
-
-
-def _find_runs(places: Sequence[int]) -> tuple[tuple[struct.Struct, int, slice], ...]:
-    """Find the numbers that follow one another, so that each run is written in one go."""
-    gaps = [at for at, (one, next_) in enumerate(pairwise(places), 1) if next_ != one + FLOAT_BYTES]
-    bounds = [0, *gaps, len(places)]
-    return tuple(
-        (struct.Struct(f"<{end - start}d"), places[start], slice(start, end))
-        for start, end in pairwise(bounds)
-        if end > start
-    )
-
 
 POSITION_AXES = ("x", "y", "z")
 QUATERNION_AXES = ("x", "y", "z", "w")

@@ -7,6 +7,7 @@ from typing import TypeAlias
 import msgspec
 
 from zensim.proto import keys
+from zensim.proto.codec.cdr_template import CdrTemplate
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Origin
 from zensim.proto.messages.standard_messages import (
@@ -17,15 +18,14 @@ from zensim.proto.messages.standard_messages import (
     Time,
     TransformStamped,
 )
+from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.ros2.ros_graph import Topic
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.topic_endpoints import TopicFactory
+from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicFactory
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates, get_drive, make_rate_limiter
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.message_templates import CdrTemplate
 from zensim.robot_agent.odometry import BaseMotion, find_world_motion
-from zensim.robot_agent.rate_limiter import RateLimiter
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     FrameEdge,
@@ -35,7 +35,6 @@ from zensim.robot_agent.robot_frames import (
     list_published_joints,
 )
 from zensim.robot_agent.scalar_transforms import find_yaw, from_axis_angle
-from zensim.robot_agent.topic_publisher import LazyTopicPublisher, MakePayload
 from zensim.robot_agent.topic_remapping import resolve_odom_key, resolve_topic_key
 
 MakeValue: TypeAlias = Callable[[TFMessage], MakePayload]

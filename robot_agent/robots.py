@@ -10,7 +10,7 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import Twist, TwistStamped
 from zensim.proto.ros2.ros_graph import RosGraph
-from zensim.proto.topic_endpoints import TopicFactory, make_topic_factory
+from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
 from zensim.robot_agent.agent_network import AgentNetwork, AgentSubscription
 from zensim.robot_agent.base_controller import BaseController, get_drive
 from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState
@@ -19,7 +19,6 @@ from zensim.robot_agent.robot_telemetry import (
     MotionTelemetry,
     make_static_publishers,
 )
-from zensim.robot_agent.topic_publisher import LazyTopicPublisher
 from zensim.robot_agent.topic_remapping import resolve_cmd_vel_key
 from zensim.robot_agent.true_odometry import TrueOdometryTelemetry
 

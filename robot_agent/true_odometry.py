@@ -27,10 +27,10 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     time_from_ns,
 )
+from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.ros2.ros_graph import Topic
-from zensim.proto.topic_endpoints import TopicFactory
+from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.rate_limiter import RateLimiter
 from zensim.robot_agent.scalar_transforms import (
     add,
     compose,
@@ -40,7 +40,6 @@ from zensim.robot_agent.scalar_transforms import (
     normalize,
     rotate,
 )
-from zensim.robot_agent.topic_publisher import LazyTopicPublisher
 from zensim.robot_agent.topic_remapping import resolve_topic_key
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
-from zensim.robot_agent.rate_limiter import SLACK_NS
+from zensim.proto.rate_limiter import SLACK_NS
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -4,8 +4,7 @@ from tests.fakes import MemoryBus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import String
 from zensim.proto.ros2.ros_graph import Topic
-from zensim.proto.topic_endpoints import TopicFactory
-from zensim.robot_agent.topic_publisher import LazyTopicPublisher
+from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 
 KEY = "r1/robot_description"
 ENCODING = "application/cdr;std_msgs/msg/String"

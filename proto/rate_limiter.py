@@ -1,16 +1,16 @@
-"""Rate limiter in simulation time."""
+"""Rate limiter on simulation time or on a monotonic clock."""
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 SLACK_NS = 1000
-"""A step is a whole number of nanoseconds, so 3/240 s can fall short of 1/80 s by a few."""
+"""A step is a whole number of nanoseconds, so 3/240 s can be shorter than 1/80 s by a few."""
 
 
 class RateLimiter:
-    """Opens `rate_hz` times a second; 0 = whenever asked.
+    """Opens `rate_hz` times a second on average; at each new time if the rate is 0.
 
-    States come on their own grid: it opens at the first one that is due, and stays on its own beat,
-    so that the rate is right on average whatever the grid is.
+    Calls come at times of their own: it opens at the first call that is due. The next due time is a
+    multiple of the period from the first, unless calls are late by more than a period.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -19,11 +19,11 @@ class RateLimiter:
         self._due_ns = 0
 
     def reset(self) -> None:
-        """Forget when it was open."""
+        """Open at the next call: time may have gone back."""
         self._opened_ns = None
 
     def elapsed_s(self, time_ns: int) -> float | None:
-        """Open if due: return the time [s] since it opened last, one period at first, else None."""
+        """Open if due: return the time [s] since the last opening, one period at first, else None."""
         opened_ns = self._opened_ns
         if opened_ns is None:
             opened_ns, self._due_ns = time_ns - self._period_ns, time_ns

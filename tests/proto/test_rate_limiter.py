@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.robot_agent.rate_limiter import RateLimiter
+from zensim.proto.rate_limiter import RateLimiter
 
 MS = 1_000_000
 
