@@ -82,7 +82,7 @@ docs: setup ## links, commands and change log of the documents
 	$(BIN)/python -m pytest -q tests/contract/test_docs.py
 
 bench: setup ## measure and rewrite docs/benchmarks.md
-	$(BIN)/python -m tests.benchmark
+	$(BIN)/python -m benchmarks
 
 chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs/chaos.md
 	$(BIN)/python -m tests.chaos

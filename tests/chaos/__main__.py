@@ -6,10 +6,10 @@ missed.
 
 from importlib import import_module
 
-from tests.benchmark.command import Document
-from tests.benchmark.figures import Figure, missed_among, table
-from tests.benchmark.machine import ROOT
-from tests.benchmark.report import Section
+from benchmarks.command import Document
+from benchmarks.figures import Figure, missed_among, table
+from benchmarks.machine import ROOT
+from benchmarks.report import Section
 
 NAMES = (
     "agents",

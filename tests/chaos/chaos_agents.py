@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import TYPE_CHECKING
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.integration.processes import Server, agent_of, eventually, running, serving
 from tests.integration.robots import Robot, robot
 

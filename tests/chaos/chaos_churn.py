@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import psutil
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.integration.processes import Server, serving
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 

@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.integration.journals import kept_in, kill_hard
 from tests.integration.processes import command_line, end, eventually, free_endpoint, zensim
 

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.chaos.history import Answer, Kind, Operation, first_fault
 from tests.chaos.persistence import POLL_S, Mortal, ask, mortal
 from tests.integration.processes import START_S

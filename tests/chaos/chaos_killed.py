@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
 from tests.integration.processes import START_S, eventually, zensim
 from zensim.proto import keys, service_catalog

@@ -8,7 +8,7 @@ bytes of every odometry message of every robot, and where every body and joint i
 import sys
 from collections.abc import Iterator
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.integration.repeated import Said, drive, locked_fleet
 
 RUNS, RUNS_WHEN_SHORT = 10, 2

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.integration.processes import serving
 from zensim.proto.bus import BusConfig, open_bus
 from zensim.proto.messages.result_messages import ServiceError

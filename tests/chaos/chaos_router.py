@@ -8,7 +8,7 @@ simulation time must not go back meanwhile.
 import time
 from collections.abc import Iterator
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, crew
 from tests.integration.processes import free_endpoint, joined, running
 

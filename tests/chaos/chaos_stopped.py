@@ -9,7 +9,7 @@ import signal
 import time
 from collections.abc import Iterator
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.chaos.recovery import ROBOTS, ROBOTS_WHEN_SHORT, Crew, crew
 from tests.integration.processes import kill, serving
 

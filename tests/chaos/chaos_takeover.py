@@ -8,7 +8,7 @@ its holder stays the second one. When the second leaves, the first must drive ag
 import signal
 from collections.abc import Iterator
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.chaos.chaos_agents import MOVING_M_S, STANDING_M_S, speed_of
 from tests.integration.processes import Server, agent_of, eventually, kill, running, serving
 from tests.integration.robots import Robot, robot

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import psutil
 
-from tests.benchmark.figures import Asked, Figure
+from benchmarks.figures import Asked, Figure
 from tests.chaos.recovery import ROBOTS_WHEN_SHORT, crew
 from tests.integration.bare_page import a_camera, bare_page
 from tests.integration.processes import (

@@ -1,0 +1,21 @@
+"""`python -m benchmarks [NAME ...] [--short]`: measure, print, and rewrite docs/benchmarks.md.
+
+The page is written only when everything was measured at full length.
+"""
+
+from benchmarks.command import Document
+from benchmarks.machine import ROOT
+from benchmarks.report import HEAD, NAMES, measure
+
+PAGE = ROOT / "docs" / "benchmarks.md"
+DOCUMENT = Document(
+    program="benchmarks",
+    names=NAMES,
+    make=measure,
+    short="a few seconds each; says little",
+    path=PAGE,
+    head=HEAD,
+)
+
+if __name__ == "__main__":
+    DOCUMENT.write()

@@ -1,0 +1,43 @@
+"""From command to motion
+
+A robot stands, a Twist is put on its `cmd_vel` at a random moment, and the time runs until its
+first odometry that shows motion has come; nine others drive circles meanwhile, all at real-time
+factor 1. The server tells agents every 12.5 ms and steps every 4.2 ms: a command waits for the
+agent's next look (3.5 ms), then for the next step; the body moves one to four steps after its
+wheels, and that waits for the next state. Floor: the same way through the router twice, to a
+process that puts back at once what it gets.
+"""
+
+import random
+from collections.abc import Iterator
+
+from benchmarks.echo import echo
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
+from benchmarks.motion import SPEED, response_ms, stop
+
+__all__ = ["rows", "table"]
+
+SAMPLES = 300
+SAMPLES_WHEN_SHORT = 5
+SEED = 4
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure the way from cmd_vel to odom, and the network's share of it."""
+    count = SAMPLES_WHEN_SHORT if is_short else SAMPLES
+    phase = random.Random(SEED)
+    with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found:
+        found.circle()
+        first = found.robots[0]
+        stop(first)
+        took = [response_ms(first, phase, (-1) ** i * SPEED) for i in range(count)]
+        with echo(found.server.bus) as asker:
+            floor = [milliseconds(asker.ping) for _ in range(count)]
+    yield Figure(
+        what="put of cmd_vel to odom that moves",
+        unit="ms",
+        samples=tuple(took),
+        asked=Asked("p99", "<=", 50.0),
+    )
+    yield Figure(what="floor: put, and put back", unit="ms", samples=tuple(floor))

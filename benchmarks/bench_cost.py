@@ -1,0 +1,156 @@
+"""What ten robots cost
+
+`zensim up` with its page served and nobody looking at it: first the robots stand and nobody
+listens, then they drive circles, commanded at 10 Hz, and one process listens to all odometry and
+tf. That process is this one and is not among `all processes`. A sample is a second, or of memory
+a process; CPU is in cores: seconds of work a second. Floor of memory: an interpreter with the
+outside libraries of an agent and one open session.
+"""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import psutil
+
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
+from tests.integration.processes import joined, read_json_line, running
+from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.bus import BusSubscription
+from zensim.spawner.client.sim_client import SimClient
+
+__all__ = ["rows", "table"]
+
+SECONDS = 30
+SECONDS_WHEN_SHORT = 2
+COMMANDS_HZ = 10
+MEGABYTES = 1e-6
+VERBS = {"serve": "server", "agent": "agents", "view": "page", "up": "up"}
+FACTOR = Asked("mean", ">=", 0.99)
+CPU = Asked("mean", "<=", 1.0)
+RSS = Asked("max", "<=", 70.0)
+BARE = """
+import msgspec, sys, time, typer, zenoh
+config = zenoh.Config.from_json5('{mode: "client", connect: {endpoints: ["%s"]}}')
+with zenoh.open(config):
+    print(flush=True)
+    time.sleep(60)
+"""
+
+Groups = Mapping[str, list[psutil.Process]]
+
+
+@dataclass
+class Seconds:
+    """What each second was."""
+
+    factor: list[float] = field(default_factory=list)
+    cores: dict[str, list[float]] = field(default_factory=dict)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure real-time factor, CPU and memory."""
+    seconds = SECONDS_WHEN_SHORT if is_short else SECONDS
+    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    wish = ("--robots", str(robots), "--listen", "tcp/127.0.0.1:0", "--viewer-port", "0")
+    with running("up", "--json", "--no-open", *wish) as up:
+        endpoint = str(read_json_line(up)["endpoint"])
+        groups = _groups(psutil.Process(up.pid))
+        with joined(endpoint) as bus:
+            client = SimClient(bus)
+            standing = _watched(groups, client, seconds, lambda: None)
+            found = [robot(bus, f"box_bot{i}") for i in range(robots)]
+            tf = bus.subscribe(f"*/{keys.TF}", 4096)
+            driving = _watched(groups, client, seconds, lambda: _command(found, tf))
+        yield from _second_figures("standing", standing)
+        yield from _second_figures("driving", driving)
+        yield from _memory_figures(groups)
+        yield Figure(what="floor: RSS of a bare session", unit="MB", samples=(_bare_mb(endpoint),))
+
+
+def _groups(up: psutil.Process) -> Groups:
+    """Sort the processes by what they were started for; theirs are with them."""
+    groups: dict[str, list[psutil.Process]] = {group: [] for group in VERBS.values()}
+    groups["up"].append(up)
+    for child in up.children():
+        words = child.cmdline()
+        group = next(group for verb, group in VERBS.items() if verb in words)
+        groups[group] += [child, *child.children(recursive=True)]
+    return groups
+
+
+def _watched(
+    groups: Groups, client: SimClient, seconds: int, command: Callable[[], None]
+) -> Seconds:
+    """Look once a second, and command in between."""
+    seen = Seconds(cores={group: [] for group in (*groups, "this process")})
+    every = {**groups, "this process": [psutil.Process()]}
+    before = {group: _worked_s(members) for group, members in every.items()}
+    simulated_s, start_s = client.info().sim_time_s, time.perf_counter()
+    for _ in range(seconds):
+        for _ in range(COMMANDS_HZ):
+            command()
+            time.sleep(1.0 / COMMANDS_HZ)
+        now_s = client.info().sim_time_s
+        elapsed_s = time.perf_counter() - start_s
+        seen.factor.append((now_s - simulated_s) / elapsed_s)
+        for group, members in every.items():
+            worked_s = _worked_s(members)
+            seen.cores[group].append((worked_s - before[group]) / elapsed_s)
+            before[group] = worked_s
+        simulated_s, start_s = now_s, start_s + elapsed_s
+    return seen
+
+
+def _worked_s(processes: list[psutil.Process]) -> float:
+    return sum(times.user + times.system for times in (p.cpu_times() for p in processes))
+
+
+def _command(robots: list[Robot], tf: BusSubscription) -> None:
+    for found in robots:
+        found.command(*CIRCLE)
+        found.read()
+    tf.take()
+
+
+def _second_figures(when: str, seen: Seconds) -> Iterator[Figure]:
+    ours = [cores for group, cores in seen.cores.items() if group in VERBS.values()]
+    yield Figure(
+        what=f"{when}: real-time factor", unit="", samples=tuple(seen.factor), asked=FACTOR
+    )
+    yield Figure(
+        what=f"{when}: CPU, all processes",
+        unit="cores",
+        samples=tuple(sum(second) for second in zip(*ours, strict=True)),
+        asked=CPU,
+    )
+    for group, cores in seen.cores.items():
+        yield Figure(what=f"{when}: CPU, {group}", unit="cores", samples=tuple(cores))
+
+
+def _memory_figures(groups: Groups) -> Iterator[Figure]:
+    for group, members in groups.items():
+        used = [process.memory_full_info() for process in members]
+        yield Figure(
+            what=f"RSS, {group}",
+            unit="MB",
+            samples=tuple(one.rss * MEGABYTES for one in used),
+            asked=RSS if group == "agents" else None,
+        )
+        yield Figure(
+            what=f"USS, {group}", unit="MB", samples=tuple(one.uss * MEGABYTES for one in used)
+        )
+
+
+def _bare_mb(endpoint: str) -> float:
+    process = psutil.Popen([sys.executable, "-c", BARE % endpoint], stdout=subprocess.PIPE)
+    try:
+        process.stdout.readline()
+        return float(process.memory_info().rss * MEGABYTES)
+    finally:
+        process.terminate()
+        process.communicate()

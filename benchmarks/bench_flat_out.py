@@ -1,0 +1,69 @@
+"""Flat out
+
+How many simulated seconds a second gives at `zensim serve --rtf 0`, while every robot drives a
+circle with an agent of its own; a sample is a second. Floor: the same robots in the same engine,
+in a loop that only steps, and in one that also reads and commands all robots each control period.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+
+from benchmarks.bodies import CONFIG, Bodies
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import ROBOTS, Fleet, fleet
+
+__all__ = ["rows", "table"]
+
+WINDOWS = 8
+FACTOR = Asked("median", ">=", 15.0)
+"""Of ten robots with ten agents."""
+TEN = f"{ROBOTS} robots"
+WINDOW_S = 1.0
+WINDOW_WHEN_SHORT_S = 0.2
+STEPS_AT_ONCE = 24
+"""Between two looks at the clock; whole control periods."""
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure a lone robot and a fleet of ten."""
+    window_s = WINDOW_WHEN_SHORT_S if is_short else WINDOW_S
+    windows = 2 if is_short else WINDOWS
+    for robots in (1,) if is_short else (1, ROBOTS):
+        with fleet(robots, "--rtf", "0") as found:
+            found.circle()
+            served = [_served(found, window_s) for _ in range(windows)]
+        bodies = Bodies(robots)
+        driven = [_stepped(bodies.step_and_drive, window_s) for _ in range(windows)]
+        bare = [_stepped(bodies.step, window_s) for _ in range(windows)]
+        bodies.engine.close()
+        yield from _figures("1 robot" if robots == 1 else TEN, served, driven, bare)
+
+
+def _figures(
+    whom: str, served: list[float], driven: list[float], bare: list[float]
+) -> Iterator[Figure]:
+    factors = {"served": served, "floor, driven": driven, "floor, only stepped": bare}
+    for what, samples in factors.items():
+        asked = FACTOR if what == "served" and whom == TEN else None
+        yield Figure(
+            what=f"{whom}: {what}", unit="x real time", samples=tuple(samples), asked=asked
+        )
+    share = statistics.median(served) / statistics.median(driven)
+    yield Figure(what=f"{whom}: served / floor, driven", unit="", samples=(share,))
+
+
+def _served(found: Fleet, window_s: float) -> float:
+    client = found.server.client
+    before_s, start_s = client.info().sim_time_s, time.perf_counter()
+    time.sleep(window_s)
+    after_s, end_s = client.info().sim_time_s, time.perf_counter()
+    return (after_s - before_s) / (end_s - start_s)
+
+
+def _stepped(step: Callable[[int], None], window_s: float) -> float:
+    steps, start_s = 0, time.perf_counter()
+    while (elapsed_s := time.perf_counter() - start_s) < window_s:
+        step(STEPS_AT_ONCE)
+        steps += STEPS_AT_ONCE
+    return steps * CONFIG.step_ns * 1e-9 / elapsed_s

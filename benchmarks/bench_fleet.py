@@ -1,0 +1,197 @@
+"""Fleets flat out
+
+Box_bots drive circles in one world: in a real server at `--rtf 0`, whose drive states one other
+process answers and whose snapshots it takes, and in a plain PyBullet loop with the best settings,
+driven and read at the same control periods, without a network (the floor). The two take turns. CPU
+is that of the loop's thread, and of the processes that step the cells of a large world; `floor /
+served` compares it turn by turn: the engine's share. The best settings are 10 iterations of the
+solver; with them a robot that has stopped rocks a little, so the server allows 20, and the floor is
+measured with these too. Flat out a server tells its agents at most every 2 ms of the wall's time.
+Where the time of the loop goes is measured in turns of its own, since looking costs: `messages` are
+drive states and snapshots made from arrays, `take` is taking in what has come, and the engine is
+also waited for where other processes step cells.
+"""
+
+import statistics
+from collections.abc import Iterable, Iterator, Mapping
+
+import msgspec
+
+from benchmarks import figures
+from benchmarks.bodies import CONFIG
+from benchmarks.figures import Asked, Figure, written
+from benchmarks.fleet import CIRCLE, MILLISECONDS
+from benchmarks.plain import PlainLoop, Turn
+from benchmarks.served import Served, Spent, served
+from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
+
+TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1
+TURNS, LONG_TURNS, TURNS_WHEN_SHORT = 15, 4, 3
+"""Short and many: what else runs on the machine then harms both sides alike."""
+LONG_FROM = 500
+"""Robots from which a step takes so long that a turn needs more time."""
+LOOKS = 3
+BEGIN_S = 0.6
+TRIES = 5
+PARTS = ("engine", "command", "read-back", "messages", "encode", "put", "take")
+REST = "the rest"
+MOVES = 0.5
+"""Of the speed that was commanded; below it a robot does not count as driving."""
+SHARE = Asked("median", ">=", 0.9)
+GROWTH = Asked("median", "<=", 1.3)
+GROWTH_FROM, GROWTH_TO = 100, 1000
+
+
+class Case(msgspec.Struct, frozen=True):
+    """So many robots, told so often."""
+
+    robots: int
+    control_hz: float = CONTROL_HZ
+
+    @property
+    def config(self) -> ServerConfig:
+        """What its server is told."""
+        return msgspec.structs.replace(CONFIG, control_hz=self.control_hz)
+
+    @property
+    def whom(self) -> str:
+        """What a figure calls it."""
+        robots = "1 robot" if self.robots == 1 else f"{self.robots} robots"
+        is_usual = self.control_hz == CONTROL_HZ
+        return robots if is_usual else f"{robots}, told at {self.control_hz:g} Hz"
+
+
+CASES = (
+    *(Case(count) for count in (1, 10, 50, 100)),
+    Case(100, control_hz=50.0),
+    *(Case(count) for count in (200, 500, 1000)),
+)
+CASES_WHEN_SHORT = (Case(2),)
+SHARE_OF = Case(100, control_hz=50.0)
+
+
+class Parts(msgspec.Struct, frozen=True):
+    """Where the time of a step goes: medians [CPU ms]."""
+
+    whom: str
+    own_ms: Mapping[str, float]
+
+
+def rows(*, is_short: bool) -> Iterator[Figure | Parts]:
+    """Measure fleets of several sizes, and how the cost of a robot grows with them."""
+    costs: dict[int, float] = {}
+    for case in CASES_WHEN_SHORT if is_short else CASES:
+        turns = _taken_in_turn(case, is_short=is_short)
+        cost = statistics.median(_cpu_ms(turn) for turn in turns.served) / case.robots
+        costs.setdefault(case.robots, cost)
+        yield from _figures(case, turns)
+        yield _parts(case, turns.looks)
+    if GROWTH_TO in costs:
+        yield Figure(
+            what=f"CPU a robot and step, {GROWTH_TO} robots / {GROWTH_FROM} robots",
+            unit="",
+            samples=(costs[GROWTH_TO] / costs[GROWTH_FROM],),
+            asked=GROWTH,
+        )
+
+
+def table(found: Iterable[Figure | Parts]) -> str:
+    """Write the figures, and below them a row of parts for each size."""
+    all_rows = list(found)
+    head = f"| of a step [CPU ms] | {' | '.join((*PARTS, REST))} |\n|{'---|' * (len(PARTS) + 2)}\n"
+    lines = "".join(
+        f"| {row.whom} | {' | '.join(written(ms) for ms in row.own_ms.values())} |\n"
+        for row in all_rows
+        if isinstance(row, Parts)
+    )
+    return figures.table(row for row in all_rows if isinstance(row, Figure)) + f"\n{head}{lines}"
+
+
+class Turns(msgspec.Struct, frozen=True):
+    """What was measured of one size; the first three in turn."""
+
+    served: list[Spent]
+    floor: list[Turn]
+    alike: list[Turn]
+    """The floor with the server's settings."""
+    looks: list[Spent]
+
+
+def _taken_in_turn(case: Case, *, is_short: bool) -> Turns:
+    count, config = case.robots, case.config
+    turn_s, turns = (LONG_TURN_S, LONG_TURNS) if count >= LONG_FROM else (TURN_S, TURNS)
+    if is_short:
+        turn_s, turns = TURN_WHEN_SHORT_S, TURNS_WHEN_SHORT
+    found = Turns([], [], [], [])
+    with served(count, "--control-hz", f"{case.control_hz:g}") as server:
+        plain = PlainLoop(count, step_ns=config.step_ns, control_steps=config.control_steps)
+        try:
+            begin(server, count)
+            begin(plain, count)
+            for _ in range(turns):
+                found.served.append(server.turn(turn_s))
+                found.floor.append(plain.turn(turn_s))
+                found.alike.append(plain.turn_as_served(turn_s))
+        finally:
+            plain.close()
+        server.look_inside()
+        found.looks.extend(server.turn(turn_s) for _ in range(LOOKS))
+    return found
+
+
+def begin(loop: Served | PlainLoop, count: int) -> None:
+    """Go on until all robots drive.
+
+    Raises:
+        RuntimeError: Some do not.
+    """
+    for _ in range(TRIES):
+        loop.turn(BEGIN_S)
+        driving = sum(speed > MOVES * CIRCLE[0] for speed in loop.speeds())
+        if driving == count:
+            return
+    raise RuntimeError(f"{driving} of {count} robots drive, in {type(loop).__name__}")
+
+
+def _figures(case: Case, turns: Turns) -> Iterator[Figure]:
+    whom, step_s = case.whom, CONFIG.step_ns * 1e-9
+    each: dict[str, list[Turn]] = {"served": [*turns.served], "floor": turns.floor}
+    for what, some in each.items():
+        factors = tuple(turn.steps * step_s / turn.wall_s for turn in some)
+        yield Figure(what=f"{whom}, {what}: real-time factor", unit="", samples=factors)
+        costs = tuple(_cpu_ms(turn) for turn in some)
+        yield Figure(what=f"{whom}, {what}: a step", unit="CPU ms", samples=costs)
+    network = tuple(
+        (turn.process_cpu_s - turn.cpu_s) / turn.steps * MILLISECONDS for turn in turns.served
+    )
+    yield Figure(what=f"{whom}, served: a step, other threads", unit="CPU ms", samples=network)
+    yield Figure(
+        what=f"{whom}: floor / served",
+        unit="",
+        samples=_shares(turns.floor, turns.served),
+        asked=SHARE if case == SHARE_OF else None,
+    )
+    shares = _shares(turns.alike, turns.served)
+    yield Figure(what=f"{whom}: floor with the server's settings / served", unit="", samples=shares)
+
+
+def _shares(floors: list[Turn], turns: list[Spent]) -> tuple[float, ...]:
+    return tuple(_cpu_ms(floor) / _cpu_ms(turn) for turn, floor in zip(turns, floors, strict=True))
+
+
+def _parts(case: Case, looks: list[Spent]) -> Parts:
+    own_ms = {
+        part: statistics.median(look.parts_s.get(part, 0.0) / look.steps for look in looks)
+        * MILLISECONDS
+        for part in PARTS
+    }
+    rest = (look.cpu_s - sum(look.parts_s.values()) for look in looks)
+    own_ms[REST] = statistics.median(
+        rest_s / look.steps * MILLISECONDS for rest_s, look in zip(rest, looks, strict=True)
+    )
+    return Parts(case.whom, own_ms)
+
+
+def _cpu_ms(turn: Turn) -> float:
+    workers_s = turn.children_cpu_s if isinstance(turn, Spent) else 0.0
+    return (turn.cpu_s + workers_s) / turn.steps * MILLISECONDS

@@ -1,0 +1,192 @@
+"""Fleets: spawning
+
+Box_bots are spawned by one request, all between two steps or none, while a robot far away drives at
+real-time factor 1: with `--dynamics auto` at 100 Hz and with MuJoCo at 100 Hz, which two cores can
+pace, and with full dynamics of PyBullet at 240 Hz, which they cannot. `longest wait` is how much
+later than due the robot's next state came at worst, in an equal time before the request (quiet) and
+from the request to its answer. Memory is what the server and the processes that step its cells hold
+alone (USS), before and after. Floor: the same bodies put into PyBullet. Last: two pools are up and
+users command every robot at 2 Hz before it is there; from the start of `zensim fleet` until each
+robot's own odometry has shown that it moves.
+"""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import msgspec
+import psutil
+
+from benchmarks.bench_fleet_traffic import POOLS, pool
+from benchmarks.bodies import CONFIG
+from benchmarks.crowd import Tally
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import SPACING_M, milliseconds, soon
+from benchmarks.lateness import Lateness, watched
+from benchmarks.plain import PlainLoop
+from benchmarks.served import Served, served, spawn
+from benchmarks.staffed import crowd, staffed
+from tests.integration.processes import zensim
+from zensim.proto.bus import BusSubscription
+from zensim.proto.messages.simulation_messages import State
+
+__all__ = ["rows", "table"]
+
+RUNS = 2
+FULL, AUTO, MUJOCO = "full, 240 Hz", "dynamics auto, 100 Hz", "MuJoCo, full, 100 Hz"
+AUTO_WISH = ("--dynamics", "auto", "--step-hz", "100")
+MUJOCO_WISH = ("--engine", "mujoco", "--step-hz", "100")
+COUNTS, COUNTS_WHEN_SHORT = (100, 1000), (2, 5)
+KIBIBYTES, SECONDS = 1.0 / 1024.0, 1e-3
+GOAL = 1000
+SPAWNED = Asked("median", "<=", 3.0)
+WAITED = Asked("max", "<=", 50.0)
+MEMORY = Asked("median", "<=", 150.0)
+MOVED = Asked("max", "<=", 10.0)
+COMMANDS_HZ = 2.0
+CROWD_S = 60.0
+FAR_M, APART_M = 1000.0, 10.0
+"""How far fleets begin from the robot that drives; from each other, times their sizes."""
+
+
+@dataclass
+class Spawns:
+    """What fleets of one size took."""
+
+    took_s: list[float] = field(default_factory=list)
+    quiet_ms: list[float] = field(default_factory=list)
+    waited_ms: list[float] = field(default_factory=list)
+    robot_kib: list[float] = field(default_factory=list)
+    floor_s: list[float] = field(default_factory=list)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure how fleets come to be, and how soon they move."""
+    if is_short:
+        yield from _spawned(FULL, (), COUNTS_WHEN_SHORT, runs=1)
+        yield from _moved(2, pools=1, runs=1)
+    else:
+        yield from _spawned(AUTO, AUTO_WISH, COUNTS, runs=RUNS)
+        yield from _spawned(MUJOCO, MUJOCO_WISH, COUNTS, runs=RUNS)
+        yield from _spawned(FULL, (), COUNTS, runs=1)
+        yield from _moved(GOAL, pools=POOLS, runs=RUNS)
+
+
+def _spawned(
+    how: str, serve: tuple[str, ...], counts: tuple[int, ...], *, runs: int
+) -> Iterator[Figure]:
+    """Spawn fleets of two sizes, the larger beside the smaller."""
+    seen = {count: Spawns() for count in counts}
+    for _ in range(runs):
+        with (
+            served(1, "--rtf", "1", *serve) as server,
+            watched(server.client.bus) as lateness,
+        ):
+            for count, spawns in seen.items():
+                _spawn(server, lateness, count, spawns)
+        for count, spawns in seen.items():
+            spawns.floor_s.append(_floor_s(count))
+    for count, spawns in seen.items():
+        yield from _figures(f"{count} robots, {how}", spawns, is_goal=count == GOAL)
+
+
+def _spawn(server: Served, lateness: Lateness, count: int, spawns: Spawns) -> None:
+    """Spawn a fleet while time runs, and let it stand afterwards: it may be too large to pace."""
+    client = server.client
+    before = _held(server)
+    client.set_simulation_state(State.PLAYING)
+    quiet_s = spawns.took_s[-1] if spawns.took_s else 1.0
+    time.sleep(quiet_s)
+    start_s = time.perf_counter()
+    spawn(client, count, prefix=f"of{count}_", at=(FAR_M, count * APART_M))
+    end_s = time.perf_counter()
+    client.set_simulation_state(State.PAUSED)
+    held = _held(server) - before
+    spawns.took_s.append(end_s - start_s)
+    spawns.quiet_ms.append(lateness.longest_ms(start_s - quiet_s, start_s))
+    spawns.waited_ms.append(lateness.longest_ms(start_s, end_s))
+    spawns.robot_kib.append(held / count * KIBIBYTES)
+
+
+def _held(server: Served) -> int:
+    """Tell the memory [bytes] that nobody but a server's processes uses."""
+    process = psutil.Process(server.process.pid)
+    family = (process, *process.children(recursive=True))
+    return sum(one.memory_full_info().uss for one in family)
+
+
+def _moved(count: int, *, pools: int, runs: int) -> Iterator[Figure]:
+    """Measure from `zensim fleet` on until every robot has moved on a command of its own."""
+    seen = [_all_moved(count, pools) for _ in range(runs)]
+    whom = f"{count} robots, {AUTO}, {pools} pools"
+    yield Figure(
+        what=f"{whom}: fleet command to all have moved",
+        unit="s",
+        samples=tuple(took_s for took_s, _ in seen),
+        asked=MOVED if count == GOAL else None,
+    )
+    yield Figure(
+        what=f"{whom}: moved on their own cmd_vel",
+        unit="",
+        samples=tuple(moved for _, moved in seen),
+        asked=Asked("min", ">=", count),
+    )
+
+
+def _all_moved(count: int, pools: int) -> tuple[float, int]:
+    """Return the time [s] until all had moved, or that was waited for, and how many had."""
+    wish = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    with (
+        staffed(AUTO_WISH, (pool(10.0),) * pools) as crew,
+        crowd(crew.bus, count, COMMANDS_HZ) as (tallies, _),
+    ):
+        soon(tallies.newest, CROWD_S)
+        start_s = time.monotonic()
+        done = zensim("fleet", "box_bot", *wish, "--connect", crew.bus.endpoint)
+        if done.returncode:
+            raise RuntimeError(f"no fleet was spawned: {done.stderr}")
+        while True:
+            tally = soon(lambda: _newest(tallies), CROWD_S)
+            if tally.moved == count or tally.wall_s > start_s + CROWD_S:
+                return tally.wall_s - start_s, tally.moved
+
+
+def _newest(tallies: BusSubscription) -> Tally | None:
+    sample = tallies.newest()
+    return None if sample is None else msgspec.msgpack.decode(sample.payload, type=Tally)
+
+
+def _floor_s(count: int) -> float:
+    loops: list[PlainLoop] = []
+
+    def build() -> None:
+        loops.append(PlainLoop(count, step_ns=CONFIG.step_ns, control_steps=CONFIG.control_steps))
+
+    took_ms = milliseconds(build)
+    loops[0].close()
+    return took_ms * SECONDS
+
+
+def _figures(whom: str, spawns: Spawns, *, is_goal: bool) -> Iterator[Figure]:
+    yield Figure(
+        what=f"{whom}: request to all spawned",
+        unit="s",
+        samples=tuple(spawns.took_s),
+        asked=SPAWNED if is_goal else None,
+    )
+    floor = tuple(spawns.floor_s)
+    yield Figure(what=f"{whom}: floor, put into PyBullet", unit="s", samples=floor)
+    quiet = tuple(spawns.quiet_ms)
+    yield Figure(what=f"{whom}: longest wait, quiet", unit="ms", samples=quiet)
+    yield Figure(
+        what=f"{whom}: longest wait, spawning",
+        unit="ms",
+        samples=tuple(spawns.waited_ms),
+        asked=WAITED if is_goal else None,
+    )
+    yield Figure(
+        what=f"{whom}: memory a robot",
+        unit="KiB",
+        samples=tuple(spawns.robot_kib),
+        asked=MEMORY if is_goal else None,
+    )

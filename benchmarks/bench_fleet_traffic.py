@@ -1,0 +1,126 @@
+"""Fleets: traffic
+
+Router, server, agents and users are processes of their own, at real-time factor 1. One process is
+all users: it commands each robot at 10 Hz to drive a circle, and takes all odometry and tf. One
+robot more stands; it is told to move, again and again, and the time runs until its odometry shows
+that it does; 20 s when it does not within 20 s. A sample is a second, of an answer one command; CPU
+is in cores.
+"""
+
+import random
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import MILLISECONDS
+from benchmarks.motion import PATIENCE_S, SPEED, response_ms
+from benchmarks.served import spawn
+from benchmarks.staffed import Span, crowd, observed, staffed
+from tests.integration.processes import eventually
+from tests.integration.robots import Robot, robot
+
+__all__ = ["rows", "table"]
+
+COMMANDS_HZ = 10.0
+POOLS = 2
+"""As many as there are cores on the machine that the goals are for."""
+SECONDS, SECONDS_FOR_TEN, SECONDS_WHEN_SHORT = 60.0, 15.0, 1.0
+CLAIM_S = 60.0
+SEED = 13
+FACTOR = Asked("median", ">=", 0.99)
+
+
+@dataclass(frozen=True)
+class Case:
+    """An installation, and what is asked of it."""
+
+    whom: str
+    robots: int
+    """With the one that is measured."""
+    serve: tuple[str, ...]
+    agents: tuple[tuple[str, ...], ...]
+    seconds: float
+    answer: Asked | None = None
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure installations of several sizes."""
+    for case in cases(is_short=is_short):
+        yield from _measured(case)
+
+
+def cases(*, is_short: bool) -> Sequence[Case]:
+    """List what is measured."""
+    if is_short:
+        return (Case("2 robots, 1 pool, 50 Hz", 2, (), (pool(50.0),), SECONDS_WHEN_SHORT),)
+    agents = tuple((f"box_bot{i}",) for i in range(10))
+    quickly, in_time = Asked("median", "<=", 15.0), Asked("p99", "<=", 60.0)
+    coarse = ("--step-hz", "100", "--dynamics", "auto")
+    return (
+        Case("10 robots, 10 agents", 10, (), agents, SECONDS_FOR_TEN, quickly),
+        Case("100 robots, 2 pools, 50 Hz", 100, (), (pool(50.0),) * POOLS, SECONDS, in_time),
+        Case(
+            "1000 robots, dynamics auto, 100 Hz, 2 pools, 10 Hz",
+            1000,
+            coarse,
+            (pool(10.0),) * POOLS,
+            SECONDS_FOR_TEN,
+        ),
+    )
+
+
+def pool(hz: float) -> tuple[str, ...]:
+    """Say how to start a pool whose robots tell odometry and tf this often."""
+    return ("--pool", "0", "--odom-hz", f"{hz:g}", "--tf-hz", f"{hz:g}")
+
+
+def _measured(case: Case) -> Iterator[Figure]:
+    took_ms: list[float] = []
+    others = case.robots - 1
+    with staffed(case.serve, case.agents) as crew:
+        spawn(crew.client, case.robots)
+        eventually(lambda: crew.client.info().claimed == case.robots, CLAIM_S, "claiming")
+        single = robot(crew.bus, f"box_bot{others}")
+        with crowd(crew.bus, others, COMMANDS_HZ) as (tallies, pid):
+            everybody = replace(crew, pids={**crew.pids, "users": (pid,)})
+            command = _commands(single, took_ms)
+            spans = observed(everybody, tallies, others, case.seconds, command)
+    yield from _figures(case, spans, took_ms)
+
+
+def _commands(single: Robot, took_ms: list[float]) -> Callable[[], None]:
+    """Make a function that commands a robot and keeps how long its answer took."""
+    phase = random.Random(SEED)
+
+    def command() -> None:
+        speed = SPEED * (-1) ** len(took_ms)
+        try:
+            took_ms.append(response_ms(single, phase, speed))
+        except TimeoutError:
+            took_ms.append(PATIENCE_S * MILLISECONDS)
+
+    return command
+
+
+def _figures(case: Case, spans: list[Span], took_ms: list[float]) -> Iterator[Figure]:
+    whom = case.whom
+    factors = tuple(span.factor for span in spans)
+    yield Figure(what=f"{whom}: real-time factor", unit="", samples=factors, asked=FACTOR)
+    yield Figure(
+        what=f"{whom}: cmd_vel to odom that moves",
+        unit="ms",
+        samples=tuple(took_ms),
+        asked=case.answer,
+    )
+    moved = spans[-1].moved
+    everybody = Asked("min", ">=", case.robots - 1)
+    yield Figure(what=f"{whom}: others that moved", unit="", samples=(moved,), asked=everybody)
+    for group in spans[0].cores:
+        cores = tuple(span.cores[group] for span in spans)
+        yield Figure(what=f"{whom}: CPU, {group}", unit="cores", samples=cores)
+    for what, samples in {
+        "cmd_vel in": tuple(span.commands_hz for span in spans),
+        "odom out": tuple(span.odom_hz for span in spans),
+        "tf out": tuple(span.tf_hz for span in spans),
+    }.items():
+        yield Figure(what=f"{whom}: {what}", unit="1/s", samples=samples)

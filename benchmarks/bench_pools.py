@@ -1,0 +1,162 @@
+"""Pools
+
+What one drive state costs the process that drives N box_bots, in CPU time of its thread: to answer
+it with targets, and to publish odometry and tf of every robot. A router of its own passes
+everything on to a listener in this process, who throws it away. Floor: the same count of ready
+payloads put on publishers; and agents as they are for single robots, in one process.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import MILLISECONDS
+from tests.integration.processes import free_endpoint, joined, running
+from zensim.proto.bus import Bus
+from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState
+from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
+from zensim.robot_agent.agent_config import RateOverrides, override_rates
+from zensim.robot_agent.pool.pooled_robots import PooledRobots
+from zensim.robot_agent.robots import IndividualRobots
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+
+__all__ = ["rows", "table"]
+
+SIZES = (100, 1000)
+ROUNDS, ROUNDS_WHEN_SHORT = 60, 2
+SINGLE = 100
+"""Robots that are driven one by one."""
+PERIOD_NS = 10_000_000
+TOPICS = ("odom", "tf")
+DECLARED_IN = 400
+"""Looks within which all publishers are declared."""
+MODEL = "box_bot"
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure pools of several sizes, and agents."""
+    rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
+    for robots in (10,) if is_short else SIZES:
+        with _buses() as (bus, listener):
+            yield from _pool_figures(bus, listener, robots, rounds)
+    with _buses() as (bus, _):
+        fleet = IndividualRobots(bus, 0)
+        fleet.add_claims(_claims(5 if is_short else SINGLE))
+        states = _states(5 if is_short else SINGLE)
+        took = _cpu_ms(rounds, lambda: fleet.advance(next(states)))
+        yield _figure(f"{SINGLE} robots one by one: a state answered", took)
+
+
+def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator[Figure]:
+    pool, states = PooledRobots(bus, 0), _states(robots)
+    pool.add_claims(_claims(robots))
+    commands = [
+        bus.advertise(f"r{number}/cmd_vel", make_encoding(Twist, Format.CDR))
+        for number in range(robots)
+    ]
+    twist = encode(Twist(Vector3(0.2), Vector3(z=0.5)), Format.CDR)
+
+    def command_all() -> None:
+        for one in commands:
+            one.send(twist)
+
+    pool.advance(next(states))
+    name = f"{robots} robots: "
+    answered = _cpu_ms(rounds, lambda: pool.advance(next(states)))
+    yield _figure(f"{name}a state answered", answered)
+    heard = _cpu_ms(rounds, lambda: pool.advance(next(states)), before=command_all)
+    yield _figure(f"{name}a state answered, each robot has a new command", heard)
+    unheard = _cpu_ms(rounds, pool.publish, before=lambda: pool.advance(next(states)))
+    yield _figure(f"{name}odometry and tf told, nobody listens", unheard)
+    heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
+    for _ in range(DECLARED_IN):
+        pool.answer()
+        time.sleep(0.001)
+    told, floor = _interleaved(bus, robots, rounds, pool, states)
+    asked = Asked("median", "<=", 5.0) if robots == max(SIZES) else None
+    yield _figure(f"{name}odometry and tf told, one listens to all", told)
+    yield _figure(f"{name}floor, as many ready payloads put", floor)
+    extra = tuple(one - other for one, other in zip(told, floor, strict=True))
+    yield _figure(f"{name}told, beyond its floor", extra, asked)
+    for one in heard_by:
+        one.close()
+
+
+def _interleaved(
+    bus: Bus, robots: int, rounds: int, pool: PooledRobots, states: Iterator[DriveState]
+) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Tell, and put bare payloads, turn by turn."""
+    payload = encode(Odometry(), Format.CDR)
+    encoding = make_encoding(Odometry, Format.CDR)
+    puts = [bus.advertise(f"f{number}/odom", encoding) for number in range(robots)]
+
+    def put_all() -> None:
+        for _ in TOPICS:
+            for one in puts:
+                one.send(payload)
+
+    told: list[float] = []
+    floor: list[float] = []
+    for _ in range(rounds):
+        told += _cpu_ms(1, pool.publish, before=lambda: pool.advance(next(states)))
+        floor += _cpu_ms(1, put_all)
+        # So that neither finds the other's messages still on their way.
+        time.sleep(0.02)
+    return tuple(told), tuple(floor)
+
+
+@contextmanager
+def _buses() -> Iterator[tuple[Bus, Bus]]:
+    endpoint = free_endpoint()
+    with (
+        running("router", "--listen", endpoint) as process,
+        joined(endpoint, process) as bus,
+        joined(endpoint) as listener,
+    ):
+        yield bus, listener
+
+
+def _claims(robots: int) -> Sequence[Claim]:
+    model = read_urdf(read_builtin_model(MODEL))
+    claims = [
+        Claim(number + 1, f"r{number}", f"r{number}", model, "<robot/>") for number in range(robots)
+    ]
+    # Every state makes odometry and tf due.
+    return override_rates(claims, RateOverrides(0.0, 0.0))
+
+
+def _states(robots: int) -> Iterator[DriveState]:
+    joints = robots * len(read_urdf(read_builtin_model(MODEL)).joints)
+    draws = np.random.default_rng(1)
+    base = draws.uniform(-1.0, 1.0, (robots, STATE_COLUMNS))
+    base[:, 3:7] /= np.linalg.norm(base[:, 3:7], axis=1, keepdims=True)
+    claims = np.arange(1, robots + 1, dtype="<u4").tobytes()
+    positions = draws.uniform(-3.0, 3.0, joints).tobytes()
+    step = 0
+    while True:
+        step += 1
+        numbers = (base.tobytes(), positions, positions)
+        yield DriveState(0, step, step * PERIOD_NS, claims, *numbers)
+
+
+def _cpu_ms(
+    rounds: int, act: Callable[[], object], before: Callable[[], object] | None = None
+) -> tuple[float, ...]:
+    """Act again and again; return the CPU time [ms] of this thread for each."""
+    took = []
+    for _ in range(rounds):
+        if before is not None:
+            before()
+        began_s = time.thread_time()
+        act()
+        took.append((time.thread_time() - began_s) * MILLISECONDS)
+    return tuple(took)
+
+
+def _figure(what: str, samples: tuple[float, ...], asked: Asked | None = None) -> Figure:
+    return Figure(what=what, unit="CPU ms", samples=samples, asked=asked)

@@ -1,0 +1,177 @@
+"""ROS 2's face
+
+A server and a pool that drives 100 robots in circles, with odometry and tf at every state, without
+ROS 2 (the floor, `--ros-domain off`) and with its face, taken in turns: while nobody looks, while
+one looks at everything on the face, and while one also looks at everything on the plain keys of the
+floor. What is asked is asked of the server's tick: CPU time of the loop's thread a step. Below it
+stands what the look makes the server's other threads pass on and the pool tell, beyond what they do
+when nobody looks; there the floor is what the same messages cost on plain keys.
+"""
+
+import json
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+import zenoh
+
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import CIRCLE, MILLISECONDS, SPACING_M
+from benchmarks.machine import thread_used_s, used_s
+from benchmarks.motion import MOVES
+from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
+from zensim.proto import keys
+from zensim.proto.bus import Bus, Sample
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import STATE_COLUMNS
+from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.messages.telemetry_messages import Snapshot
+from zensim.spawner.spawn.spawn_client import spawn_fleet
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
+
+__all__ = ["rows", "table"]
+
+ROBOTS, ROBOTS_WHEN_SHORT = 100, 3
+WINDOWS, WINDOW_S = 8, 2.0
+MOVED_S = 60.0
+UNSEEN = Asked("median", "<=", 1.03)
+SEEN = Asked("median", "<=", 1.15)
+FACE = ("0/**",)
+PLAIN = ("*/*", "tf", *(f"sim/default/{name}" for name in ("clock", "model_states", "link_states")))
+"""The same, without ROS 2."""
+TICK, ROUTER, POOL = "the tick", "the server's other threads", "the pool"
+ALL = "both processes"
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A server, and a pool that drives all its robots."""
+
+    server: Server
+    pool: int
+    """Its process."""
+
+    def used_s(self) -> dict[str, float]:
+        """Tell the CPU time of each part so far."""
+        # The loop has the server's main thread.
+        pid = self.server.process.pid
+        tick_s = thread_used_s(pid, pid)
+        return {TICK: tick_s, ROUTER: used_s(pid) - tick_s, POOL: used_s(self.pool)}
+
+
+Costs = dict[str, float]
+"""CPU of each part a step [ms]."""
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure both, side by side in time."""
+    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    windows, window_s = (1, 0.2) if is_short else (WINDOWS, WINDOW_S)
+    with ExitStack() as stack:
+        both = [stack.enter_context(_driven(robots, domain)) for domain in ("off", "0")]
+        quiet = _turns(both, windows, window_s)
+        with _looking(both[1].server, FACE):
+            seen = _turns(both, windows, window_s)
+            with _looking(both[0].server, PLAIN):
+                alike = _turns(both, windows, window_s)
+    yield from _ticks(f"{robots} robots, nobody looks", quiet, UNSEEN)
+    yield from _ticks(f"{robots} robots, one looks at all", seen, SEEN)
+    yield from _passing_on(f"{robots} robots, one looks at all", quiet, alike)
+
+
+def _ticks(whom: str, turns: Sequence[tuple[Costs, Costs]], asked: Asked) -> Iterator[Figure]:
+    for number, face in enumerate(("floor, no ROS 2", "ROS 2")):
+        samples = tuple(turn[number][TICK] for turn in turns)
+        yield Figure(what=f"{whom}: {TICK}, {face}", unit="CPU ms a step", samples=samples)
+    ratio = tuple(faced[TICK] / plain[TICK] for plain, faced in turns)
+    yield Figure(what=f"{whom}: {TICK}, ROS 2 / floor", unit="", samples=ratio, asked=asked)
+
+
+def _passing_on(
+    whom: str, quiet: Sequence[tuple[Costs, Costs]], seen: Sequence[tuple[Costs, Costs]]
+) -> Iterator[Figure]:
+    """Say what being looked at costs, beyond what each part does anyway."""
+    for part in (ROUTER, POOL):
+        anyway = [statistics.median(turn[number][part] for turn in quiet) for number in (0, 1)]
+        extra = [
+            [one[part] - idle for one, idle in zip(turn, anyway, strict=True)] for turn in seen
+        ]
+        for number, face in enumerate(("floor, plain keys", "ROS 2")):
+            samples = tuple(one[number] for one in extra)
+            yield Figure(what=f"{whom}: {part}, {face}", unit="CPU ms a step", samples=samples)
+        ratio = tuple(faced / plain for plain, faced in extra)
+        yield Figure(what=f"{whom}: {part}, ROS 2 / floor", unit="", samples=ratio)
+    ratio = tuple(sum(faced.values()) / sum(plain.values()) for plain, faced in seen)
+    yield Figure(what=f"{whom}: {ALL}, ROS 2 / floor, plain keys", unit="", samples=ratio)
+
+
+@contextmanager
+def _driven(robots: int, domain: str) -> Iterator[Driven]:
+    with serving("--ros-domain", domain) as server:
+        places = make_fleet_layout("box_bot", robots, "grid", SPACING_M)
+        spawn_fleet(server.client, "box_bot", places, lambda _: None)
+        arguments = ("agent", "--pool", "0", "--connect", server.endpoint, "--quiet")
+        for_ever = ("--cmd-vel-timeout", "0")
+        with running(*arguments, *for_ever, "--ros-domain", domain) as pool:
+            names = [place.name for place in places]
+            wait_for_agents(server, names)
+            _circle(server.bus, names)
+            yield Driven(server, pool.pid)
+
+
+def _circle(bus: Bus, names: Sequence[str]) -> None:
+    """Let all drive circles until told otherwise: robots that stand sleep, and cost nothing."""
+    encoding = make_encoding(Twist, Format.CDR)
+    outlets = [bus.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names]
+    snapshots = bus.subscribe(keys.snapshot("default"))
+    linear, angular = CIRCLE
+    payload = encode(Twist(Vector3(x=linear), Vector3(z=angular)), Format.CDR)
+
+    def move() -> bool:
+        for outlet in outlets:
+            outlet.send(payload)
+        return (sample := snapshots.newest()) is not None and _all_move(sample)
+
+    eventually(move, MOVED_S, "driving circles")
+    snapshots.close()
+    for outlet in outlets:
+        outlet.close()
+
+
+def _all_move(sample: Sample) -> bool:
+    found = decode(Snapshot, sample.payload, sample.encoding)
+    base = np.frombuffer(found.base, "<f8").reshape(-1, STATE_COLUMNS)
+    return bool((np.hypot(base[:, 7], base[:, 8]) > MOVES).all())
+
+
+@contextmanager
+def _looking(server: Server, patterns: Sequence[str]) -> Iterator[None]:
+    """Listen, and throw all away."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([server.endpoint]))
+    with zenoh.open(config) as session:
+        channel: zenoh.handlers.RingChannel[zenoh.Sample] = zenoh.handlers.RingChannel(1)
+        subscribers = [session.declare_subscriber(one, channel) for one in patterns]
+        # Publishers are declared when somebody listens.
+        time.sleep(WINDOW_S)
+        yield
+        for subscriber in subscribers:
+            subscriber.undeclare()
+
+
+def _turns(both: Sequence[Driven], windows: int, window_s: float) -> list[tuple[Costs, Costs]]:
+    return [(_costs(both[0], window_s), _costs(both[1], window_s)) for _ in range(windows)]
+
+
+def _costs(driven: Driven, window_s: float) -> Costs:
+    steps, before_s = driven.server.steps(), driven.used_s()
+    time.sleep(window_s)
+    steps = driven.server.steps() - steps
+    return {
+        part: (spent_s - before_s[part]) / steps * MILLISECONDS
+        for part, spent_s in driven.used_s().items()
+    }

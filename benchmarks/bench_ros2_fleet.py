@@ -1,0 +1,157 @@
+"""ROS 2's face: fleets
+
+A thousand robots stand in a server; two pools are started, that tell odometry and tf at 10 Hz, with
+ROS 2's face and without (the floor). Ready is a fleet when odometry of each robot has been heard,
+from the start of the pools on: on ROS 2's keys, and on the plain ones. Then a session joins late
+and watches the tokens of all endpoints, as rmw_zenoh does, until it has them all. Floor: as many
+tokens with short keys, on as many sessions of this process, watched by another that joins late.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+
+from benchmarks.bench_fleet_traffic import POOLS, pool
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import POLL_S, soon
+from benchmarks.machine import used_s
+from benchmarks.served import CALL_TIMEOUT_S, PATIENCE_S, spawn
+from tests.integration.processes import free_endpoint, joined, running
+from zensim.proto.bus import Bus
+from zensim.proto.ros2.rmw_keys import OFF
+from zensim.spawner.client.sim_client import SimClient
+
+__all__ = ["rows", "table"]
+
+ROBOTS, ROBOTS_WHEN_SHORT = 1000, 3
+RUNS = 3
+HZ = 10.0
+SERVE = ("--dynamics", "auto", "--step-hz", "100")
+DOMAINS = {"floor, no ROS 2": (OFF, "*/odom", 0), "ROS 2": ("0", "0/*/odom/**", 1)}
+"""How pools are started, where their odometry is, and which chunk of its key names the robot."""
+TOKENS, PLAIN = "@ros2_lv/0/**", "bench/token"
+TOKENS_OF_SESSION = 1000
+"""About as many as a pool has on each of its own."""
+DEPTH = 1 << 17
+SETTLED_S = 3.0
+READY = Asked("max", "<=", 5.0)
+FOUND = Asked("max", "<=", 5.0)
+
+
+@dataclass
+class Starts:
+    """What fleets took to be ready [s], and what their pools used for it."""
+
+    ready_s: list[float] = field(default_factory=list)
+    used_s: list[float] = field(default_factory=list)
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure with and without ROS 2 in turns, then who joins late."""
+    robots, runs = (ROBOTS_WHEN_SHORT, 1) if is_short else (ROBOTS, RUNS)
+    starts, looks = {face: Starts() for face in DOMAINS}, []
+    for _ in range(runs):
+        for face, (domain, pattern, place) in DOMAINS.items():
+            with _started(robots, domain) as (bus, start):
+                start(starts[face], pattern, place)
+                if domain != OFF:
+                    looks.append(_look_late(bus, robots))
+    yield from _figures(f"{robots} robots, {POOLS} pools", starts)
+    counts, watched, floor = zip(*looks, strict=True)
+    late = f"{robots} robots: {max(counts)} tokens"
+    yield Figure(what=f"{late} watched, late", unit="s", samples=watched, asked=FOUND)
+    yield Figure(what=f"{late} watched, late: floor, short keys", unit="s", samples=floor)
+
+
+def _figures(whom: str, starts: dict[str, Starts]) -> Iterator[Figure]:
+    for face, found in starts.items():
+        asked = READY if face == "ROS 2" else None
+        samples = tuple(found.ready_s)
+        yield Figure(what=f"{whom}: ready, {face}", unit="s", samples=samples, asked=asked)
+        used = tuple(found.used_s)
+        yield Figure(what=f"{whom}: CPU of the pools until then, {face}", unit="s", samples=used)
+
+
+Start = Callable[[Starts, str, int], None]
+
+
+@contextmanager
+def _started(robots: int, domain: str) -> Iterator[tuple[Bus, Start]]:
+    """Run a router and a server with robots, and offer to start the pools."""
+    endpoint, ros = free_endpoint(), ("--ros-domain", domain)
+    with ExitStack() as stack:
+        router = stack.enter_context(running("router", "--listen", endpoint))
+        bus = stack.enter_context(joined(endpoint, router))
+        stack.enter_context(running("serve", "--connect", endpoint, *SERVE, *ros))
+        client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
+        client.wait_for_server(PATIENCE_S)
+        spawn(client, robots)
+
+        def start(found: Starts, pattern: str, place: int) -> None:
+            words = ("agent", *pool(HZ), "--connect", endpoint, "--quiet", *ros)
+            heard = bus.subscribe(pattern, DEPTH)
+            began_s = time.monotonic()
+            pids = [stack.enter_context(running(*words)).pid for _ in range(POOLS)]
+            told: set[str] = set()
+
+            def is_ready() -> bool | None:
+                told.update(sample.key.split("/")[place] for sample in heard.take())
+                return len(told) == robots or None
+
+            soon(is_ready, PATIENCE_S)
+            found.ready_s.append(time.monotonic() - began_s)
+            found.used_s.append(sum(used_s(pid) for pid in pids))
+            heard.close()
+
+        yield bus, start
+
+
+def _settled(bus: Bus, least: int) -> int:
+    """Count the tokens once there are so many and no more come or go."""
+    watch, alive = bus.watch_tokens(TOKENS, DEPTH), set[str]()
+    changed_s = began_s = time.monotonic()
+    while len(alive) < least or time.monotonic() < changed_s + SETTLED_S:
+        for token, is_alive in watch.take():
+            (alive.add if is_alive else alive.discard)(token)
+            changed_s = time.monotonic()
+        if changed_s > began_s + PATIENCE_S:
+            raise TimeoutError(f"tokens still come and go after {PATIENCE_S:g} s")
+        time.sleep(POLL_S)
+    watch.close()
+    return len(alive)
+
+
+def _look_late(bus: Bus, robots: int) -> tuple[int, float, float]:
+    """Return how many tokens there are, and the time [s] to see them and as many plain ones."""
+    count = _settled(bus, robots)
+    seen_s = _seen_s(bus.endpoint, TOKENS, count)
+    # A token goes when nobody holds it.
+    held = []
+    with ExitStack() as stack:
+        for start in range(0, count, TOKENS_OF_SESSION):
+            session = stack.enter_context(bus.open_session())
+            numbers = range(start, min(start + TOKENS_OF_SESSION, count))
+            held += [session.token(f"{PLAIN}/{number}") for number in numbers]
+        _settled_at(bus, f"{PLAIN}/*", count)
+        return count, seen_s, _seen_s(bus.endpoint, f"{PLAIN}/*", count)
+
+
+def _seen_s(endpoint: str, pattern: str, count: int) -> float:
+    """Join, and watch until so many tokens have been seen; return the time [s]."""
+    began_s = time.monotonic()
+    with joined(endpoint) as bus:
+        _settled_at(bus, pattern, count)
+        return time.monotonic() - began_s
+
+
+def _settled_at(bus: Bus, pattern: str, count: int) -> None:
+    watch = bus.watch_tokens(pattern, DEPTH)
+    seen: set[str] = set()
+
+    def has_all() -> bool | None:
+        seen.update(token for token, is_alive in watch.take() if is_alive)
+        return len(seen) >= count or None
+
+    soon(has_all, PATIENCE_S)
+    watch.close()

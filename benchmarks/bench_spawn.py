@@ -1,0 +1,125 @@
+"""Spawning while others drive
+
+A box_bot is spawned far away and deleted again, at random moments, while ten robots drive
+circles. The server says each second how late its latest step began, how long its longest engine
+step took, and for how long the loop's own work held a step up (CPU time: the rest is what other
+programs took): once for a time without spawns, then with them. Floor: the same description read
+and put into PyBullet in this process, among as many bodies.
+"""
+
+import random
+import time
+from collections.abc import Iterator
+from functools import partial
+
+from benchmarks.bodies import Bodies, standing_at
+from benchmarks.figures import Asked, Figure, table
+from benchmarks.fleet import (
+    MILLISECONDS,
+    ROBOTS,
+    ROBOTS_WHEN_SHORT,
+    fleet,
+    latest_steps,
+    longest_work,
+    milliseconds,
+    observed,
+    stats_of,
+)
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
+from zensim.proto.messages.telemetry_messages import Stats
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.spawn_client import make_resource, read_description
+
+__all__ = ["rows", "table"]
+
+SPAWNS = 200
+SPAWNS_WHEN_SHORT = 10
+LONGEST_PAUSE_S = 0.1
+"""Before a spawn and before a delete: a pair every 0.1 s."""
+FAR_M = 1000.0
+SEED = 5
+
+
+class Spawner:
+    """Spawns and deletes at random moments, and remembers how long it took."""
+
+    def __init__(self, client: SimClient) -> None:
+        self.spawn_ms: list[float] = []
+        self.delete_ms: list[float] = []
+        self._client = client
+        self._phase = random.Random(SEED)
+
+    def work(self, count: int) -> None:
+        """Spawn and delete, one after the other."""
+        for number in range(count):
+            order = an_order(number)
+            self._pause()
+            self.spawn_ms.append(milliseconds(partial(self._client.spawn, order)))
+            self._pause()
+            self.delete_ms.append(milliseconds(partial(self._client.delete, order.name)))
+
+    def _pause(self) -> None:
+        time.sleep(self._phase.uniform(0.0, LONGEST_PAUSE_S))
+
+
+def an_order(number: int) -> SpawnEntityOrder:
+    """Make the request that `zensim spawn` would make."""
+    name = f"far{number}"
+    return SpawnEntityOrder(
+        name,
+        entity_resource=make_resource("box_bot", read_description("box_bot"), name),
+        entity_namespace=name,
+        initial_pose=PoseStamped(pose=Pose(Point(FAR_M + number, FAR_M, 0.0))),
+        snap_to_ground=True,
+    )
+
+
+def rows(*, is_short: bool) -> Iterator[Figure]:
+    """Measure spawns, deletes, and what steps suffer from them."""
+    count = SPAWNS_WHEN_SHORT if is_short else SPAWNS
+    robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
+    with fleet(robots) as found:
+        found.circle()
+        spawner = Spawner(found.server.client)
+        stats = stats_of(found)
+        quiet = observed(stats, lambda: time.sleep(count * LONGEST_PAUSE_S))
+        busy = observed(stats, lambda: spawner.work(count))
+    yield Figure(
+        what="spawn request to reply",
+        unit="ms",
+        samples=tuple(spawner.spawn_ms),
+        asked=Asked("p99", "<=", 50.0),
+    )
+    yield _floor(robots, count)
+    yield Figure(what="delete request to reply", unit="ms", samples=tuple(spawner.delete_ms))
+    yield from _steps("without spawns", quiet, None)
+    yield from _steps("with spawns", busy, Asked("max", "<=", 20.0))
+
+
+def _steps(when: str, seen: list[Stats], asked: Asked | None) -> Iterator[Figure]:
+    yield longest_work(when, seen, asked)
+    yield latest_steps(when, seen, asked)
+    yield Figure(
+        what=f"longest step of each second, {when}",
+        unit="ms",
+        samples=tuple(stats.step_time_max_s * MILLISECONDS for stats in seen),
+    )
+
+
+def _floor(robots: int, count: int) -> Figure:
+    bodies = Bodies(robots)
+    texts = [an_order(i).entity_resource.resource_string for i in range(count)]
+    samples = tuple(_add_ms(bodies.engine, text) for text in texts)
+    bodies.engine.close()
+    return Figure(what="floor: read, and put into PyBullet", unit="ms", samples=samples)
+
+
+def _add_ms(engine: PyBulletEngine, text: str) -> float:
+    start_s = time.perf_counter()
+    body = engine.add(read_urdf(text), standing_at(FAR_M))
+    took_s = time.perf_counter() - start_s
+    engine.remove(body)
+    return took_s * MILLISECONDS

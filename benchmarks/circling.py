@@ -1,0 +1,66 @@
+"""A process that drives box_bots in circles, all in one claim, as cheaply as it can be done.
+
+`python -m benchmarks.circling ENDPOINT COUNT` takes box_bot0 and so on, says so in a line, and
+answers every drive state with the same wheel speeds. It also takes the world's snapshots.
+"""
+
+import os
+import sys
+import time
+from typing import NoReturn
+
+import numpy as np
+
+from benchmarks.fleet import POLL_S, soon
+from zensim.deploy.parent_death_signal import die_with_parent
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.service_catalog import CLAIM_ENTITY
+
+WORLD, AGENT = "default", "circling"
+CALL_TIMEOUT_S = 20.0
+WHEEL_SPEEDS = (4.93, 6.5)
+"""Left and right [rad/s]: `fleet.CIRCLE` of a box_bot."""
+
+
+def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
+    """Claim robots, then drive them until told to end."""
+    states = bus.subscribe(keys.drive_state(WORLD, AGENT))
+    snapshots = bus.subscribe(keys.snapshot(WORLD))
+    encoding = make_encoding(DriveCommand, Format.MSGPACK)
+    commands = bus.advertise(keys.drive_command(WORLD, AGENT), encoding)
+    count = soon(lambda: _claim(bus, names), CALL_TIMEOUT_S)
+    sys.stdout.write(f"claimed {count}\n")
+    sys.stdout.flush()
+    speeds = np.tile(WHEEL_SPEEDS, count).astype("<f8").tobytes()
+    while True:
+        snapshots.newest()
+        sample = states.newest()
+        if sample is None:
+            time.sleep(POLL_S)
+            continue
+        state = decode(DriveState, sample.payload, sample.encoding)
+        command = DriveCommand(state.epoch, state.step, state.claims, speeds)
+        commands.send(encode(command, Format.MSGPACK))
+
+
+def _claim(bus: Bus, names: tuple[str, ...]) -> int | None:
+    """Claim robots, and say how many; None when the server has not seen the token yet."""
+    request = ClaimEntityRequest(AGENT, names)
+    try:
+        found = bus.call(CLAIM_ENTITY, request, world=WORLD, timeout_s=CALL_TIMEOUT_S)
+    except ServiceError as error:
+        if error.code != ResultCode.INCORRECT_STATE:
+            raise
+        return None
+    return len(found.grants)
+
+
+if __name__ == "__main__":
+    die_with_parent(os.environ)
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined:
+        token = joined.token(keys.alive_agent(WORLD, AGENT))
+        drive(joined, tuple(f"box_bot{i}" for i in range(int(sys.argv[2]))))

@@ -1,0 +1,102 @@
+"""A process that is the users of a fleet: commands robots, and takes all odometry and tf.
+
+`python -m benchmarks.crowd ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and puts
+on `bench/tally` what has come and gone so far: each second, and as soon as all have moved.
+"""
+
+import math
+import os
+import sys
+import time
+from typing import NoReturn
+
+import msgspec
+
+from benchmarks.fleet import CIRCLE, POLL_S
+from benchmarks.motion import MOVES
+from zensim.deploy.parent_death_signal import die_with_parent
+from zensim.proto import keys
+from zensim.proto.bus import Bus, BusConfig, BusSubscription, open_bus
+from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
+from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
+
+TALLY = "bench/tally"
+DEPTH = 262_144
+TELL_EVERY_S = 1.0
+
+
+class Tally(msgspec.Struct):
+    """Messages since the start."""
+
+    commands: int = 0
+    odom: int = 0
+    tf: int = 0
+    moved: int = 0
+    """Robots that have shown that they move."""
+    wall_s: float = 0.0
+    """By the host's monotonic clock, when this was told."""
+
+
+class Crowd:
+    """Everybody who commands a robot or looks at it."""
+
+    def __init__(self, bus: Bus, mouth: Bus, names: list[str]) -> None:
+        self.tally = Tally()
+        self._odom = bus.subscribe(f"*/{keys.ODOM}", DEPTH)
+        self._tf = bus.subscribe(f"*/{keys.TF}", DEPTH)
+        encoding = make_encoding(Twist, Format.CDR)
+        self._cmd_vels = [
+            mouth.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names
+        ]
+        self._stand = {keys.robot(name, keys.ODOM) for name in names}
+
+    def command(self) -> None:
+        """Let every robot drive in a circle."""
+        linear, angular = CIRCLE
+        payload = encode(Twist(Vector3(x=linear), Vector3(z=angular)), Format.CDR)
+        for cmd_vel in self._cmd_vels:
+            cmd_vel.send(payload)
+        self.tally.commands += len(self._cmd_vels)
+
+    def look(self) -> None:
+        """Take what has come."""
+        self.tally.tf += _count(self._tf)
+        for sample in self._odom.take():
+            self.tally.odom += 1
+            if sample.key in self._stand:
+                self._see(sample.key, decode(Odometry, sample.payload, sample.encoding))
+
+    def _see(self, key: str, odom: Odometry) -> None:
+        linear = odom.twist.twist.linear
+        if math.hypot(linear.x, linear.y) > MOVES:
+            self._stand.discard(key)
+            self.tally.moved += 1
+
+
+def _count(subscription: BusSubscription) -> int:
+    return len(subscription.take())
+
+
+def _serve(bus: Bus, mouth: Bus, names: list[str], hz: float) -> NoReturn:
+    crowd, was_all = Crowd(bus, mouth, names), False
+    told = bus.advertise(TALLY, "application/msgpack")
+    command_s = tell_s = time.monotonic()
+    while True:
+        crowd.look()
+        now_s = time.monotonic()
+        if now_s >= command_s:
+            command_s = max(command_s + 1.0 / hz, now_s)
+            crowd.command()
+        is_all = crowd.tally.moved == len(names)
+        if now_s >= tell_s or is_all > was_all:
+            tell_s, was_all = now_s + TELL_EVERY_S, is_all
+            crowd.tally.wall_s = now_s
+            told.send(msgspec.msgpack.encode(crowd.tally))
+        time.sleep(POLL_S)
+
+
+if __name__ == "__main__":
+    die_with_parent(os.environ)
+    # A session matches each message that comes against all publishers that it has.
+    with open_bus(BusConfig(connect=(sys.argv[1],))) as joined, joined.open_session() as mouth:
+        _serve(joined, mouth, [f"box_bot{i}" for i in range(int(sys.argv[2]))], float(sys.argv[3]))

@@ -1,0 +1,81 @@
+"""A process that answers at once and does nothing else: the least that the network can cost.
+
+`python -m benchmarks.echo ENDPOINT` joins there.
+"""
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import NoReturn
+
+from benchmarks.fleet import POLL_S, soon
+from benchmarks.machine import ROOT
+from zensim.deploy.parent_death_signal import die_with_parent
+from zensim.proto.bus import Bus, BusConfig, open_bus
+
+CALL = "bench/call"
+SINK = "bench/sink"
+PING = "bench/ping"
+PONG = "bench/pong"
+TEXT = "text/plain"
+
+
+class Echo:
+    """The asker's side."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._ping = bus.advertise(PING, TEXT)
+        self._pong = bus.subscribe(PONG)
+
+    def call(self) -> None:
+        """Ask, and wait for the answer."""
+        if not self._bus.get(CALL, payload=b"x" * 32):
+            raise TimeoutError("the echo does not answer")
+
+    def put(self, data: bytes) -> None:
+        """Give something away, and wait until it was taken."""
+        if not self._bus.get(SINK, payload=data):
+            raise TimeoutError("the echo takes nothing")
+
+    def ping(self) -> None:
+        """Put, and wait for what is put back."""
+        self._ping.send(b"x" * 52)
+        soon(self._pong.newest, 2.0)
+
+
+@contextmanager
+def echo(bus: Bus) -> Iterator[Echo]:
+    """Run an echo on the network of a bus."""
+    command = [sys.executable, "-m", "benchmarks.echo", bus.endpoint]
+    process = subprocess.Popen(command, cwd=ROOT)
+    try:
+        asker = Echo(bus)
+        soon(lambda: bus.get(CALL) or None)
+        asker.ping()
+        yield asker
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _serve(endpoint: str) -> NoReturn:
+    with open_bus(BusConfig(connect=(endpoint,))) as bus:
+        pings, pong = bus.subscribe(PING, 64), bus.advertise(PONG, TEXT)
+        calls, sink = bus.serve(CALL), bus.serve(SINK)
+        while True:
+            for sample in pings.take():
+                pong.send(sample.payload)
+            for call in calls.take():
+                call.reply(call.payload, TEXT)
+            for call in sink.take():
+                call.reply(b"taken", TEXT)
+            time.sleep(POLL_S)
+
+
+if __name__ == "__main__":
+    die_with_parent(os.environ)
+    _serve(sys.argv[1])

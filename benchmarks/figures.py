@@ -1,0 +1,105 @@
+"""Figures: what was measured, what was asked of it, and how both are written."""
+
+import statistics
+from collections.abc import Callable, Iterable
+from typing import Literal
+
+import msgspec
+
+from benchmarks.timing import quantile
+
+Statistic = Literal["mean", "median", "p99", "min", "max"]
+STATISTICS: dict[Statistic, Callable[[list[float]], float]] = {
+    "mean": statistics.fmean,
+    "median": lambda ordered: quantile(ordered, 0.5),
+    "p99": lambda ordered: quantile(ordered, 0.99),
+    "min": lambda ordered: ordered[0],
+    "max": lambda ordered: ordered[-1],
+}
+LEAST_FOR_P99 = 100
+"""Of fewer samples the 99th percentile is the worst one."""
+HEAD = ("figure", "asked", "seen", "median", "p10 to p90", "p99", "min to max", "n")
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """A limit on one statistic of a figure."""
+
+    statistic: Statistic
+    relation: Literal["<=", ">="]
+    limit: float
+    is_timed: bool = False
+    """Whether other programs on the machine can break it."""
+
+    def __str__(self) -> str:
+        return f"{self.statistic} {self.relation} {self.limit:g}"
+
+    def is_met(self, value: float) -> bool:
+        """Whether a value of the statistic is within the limit."""
+        return value <= self.limit if self.relation == "<=" else value >= self.limit
+
+
+class Figure(msgspec.Struct, frozen=True, kw_only=True):
+    """One quantity, measured at least once."""
+
+    what: str
+    unit: str
+    samples: tuple[float, ...]
+    asked: Asked | None = None
+
+    def __str__(self) -> str:
+        return f"{self.what} [{self.unit}]" if self.unit else self.what
+
+    def value(self, statistic: Statistic) -> float:
+        """Find a statistic of the samples."""
+        return STATISTICS[statistic](sorted(self.samples))
+
+    @property
+    def is_missed(self) -> bool:
+        """Whether something was asked that was not seen."""
+        return self.asked is not None and not self.asked.is_met(self.value(self.asked.statistic))
+
+
+def table(figures: Iterable[Figure]) -> str:
+    """Write figures as a table in Markdown."""
+    head = f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}\n"
+    return head + "".join(f"| {' | '.join(_cells(figure))} |\n" for figure in figures)
+
+
+def missed(figure: Figure) -> str:
+    """Say in a line what was asked and what was seen instead."""
+    if figure.asked is None:
+        raise ValueError(f"nothing was asked of '{figure}'")
+    return f"{figure}: asked {figure.asked}, seen {written(figure.value(figure.asked.statistic))}"
+
+
+def missed_among(figures: Iterable[Figure], *, is_short: bool) -> tuple[str, ...]:
+    """Say what was missed; of a short run only what other programs cannot be to blame for."""
+    judged = (one for one in figures if one.asked and not (is_short and one.asked.is_timed))
+    return tuple(missed(one) for one in judged if one.is_missed)
+
+
+def written(number: float) -> str:
+    """Write a number with three digits that say something."""
+    return f"{number:.0f}" if abs(number) >= 1000 else f"{number:.3g}"
+
+
+def _cells(figure: Figure) -> tuple[str, ...]:
+    low, high = (quantile(sorted(figure.samples), share) for share in (0.1, 0.9))
+    count = len(figure.samples)
+    return (
+        str(figure),
+        str(figure.asked or ""),
+        _seen(figure),
+        written(figure.value("median")),
+        f"{written(low)} to {written(high)}",
+        written(figure.value("p99")) if count >= LEAST_FOR_P99 else "",
+        f"{written(figure.value('min'))} to {written(figure.value('max'))}",
+        str(count),
+    )
+
+
+def _seen(figure: Figure) -> str:
+    if figure.asked is None:
+        return ""
+    verdict = "**missed**" if figure.is_missed else "met"
+    return f"{written(figure.value(figure.asked.statistic))}, {verdict}"

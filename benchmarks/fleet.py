@@ -1,0 +1,113 @@
+"""Ten box_bots and what drives them, as real processes; and how to watch them closely."""
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import TypeVar
+
+from benchmarks.figures import Asked, Figure
+from tests.integration.processes import Server, running, serving, wait_for_agents
+from tests.integration.robots import Robot, robot
+from zensim.proto import keys
+from zensim.proto.bus import BusSubscription
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.telemetry_messages import Stats
+
+T = TypeVar("T")
+ROBOTS = 10
+ROBOTS_WHEN_SHORT = 2
+SPACING_M = 5.0
+CIRCLE = (0.2, 0.5)
+"""Linear [m/s] and angular [rad/s] of a robot that drives and stays where it is: r = 0.4 m."""
+POLL_S = 0.0003
+MILLISECONDS = 1e3
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """A server and robots with an agent each, standing."""
+
+    server: Server
+    robots: list[Robot]
+
+    def circle(self) -> None:
+        """Let every robot drive in a circle until told otherwise."""
+        for found in self.robots:
+            found.command(*CIRCLE)
+
+
+@contextmanager
+def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
+    """Run a server, robots far apart, and agents that let a command stand."""
+    layout = ("--count", str(count), "--layout", "grid", "--spacing", str(SPACING_M))
+    with serving(*serve_arguments) as server, ExitStack() as stack:
+        done = server.zensim("fleet", "box_bot", *layout)
+        if done.returncode:
+            raise RuntimeError(f"no fleet was spawned: {done.stderr}")
+        names = [f"box_bot{i}" for i in range(count)]
+        joined = ("--connect", server.endpoint, "--quiet", "--cmd-vel-timeout", "0")
+        for name in names:
+            stack.enter_context(running("agent", name, *joined))
+        wait_for_agents(server, names)
+        yield Fleet(server, [robot(server.bus, name) for name in names])
+
+
+def stats_of(found: Fleet) -> BusSubscription:
+    """Listen to what the server says of itself each second."""
+    return found.server.bus.subscribe(keys.stats("default"), 4096)
+
+
+def observed(stats: BusSubscription, act: Callable[[], object]) -> list[Stats]:
+    """Act, and return the statistics of the seconds that it took."""
+    return next(observed_in_turn(stats, [act]))
+
+
+def observed_in_turn(
+    stats: BusSubscription, acts: Iterable[Callable[[], object]]
+) -> Iterator[list[Stats]]:
+    """Carry out one act after another; return the statistics of the seconds of each."""
+    # From the end of a window of the server on, to the end of the one in which it ends.
+    stats.take()
+    soon(stats.newest)
+    for act in acts:
+        act()
+        seen = stats.take()
+        seen += soon(lambda: stats.take() or None)
+        yield [decode(Stats, sample.payload, sample.encoding) for sample in seen]
+
+
+def latest_steps(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
+    """Say how late the latest step of each second was."""
+    samples = tuple(stats.late_max_s * MILLISECONDS for stats in seen)
+    return Figure(
+        what=f"latest step of each second, {when}", unit="ms", samples=samples, asked=asked
+    )
+
+
+def longest_work(when: str, seen: list[Stats], asked: Asked | None = None) -> Figure:
+    """Say for how long the loop's own work held a step up in each second: CPU time."""
+    samples = tuple(stats.busy_max_s * MILLISECONDS for stats in seen)
+    what = f"longest own work before a step of each second, {when}"
+    return Figure(what=what, unit="CPU ms", samples=samples, asked=asked)
+
+
+def soon(ask: Callable[[], T | None], within_s: float = 10.0) -> T:
+    """Ask until there is an answer, often enough to time it.
+
+    Raises:
+        TimeoutError: There was none.
+    """
+    deadline = time.monotonic() + within_s
+    while (answer := ask()) is None:
+        if time.monotonic() > deadline:
+            raise TimeoutError(f"nothing came within {within_s:g} s")
+        time.sleep(POLL_S)
+    return answer
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """Time one call [ms]."""
+    start = time.perf_counter()
+    call()
+    return (time.perf_counter() - start) * MILLISECONDS

@@ -1,0 +1,66 @@
+"""How long a driven robot waits for its next step, seen from outside."""
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+from benchmarks.bodies import CONFIG
+from benchmarks.circling import AGENT, WORLD
+from benchmarks.fleet import MILLISECONDS, POLL_S
+from zensim.proto import keys
+from zensim.proto.bus import Bus
+from zensim.proto.codec.message_codec import decode
+from zensim.proto.messages.agent_messages import DriveState
+
+DEPTH = 4096
+PERIOD_S = CONFIG.control_steps * CONFIG.step_ns * 1e-9
+
+
+class Lateness:
+    """When each drive state came."""
+
+    def __init__(self) -> None:
+        self._came: list[tuple[float, float]] = []
+
+    def note(self, now_s: float, time_s: float) -> None:
+        """Keep when a state came, and of which simulation time it tells."""
+        self._came.append((now_s, time_s))
+
+    def longest_ms(self, start_s: float, end_s: float) -> float:
+        """Find how much later than due a state came at worst, or had not come yet at the end.
+
+        Raises:
+            IndexError: None came before the end.
+        """
+        came = [(now_s, time_s) for now_s, time_s in self._came if now_s <= end_s]
+        came.append((end_s, came[-1][1] + PERIOD_S))
+        waits = [
+            (after[0] - before[0]) - (after[1] - before[1])
+            for before, after in pairwise(came)
+            if after[0] >= start_s
+        ]
+        return max(waits) * MILLISECONDS
+
+
+@contextmanager
+def watched(bus: Bus) -> Iterator[Lateness]:
+    """Take the drive states of the circling robots as they come; at real-time factor 1."""
+    states, seen, is_over = bus.subscribe(keys.drive_state(WORLD, AGENT), DEPTH), Lateness(), False
+
+    def listen() -> None:
+        while not is_over:
+            for sample in states.take():
+                state = decode(DriveState, sample.payload, sample.encoding)
+                seen.note(time.perf_counter(), state.time_ns * 1e-9)
+            time.sleep(POLL_S)
+
+    thread = threading.Thread(target=listen, daemon=True)
+    thread.start()
+    try:
+        yield seen
+    finally:
+        is_over = True
+        thread.join()
+        states.close()

@@ -1,0 +1,88 @@
+"""The machine that figures were measured on, and what ran there."""
+
+import os
+import platform
+import subprocess
+import time
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+import psutil
+
+ROOT = Path(__file__).parents[1]
+LIBRARIES = ("eclipse-zenoh", "pybullet", "msgspec", "numpy", "viser")
+
+
+def load() -> str:
+    """Write the load average of now."""
+    return ", ".join(f"{number:.2f}" for number in os.getloadavg())
+
+
+def description(load_before: str) -> Iterator[tuple[str, str]]:
+    """List what a reader needs to compare figures with those of another machine."""
+    yield "measured", f"{datetime.now(timezone.utc):%Y-%m-%d %H:%M} UTC"
+    yield "zensim", f"{version('zensim')}, commit {_commit()}"
+    yield "cores", str(len(os.sched_getaffinity(0)))
+    yield "CPU", _cpu_model()
+    yield "memory", f"{psutil.virtual_memory().total / 2**30:.1f} GiB"
+    yield "system", f"{platform.system()} {platform.release()} {platform.machine()}"
+    yield "Python", platform.python_version()
+    yield "libraries", ", ".join(f"{name} {version(name)}" for name in LIBRARIES)
+    yield "load average before", f"{load_before} (1, 5, 15 min)"
+
+
+class Work(msgspec.Struct, frozen=True):
+    """CPU time [s] that was used on this machine so far, and how much of it by this program."""
+
+    wall_s: float
+    all_s: float
+    own_s: float
+    """With the processes that it started and that have ended."""
+
+
+def work() -> Work:
+    """Look at the counters of now."""
+    all_, own, wall_s = psutil.cpu_times(), os.times(), time.monotonic()
+    # Without iowait, in which a core is free, and guests, which user time has already.
+    kinds = ("user", "nice", "system", "irq", "softirq", "steal")
+    busy_s = sum(float(getattr(all_, kind, 0.0)) for kind in kinds)
+    own_s = own.user + own.system + own.children_user + own.children_system
+    return Work(wall_s, busy_s, own_s)
+
+
+def others_cores(before: Work, after: Work) -> float:
+    """Find how many cores others kept busy in between."""
+    others_s = (after.all_s - after.own_s) - (before.all_s - before.own_s)
+    return max(0.0, others_s / (after.wall_s - before.wall_s))
+
+
+def used_s(pid: int) -> float:
+    """Tell the CPU time [s] of a running process, all of its threads, to the nanosecond."""
+    # How Linux numbers the clock of another process.
+    return time.clock_gettime((~pid << 3) | 2)
+
+
+def thread_used_s(pid: int, thread: int) -> float:
+    """Tell the CPU time [s] of a thread of a running process, to its last change or tick."""
+    stat = Path(f"/proc/{pid}/task/{thread}/schedstat").read_text(encoding="ascii")
+    return int(stat.split()[0]) * 1e-9
+
+
+def _cpu_model() -> str:
+    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
+
+
+def _commit() -> str:
+    done = subprocess.run(
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return done.stdout.strip() or "unknown"

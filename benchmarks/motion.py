@@ -1,0 +1,55 @@
+"""How soon a robot moves once it is told to, as its own odometry shows it."""
+
+import math
+import random
+import time
+
+from benchmarks.fleet import milliseconds, soon
+from tests.integration.robots import Robot
+from zensim.proto.messages.standard_messages import Odometry
+
+SPEED = 0.2
+MOVES = 0.01
+"""Speed [m/s] from which odometry shows motion."""
+STANDS = 0.001
+STANDS_FOR = 8
+"""Odometry in a row that shows no motion before a robot stands: it rocks when it stops."""
+LONGEST_PAUSE_S = 0.05
+PATIENCE_S = 20.0
+"""Where a fleet is too large to be paced, simulation time creeps."""
+
+
+def response_ms(robot: Robot, phase: random.Random, speed: float) -> float:
+    """Command a robot that stands, wait until it moves, and stop it."""
+    time.sleep(phase.uniform(0.0, LONGEST_PAUSE_S))
+    robot.read()
+
+    def respond() -> None:
+        robot.command(speed)
+        soon(lambda: any(_ahead(odom, speed) > MOVES for odom in robot.read()) or None, PATIENCE_S)
+
+    took_ms = milliseconds(respond)
+    stop(robot)
+    return took_ms
+
+
+def _ahead(odom: Odometry, speed: float) -> float:
+    """Find the speed in the direction that was commanded."""
+    return math.copysign(odom.twist.twist.linear.x, odom.twist.twist.linear.x * speed)
+
+
+def stop(robot: Robot) -> None:
+    """Wait until a robot stands."""
+    robot.command(0.0)
+    stood: list[Odometry] = []
+
+    def stands() -> bool | None:
+        for odom in robot.read():
+            twist = odom.twist.twist
+            if max(abs(twist.linear.x), abs(twist.angular.z)) > STANDS:
+                stood.clear()
+            else:
+                stood.append(odom)
+        return len(stood) >= STANDS_FOR or None
+
+    soon(stands, PATIENCE_S)

@@ -1,0 +1,110 @@
+"""The floor of a fleet: box_bots in a plain PyBullet loop, best settings, no server, no network.
+
+The bodies are the server's own, each link without a moving joint lumped into its parent: PyBullet's
+own reading of the same URDF keeps them apart, and steps 1.4 times as long.
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pybullet
+
+from benchmarks.bodies import standing_at
+from benchmarks.circling import WHEEL_SPEEDS
+from benchmarks.fleet import SPACING_M
+from tests.sim_server.physics.bullet_probe import client_of
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.physics.bullet.bullet_contact import SOLVER_ITERATIONS
+from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
+from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
+
+FEW_ITERATIONS = 10
+"""Of the solver: the fewest with which box_bots still drive where they should."""
+WHEEL_EFFORTS = (0.1, 0.1)
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Some steps, and what they took."""
+
+    steps: int
+    wall_s: float
+    cpu_s: float
+    """Of the loop's thread."""
+
+
+class PlainLoop:
+    """Box_bots on a grid, driving circles, commanded and read at each control period."""
+
+    def __init__(self, count: int, *, step_ns: int, control_steps: int) -> None:
+        self._engine = PyBulletEngine(EngineConfig(step_ns))
+        self._client = client_of(self._engine)
+        self._control_steps = control_steps
+        model = read_urdf(read_builtin_model("box_bot"))
+        self._bodies = []
+        for place in make_fleet_layout("box_bot", count, "grid", SPACING_M):
+            base = standing_at(place.x)
+            base[1] = place.y
+            self._bodies.append(self._engine.add(model, base))
+        # Told by the engine, so that they roll as freely as the server's: those that stand do not.
+        self._engine.command(self._bodies, np.tile(WHEEL_SPEEDS, count))
+        self._wheels = [self._moving(body) for body in self._bodies]
+
+    def turn(self, least_s: float, iterations: int = FEW_ITERATIONS) -> Turn:
+        """Go on for whole control periods, with so many iterations of the solver at most."""
+        pybullet.setPhysicsEngineParameter(
+            numSolverIterations=iterations, physicsClientId=self._client
+        )
+        steps, start_s, start_cpu_s = 0, time.perf_counter(), time.thread_time()
+        while (wall_s := time.perf_counter() - start_s) < least_s:
+            self._drive()
+            for _ in range(self._control_steps):
+                pybullet.stepSimulation(physicsClientId=self._client)
+            self._read()
+            steps += self._control_steps
+        return Turn(steps, wall_s, time.thread_time() - start_cpu_s)
+
+    def turn_as_served(self, least_s: float) -> Turn:
+        """Go on with the settings of the server."""
+        return self.turn(least_s, SOLVER_ITERATIONS)
+
+    def speeds(self) -> list[float]:
+        """Read how fast each robot goes [m/s]."""
+        velocities = [
+            pybullet.getBaseVelocity(body, physicsClientId=self._client)[0] for body in self._bodies
+        ]
+        return [float((x * x + y * y) ** 0.5) for x, y, _ in velocities]
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._engine.close()
+
+    def _moving(self, body: int) -> list[int]:
+        joints = range(pybullet.getNumJoints(body, physicsClientId=self._client))
+        return [
+            joint
+            for joint in joints
+            if pybullet.getJointInfo(body, joint, physicsClientId=self._client)[2]
+            == pybullet.JOINT_REVOLUTE
+        ]
+
+    def _drive(self) -> None:
+        for body, wheels in zip(self._bodies, self._wheels, strict=True):
+            pybullet.setJointMotorControlArray(
+                body,
+                wheels,
+                pybullet.VELOCITY_CONTROL,
+                targetVelocities=WHEEL_SPEEDS,
+                forces=WHEEL_EFFORTS,
+                physicsClientId=self._client,
+            )
+
+    def _read(self) -> None:
+        client = self._client
+        for body, wheels in zip(self._bodies, self._wheels, strict=True):
+            pybullet.getBasePositionAndOrientation(body, physicsClientId=client)
+            pybullet.getBaseVelocity(body, physicsClientId=client)
+            pybullet.getJointStates(body, wheels, physicsClientId=client)

@@ -1,0 +1,75 @@
+"""What benchmarks found, as a document."""
+
+from importlib import import_module
+
+import msgspec
+
+from benchmarks import machine
+from benchmarks.figures import Figure, missed
+
+NAMES = (
+    "start",
+    "cost",
+    "accuracy",
+    "cmd_vel",
+    "spawn",
+    "reading",
+    "bundle",
+    "isolation",
+    "services",
+    "journal",
+    "flat_out",
+    "fleet",
+    "fleet_spawn",
+    "fleet_latency",
+    "fleet_traffic",
+    "fleet_physics",
+    "pools",
+    "ros2",
+    "ros2_fleet",
+    "clusters",
+    "sleeping",
+    "codec",
+)
+HEAD = """# Benchmarks
+
+`make bench` measures all of this anew and rewrites this page; the command under a heading measures
+that section alone. *n* is the number of samples; a tenth of them is below p10, a tenth above p90.
+What was tried where a figure is missed, and what the limit is, stands in [fleets](fleet.md),
+[engines](engines.md) and [ROS 2](ros2.md).
+"""
+
+
+class Section(msgspec.Struct, frozen=True):
+    """What one benchmark has to say."""
+
+    text: str
+    missed: tuple[str, ...]
+
+
+def measure(name: str, *, is_short: bool) -> Section:
+    """Run one benchmark."""
+    module = import_module(f"benchmarks.bench_{name}")
+    before = machine.work()
+    rows = list(module.rows(is_short=is_short))
+    others = machine.others_cores(before, machine.work())
+    title, _, method = str(module.__doc__).partition("\n")
+    command = f"`.venv/bin/python -m benchmarks {name}`"
+    return Section(
+        f"## {title}\n\n{command}\n\n{method.strip()}\n\n{module.table(rows)}\n"
+        f"Other programs kept {others:.2f} cores busy meanwhile.\n",
+        tuple(missed(row) for row in rows if isinstance(row, Figure) and row.is_missed),
+    )
+
+
+def page(sections: list[Section], load_before: str, head: str = HEAD) -> str:
+    """Write the document."""
+    facts = "".join(f"| {what} | {fact} |\n" for what, fact in machine.description(load_before))
+    misses = [line for section in sections for line in section.missed]
+    verdict = "".join(f"- {line}\n" for line in misses) or "Nothing.\n"
+    parts = [
+        f"{head}\n| machine | |\n|---|---|\n{facts}",
+        f"## Missed\n\n{verdict}",
+        *(section.text for section in sections),
+    ]
+    return "\n".join(parts)

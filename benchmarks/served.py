@@ -1,0 +1,154 @@
+"""A server with a fleet in it that drives circles, started and stopped in short turns."""
+
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+
+import msgspec
+import psutil
+
+from benchmarks.fleet import SPACING_M
+from benchmarks.machine import ROOT, used_s
+from benchmarks.plain import Turn
+from benchmarks.watched_server import Used, mark
+from tests.integration.processes import end, free_endpoint, joined
+from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.spawner.client.sim_client import SimClient
+from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
+from zensim.spawner.spawn.spawn_poses import make_fleet_layout
+
+PATIENCE_S = 120.0
+"""A server starts slowly on a machine that others keep busy."""
+CALL_TIMEOUT_S = 60.0
+"""A step of a large fleet takes long, and so does what waits for it."""
+
+
+@dataclass(frozen=True)
+class Spent(Turn):
+    """What the steps of a turn took of a server."""
+
+    process_cpu_s: float
+    """With the router's threads."""
+    children_cpu_s: float
+    """Of the processes that the server started, among them those that step cells."""
+    parts_s: dict[str, float]
+
+
+class Served:
+    """One watched server."""
+
+    def __init__(self, process: "subprocess.Popen[str]", client: SimClient) -> None:
+        self.process = process
+        self.client = client
+
+    def turn(self, seconds: float) -> Spent:
+        """Let time run for a while."""
+        used_before_s = self._children_used_s()
+        before = self._enter(State.PLAYING)
+        time.sleep(seconds)
+        after = self._enter(State.PAUSED)
+        return Spent(
+            steps=after.steps - before.steps,
+            wall_s=after.wall_s - before.wall_s,
+            cpu_s=after.loop_cpu_s - before.loop_cpu_s,
+            process_cpu_s=after.process_cpu_s - before.process_cpu_s,
+            children_cpu_s=self._children_used_s() - used_before_s,
+            parts_s={
+                part: spent_s - before.parts_s.get(part, 0.0)
+                for part, spent_s in after.parts_s.items()
+            },
+        )
+
+    def look_inside(self) -> None:
+        """Have the parts of the loop timed too, from the next turn on."""
+        self.process.send_signal(signal.SIGUSR1)
+
+    def speeds(self) -> list[float]:
+        """Ask how fast each robot goes [m/s]."""
+        linear = [state.twist.linear for state in self.client.entity_states().values()]
+        return [math.hypot(one.x, one.y) for one in linear]
+
+    def _children_used_s(self) -> float:
+        children = psutil.Process(self.process.pid).children(recursive=True)
+        return sum(used_s(child.pid) for child in children)
+
+    def _enter(self, state: State) -> Used:
+        self.client.set_simulation_state(state)
+        line = line_with(mark(state), self.process)
+        return msgspec.json.decode(line.removeprefix(mark(state)), type=Used)
+
+
+@contextmanager
+def served(count: int, *serve_arguments: str) -> Iterator[Served]:
+    """Run a server that stands, with robots far apart and one process that drives them all."""
+    endpoint = free_endpoint()
+    arguments = ("--paused", "--rtf", "0", "--listen", endpoint, *serve_arguments)
+    with ExitStack() as stack:
+        process = stack.enter_context(program("watched_server", *arguments))
+        bus = stack.enter_context(joined(endpoint, process))
+        found = Served(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
+        found.client.wait_for_server(PATIENCE_S)
+        spawn(found.client, count)
+        driver = stack.enter_context(program("circling", endpoint, str(count)))
+        line_with(f"claimed {count}", driver)
+        yield found
+
+
+def spawn(
+    client: SimClient,
+    count: int,
+    *,
+    prefix: str = "box_bot",
+    at: tuple[float, float] = (0.0, 0.0),
+) -> None:
+    """Put robots on a grid that begins somewhere [m], all between two steps.
+
+    Raises:
+        RuntimeError: Some were refused.
+    """
+    places = [
+        msgspec.structs.replace(place, x=place.x + at[0], y=place.y + at[1])
+        for place in make_fleet_layout(prefix, count, "grid", SPACING_M)
+    ]
+    outcomes = spawn_many(client, read_payload("box_bot"), places, SpawnEntityOrder())
+    if refused := [outcome for outcome in outcomes if outcome.message]:
+        raise RuntimeError(f"{len(refused)} robots were refused, first {refused[0]}")
+
+
+@contextmanager
+def program(name: str, *arguments: str) -> Iterator["subprocess.Popen[str]"]:
+    """Run a program of the benchmarks until the end of the block."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", f"benchmarks.{name}", *arguments],
+        cwd=ROOT,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, PARENT_PID_VARIABLE: str(os.getpid())},
+    )
+    try:
+        yield process
+    finally:
+        end(process)
+
+
+def line_with(beginning: str, process: "subprocess.Popen[str]") -> str:
+    """Read lines until one begins so.
+
+    Raises:
+        RuntimeError: The process ended before.
+    """
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line.startswith(beginning):
+            return line
+    raise RuntimeError(f"no '{beginning}' came from {process.args!r}")

@@ -1,0 +1,129 @@
+"""A whole installation in processes of its own: router, server, agents, and a fleet's users."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+
+import msgspec
+import psutil
+
+from benchmarks.crowd import TALLY, Tally
+from benchmarks.fleet import soon
+from benchmarks.machine import used_s
+from benchmarks.served import PATIENCE_S, program
+from tests.integration.processes import free_endpoint, joined, running
+from zensim.proto.bus import Bus, BusSubscription
+from zensim.spawner.client.sim_client import SimClient
+
+CALL_TIMEOUT_S = 60.0
+TALLIES = 256
+ALL_MOVE_S = 30.0
+"""So long after the first command all should move; if not, that is a finding."""
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Who runs, by what it does."""
+
+    bus: Bus
+    client: SimClient
+    pids: Mapping[str, tuple[int, ...]]
+
+    def used_s(self) -> dict[str, float]:
+        """Tell the CPU time of each group so far."""
+        return {group: sum(used_s(pid) for pid in pids) for group, pids in self.pids.items()}
+
+
+@contextmanager
+def staffed(serve: Sequence[str], agents: Sequence[Sequence[str]]) -> Iterator[Crew]:
+    """Run a router, a server and agents, each started with these arguments; no robot is there."""
+    endpoint = free_endpoint()
+    with ExitStack() as stack:
+        router = stack.enter_context(running("router", "--listen", endpoint))
+        bus = stack.enter_context(joined(endpoint, router))
+        server = stack.enter_context(running("serve", "--connect", endpoint, *serve))
+        client = SimClient(bus, timeout_s=CALL_TIMEOUT_S)
+        client.wait_for_server(PATIENCE_S)
+        staff = [
+            stack.enter_context(running("agent", *words, "--connect", endpoint, "--quiet"))
+            for words in agents
+        ]
+        children = psutil.Process(server.pid).children(recursive=True)
+        pids = {
+            "router": (router.pid,),
+            "server": (server.pid, *(child.pid for child in children)),
+            "agents": tuple(agent.pid for agent in staff),
+        }
+        yield Crew(bus, client, pids)
+
+
+@contextmanager
+def crowd(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscription, int]]:
+    """Run the users of a fleet, who command each robot this often; return their tallies and pid."""
+    tallies = bus.subscribe(TALLY, TALLIES)
+    with program("crowd", bus.endpoint, str(count), f"{hz:g}") as process:
+        yield tallies, process.pid
+    tallies.close()
+
+
+@dataclass(frozen=True)
+class Span:
+    """About a second of an installation at work."""
+
+    factor: float
+    cores: Mapping[str, float]
+    commands_hz: float
+    odom_hz: float
+    tf_hz: float
+    moved: int
+    """Robots that have moved so far."""
+
+
+@dataclass(frozen=True)
+class _Look:
+    wall_s: float
+    time_s: float
+    used_s: Mapping[str, float]
+    tally: Tally
+
+
+def observed(
+    crew: Crew, tallies: BusSubscription, robots: int, seconds: float, act: Callable[[], object]
+) -> list[Span]:
+    """Act again and again, once so many robots have moved; return what every second was."""
+    give_up_s = time.monotonic() + ALL_MOVE_S
+
+    def begun() -> _Look | None:
+        found = _look(crew, tallies)
+        is_late = time.monotonic() > give_up_s
+        return found if found is not None and (is_late or found.tally.moved == robots) else None
+
+    looks = [soon(begun, 2.0 * ALL_MOVE_S)]
+    while looks[-1].wall_s - looks[0].wall_s < seconds:
+        act()
+        if (found := _look(crew, tallies)) is not None:
+            looks.append(found)
+    return [_span(before, after) for before, after in pairwise(looks)]
+
+
+def _look(crew: Crew, tallies: BusSubscription) -> _Look | None:
+    """Look at everything when a tally has come."""
+    if (sample := tallies.newest()) is None:
+        return None
+    tally = msgspec.msgpack.decode(sample.payload, type=Tally)
+    return _Look(time.monotonic(), crew.client.info().sim_time_s, crew.used_s(), tally)
+
+
+def _span(before: _Look, after: _Look) -> Span:
+    wall_s = after.wall_s - before.wall_s
+    told_s = after.tally.wall_s - before.tally.wall_s
+    return Span(
+        (after.time_s - before.time_s) / wall_s,
+        {name: (spent_s - before.used_s[name]) / wall_s for name, spent_s in after.used_s.items()},
+        (after.tally.commands - before.tally.commands) / told_s,
+        (after.tally.odom - before.tally.odom) / told_s,
+        (after.tally.tf - before.tally.tf) / told_s,
+        after.tally.moved,
+    )
