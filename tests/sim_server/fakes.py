@@ -1,4 +1,4 @@
-"""A world, an inbox, an outlet and a wall clock for tests of the server; no network, no sleep."""
+"""A world, an inbox, a publisher and a wall clock for tests of the server; no network, no sleep."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -71,7 +71,7 @@ class TimedEngine(ObedientEngine):
         return super().step()
 
 
-class ReadHere:
+class InlineParser:
     """Reads descriptions at once, or when told to; when given a model, that is what they say."""
 
     def __init__(self, store: AssetStore | None = None) -> None:
@@ -142,7 +142,7 @@ class ScriptedInbox:
 
 
 @dataclass
-class RecordingOutlet:
+class RecordingPublisher:
     """Keeps what it was told."""
 
     told: list[tuple[str, msgspec.Struct]] = field(default_factory=list)
@@ -167,15 +167,15 @@ class RecordingOutlet:
 
 
 @dataclass
-class Stage:
+class ServerFixture:
     """A loop with all that it talks to."""
 
     wall: WallTime
     engine: TimedEngine
     world: World
-    context: ServerContext
+    parts: ServerContext
     inbox: ScriptedInbox
-    outlet: RecordingOutlet
+    publisher: RecordingPublisher
     loop: ServerLoop
 
     def ask(
@@ -208,21 +208,23 @@ class Stage:
 
     def events(self) -> list[tuple[str, str]]:
         """Name the events that were told: kind and entity."""
-        told = [event for event in self.outlet.on("events") if isinstance(event, Event)]
+        told = [event for event in self.publisher.on("events") if isinstance(event, Event)]
         return [(event.kind, event.entity) for event in told]
 
 
-def a_stage(*names: str, factor: float = 1.0, cost_ns: int = 0) -> Stage:
+def a_server(*names: str, factor: float = 1.0, cost_ns: int = 0) -> ServerFixture:
     """Make a loop over a world of carts."""
     wall = WallTime()
     engine = TimedEngine(wall, cost_ns)
     world = a_world(*names, engine=engine)
-    desk = a_desk(world, wall, factor=factor)
-    inbox, outlet = ScriptedInbox(), RecordingOutlet()
-    return Stage(wall, engine, world, desk, inbox, outlet, ServerLoop(desk, inbox, outlet, wall))
+    parts = make_parts(world, wall, factor=factor)
+    inbox, publisher = ScriptedInbox(), RecordingPublisher()
+    return ServerFixture(
+        wall, engine, world, parts, inbox, publisher, ServerLoop(parts, inbox, publisher, wall)
+    )
 
 
-def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> ServerContext:
+def make_parts(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> ServerContext:
     clock = wall or WallTime()
     store = AssetStore()
     return ServerContext(
@@ -230,7 +232,7 @@ def a_desk(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -
             world,
             LoopStats(clock.now_ns()),
             clock.now_ns,
-            ReadHere(store),
+            InlineParser(store),
             store,
             "empty",
             factor,
@@ -252,12 +254,12 @@ def a_world(*names: str, engine: ObedientEngine | None = None) -> World:
         control_steps=CONTROL_STEPS,
     )
     for i, name in enumerate(names):
-        world.spawn(a_birth(name, base=on_ground(float(i))))
+        world.spawn(a_spawn(name, base=on_ground(float(i))))
     world.take_events()
     return world
 
 
-def a_birth(
+def a_spawn(
     name: str,
     namespace: str = "",
     *,

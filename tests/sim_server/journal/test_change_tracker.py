@@ -8,7 +8,7 @@ import pytest
 
 from tests.fakes import MemoryCall
 from tests.sim_server.fakes import answer_of, names_in
-from tests.sim_server.journal.stage import DISK_FULL, Journalled, contents_in
+from tests.sim_server.journal.journaled_server import DISK_FULL, Journalled, contents_in
 from zensim.proto.messages.entity_messages import (
     GetEntitiesRequest,
     GetEntitiesResponse,
@@ -26,7 +26,7 @@ from zensim.sim_server.journal.change_tracker import BOND_TIMEOUT_S, MOTION_PERI
 
 
 def ask(kept: Journalled, service: str, request: msgspec.Struct, name: str = "") -> MemoryCall:
-    call = kept.stage.ask(service, request)
+    call = kept.server.ask(service, request)
     call.request_id = name.encode()
     return call
 
@@ -49,7 +49,7 @@ def listed(call: MemoryCall) -> tuple[str, ...]:
 
 def turn(kept: Journalled, times: int = 1) -> None:
     for _ in range(times):
-        kept.stage.loop.turn()
+        kept.server.loop.turn()
 
 
 @pytest.fixture
@@ -87,13 +87,13 @@ def test_delete_is_kept_however_it_came(kept: Journalled, how: str) -> None:
         ask(kept, "delete_entity", DeleteEntityRequest("r0"))
     elif how == "bond":
         born_ns = kept.world.entity("r0").born_ns
-        kept.context.alive_bonds.add("b")
-        kept.context.bonded_entities["b"] = [("r0", born_ns)]
-        kept.stage.inbox.bonds.append(("b", False))
+        kept.parts.alive_bonds.add("b")
+        kept.parts.bonded_entities["b"] = [("r0", born_ns)]
+        kept.server.inbox.bonds.append(("b", False))
     else:
-        kept.context.alive_agents.add("a")
+        kept.parts.alive_agents.add("a")
         kept.world.claim("a", ("r0",), "delete")
-        kept.stage.inbox.agents.append(("a", False))
+        kept.server.inbox.agents.append(("a", False))
     turn(kept)
     kept.crash()
 
@@ -140,7 +140,7 @@ def test_place_that_was_set_is_kept_before_the_reply(kept: Journalled) -> None:
 
 
 def test_motion_is_kept_often_enough(kept: Journalled) -> None:
-    kept.stage.turn_for(3.0)
+    kept.server.turn_for(3.0)
 
     steps = [
         record.motion.steps
@@ -156,10 +156,10 @@ def test_motion_is_kept_often_enough(kept: Journalled) -> None:
 def test_nothing_is_written_while_nothing_happens(kept: Journalled) -> None:
     kept.world.pause()
     turn(kept, 2)
-    kept.stage.turn_for(2.0 * MOTION_PERIOD_S)
+    kept.server.turn_for(2.0 * MOTION_PERIOD_S)
     written = len(kept.disk.batches)
 
-    kept.stage.turn_for(10.0)
+    kept.server.turn_for(10.0)
 
     assert len(kept.disk.batches) == written
 
@@ -192,7 +192,7 @@ def test_spawn_waits_for_another_try_while_the_disk_is_full(kept: Journalled) ->
     kept.disk.is_full = True
     spawn(kept, "r2")
     turn(kept, 3)
-    events = len(kept.stage.events())
+    events = len(kept.server.events())
     refused = spawn(kept, "r3")
     turn(kept, 3)
     kept.disk.is_full = False
@@ -201,7 +201,7 @@ def test_spawn_waits_for_another_try_while_the_disk_is_full(kept: Journalled) ->
     kept.crash()
 
     assert code_of(refused) == ResultCode.OPERATION_FAILED
-    assert ("spawned", "r3") not in kept.stage.events()[events:]
+    assert ("spawned", "r3") not in kept.server.events()[events:]
     assert code_of(taken) == ResultCode.OK
     assert [row.name for row in contents_in(kept.folder).entities] == ["r0", "r1", "r4"]
 
@@ -210,7 +210,7 @@ def test_robots_go_on_while_the_disk_is_full(kept: Journalled) -> None:
     kept.disk.is_full = True
     before = kept.world.steps
 
-    kept.stage.turn_for(2.0)
+    kept.server.turn_for(2.0)
     seen = ask(kept, "get_entities", GetEntitiesRequest())
     turn(kept, 2)
 
@@ -226,23 +226,23 @@ def test_pause_stands_and_is_kept_once_the_disk_has_room(kept: Journalled) -> No
     assert code_of(call) == ResultCode.OK
 
     kept.disk.is_full = False
-    kept.stage.turn_for(2.0 * MOTION_PERIOD_S)
+    kept.server.turn_for(2.0 * MOTION_PERIOD_S)
     kept.crash()
 
     assert contents_in(kept.folder).clock.state == State.PAUSED
 
 
 def test_bond_that_ended_while_the_disk_was_full_ends_for_good(kept: Journalled) -> None:
-    kept.context.alive_bonds.add("b")
+    kept.parts.alive_bonds.add("b")
     spawn(kept, "r2", bond="b")
     turn(kept)
     kept.disk.is_full = True
-    kept.stage.inbox.bonds.append(("b", False))
-    kept.stage.turn_for(2.0 * MOTION_PERIOD_S)
+    kept.server.inbox.bonds.append(("b", False))
+    kept.server.turn_for(2.0 * MOTION_PERIOD_S)
     assert names_in(kept.world) == ["r0", "r1"]
 
     kept.disk.is_full = False
-    kept.stage.turn_for(2.0 * MOTION_PERIOD_S)
+    kept.server.turn_for(2.0 * MOTION_PERIOD_S)
     kept.crash()
 
     assert [row.name for row in contents_in(kept.folder).entities] == ["r0", "r1"]
@@ -264,17 +264,17 @@ def test_retry_gets_the_same_answer_and_no_second_robot_after_a_restart(kept: Jo
 
 
 def test_bond_whose_holder_did_not_come_back_ends(kept: Journalled) -> None:
-    kept.context.alive_bonds.update({"gone", "there"})
+    kept.parts.alive_bonds.update({"gone", "there"})
     spawn(kept, "g", bond="gone")
     spawn(kept, "t", bond="there")
     turn(kept)
     kept.crash()
     again = Journalled(kept.folder)
-    again.stage.inbox.bonds.append(("there", True))
+    again.server.inbox.bonds.append(("there", True))
 
-    again.stage.turn_for(BOND_TIMEOUT_S - 0.5)
+    again.server.turn_for(BOND_TIMEOUT_S - 0.5)
     assert names_in(again.world) == ["r0", "r1", "g", "t"]
-    again.stage.turn_for(1.0)
+    again.server.turn_for(1.0)
 
     assert names_in(again.world) == ["r0", "r1", "t"]
 

@@ -14,8 +14,8 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
-from tests.sim_server.fakes import CONTROL_STEPS, a_birth, a_world, names_in
-from tests.sim_server.journal.stage import Journalled, contents_in
+from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, names_in
+from tests.sim_server.journal.journaled_server import Journalled, contents_in
 from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope, State
@@ -60,7 +60,7 @@ def restart(kept: Journalled) -> Journalled:
 
 def test_restored_world_is_as_it_was(tmp_path: Path) -> None:
     kept = Journalled(tmp_path, "r0", "r1")
-    kept.world.spawn(a_birth("box", model=a_box(), base=on_ground(5.0)))
+    kept.world.spawn(a_spawn("box", model=a_box(), base=on_ground(5.0)))
     info = EntityInfo(EntityCategory(Category.HUMAN), "a box", ("a", "b"))
     kept.world.set_info("box", info)
     kept.world.place("r1", on_ground(3.0, 2.0, 1.0), np.array([0.5, -0.25]))
@@ -77,9 +77,9 @@ def test_restored_world_is_as_it_was(tmp_path: Path) -> None:
 
 def test_time_goes_on_in_a_higher_epoch(tmp_path: Path) -> None:
     kept = Journalled(tmp_path, "r0")
-    kept.stage.turn_for(1.0)
+    kept.server.turn_for(1.0)
     kept.world.reset(ResetScope.TIME)
-    kept.stage.turn_for(1.0)
+    kept.server.turn_for(1.0)
     before = kept.world.steps
 
     again = restart(kept)
@@ -103,20 +103,20 @@ def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) ->
 def test_description_that_was_read_need_not_be_read_again(tmp_path: Path) -> None:
     kept = Journalled(tmp_path)
     kept.recorder.note()
-    entity = kept.world.spawn(a_birth("r0"))
+    entity = kept.world.spawn(a_spawn("r0"))
     reading = ParseKey("<robot/>", "gazebo11", allow_missing=True, assets=())
-    kept.context.descriptions.remember(reading, entity.model)
+    kept.parts.descriptions.remember(reading, entity.model)
     kept.recorder.note()
 
     again = restart(kept)
 
     model = again.world.entity("r0").model
-    assert again.context.descriptions.find_parse_key(model) == reading
+    assert again.parts.descriptions.find_parse_key(model) == reading
 
 
 def test_robot_stands_and_what_nobody_drives_moves_on(tmp_path: Path) -> None:
     kept = Journalled(tmp_path, "r0")
-    kept.world.spawn(a_birth("ball", model=a_box(), base=on_ground(5.0)))
+    kept.world.spawn(a_spawn("ball", model=a_box(), base=on_ground(5.0)))
     moving = on_ground(1.0)
     moving[7] = 0.5
     for name in ("r0", "ball"):
@@ -232,7 +232,7 @@ class AnyHistory(RuleBasedStateMachine):
     @rule(name=NAMES, is_cart=st.booleans(), x=st.integers(-5, 5))
     def spawn(self, name: str, *, is_cart: bool, x: int) -> None:
         model = a_cart() if is_cart else a_box()
-        self.both(lambda world: world.spawn(a_birth(name, model=model, base=on_ground(float(x)))))
+        self.both(lambda world: world.spawn(a_spawn(name, model=model, base=on_ground(float(x)))))
 
     @rule(name=NAMES)
     def delete(self, name: str) -> None:
@@ -255,7 +255,7 @@ class AnyHistory(RuleBasedStateMachine):
         self.kept.disk.is_full = True
         for name in names_in(self.kept.world)[:1]:
             self.kept.world.delete(name)
-        self.kept.world.spawn(a_birth("lost"))
+        self.kept.world.spawn(a_spawn("lost"))
         self.kept.recorder.note(is_asked=True)
         self.kept.disk.is_full = False
         assert self.kept.recorder.poll()
@@ -271,7 +271,7 @@ class AnyHistory(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         self.kept.crash()
-        self.kept.context.store.close()
+        self.kept.parts.store.close()
         self.folder.cleanup()
 
 

@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.models import on_ground
-from tests.sim_server.fakes import CONTROL_STEPS, Stage, a_birth
-from tests.sim_server.runtime.test_loop_lockstep import TIMEOUT_S, a_locked_stage, answer_states
+from tests.sim_server.fakes import CONTROL_STEPS, ServerFixture, a_spawn
+from tests.sim_server.runtime.test_loop_lockstep import TIMEOUT_S, a_locked_server, answer_states
 from zensim.proto.messages.agent_messages import ClaimEntityRequest
 from zensim.proto.messages.simulation_messages import State
 from zensim.sim_server.pacing.lockstep import OnMiss
@@ -19,30 +19,30 @@ ACTS = st.one_of(
 )
 
 
-def act(stage: Stage, what: str, whom: object) -> None:
+def act(server: ServerFixture, what: str, whom: object) -> None:
     """Let one thing happen, then turn the loop a few times."""
     if what == "answer" and isinstance(whom, set):
-        answer_states(stage, silent=tuple(whom))
+        answer_states(server, silent=tuple(whom))
     elif what == "reset" and isinstance(whom, int):
-        stage.world.reset(whom)
+        server.world.reset(whom)
     elif what == "wait" and isinstance(whom, float):
-        stage.turn_for(whom)
+        server.turn_for(whom)
     else:
-        _come_or_go(stage, what, str(whom))
+        _come_or_go(server, what, str(whom))
     for _ in range(CONTROL_STEPS + 1):
-        stage.loop.turn()
+        server.loop.turn()
 
 
-def _come_or_go(stage: Stage, what: str, name: str) -> None:
-    is_there = name in {entity.name for entity in stage.world.entities}
+def _come_or_go(server: ServerFixture, what: str, name: str) -> None:
+    is_there = name in {entity.name for entity in server.world.entities}
     if what in ("go", "come"):
-        stage.inbox.agents.append((name, what == "come"))
+        server.inbox.agents.append((name, what == "come"))
         if what == "come":
-            stage.ask("claim_entity", ClaimEntityRequest(name, (name,)))
+            server.ask("claim_entity", ClaimEntityRequest(name, (name,)))
     elif what == "delete" and is_there:
-        stage.world.delete(name)
+        server.world.delete(name)
     elif what == "spawn" and not is_there:
-        stage.world.spawn(a_birth(name, base=on_ground(float(AGENTS.index(name)))))
+        server.world.spawn(a_spawn(name, base=on_ground(float(AGENTS.index(name)))))
 
 
 @settings(max_examples=40)
@@ -50,23 +50,23 @@ def _come_or_go(stage: Stage, what: str, name: str) -> None:
 def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
     acts: list[tuple[str, object]], on_miss: OnMiss
 ) -> None:
-    stage = a_locked_stage(*AGENTS, on_miss=on_miss)
+    server = a_locked_server(*AGENTS, on_miss=on_miss)
     moments = [(0, 0)]
 
     for what, whom in acts:
-        act(stage, what, whom)
-        moments.append((stage.world.epoch, stage.world.steps))
-        assert set(stage.context.lockstep.awaited) <= set(stage.world.claims.agents)
+        act(server, what, whom)
+        moments.append((server.world.epoch, server.world.steps))
+        assert set(server.parts.lockstep.awaited) <= set(server.world.claims.agents)
 
     assert moments == sorted(moments)
-    if stage.world.state == State.PAUSED:
-        stage.world.play()
-    stage.outlet.drive_states.clear()
-    before = stage.world.steps
-    stage.turn_for(1.1 * TIMEOUT_S)
+    if server.world.state == State.PAUSED:
+        server.world.play()
+    server.publisher.drive_states.clear()
+    before = server.world.steps
+    server.turn_for(1.1 * TIMEOUT_S)
     for _ in range(4 * CONTROL_STEPS):
-        answer_states(stage)
-        if stage.world.state == State.PAUSED:
-            stage.world.play()
-        stage.loop.turn()
-    assert stage.world.steps > before + CONTROL_STEPS
+        answer_states(server)
+        if server.world.state == State.PAUSED:
+            server.world.play()
+        server.loop.turn()
+    assert server.world.steps > before + CONTROL_STEPS

@@ -9,7 +9,7 @@ import pytest
 
 from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box_bot, box_bot_at
-from tests.sim_server.fakes import a_birth, a_command
+from tests.sim_server.fakes import a_command, a_spawn
 from zensim.proto.rotation import to_yaw
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.simulated_world import World
@@ -40,7 +40,7 @@ def a_world_of(engine: Engine, *places: FloatArray) -> World:
     world = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     model = a_box_bot()
     for i, place in enumerate(places):
-        world.spawn(a_birth(f"r{i}", model=model, base=place))
+        world.spawn(a_spawn(f"r{i}", model=model, base=place))
         world.claim(f"a{i}", (f"r{i}",), "stop")
     return world
 

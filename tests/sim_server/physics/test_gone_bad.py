@@ -8,7 +8,7 @@ import pytest
 from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
-from tests.sim_server.fakes import a_birth, a_command
+from tests.sim_server.fakes import a_command, a_spawn
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
@@ -32,7 +32,7 @@ def world(engine: Engine) -> World:
     """Three box_bots 1 m apart; each has an agent of its own, and all drive."""
     made = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     for i, name in enumerate(NAMES):
-        made.spawn(a_birth(name, model=a_box_bot(), base=box_bot_at(0.0, float(i))))
+        made.spawn(a_spawn(name, model=a_box_bot(), base=box_bot_at(0.0, float(i))))
         made.claim(f"agent_{name}", (name,), "stop")
     drive(made, 60)
     made.take_events()
@@ -163,7 +163,7 @@ def test_frozen_robot_can_be_deleted_and_its_name_used_again(world: World) -> No
     drive(world, 30)
 
     world.delete("b")
-    world.spawn(a_birth("b", model=a_box_bot(), base=box_bot_at(3.0, 1.0)))
+    world.spawn(a_spawn("b", model=a_box_bot(), base=box_bot_at(3.0, 1.0)))
     world.claim("agent_b", ("b",), "stop")
     drive(world, 240)
 
@@ -199,7 +199,7 @@ def test_robot_that_touched_the_one_gone_bad_goes_on(world: World) -> None:
 def test_robots_drive_beside_one_that_no_solver_can_carry(world: World) -> None:
     before = where(world, "a")
 
-    world.spawn(a_birth("arm", model=a_mismatched_arm(), base=a_state((0.0, 0.5, 1.0))))
+    world.spawn(a_spawn("arm", model=a_mismatched_arm(), base=a_state((0.0, 0.5, 1.0))))
     drive(world, 480)
 
     told = [event.entity for event in world.take_events() if event.kind == "warning"]
@@ -209,7 +209,7 @@ def test_robots_drive_beside_one_that_no_solver_can_carry(world: World) -> None:
 
 def test_wall_stands_where_it_stood_when_a_robot_goes_bad_against_it(world: World) -> None:
     wall, place = a_box("wall", 1.0, is_static=True), a_state((6.0, 0.0, 0.5))
-    world.spawn(a_birth("wall", model=wall, base=place))
+    world.spawn(a_spawn("wall", model=wall, base=place))
     world.place("b", box_bot_at(5.449, 0.0))
     drive(world, 30)
     world.take_events()

@@ -8,7 +8,7 @@ import pytest
 
 from tests.engines import PHYSICAL, STEP_NS
 from tests.models import a_box, a_box_bot, a_lopsided_box, a_state, an_arm, box_bot_at
-from tests.sim_server.fakes import a_birth
+from tests.sim_server.fakes import a_spawn
 from zensim.proto.messages.model_messages import Inertial, Model
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.world.applied_forces import JointEffort, LinkWrench, TimeSpan
@@ -47,7 +47,7 @@ def wrench(*numbers: float) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
 
 def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: World) -> None:
     model = a_lopsided_box()
-    space.spawn(a_birth("b", model=model, base=a_state((1.0, 2.0, 3.0), turn=(0.3, 0.2, 0.1))))
+    space.spawn(a_spawn("b", model=model, base=a_state((1.0, 2.0, 3.0), turn=(0.3, 0.2, 0.1))))
     space.applied_forces.add(LinkWrench("b", 0, wrench(3.0, -1.0, 0.5, 0.0, 0.0, 0.0), FOREVER))
 
     steps(space, SECOND)
@@ -61,7 +61,7 @@ def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: World)
 def test_force_on_a_hanging_link_moves_the_whole(space: World) -> None:
     # A free pair of bodies: momentum is force times time, whichever of them is pushed.
     model = a_box_bot()
-    space.spawn(a_birth("r", model=model, base=box_bot_at()))
+    space.spawn(a_spawn("r", model=model, base=box_bot_at()))
     space.applied_forces.add(
         LinkWrench("r", 1, wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0), TimeSpan(0, STEP_NS))
     )
@@ -73,7 +73,7 @@ def test_force_on_a_hanging_link_moves_the_whole(space: World) -> None:
 
 def test_effort_holds_an_arm_against_gravity(earth: World) -> None:
     model = an_arm("continuous")
-    earth.spawn(a_birth("a", model=model, base=a_state((0.0, 0.0, 0.0))))
+    earth.spawn(a_spawn("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     link = model.links[1].inertial
     most = link.mass_kg * 9.81 * link.com_in_link[0]
     earth.applied_forces.add(JointEffort("a", 0, -0.3 * most, FOREVER))
@@ -91,7 +91,7 @@ def damped(model: Model, damping: float) -> Model:
 
 def test_body_without_gravity_stays_in_the_air_once_it_is_told_to(earth: World) -> None:
     model = a_box()
-    earth.spawn(a_birth("b", model=model, base=a_state((0.0, 0.0, 2.0))))
+    earth.spawn(a_spawn("b", model=model, base=a_state((0.0, 0.0, 2.0))))
     link = msgspec.structs.replace(model.links[0], weightless=model.links[0].inertial)
 
     earth.replace_model("b", msgspec.structs.replace(model, links=(link,)))
@@ -102,7 +102,7 @@ def test_body_without_gravity_stays_in_the_air_once_it_is_told_to(earth: World) 
 
 def test_body_is_heavier_at_once_and_goes_on_as_fast(space: World) -> None:
     model = a_box()
-    space.spawn(a_birth("b", model=model, base=a_state((0.0, 0.0, 2.0), linear=(1.0, 0.0, 0.0))))
+    space.spawn(a_spawn("b", model=model, base=a_state((0.0, 0.0, 2.0), linear=(1.0, 0.0, 0.0))))
     heavy = Inertial(10.0, inertia=(0.1, 0.0, 0.0, 0.1, 0.0, 0.1))
     link = msgspec.structs.replace(model.links[0], inertial=heavy)
 
@@ -116,7 +116,7 @@ def test_body_is_heavier_at_once_and_goes_on_as_fast(space: World) -> None:
 
 def test_limit_of_a_joint_is_kept_once_it_is_set(earth: World) -> None:
     model = an_arm("revolute", damping=0.05)
-    earth.spawn(a_birth("a", model=model, base=a_state((0.0, 0.0, 0.0))))
+    earth.spawn(a_spawn("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     joint = msgspec.structs.replace(model.joints[0], lower=-0.1, upper=0.1)
     earth.replace_model("a", msgspec.structs.replace(model, joints=(joint,)))
     earth.applied_forces.add(JointEffort("a", 0, 50.0, FOREVER))

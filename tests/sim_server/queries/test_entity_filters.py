@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import WallTime, a_birth, a_desk, a_world
+from tests.sim_server.fakes import WallTime, a_spawn, a_world, make_parts
 from zensim.proto.messages import entity_messages
 from zensim.proto.messages.entity_messages import (
     Bounds,
@@ -32,7 +32,7 @@ def a_tagged_world() -> World:
     world = a_world("r0", "r1", "r2")
     world.set_info("r0", an_info(Category.ROBOT, "fast", "red"))
     world.set_info("r1", an_info(Category.HUMAN, "red"))
-    world.spawn(a_birth("crate", model=a_box(), base=on_ground(10.0)))
+    world.spawn(a_spawn("crate", model=a_box(), base=on_ground(10.0)))
     return world
 
 
@@ -98,7 +98,7 @@ def categories(*kinds: Category) -> EntityFilters:
 def test_entities_that_pass_all_filters_are_found(
     filters: EntityFilters, names: tuple[str, ...]
 ) -> None:
-    assert found(a_desk(a_tagged_world()), filters) == names
+    assert found(make_parts(a_tagged_world()), filters) == names
 
 
 @pytest.mark.parametrize(
@@ -128,7 +128,7 @@ def test_entities_that_pass_all_filters_are_found(
 )
 def test_filters_that_are_none_are_refused(filters: EntityFilters, code: int, words: str) -> None:
     with pytest.raises(SimError, match=words) as error:
-        found(a_desk(a_tagged_world()), filters)
+        found(make_parts(a_tagged_world()), filters)
 
     assert error.value.code == code
 
@@ -150,7 +150,7 @@ class SlowWall(WallTime):
 def test_a_long_search_is_made_in_turns_and_tells_of_the_moment_of_asking() -> None:
     world = a_tagged_world()
     response = handle_request(
-        a_desk(world, SlowWall()), entity_messages.GetEntitiesRequest(EntityFilters(LARGE))
+        make_parts(world, SlowWall()), entity_messages.GetEntitiesRequest(EntityFilters(LARGE))
     )
     assert isinstance(response, DeferredResponse)
     world.delete("r0")
@@ -165,8 +165,8 @@ def test_a_long_search_is_made_in_turns_and_tells_of_the_moment_of_asking() -> N
 
 def test_a_search_without_end_is_given_up() -> None:
     names = [f"r{i}" for i in range(200)]
-    desk = a_desk(a_world(*names), wall := SlowWall())
-    response = handle_request(desk, entity_messages.GetEntitiesRequest(EntityFilters("r")))
+    parts = make_parts(a_world(*names), wall := SlowWall())
+    response = handle_request(parts, entity_messages.GetEntitiesRequest(EntityFilters("r")))
     assert isinstance(response, DeferredResponse)
 
     wall.pace_ns = 2 * MAX_SEARCH_NS

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.models import TRACK_M, WHEEL_RADIUS_M, on_ground
-from tests.sim_server.fakes import a_birth, a_world
+from tests.sim_server.fakes import a_spawn, a_world
 from zensim.proto.messages.model_messages import Frame, Link, Model, Origin
 from zensim.proto.rotation import from_rpy
 from zensim.sim_server.queries.frame_queries import (
@@ -48,7 +48,7 @@ def test_a_link_is_a_frame_as_gazebo_and_as_tf_write_it(frame_id: str) -> None:
 
 def test_a_link_that_was_merged_is_a_frame_under_the_namespace() -> None:
     world = a_world()
-    world.spawn(a_birth("r", "team/a", model=LIDAR, base=on_ground(1.0)))
+    world.spawn(a_spawn("r", "team/a", model=LIDAR, base=on_ground(1.0)))
 
     assert find_frame_pose(world, "team/a/lidar")[:3] == pytest.approx([1.5, 0.0, 0.25])
     assert find_frame_pose(world, "r::lidar")[:3] == pytest.approx([1.5, 0.0, 0.25])
@@ -63,8 +63,8 @@ def test_an_unknown_frame_is_refused(frame_id: str) -> None:
 def test_a_frame_of_two_entities_is_refused() -> None:
     world = a_world()
     deep = Model("d", (Link("b/lidar"),))
-    world.spawn(a_birth("one", "a", model=deep))
-    world.spawn(a_birth("two", "a/b", model=LIDAR))
+    world.spawn(a_spawn("one", "a", model=deep))
+    world.spawn(a_spawn("two", "a/b", model=LIDAR))
 
     with pytest.raises(FrameAmbiguous, match="one of each of one, two"):
         find_frame_pose(world, "a/b/lidar")

@@ -7,7 +7,7 @@ from typing import TypeVar
 import msgspec
 
 from tests.fakes import MemoryCall
-from tests.sim_server.fakes import Stage, a_stage
+from tests.sim_server.fakes import ServerFixture, a_server
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.simulation_messages import (
@@ -57,9 +57,9 @@ class Scene:
     """A loop, and the action before it."""
 
     def __init__(self, *, is_paused: bool = True) -> None:
-        self.stage: Stage = a_stage()
+        self.server: ServerFixture = a_server()
         if is_paused:
-            self.stage.world.pause()
+            self.server.world.pause()
         self.queues = {name: ListQueue() for name in action.ACTION_SERVICES}
         self.tellers = {name: Told() for name in action.ACTION_TOPICS}
         self.action = SimulateStepsAction(self.queues, self.tellers)
@@ -87,10 +87,10 @@ class Scene:
 
     def turn(self, turns: int = 1) -> None:
         for _ in range(turns):
-            self.stage.inbox.calls += self.action.take()  # type: ignore[arg-type]
-            before = len(self.stage.outlet.told)
-            self.stage.loop.turn()
-            for topic, message in self.stage.outlet.told[before:]:
+            self.server.inbox.calls += self.action.take()  # type: ignore[arg-type]
+            before = len(self.server.publisher.told)
+            self.server.loop.turn()
+            for topic, message in self.server.publisher.told[before:]:
                 if topic == "simulate_steps_feedback" and isinstance(message, StepsProgress):
                     self.action.on_progress(message)
 
@@ -129,7 +129,7 @@ def test_goal_makes_its_steps_and_tells_how_it_ended() -> None:
         action.GoalStatusCode.SUCCEEDED,
         ResultCode.OK,
     )
-    assert scene.stage.world.steps == 7
+    assert scene.server.world.steps == 7
     assert scene.statuses() == [action.GoalStatusCode.SUCCEEDED]
 
 
@@ -299,7 +299,7 @@ def ids_of(told: action.CancelGoalResponse) -> set[action.GoalId]:
 
 def test_cancel_of_all_leaves_the_steps_that_others_asked_for() -> None:
     scene = Scene()
-    asked = scene.stage.ask("simulate_steps", SimulateStepsRequest(50, "plain"))
+    asked = scene.server.ask("simulate_steps", SimulateStepsRequest(50, "plain"))
     sent = scene.begin(FIRST, 10_000)
     scene.turn()
     assert asked.answers == []

@@ -6,7 +6,7 @@ import pytest
 
 from tests.fakes import MemoryBus
 from tests.features import PROOFS
-from tests.sim_server.fakes import WallTime, a_desk, a_world
+from tests.sim_server.fakes import WallTime, a_world, make_parts
 from zensim.proto.messages.simulation_messages import Feature
 from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.runtime.inbox import BusInbox
@@ -23,8 +23,8 @@ def a_client() -> SimClient:
     """Make a client of a world of fakes, whose server turns while the client waits."""
     network, wall = MemoryBus(), WallTime()
     bus = cast("Bus", network)
-    inbox, outlet = BusInbox(bus, "default"), BusWorldPublisher(bus, "default")
-    network.pumps.append(ServerLoop(a_desk(a_world(), wall), inbox, outlet, wall).turn)
+    inbox, publisher = BusInbox(bus, "default"), BusWorldPublisher(bus, "default")
+    network.pumps.append(ServerLoop(make_parts(a_world(), wall), inbox, publisher, wall).turn)
     return SimClient(bus)
 
 

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from tests.sim_server.fakes import a_stage, answer_of
+from tests.sim_server.fakes import a_server, answer_of
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 
@@ -12,32 +12,32 @@ TOPICS = [("model_states", ModelStates), ("link_states", LinkStates)]
 
 @pytest.mark.parametrize(("topic", "kind"), TOPICS)
 def test_topic_is_told_twenty_times_a_second(topic: str, kind: type[msgspec.Struct]) -> None:
-    stage = a_stage("r0", "r1")
+    server = a_server("r0", "r1")
 
-    stage.turn_for(1.0)
+    server.turn_for(1.0)
 
-    told = stage.outlet.on(topic)
+    told = server.publisher.on(topic)
     assert 19 <= len(told) <= 22
     assert all(isinstance(message, kind) for message in told)
 
 
 @pytest.mark.parametrize(("topic", "kind"), TOPICS)
 def test_topic_is_not_made_when_nobody_listens(topic: str, kind: type[msgspec.Struct]) -> None:
-    stage = a_stage("r0")
-    stage.outlet.unwanted.add(topic)
+    server = a_server("r0")
+    server.publisher.unwanted.add(topic)
 
-    stage.turn_for(0.5)
+    server.turn_for(0.5)
 
-    assert stage.outlet.on(topic) == []
+    assert server.publisher.on(topic) == []
     assert kind.__name__ == "".join(word.capitalize() for word in topic.split("_"))
 
 
 @pytest.mark.parametrize(("topic", "kind"), TOPICS)
 def test_topic_answers_a_get(topic: str, kind: type[msgspec.Struct]) -> None:
-    stage = a_stage("r0")
-    call = stage.ask(topic, GetEntitiesRequest())
+    server = a_server("r0")
+    call = server.ask(topic, GetEntitiesRequest())
 
-    stage.loop.turn()
+    server.loop.turn()
 
     answer = answer_of(call, kind)
     assert getattr(answer, "name")[0].startswith("r0")  # noqa: B009

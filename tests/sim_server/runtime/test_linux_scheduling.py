@@ -17,7 +17,7 @@ T = TypeVar("T")
 ORDINARY_NS = read_time_slice_ns()
 """0 where the kernel does not tell."""
 SHORT_NS = min(TIME_SLICE_NS, ORDINARY_NS)
-TELL = "from zensim.sim_server.runtime.linux_scheduling import turn_ns; print(turn_ns())"
+TELL = "from zensim.sim_server.runtime.linux_scheduling import read_time_slice_ns; print(read_time_slice_ns())"
 
 
 def aside(call: Callable[[], T]) -> T:

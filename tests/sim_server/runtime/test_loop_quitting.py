@@ -1,6 +1,6 @@
 """A loop that is asked to quit ends by itself, once everybody has been answered."""
 
-from tests.sim_server.fakes import a_stage
+from tests.sim_server.fakes import a_server
 from zensim.proto.messages.simulation_messages import (
     SetSimulationStateRequest,
     SimulationState,
@@ -38,22 +38,22 @@ class SlowDisk:
 
 
 def test_loop_ends_after_the_answer_when_it_is_asked_to_quit() -> None:
-    stage = a_stage("r0")
-    call = stage.ask("set_simulation_state", QUIT)
+    server = a_server("r0")
+    call = server.ask("set_simulation_state", QUIT)
 
-    stage.loop.run(lambda: False)
+    server.loop.run(lambda: False)
 
     assert len(call.answers) == 1
-    assert stage.world.state == State.QUITTING
-    assert stage.world.steps == 0
+    assert server.world.state == State.QUITTING
+    assert server.world.steps == 0
 
 
 def test_loop_waits_for_the_disk_before_it_ends() -> None:
-    stage = a_stage("r0")
-    disk = stage.context.journal = SlowDisk()
-    call = stage.ask("set_simulation_state", QUIT)
+    server = a_server("r0")
+    disk = server.parts.journal = SlowDisk()
+    call = server.ask("set_simulation_state", QUIT)
 
-    stage.loop.run(lambda: False)
+    server.loop.run(lambda: False)
 
     assert len(call.answers) == 1
     assert disk.looked_at > 3

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fakes import MemoryCall
-from tests.sim_server.fakes import Stage, a_stage, answer_of, names_in
+from tests.sim_server.fakes import ServerFixture, a_server, answer_of, names_in
 from zensim.proto.bus import MAX_REQUEST_BYTES
 from zensim.proto.codec.message_codec import Format, detect_format, encode, make_encoding
 from zensim.proto.messages.entity_messages import GetEntitiesRequest, GetEntitiesResponse
@@ -33,18 +33,18 @@ def refusal_in(call: MemoryCall) -> tuple[int, str]:
     return response.result.result, response.result.error_message
 
 
-def served(stage: Stage, service: str, payload: bytes, encoding: str = "") -> MemoryCall:
-    call = stage.send(service, payload, encoding)
-    stage.loop.turn()
+def served(server: ServerFixture, service: str, payload: bytes, encoding: str = "") -> MemoryCall:
+    call = server.send(service, payload, encoding)
+    server.loop.turn()
     return call
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
-    stage = a_stage("r0", "r1")
-    call = stage.ask("get_entities", GetEntitiesRequest(), wanted)
+    server = a_server("r0", "r1")
+    call = server.ask("get_entities", GetEntitiesRequest(), wanted)
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
     assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0", "r1"))
@@ -52,17 +52,17 @@ def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
 
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_loop_replies_in_the_format_that_the_first_byte_tells(wanted: Format) -> None:
-    call = served(a_stage("r0"), "get_entities", encode(GetEntitiesRequest(), wanted))
+    call = served(a_server("r0"), "get_entities", encode(GetEntitiesRequest(), wanted))
 
     assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
-    stage = a_stage()
-    call = stage.ask("delete_entity", DeleteEntityRequest("r9"), wanted)
+    server = a_server()
+    call = server.ask("delete_entity", DeleteEntityRequest("r9"), wanted)
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert call.answers[0].encoding == make_encoding(DeleteEntityResponse, wanted)
     assert refusal_in(call)[0] == ResultCode.NOT_FOUND
@@ -70,14 +70,14 @@ def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
 
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_loop_takes_an_empty_request_as_one_of_defaults(wanted: Format) -> None:
-    call = served(a_stage("r0"), "get_entities", b"", wanted.value)
+    call = served(a_server("r0"), "get_entities", b"", wanted.value)
 
     assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
     assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0",))
 
 
 def test_loop_replies_in_messagepack_when_cdr_cannot_tell_the_answer() -> None:
-    call = served(a_stage("r0"), "get_models", encode(GetModelsRequest(), Format.CDR))
+    call = served(a_server("r0"), "get_models", encode(GetModelsRequest(), Format.CDR))
 
     assert call.answers[0].encoding == Format.MSGPACK.value
     response = answer_of(call, GetModelsResponse)
@@ -87,7 +87,7 @@ def test_loop_replies_in_messagepack_when_cdr_cannot_tell_the_answer() -> None:
 
 @pytest.mark.parametrize("wanted", [Format.MSGPACK, Format.JSON])
 def test_loop_says_that_a_service_is_unknown_and_names_those_that_are_not(wanted: Format) -> None:
-    call = served(a_stage(), "make_coffee", encode(InfoRequest(), wanted))
+    call = served(a_server(), "make_coffee", encode(InfoRequest(), wanted))
 
     code, message = refusal_in(call)
     assert code == ResultCode.FEATURE_UNSUPPORTED
@@ -109,19 +109,19 @@ def test_loop_says_that_a_service_is_unknown_and_names_those_that_are_not(wanted
     ],
 )
 def test_loop_refuses_a_malformed_request_with_its_reason(payload: bytes, reason: str) -> None:
-    stage = a_stage("r0")
+    server = a_server("r0")
 
-    call = served(stage, "delete_entity", payload)
+    call = served(server, "delete_entity", payload)
 
     code, message = refusal_in(call)
     assert code == ResultCode.OPERATION_FAILED
     assert message.startswith("malformed request: ")
     assert reason in message
-    assert names_in(stage.world) == ["r0"]
+    assert names_in(server.world) == ["r0"]
 
 
 def test_loop_refuses_bytes_that_are_not_what_their_encoding_says() -> None:
-    call = served(a_stage(), "delete_entity", b'{"entity": "r0"}', "application/cdr")
+    call = served(a_server(), "delete_entity", b'{"entity": "r0"}', "application/cdr")
 
     code, message = refusal_in(call)
     assert code == ResultCode.OPERATION_FAILED
@@ -131,74 +131,74 @@ def test_loop_refuses_bytes_that_are_not_what_their_encoding_says() -> None:
 @pytest.mark.parametrize("kind", [Info, Snapshot, Stats, WorldClock], ids=lambda one: one.__name__)
 def test_loop_tells_its_topics_to_who_asks(kind: type[msgspec.Struct]) -> None:
     name = {Info: "info", Snapshot: "snapshot", Stats: "stats", WorldClock: "clock"}[kind]
-    stage = a_stage("r0")
+    server = a_server("r0")
 
     for wanted in (Format.MSGPACK, Format.JSON):
-        call = served(stage, name, b"", wanted.value)
+        call = served(server, name, b"", wanted.value)
 
         assert isinstance(answer_of(call, kind), kind)
         assert call.answers[0].encoding == wanted.value
 
 
 def test_loop_replies_on_its_own_key() -> None:
-    stage = a_stage("r0")
+    server = a_server("r0")
     call = MemoryCall("sim/*/info", b"", "", b"")
-    stage.inbox.calls.append(call)
+    server.inbox.calls.append(call)
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert call.answers[0].key == "sim/default/info"
 
 
 @pytest.mark.parametrize("key", ["sim/default/*", "sim/**", "**", "sim/default/$*_entity"])
 def test_loop_answers_a_pattern_that_names_no_service(key: str) -> None:
-    stage = a_stage("r0")
+    server = a_server("r0")
     call = MemoryCall(key, b"", "", b"")
-    stage.inbox.calls.append(call)
+    server.inbox.calls.append(call)
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert refusal_in(call)[0] == ResultCode.FEATURE_UNSUPPORTED
 
 
 def test_loop_counts_requests() -> None:
-    stage = a_stage()
+    server = a_server()
     for name in ("info", "info", "nonsense", "clock"):
-        stage.send(name, b"")
+        server.send(name, b"")
 
-    stage.loop.turn()
+    server.loop.turn()
 
-    assert stage.context.loop_stats.requests == 4
+    assert server.parts.loop_stats.requests == 4
 
 
 def test_loop_answers_in_the_order_of_asking() -> None:
-    stage = a_stage("r0")
-    before = stage.ask("get_entities", GetEntitiesRequest())
-    stage.ask("delete_entity", DeleteEntityRequest("r0"))
-    after = stage.ask("get_entities", GetEntitiesRequest())
+    server = a_server("r0")
+    before = server.ask("get_entities", GetEntitiesRequest())
+    server.ask("delete_entity", DeleteEntityRequest("r0"))
+    after = server.ask("get_entities", GetEntitiesRequest())
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert answer_of(before, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0",))
     assert answer_of(after, GetEntitiesResponse) == GetEntitiesResponse(entities=())
 
 
 def test_loop_deletes_once_when_a_delete_is_sent_again() -> None:
-    stage = a_stage("r0")
-    first = stage.ask("delete_entity", DeleteEntityRequest("r0"))
-    second = stage.ask("delete_entity", DeleteEntityRequest("r0"))
+    server = a_server("r0")
+    first = server.ask("delete_entity", DeleteEntityRequest("r0"))
+    second = server.ask("delete_entity", DeleteEntityRequest("r0"))
     first.request_id = second.request_id = b"the same"
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert refusal_in(first)[0] == refusal_in(second)[0] == ResultCode.OK
 
 
 def test_loop_gives_models_as_bytes_of_any_size() -> None:
-    stage = a_stage(*(f"r{i}" for i in range(50)))
-    call = stage.ask("get_models", GetModelsRequest())
+    server = a_server(*(f"r{i}" for i in range(50)))
+    call = server.ask("get_models", GetModelsRequest())
 
-    stage.loop.turn()
+    server.loop.turn()
 
     assert len(call.answers[0].payload) > 1000
 
@@ -219,31 +219,31 @@ def test_loop_gives_models_as_bytes_of_any_size() -> None:
 def test_loop_answers_any_bytes(
     service: str, payload: bytes, encoding: str, request_id: bytes
 ) -> None:
-    stage = a_stage("r0", factor=0.0)
-    call = stage.send(service, payload, encoding)
+    server = a_server("r0", factor=0.0)
+    call = server.send(service, payload, encoding)
     call.request_id = request_id
 
-    stage.loop.turn()
+    server.loop.turn()
 
     (answer,) = call.answers
     assert detect_format(answer.payload, answer.encoding) in FORMATS
     # An empty payload is an empty request, which rightly pauses, stops or unloads.
-    assert stage.world.steps == (stage.world.state == State.PLAYING)
+    assert server.world.steps == (server.world.state == State.PLAYING)
 
 
 def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
-    stage = a_stage()
-    stage.world.pause()
+    server = a_server()
+    server.world.pause()
     call = MemoryCall(
         "sim/*/step_simulation", encode(StepSimulationRequest(2), Format.JSON), "", b""
     )
-    stage.inbox.calls.append(call)
+    server.inbox.calls.append(call)
 
     for _ in range(2):
-        stage.loop.turn()
+        server.loop.turn()
 
     assert call.answers[0].key == "sim/default/step_simulation"
-    assert stage.world.steps == 2
+    assert server.world.steps == 2
 
 
 @pytest.mark.parametrize(
@@ -255,20 +255,20 @@ def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
     ],
 )
 def test_loop_refuses_a_request_that_is_too_large_to_decode(service: str, code: int) -> None:
-    call = served(a_stage("r0"), service, b"\xff" * (MAX_REQUEST_BYTES + 1))
+    call = served(a_server("r0"), service, b"\xff" * (MAX_REQUEST_BYTES + 1))
 
     assert refusal_in(call)[0] == code
     assert refusal_in(call)[1].startswith(f"request.size: a request of {MAX_REQUEST_BYTES + 1}")
 
 
 def test_request_of_another_service_does_not_take_the_place_of_one_that_waits() -> None:
-    stage = a_stage()
-    stage.world.pause()
-    steps = stage.ask("step_simulation", StepSimulationRequest(2))
-    other = stage.ask("get_entities", GetEntitiesRequest())
+    server = a_server()
+    server.world.pause()
+    steps = server.ask("step_simulation", StepSimulationRequest(2))
+    other = server.ask("get_entities", GetEntitiesRequest())
     steps.request_id = other.request_id = b"same"
 
     for _ in range(6):
-        stage.loop.turn()
+        server.loop.turn()
 
     assert (len(steps.answers), len(other.answers)) == (1, 1)

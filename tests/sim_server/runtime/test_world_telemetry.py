@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import on_ground
-from tests.sim_server.fakes import a_birth, a_desk, a_stage, a_world, names_in
+from tests.sim_server.fakes import a_server, a_spawn, a_world, make_parts, names_in
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
@@ -19,7 +19,7 @@ from zensim.sim_server.world.simulated_world import World
 SECOND = 1_000_000_000
 MILLISECOND = 1_000_000
 CHANGES: dict[str, Callable[[World], object]] = {
-    "spawn": lambda world: world.spawn(a_birth("r1")),
+    "spawn": lambda world: world.spawn(a_spawn("r1")),
     "delete": lambda world: world.delete("r0"),
     "reset": lambda world: world.reset(ResetScope.STATE),
     "place": lambda world: world.place("r0", on_ground(5.0)),
@@ -32,11 +32,11 @@ def due(telemetry: WorldTelemetry, now_ns: int) -> list[str]:
 
 def counts(seconds: float, *, is_paused: bool = False) -> dict[str, int]:
     """Count what a loop tells in some wall time."""
-    stage = a_stage("r0")
+    server = a_server("r0")
     if is_paused:
-        stage.world.pause()
-    stage.turn_for(seconds)
-    return {topic: len(stage.outlet.on(topic)) for topic in (*GETTABLE_TOPICS, "events")}
+        server.world.pause()
+    server.turn_for(seconds)
+    return {topic: len(server.publisher.on(topic)) for topic in (*GETTABLE_TOPICS, "events")}
 
 
 def test_topics_are_told_at_their_rates_while_time_runs() -> None:
@@ -61,42 +61,42 @@ def test_topics_are_told_twice_a_second_while_time_stands() -> None:
 def test_snapshot_follows_a_change_at_once_while_time_stands(
     change: Callable[[World], object],
 ) -> None:
-    stage = a_stage("r0")
-    stage.world.pause()
-    stage.turn_for(0.1)
-    stage.outlet.told.clear()
+    server = a_server("r0")
+    server.world.pause()
+    server.turn_for(0.1)
+    server.publisher.told.clear()
 
-    change(stage.world)
-    stage.turn_for(0.036)
+    change(server.world)
+    server.turn_for(0.036)
 
-    snapshot = stage.outlet.on("snapshot")[-1]
+    snapshot = server.publisher.on("snapshot")[-1]
     assert isinstance(snapshot, Snapshot)
-    assert list(snapshot.names) == names_in(stage.world)
-    assert snapshot.base == stage.world.reading().base.tobytes()
+    assert list(snapshot.names) == names_in(server.world)
+    assert snapshot.base == server.world.reading().base.tobytes()
 
 
 def test_topics_are_not_made_when_nobody_listens() -> None:
-    stage = a_stage("r0")
-    stage.outlet.unwanted = set(GETTABLE_TOPICS)
+    server = a_server("r0")
+    server.publisher.unwanted = set(GETTABLE_TOPICS)
 
-    stage.turn_for(2.0)
+    server.turn_for(2.0)
 
-    assert stage.outlet.told == []
+    assert server.publisher.told == []
 
 
 def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
-    stage = a_stage("r0", factor=0.0, cost_ns=MILLISECOND)
+    server = a_server("r0", factor=0.0, cost_ns=MILLISECOND)
 
-    stage.turn_for(2.0)
+    server.turn_for(2.0)
 
-    assert stage.world.steps == pytest.approx(2000, abs=2)
-    assert len(stage.outlet.on("snapshot")) == pytest.approx(60, abs=2)
-    assert len(stage.outlet.on("clock")) == pytest.approx(200, abs=4)
+    assert server.world.steps == pytest.approx(2000, abs=2)
+    assert len(server.publisher.on("snapshot")) == pytest.approx(60, abs=2)
+    assert len(server.publisher.on("clock")) == pytest.approx(200, abs=4)
 
 
 def test_telemetry_tells_clock_and_where_everything_is_when_something_has_changed() -> None:
     world = a_world("r0")
-    telemetry = WorldTelemetry(a_desk(world))
+    telemetry = WorldTelemetry(make_parts(world))
     for i in range(5):
         due(telemetry, SECOND + i * 100 * MILLISECOND)
     nothing = due(telemetry, SECOND + 500 * MILLISECOND)
@@ -122,7 +122,7 @@ def test_clock_tells_time_step_and_epoch() -> None:
     for _ in range(240):
         world.step()
 
-    clock = WorldTelemetry(a_desk(world)).message("clock")
+    clock = WorldTelemetry(make_parts(world)).message("clock")
 
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
@@ -135,7 +135,7 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
     meter.slipped_ns = SECOND
     meter.close_window(SECOND)
 
-    stats = WorldTelemetry(replace(a_desk(world), loop_stats=meter)).message("stats")
+    stats = WorldTelemetry(replace(make_parts(world), loop_stats=meter)).message("stats")
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -150,7 +150,7 @@ def test_real_time_factor_is_zero_while_time_stands(topic: str) -> None:
     meter.real_time_factor = 1.0
     world.pause()
 
-    message = WorldTelemetry(replace(a_desk(world), loop_stats=meter)).message(topic)
+    message = WorldTelemetry(replace(make_parts(world), loop_stats=meter)).message(topic)
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck, an_arm, on_ground
-from tests.sim_server.fakes import a_birth, a_desk, a_world
+from tests.sim_server.fakes import a_spawn, a_world, make_parts
 from tests.sim_server.orders import an_order, spawned
 from zensim.proto.messages import entity_messages
 from zensim.proto.messages.entity_messages import (
@@ -58,38 +58,38 @@ def test_info_follows_from_the_model_unless_somebody_says_it(
     model: Model, category: Category
 ) -> None:
     world = a_world()
-    world.spawn(a_birth("e", model=model))
+    world.spawn(a_spawn("e", model=model))
 
-    info = info_of(a_desk(world), "e")
+    info = info_of(make_parts(world), "e")
 
     assert info == EntityInfo(EntityCategory(category), model.name)
 
 
 def test_info_is_set_and_kept_through_a_reset_of_states() -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
 
-    handle_request(desk, entity_messages.SetEntityInfoRequest("r0", HUMAN))
-    handle_request(desk, ResetSimulationRequest(ResetScope.STATE))
+    handle_request(parts, entity_messages.SetEntityInfoRequest("r0", HUMAN))
+    handle_request(parts, ResetSimulationRequest(ResetScope.STATE))
 
-    assert info_of(desk, "r0") == HUMAN
+    assert info_of(parts, "r0") == HUMAN
 
 
 def test_info_may_come_with_the_spawn() -> None:
-    desk = a_desk(a_world())
+    parts = make_parts(a_world())
 
-    spawned(desk, SpawnEntityOrder("r", entity_resource=an_order().entity_resource, info=HUMAN))
+    spawned(parts, SpawnEntityOrder("r", entity_resource=an_order().entity_resource, info=HUMAN))
 
-    assert info_of(desk, "r") == HUMAN
+    assert info_of(parts, "r") == HUMAN
 
 
 def test_tags_are_kept_once_each() -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
 
     handle_request(
-        desk, entity_messages.SetEntityInfoRequest("r0", EntityInfo(tags=("a", "b", "a")))
+        parts, entity_messages.SetEntityInfoRequest("r0", EntityInfo(tags=("a", "b", "a")))
     )
 
-    assert info_of(desk, "r0").tags == ("a", "b")
+    assert info_of(parts, "r0").tags == ("a", "b")
 
 
 @pytest.mark.parametrize(
@@ -103,12 +103,12 @@ def test_tags_are_kept_once_each() -> None:
     ],
 )
 def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
 
     with pytest.raises(SimError, match=words):
-        handle_request(desk, entity_messages.SetEntityInfoRequest("r0", info))
+        handle_request(parts, entity_messages.SetEntityInfoRequest("r0", info))
 
-    assert info_of(desk, "r0").category.category == Category.ROBOT
+    assert info_of(parts, "r0").category.category == Category.ROBOT
 
 
 @pytest.mark.parametrize(
@@ -124,16 +124,16 @@ def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -
 )
 def test_what_does_not_exist_is_not_found(request_: msgspec.Struct) -> None:
     with pytest.raises(SimError, match="does not exist") as error:
-        handle_request(a_desk(a_world("r0")), request_)
+        handle_request(make_parts(a_world("r0")), request_)
 
     assert error.value.code == 2
 
 
 def test_box_is_of_the_collisions_in_the_frame_of_the_base_upper_corner_first() -> None:
     world = a_world()
-    world.spawn(a_birth("e", model=a_puck(), base=on_ground(7.0, 8.0, 1.0)))
+    world.spawn(a_spawn("e", model=a_puck(), base=on_ground(7.0, 8.0, 1.0)))
 
-    bounds = bounds_of(a_desk(world), "e")
+    bounds = bounds_of(make_parts(world), "e")
 
     assert bounds.type == BoundsType.BOX
     upper, lower = corners(bounds)
@@ -142,8 +142,8 @@ def test_box_is_of_the_collisions_in_the_frame_of_the_base_upper_corner_first() 
 
 
 def test_bounds_follow_the_joints() -> None:
-    desk = a_desk(a_world("r0"))
-    upper, lower = corners(bounds_of(desk, "r0"))
+    parts = make_parts(a_world("r0"))
+    upper, lower = corners(bounds_of(parts, "r0"))
 
     assert upper == pytest.approx((0.125, 0.15 + WHEEL_RADIUS_M, WHEEL_RADIUS_M))
     assert lower[1] == pytest.approx(-0.15 - WHEEL_RADIUS_M)
@@ -151,9 +151,9 @@ def test_bounds_follow_the_joints() -> None:
 
 def test_hull_of_a_box_is_its_corners() -> None:
     world = a_world()
-    world.spawn(a_birth("e", model=a_box(side_m=0.2), base=on_ground(7.0)))
+    world.spawn(a_spawn("e", model=a_box(side_m=0.2), base=on_ground(7.0)))
 
-    hull = bounds_of(a_desk(world), "e", BoundsType.CONVEX_HULL)
+    hull = bounds_of(make_parts(world), "e", BoundsType.CONVEX_HULL)
 
     assert hull.type == BoundsType.CONVEX_HULL
     found = {tuple(round(part, 9) for part in corner) for corner in corners(hull)}
@@ -163,9 +163,9 @@ def test_hull_of_a_box_is_its_corners() -> None:
 
 def test_sphere_holds_the_box() -> None:
     world = a_world()
-    world.spawn(a_birth("e", model=a_box(side_m=0.2)))
+    world.spawn(a_spawn("e", model=a_box(side_m=0.2)))
 
-    sphere = bounds_of(a_desk(world), "e", BoundsType.SPHERE)
+    sphere = bounds_of(make_parts(world), "e", BoundsType.SPHERE)
 
     assert sphere.points[0] == Vector3()
     assert sphere.points[1].x == pytest.approx(0.1 * math.sqrt(3.0))
@@ -173,15 +173,15 @@ def test_sphere_holds_the_box() -> None:
 
 def test_bounds_are_empty_where_nothing_collides() -> None:
     world = a_world()
-    world.spawn(a_birth("e", model=an_arm("continuous")))
+    world.spawn(a_spawn("e", model=an_arm("continuous")))
 
-    assert bounds_of(a_desk(world), "e") == Bounds()
+    assert bounds_of(make_parts(world), "e") == Bounds()
 
 
 @pytest.mark.parametrize("kind", [0, 4, 200])
 def test_bounds_of_no_type_are_unsupported(kind: int) -> None:
     with pytest.raises(SimError, match=r"cannot be asked for; use 1 \(box\)") as error:
-        bounds_of(a_desk(a_world("r0")), "r0", kind)
+        bounds_of(make_parts(a_world("r0")), "r0", kind)
 
     assert error.value.code == 0
 
@@ -190,7 +190,7 @@ def test_state_is_told_in_the_frame_of_another_entity() -> None:
     world = a_world("r0", "r1")
     world.place("r1", on_ground(1.0, 2.0, math.pi / 2.0))
 
-    response = handle_request(a_desk(world), entity_messages.GetEntityStateOrder("r0", "r1"))
+    response = handle_request(make_parts(world), entity_messages.GetEntityStateOrder("r0", "r1"))
 
     assert isinstance(response, entity_messages.GetEntityStateResponse)
     assert response.state.header.frame_id == "r1"
@@ -199,9 +199,9 @@ def test_state_is_told_in_the_frame_of_another_entity() -> None:
 
 
 def test_states_of_all_that_pass_are_told_at_once() -> None:
-    desk = a_desk(a_world("r0", "r1", "x"))
+    parts = make_parts(a_world("r0", "r1", "x"))
 
-    response = handle_request(desk, entity_messages.GetEntitiesStatesOrder(EntityFilters("^r")))
+    response = handle_request(parts, entity_messages.GetEntitiesStatesOrder(EntityFilters("^r")))
 
     assert isinstance(response, entity_messages.GetEntitiesStatesResponse)
     assert response.entities == ("r0", "r1")
@@ -213,16 +213,16 @@ def test_states_of_all_that_pass_are_told_at_once() -> None:
 
 def test_states_of_nobody_are_none() -> None:
     response = handle_request(
-        a_desk(a_world("r0")), entity_messages.GetEntitiesStatesOrder(EntityFilters("x"))
+        make_parts(a_world("r0")), entity_messages.GetEntitiesStatesOrder(EntityFilters("x"))
     )
 
     assert response == entity_messages.GetEntitiesStatesResponse()
 
 
 def test_acceleration_cannot_be_set() -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
 
     with pytest.raises(SimError, match="acceleration cannot be set") as error:
-        handle_request(desk, entity_messages.SetEntityStateRequest("r0", set_acceleration=True))
+        handle_request(parts, entity_messages.SetEntityStateRequest("r0", set_acceleration=True))
 
     assert error.value.code == 0

@@ -8,7 +8,7 @@ import pytest
 
 from tests.engines import STEP_NS
 from tests.models import a_body, a_box, a_state, an_arm
-from tests.sim_server.fakes import a_birth, a_desk, a_world, names_in
+from tests.sim_server.fakes import a_spawn, a_world, make_parts, names_in
 from zensim.proto.messages import gazebo_messages
 from zensim.proto.messages.gazebo_messages import GazeboEntityState, JointType, ODEJointProperties
 from zensim.proto.messages.model_messages import Inertial
@@ -41,10 +41,10 @@ FOR_EVER = Duration(-1)
 def context() -> ServerContext:
     """A box that looks along y, and an arm."""
     world = a_world()
-    world.spawn(a_birth("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))
-    world.spawn(a_birth("arm", model=an_arm("revolute"), base=a_state((5.0, 0.0, 0.0))))
+    world.spawn(a_spawn("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))
+    world.spawn(a_spawn("arm", model=an_arm("revolute"), base=a_state((5.0, 0.0, 0.0))))
     world.take_events()
-    return a_desk(world)
+    return make_parts(world)
 
 
 def a_push(link: str = "box::base", **changes: object) -> gazebo_messages.ApplyLinkWrenchRequest:
@@ -363,7 +363,7 @@ def test_request_is_refused(
 
 
 def test_joint_that_several_entities_have_is_named_in_full(context: ServerContext) -> None:
-    context.world.spawn(a_birth("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
+    context.world.spawn(a_spawn("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
 
     with pytest.raises(SimError, match="use 'arm::swing', 'other::swing'"):
         handle_request(context, gazebo_messages.ApplyJointEffortRequest("swing", 1.0))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.proto.strategies import messages_of
-from tests.sim_server.fakes import a_command, a_desk, a_world, names_in, wheel_speeds
+from tests.sim_server.fakes import a_command, a_world, make_parts, names_in, wheel_speeds
 from tests.sim_server.orders import an_order, spawned
 from zensim.proto.codec.message_codec import Format, encode, supports_format
 from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
@@ -60,7 +60,7 @@ def test_handlers_are_of_services_only() -> None:
 
 
 def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
-    response = handle_request(a_desk(a_world()), GetSimulatorFeaturesRequest())
+    response = handle_request(make_parts(a_world()), GetSimulatorFeaturesRequest())
 
     assert isinstance(response, GetSimulatorFeaturesResponse)
     assert set(response.features.features) == {int(feature) for feature in FEATURES}
@@ -69,16 +69,16 @@ def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
 
 
 def test_delete_takes_an_entity_out() -> None:
-    desk = a_desk(a_world("r0", "r1"))
+    parts = make_parts(a_world("r0", "r1"))
 
-    handle_request(desk, DeleteEntityRequest("r0"))
+    handle_request(parts, DeleteEntityRequest("r0"))
 
-    assert names_in(desk.world) == ["r1"]
+    assert names_in(parts.world) == ["r1"]
 
 
 def test_get_entities_names_all_in_the_order_of_spawning() -> None:
     response = handle_request(
-        a_desk(a_world("r2", "r0", "r1")), entity_messages.GetEntitiesRequest()
+        make_parts(a_world("r2", "r0", "r1")), entity_messages.GetEntitiesRequest()
     )
 
     assert isinstance(response, entity_messages.GetEntitiesResponse)
@@ -92,7 +92,7 @@ def test_get_state_tells_pose_twist_and_time_in_the_world() -> None:
     for _ in range(240):
         world.step()
 
-    response = handle_request(a_desk(world), entity_messages.GetEntityStateOrder("r0"))
+    response = handle_request(make_parts(world), entity_messages.GetEntityStateOrder("r0"))
 
     assert isinstance(response, entity_messages.GetEntityStateResponse)
     assert response.state.header == Header(Time(1, 80), "world")
@@ -101,32 +101,32 @@ def test_get_state_tells_pose_twist_and_time_in_the_world() -> None:
 
 
 def test_set_state_of_version_1_sets_pose_and_twist() -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
-    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state))
+    handle_request(parts, entity_messages.SetEntityStateRequest("r0", state))
 
-    row = desk.world.state_of("r0")
+    row = parts.world.state_of("r0")
     assert (row[0], row[2], row[7]) == (3.0, 0.5, 1.0)
 
 
 def test_set_state_sets_only_the_pose_when_only_that_is_asked_for() -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
-    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state, set_pose=True))
+    handle_request(parts, entity_messages.SetEntityStateRequest("r0", state, set_pose=True))
 
-    row = desk.world.state_of("r0")
+    row = parts.world.state_of("r0")
     assert (row[0], row[7]) == (3.0, 0.0)
 
 
 def test_set_state_sets_only_the_twist_when_only_that_is_asked_for() -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
-    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state, set_twist=True))
+    handle_request(parts, entity_messages.SetEntityStateRequest("r0", state, set_twist=True))
 
-    row = desk.world.state_of("r0")
+    row = parts.world.state_of("r0")
     assert (row[0], row[7]) == (0.0, 1.0)
 
 
@@ -135,7 +135,7 @@ def test_set_state_takes_pose_and_twist_in_the_frame_of_another_entity() -> None
     world.place("r1", on_ground(5.0, 0.0, math.pi / 2.0))
     state = state_at((1.0, 0.0, 0.0), linear=(2.0, 0.0, 0.0), frame_id="r1")
 
-    handle_request(a_desk(world), entity_messages.SetEntityStateRequest("r0", state))
+    handle_request(make_parts(world), entity_messages.SetEntityStateRequest("r0", state))
 
     row = world.state_of("r0")
     assert row[:3] == pytest.approx([5.0, 1.0, WHEEL_RADIUS_M])
@@ -143,62 +143,62 @@ def test_set_state_takes_pose_and_twist_in_the_frame_of_another_entity() -> None
 
 
 def test_set_state_does_not_change_where_a_reset_goes_back_to() -> None:
-    desk = a_desk(a_world("r0"))
-    handle_request(desk, entity_messages.SetEntityStateRequest("r0", state_at((3.0, 0.0, 0.5))))
+    parts = make_parts(a_world("r0"))
+    handle_request(parts, entity_messages.SetEntityStateRequest("r0", state_at((3.0, 0.0, 0.5))))
 
-    handle_request(desk, ResetSimulationRequest(ResetScope.STATE))
+    handle_request(parts, ResetSimulationRequest(ResetScope.STATE))
 
-    assert desk.world.state_of("r0") == pytest.approx(on_ground())
+    assert parts.world.state_of("r0") == pytest.approx(on_ground())
 
 
 def test_simulation_is_paused_and_played() -> None:
-    desk = a_desk(a_world())
+    parts = make_parts(a_world())
 
-    handle_request(desk, SetSimulationStateRequest(SimulationState(State.PAUSED)))
+    handle_request(parts, SetSimulationStateRequest(SimulationState(State.PAUSED)))
 
-    response = handle_request(desk, GetSimulationStateRequest())
+    response = handle_request(parts, GetSimulationStateRequest())
     assert isinstance(response, GetSimulationStateResponse)
     assert response.state.state == State.PAUSED
-    handle_request(desk, SetSimulationStateRequest(SimulationState(State.PLAYING)))
-    assert desk.world.state == State.PLAYING
+    handle_request(parts, SetSimulationStateRequest(SimulationState(State.PLAYING)))
+    assert parts.world.state == State.PLAYING
 
 
 @pytest.mark.parametrize("scope", [0, 1, 2, 3, 4, 5, 6, 7, 255])
 def test_reset_takes_every_sum_of_known_bits(scope: int) -> None:
-    desk = a_desk(a_world("r0"))
+    parts = make_parts(a_world("r0"))
 
-    handle_request(desk, ResetSimulationRequest(scope))
+    handle_request(parts, ResetSimulationRequest(scope))
 
-    assert desk.world.epoch == 1
-    assert bool(names_in(desk.world)) == (scope in (1, 2, 3))
+    assert parts.world.epoch == 1
+    assert bool(names_in(parts.world)) == (scope in (1, 2, 3))
 
 
 def test_claim_tells_model_and_clock() -> None:
-    desk = a_desk(a_world("r0"))
-    desk.alive_agents.add("a")
+    parts = make_parts(a_world("r0"))
+    parts.alive_agents.add("a")
 
-    response = handle_request(desk, agent_messages.ClaimEntityRequest("a", ("r0",)))
+    response = handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r0",)))
 
     assert isinstance(response, agent_messages.ClaimEntityResponse)
     assert [claim.entity for claim in response.grants] == ["r0"]
-    assert (response.step_ns, response.control_steps) == (desk.world.step_ns, 3)
+    assert (response.step_ns, response.control_steps) == (parts.world.step_ns, 3)
 
 
 def test_claim_ends_as_it_was_asked_to() -> None:
-    desk = a_desk(a_world("r0"))
-    desk.alive_agents.add("a")
+    parts = make_parts(a_world("r0"))
+    parts.alive_agents.add("a")
 
-    handle_request(desk, agent_messages.ClaimEntityRequest("a", ("r0",), "delete"))
-    desk.world.release("a")
+    handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r0",), "delete"))
+    parts.world.release("a")
 
-    assert names_in(desk.world) == []
+    assert names_in(parts.world) == []
 
 
 def test_models_are_told_once_for_all_that_share_them() -> None:
-    desk = a_desk(a_world("r0", "r1"))
-    spawned(desk, an_order("r2"))
+    parts = make_parts(a_world("r0", "r1"))
+    spawned(parts, an_order("r2"))
 
-    response = handle_request(desk, telemetry_messages.GetModelsRequest())
+    response = handle_request(parts, telemetry_messages.GetModelsRequest())
 
     assert isinstance(response, telemetry_messages.GetModelsResponse)
     assert [(one.entity, one.model) for one in response.entities] == [
@@ -207,14 +207,14 @@ def test_models_are_told_once_for_all_that_share_them() -> None:
         ("r2", 1),
     ]
     assert [model.name for model in response.models] == ["cart", "box_bot"]
-    assert response.roster == desk.world.roster_number
+    assert response.roster == parts.world.roster_number
 
 
 def test_models_of_some_entities_are_told_when_they_are_named() -> None:
-    desk = a_desk(a_world("r0", "r1"))
-    desk.world.claim("a", ("r1",), "stop")
+    parts = make_parts(a_world("r0", "r1"))
+    parts.world.claim("a", ("r1",), "stop")
 
-    response = handle_request(desk, telemetry_messages.GetModelsRequest(("r1",)))
+    response = handle_request(parts, telemetry_messages.GetModelsRequest(("r1",)))
 
     assert isinstance(response, telemetry_messages.GetModelsResponse)
     (one,) = response.entities
@@ -223,12 +223,12 @@ def test_models_of_some_entities_are_told_when_they_are_named() -> None:
 
 
 def test_info_tells_who_is_there() -> None:
-    desk = a_desk(a_world("r0", "r1"), factor=2.0)
-    desk.world.claim("a", ("r0", "r1"), "stop")
-    desk.world.step()
-    desk.loop_stats.real_time_factor = 0.9
+    parts = make_parts(a_world("r0", "r1"), factor=2.0)
+    parts.world.claim("a", ("r0", "r1"), "stop")
+    parts.world.step()
+    parts.loop_stats.real_time_factor = 0.9
 
-    info = handle_request(desk, telemetry_messages.InfoRequest())
+    info = handle_request(parts, telemetry_messages.InfoRequest())
 
     assert isinstance(info, telemetry_messages.Info)
     assert (info.entities, info.agents, info.claimed) == (2, 1, 2)
@@ -238,11 +238,11 @@ def test_info_tells_who_is_there() -> None:
 
 
 def test_info_tells_a_real_time_factor_of_zero_when_paused() -> None:
-    desk = a_desk(a_world())
-    desk.loop_stats.real_time_factor = 0.9
-    desk.world.pause()
+    parts = make_parts(a_world())
+    parts.loop_stats.real_time_factor = 0.9
+    parts.world.pause()
 
-    info = handle_request(desk, telemetry_messages.InfoRequest())
+    info = handle_request(parts, telemetry_messages.InfoRequest())
 
     assert isinstance(info, telemetry_messages.Info)
     assert (info.real_time_factor, info.state) == (0.0, "paused")
@@ -261,20 +261,20 @@ def test_refusal_is_a_response_with_a_result(name: str) -> None:
 def test_service_answers_any_request_or_refuses_it(
     service: Service[msgspec.Struct, msgspec.Struct], data: st.DataObject
 ) -> None:
-    desk = a_desk(a_world("r0"))
-    desk.alive_agents.add("a")
+    parts = make_parts(a_world("r0"))
+    parts.alive_agents.add("a")
     request = data.draw(messages_of(service.request))
 
     try:
-        response = handle_request(desk, request)
+        response = handle_request(parts, request)
         if isinstance(response, DeferredResponse):
             while not response.is_ready():
-                desk.descriptions.poll()
+                parts.descriptions.poll()
             response = response.outcome()
     except SimError as error:
         response = make_refusal(service.name, error.code, str(error))
 
     for wanted in (one for one in Format if supports_format(type(response), one)):
         assert encode(response, wanted)
-    assert np.isfinite(desk.world.reading().base).all()
-    assert np.isfinite(wheel_speeds(desk.world)).all()
+    assert np.isfinite(parts.world.reading().base).all()
+    assert np.isfinite(wheel_speeds(parts.world)).all()

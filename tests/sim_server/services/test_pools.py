@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import a_birth, a_desk, a_world
+from tests.sim_server.fakes import a_spawn, a_world, make_parts
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages import agent_messages
 from zensim.sim_server.errors import IncorrectState, RequestRefused
@@ -27,95 +27,95 @@ def driven_by(context: ServerContext, pool: str) -> list[str]:
 
 
 def test_first_pool_gets_all_robots_that_nobody_drives_by_name() -> None:
-    desk = a_desk(a_world("r0", "r1", "r2"))
-    desk.alive_agents.add("a")
-    handle_request(desk, agent_messages.ClaimEntityRequest("a", ("r1",)))
+    parts = make_parts(a_world("r0", "r1", "r2"))
+    parts.alive_agents.add("a")
+    handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r1",)))
 
-    response = share(desk, "p")
+    response = share(parts, "p")
 
     assert [grant.entity for grant in response.grants] == ["r0", "r2"]
-    assert driven_by(desk, "a") == ["r1"]
+    assert driven_by(parts, "a") == ["r1"]
 
 
 def test_second_pool_takes_its_half_from_the_first() -> None:
-    desk = a_desk(a_world("r0", "r1", "r2", "r3"))
-    share(desk, "p")
+    parts = make_parts(a_world("r0", "r1", "r2", "r3"))
+    share(parts, "p")
 
-    response = share(desk, "q")
+    response = share(parts, "q")
 
     assert [grant.entity for grant in response.grants] == ["r2", "r3"]
-    assert driven_by(desk, "p") == ["r0", "r1"]
-    assert share(desk, "p").grants == ()
+    assert driven_by(parts, "p") == ["r0", "r1"]
+    assert share(parts, "p").grants == ()
 
 
 def test_share_says_each_model_and_text_once() -> None:
-    desk = a_desk(a_world("r0", "r1", "r2"))
+    parts = make_parts(a_world("r0", "r1", "r2"))
 
-    response = share(desk, "p")
+    response = share(parts, "p")
 
     assert len(response.grants) == 3
     assert len(response.models) == len(response.robot_descriptions) == 1
     assert [one.model for one in agent_messages.expand_grants(response)] == [
-        entity.model for entity in desk.world.entities
+        entity.model for entity in parts.world.entities
     ]
 
 
 def test_share_keeps_to_the_limit_of_a_pool() -> None:
-    desk = a_desk(a_world("r0", "r1", "r2"))
+    parts = make_parts(a_world("r0", "r1", "r2"))
 
-    assert len(share(desk, "p", limit=1).grants) == 1
-    assert len(share(desk, "q").grants) == 2
+    assert len(share(parts, "p", limit=1).grants) == 1
+    assert len(share(parts, "q").grants) == 2
 
 
 def test_share_leaves_what_has_no_drive() -> None:
-    desk = a_desk(a_world("r0"))
-    desk.world.spawn(a_birth("crate", model=CRATE, base=on_ground(5.0)))
+    parts = make_parts(a_world("r0"))
+    parts.world.spawn(a_spawn("crate", model=CRATE, base=on_ground(5.0)))
 
-    assert [grant.entity for grant in share(desk, "p").grants] == ["r0"]
+    assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
 
 
 def test_share_leaves_what_is_frozen() -> None:
-    desk = a_desk(a_world("r0", "r1"))
-    desk.world.watch.freeze(desk.world.entity("r1"))
+    parts = make_parts(a_world("r0", "r1"))
+    parts.world.watch.freeze(parts.world.entity("r1"))
 
-    assert [grant.entity for grant in share(desk, "p").grants] == ["r0"]
+    assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
 
 
 def test_share_is_cut_where_texts_would_not_fit_in_a_reply(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    desk = a_desk(a_world("r0", "r1"))
+    parts = make_parts(a_world("r0", "r1"))
     monkeypatch.setattr(claim_services, "MAX_SHARE_TEXT", -1)
 
-    first, second = share(desk, "p"), share(desk, "p")
+    first, second = share(parts, "p"), share(parts, "p")
 
     assert [len(first.grants), first.is_more] == [1, True]
     assert [len(second.grants), second.is_more] == [1, False]
 
 
 def test_robots_of_a_pool_that_died_go_to_the_other() -> None:
-    desk = a_desk(a_world("r0", "r1"))
-    share(desk, "p")
-    share(desk, "q")
+    parts = make_parts(a_world("r0", "r1"))
+    share(parts, "p")
+    share(parts, "q")
 
-    desk.world.release("p")
-    desk.pools.pop("p")
+    parts.world.release("p")
+    parts.pools.pop("p")
 
-    assert [grant.entity for grant in share(desk, "q").grants] == ["r0"]
+    assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
 
 
 def test_pool_without_a_token_is_refused() -> None:
     with pytest.raises(IncorrectState, match="'p' has no liveliness token"):
-        handle_request(a_desk(a_world("r0")), agent_messages.ClaimShareRequest("p"))
+        handle_request(make_parts(a_world("r0")), agent_messages.ClaimShareRequest("p"))
 
 
 def test_pool_with_a_bad_name_is_refused() -> None:
     with pytest.raises(RequestRefused, match="'p q' is not valid"):
-        handle_request(a_desk(a_world("r0")), agent_messages.ClaimShareRequest("p q"))
+        handle_request(make_parts(a_world("r0")), agent_messages.ClaimShareRequest("p q"))
 
 
 def test_claims_of_a_response_share_models_and_refuse_what_is_not_there() -> None:
-    response = share(a_desk(a_world("r0", "r1")), "p")
+    response = share(make_parts(a_world("r0", "r1")), "p")
     one, other = agent_messages.expand_grants(response)
 
     assert one.model is other.model

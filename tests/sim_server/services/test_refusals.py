@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from tests.sim_server.description.robots import a_joint, a_link, a_robot
-from tests.sim_server.fakes import a_desk, a_world, names_in
+from tests.sim_server.fakes import a_world, make_parts, names_in
 from tests.sim_server.orders import BOX_BOT, an_order
 from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
 from zensim.proto.messages.entity_messages import EntityState
@@ -230,7 +230,7 @@ REFUSED = {
 @pytest.fixture
 def context() -> ServerContext:
     """Two entities, of which agent b drives the second."""
-    made = a_desk(a_world("r0", "r1"))
+    made = make_parts(a_world("r0", "r1"))
     made.alive_agents |= {"a", "b"}
     made.world.claim("b", ("r1",), "stop")
     return made

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.engines import STEP_NS
 from tests.fakes import MemoryCall
-from tests.sim_server.fakes import Stage, a_stage, answer_of
+from tests.sim_server.fakes import ServerFixture, a_server, answer_of
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.simulation_messages import (
     CancelStepsRequest,
@@ -32,14 +32,14 @@ from zensim.sim_server.services.simulation_services import MAX_GOALS, MAX_STEPS
 Answer = TypeVar("Answer", bound=msgspec.Struct)
 
 
-def a_paused_stage(*names: str) -> Stage:
-    stage = a_stage(*names)
-    stage.world.pause()
-    return stage
+def a_paused_server(*names: str) -> ServerFixture:
+    server = a_server(*names)
+    server.world.pause()
+    return server
 
 
-def simulate(stage: Stage, steps: int, goal_id: str = "g") -> MemoryCall:
-    return stage.ask("simulate_steps", SimulateStepsRequest(steps, goal_id))
+def simulate(server: ServerFixture, steps: int, goal_id: str = "g") -> MemoryCall:
+    return server.ask("simulate_steps", SimulateStepsRequest(steps, goal_id))
 
 
 def read(call: MemoryCall, kind: type[Answer]) -> Answer:
@@ -48,112 +48,112 @@ def read(call: MemoryCall, kind: type[Answer]) -> Answer:
     return answer
 
 
-def turn(stage: Stage, turns: int) -> None:
+def turn(server: ServerFixture, turns: int) -> None:
     for _ in range(turns):
-        stage.loop.turn()
+        server.loop.turn()
 
 
-def progress_in(stage: Stage) -> list[StepsProgress]:
-    told = stage.outlet.on("simulate_steps_feedback")
+def progress_in(server: ServerFixture) -> list[StepsProgress]:
+    told = server.publisher.on("simulate_steps_feedback")
     return [one for one in told if isinstance(one, StepsProgress)]
 
 
 def test_goal_is_answered_when_its_last_step_is_made() -> None:
-    stage = a_paused_stage()
-    call = simulate(stage, 5)
+    server = a_paused_server()
+    call = simulate(server, 5)
 
-    turn(stage, 5)
+    turn(server, 5)
 
     assert read(call, SimulateStepsResponse) == SimulateStepsResponse(
         Result(), "g", "succeeded", 5, 0
     )
-    assert stage.world.steps == 5
+    assert server.world.steps == 5
 
 
 def test_goal_tells_of_its_progress_first_and_of_its_end_before_the_answer() -> None:
-    stage = a_paused_stage()
-    simulate(stage, 5)
+    server = a_paused_server()
+    simulate(server, 5)
 
-    turn(stage, 1)
-    first = progress_in(stage)
-    turn(stage, 4)
+    turn(server, 1)
+    first = progress_in(server)
+    turn(server, 4)
 
     assert first == [StepsProgress("g", 0, 5)]
-    assert progress_in(stage)[-1] == StepsProgress("g", 5, 0, "succeeded")
+    assert progress_in(server)[-1] == StepsProgress("g", 5, 0, "succeeded")
 
 
 def test_goal_that_is_canceled_says_how_far_it_came() -> None:
-    stage = a_paused_stage()
-    goal = simulate(stage, 100)
-    turn(stage, 7)
+    server = a_paused_server()
+    goal = simulate(server, 100)
+    turn(server, 7)
 
-    cancel = stage.ask("cancel_steps", CancelStepsRequest("g"))
-    turn(stage, 2)
+    cancel = server.ask("cancel_steps", CancelStepsRequest("g"))
+    turn(server, 2)
 
     answer = read(goal, SimulateStepsResponse)
     assert (answer.status, answer.completed_steps, answer.remaining_steps) == ("canceled", 7, 93)
     assert answer.result == Result(ResultCode.OPERATION_FAILED, "canceled after 7 of 100 steps")
     assert read(cancel, CancelStepsResponse).goal_ids == ("g",)
-    assert stage.world.steps == 7
+    assert server.world.steps == 7
 
 
 def test_cancel_without_an_id_ends_requested_steps_of_every_kind() -> None:
-    stage = a_paused_stage()
-    stage.ask("step_simulation", StepSimulationRequest(100))
-    simulate(stage, 100)
-    turn(stage, 1)
+    server = a_paused_server()
+    server.ask("step_simulation", StepSimulationRequest(100))
+    simulate(server, 100)
+    turn(server, 1)
 
-    cancel = stage.ask("cancel_steps", CancelStepsRequest())
-    turn(stage, 5)
+    cancel = server.ask("cancel_steps", CancelStepsRequest())
+    turn(server, 5)
 
     assert read(cancel, CancelStepsResponse).goal_ids == ("", "g")
-    assert stage.world.steps == 1
+    assert server.world.steps == 1
 
 
 @pytest.mark.parametrize(
     ("goal_id", "code"), [("other", ResultCode.NOT_FOUND), ("g", ResultCode.INCORRECT_STATE)]
 )
 def test_cancel_is_refused_for_a_goal_that_is_not_under_way(goal_id: str, code: int) -> None:
-    stage = a_paused_stage()
-    simulate(stage, 1)
-    turn(stage, 2)
+    server = a_paused_server()
+    simulate(server, 1)
+    turn(server, 2)
 
-    call = stage.ask("cancel_steps", CancelStepsRequest(goal_id))
-    turn(stage, 1)
+    call = server.ask("cancel_steps", CancelStepsRequest(goal_id))
+    turn(server, 1)
 
     assert read(call, CancelStepsResponse).result.result == code
 
 
 def test_goal_that_is_asked_for_again_is_joined() -> None:
-    stage = a_paused_stage()
-    first = simulate(stage, 10)
-    turn(stage, 3)
+    server = a_paused_server()
+    first = simulate(server, 10)
+    turn(server, 3)
 
-    second = simulate(stage, 10)
-    turn(stage, 7)
+    second = simulate(server, 10)
+    turn(server, 7)
 
     assert read(first, SimulateStepsResponse) == read(second, SimulateStepsResponse)
-    assert stage.world.steps == 10
+    assert server.world.steps == 10
 
 
 def test_result_of_a_goal_that_is_over_is_fetched_by_asking_again() -> None:
-    stage = a_paused_stage()
-    first = simulate(stage, 10)
-    turn(stage, 12)
+    server = a_paused_server()
+    first = simulate(server, 10)
+    turn(server, 12)
 
-    second = simulate(stage, 10)
-    turn(stage, 1)
+    second = simulate(server, 10)
+    turn(server, 1)
 
     assert read(second, SimulateStepsResponse) == read(first, SimulateStepsResponse)
-    assert stage.world.steps == 10
+    assert server.world.steps == 10
 
 
 def test_goal_of_the_same_id_and_other_steps_is_refused() -> None:
-    stage = a_paused_stage()
-    simulate(stage, 10)
-    call = simulate(stage, 11)
+    server = a_paused_server()
+    simulate(server, 10)
+    call = simulate(server, 11)
 
-    turn(stage, 1)
+    turn(server, 1)
 
     result = read(call, SimulateStepsResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
@@ -162,51 +162,51 @@ def test_goal_of_the_same_id_and_other_steps_is_refused() -> None:
 
 @pytest.mark.parametrize("goal_id", ["x" * 65, "a\nb", "\0"])
 def test_goal_id_that_is_none_is_refused(goal_id: str) -> None:
-    stage = a_paused_stage()
-    call = simulate(stage, 1, goal_id)
+    server = a_paused_server()
+    call = simulate(server, 1, goal_id)
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, SimulateStepsResponse).result.result == ResultCode.OPERATION_FAILED
-    assert stage.world.steps == 0
+    assert server.world.steps == 0
 
 
 @pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
 def test_goal_of_too_many_or_no_steps_is_refused(steps: int) -> None:
-    stage = a_paused_stage()
-    call = simulate(stage, steps)
+    server = a_paused_server()
+    call = simulate(server, steps)
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, SimulateStepsResponse).result.result == ResultCode.OPERATION_FAILED
 
 
 def test_goals_beyond_the_limit_are_refused() -> None:
-    stage = a_paused_stage()
-    calls = [simulate(stage, 10, f"g{i}") for i in range(MAX_GOALS + 1)]
+    server = a_paused_server()
+    calls = [simulate(server, 10, f"g{i}") for i in range(MAX_GOALS + 1)]
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert [call.is_over for call in calls] == [False] * MAX_GOALS + [True]
     assert read(calls[-1], SimulateStepsResponse).result.result == ResultCode.INCORRECT_STATE
 
 
 def test_goal_is_refused_while_time_runs() -> None:
-    stage = a_stage()
-    call = simulate(stage, 1)
+    server = a_server()
+    call = simulate(server, 1)
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, SimulateStepsResponse).result.result == ResultCode.INCORRECT_STATE
 
 
 def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
-    stage = a_paused_stage()
-    call = simulate(stage, 100)
-    turn(stage, 3)
+    server = a_paused_server()
+    call = simulate(server, 100)
+    turn(server, 3)
 
-    stage.world.state = State.STOPPED
-    turn(stage, 1)
+    server.world.state = State.STOPPED
+    turn(server, 1)
 
     answer = read(call, SimulateStepsResponse)
     assert (answer.status, answer.completed_steps) == ("aborted", 3)
@@ -218,39 +218,39 @@ def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
     [(0, 0), (1, 1), (STEP_NS, 1), (STEP_NS + 1, 2), (240 * STEP_NS, 240)],
 )
 def test_run_goes_to_the_first_step_at_or_after_a_time(wanted_ns: int, steps: int) -> None:
-    stage = a_paused_stage()
-    call = stage.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
+    server = a_paused_server()
+    call = server.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
 
-    turn(stage, max(1, steps))
+    turn(server, max(1, steps))
 
     answer = read(call, RunToResponse)
     assert (answer.result, answer.completed_steps) == (Result(), steps)
-    assert ns_from_time(answer.time) == stage.world.time_ns == steps * STEP_NS
+    assert ns_from_time(answer.time) == server.world.time_ns == steps * STEP_NS
 
 
 @given(st.integers(0, 3 * 10**9), st.integers(0, 50))
 def test_run_reaches_any_time_and_makes_no_step_too_many(wanted_ns: int, before: int) -> None:
-    stage = a_paused_stage()
+    server = a_paused_server()
     for _ in range(before):
-        stage.world.step()
-    call = stage.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
+        server.world.step()
+    call = server.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
 
     while not call.is_over:
-        stage.loop.turn()
+        server.loop.turn()
 
     is_past = wanted_ns < before * STEP_NS
     code = ResultCode.OPERATION_FAILED if is_past else ResultCode.OK
     assert read(call, RunToResponse).result.result == code
-    assert is_past or 0 <= stage.world.time_ns - wanted_ns < STEP_NS
+    assert is_past or 0 <= server.world.time_ns - wanted_ns < STEP_NS
 
 
 def test_run_to_a_time_that_is_past_is_refused() -> None:
-    stage = a_paused_stage()
+    server = a_paused_server()
     for _ in range(240):
-        stage.world.step()
-    call = stage.ask("run_to", RunToRequest(Time(0, 500_000_000)))
+        server.world.step()
+    call = server.ask("run_to", RunToRequest(Time(0, 500_000_000)))
 
-    turn(stage, 1)
+    turn(server, 1)
 
     result = read(call, RunToResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
@@ -258,78 +258,78 @@ def test_run_to_a_time_that_is_past_is_refused() -> None:
 
 
 def test_run_is_refused_while_other_steps_wait() -> None:
-    stage = a_paused_stage()
-    simulate(stage, 10)
-    call = stage.ask("run_to", RunToRequest(Time(1)))
+    server = a_paused_server()
+    simulate(server, 10)
+    call = server.ask("run_to", RunToRequest(Time(1)))
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
 
 
 def test_run_is_refused_while_time_runs() -> None:
-    stage = a_stage()
-    call = stage.ask("run_to", RunToRequest(Time(1)))
+    server = a_server()
+    call = server.ask("run_to", RunToRequest(Time(1)))
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
 
 
 def test_run_ends_when_time_goes_back() -> None:
-    stage = a_paused_stage()
-    call = stage.ask("run_to", RunToRequest(Time(1)))
-    turn(stage, 5)
+    server = a_paused_server()
+    call = server.ask("run_to", RunToRequest(Time(1)))
+    turn(server, 5)
 
-    stage.world.reset(ResetScope.TIME)
-    turn(stage, 5)
+    server.world.reset(ResetScope.TIME)
+    turn(server, 5)
 
     result = read(call, RunToResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
     assert "ended after 5 of 240 steps: the simulation was reset" in result.error_message
-    assert stage.world.steps == 0
+    assert server.world.steps == 0
 
 
 @pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 1000.0])
 def test_speed_is_held_from_now_on(factor: float) -> None:
-    stage = a_stage(factor=0.02)
-    stage.turn_for(0.1)
-    before_ns = stage.world.time_ns
-    call = stage.ask("set_speed", SetSpeedRequest(factor))
+    server = a_server(factor=0.02)
+    server.turn_for(0.1)
+    before_ns = server.world.time_ns
+    call = server.ask("set_speed", SetSpeedRequest(factor))
 
     seconds = 100.0 * STEP_NS * 1e-9 / factor
-    stage.turn_for(seconds)
+    server.turn_for(seconds)
 
     assert read(call, SetSpeedResponse).result == Result()
-    made = (stage.world.time_ns - before_ns) / STEP_NS
+    made = (server.world.time_ns - before_ns) / STEP_NS
     assert made == pytest.approx(100, abs=4) or factor > 2.0
 
 
 def test_speed_of_zero_is_flat_out() -> None:
-    stage = a_stage(factor=1.0)
-    stage.ask("set_speed", SetSpeedRequest(0.0))
+    server = a_server(factor=1.0)
+    server.ask("set_speed", SetSpeedRequest(0.0))
 
-    turn(stage, 50)
+    turn(server, 50)
 
-    assert stage.world.steps >= 49
+    assert server.world.steps >= 49
 
 
 def test_info_tells_the_speed_that_was_set() -> None:
-    stage = a_stage()
-    stage.ask("set_speed", SetSpeedRequest(4.0))
-    call = stage.ask("info", InfoRequest())
+    server = a_server()
+    server.ask("set_speed", SetSpeedRequest(4.0))
+    call = server.ask("info", InfoRequest())
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, Info).target_real_time_factor == 4.0
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.009, 1001.0, float("inf"), float("nan")])
 def test_speed_out_of_range_is_refused(factor: float) -> None:
-    stage = a_stage()
-    call = stage.ask("set_speed", SetSpeedRequest(factor))
+    server = a_server()
+    call = server.ask("set_speed", SetSpeedRequest(factor))
 
-    turn(stage, 1)
+    turn(server, 1)
 
     assert read(call, SetSpeedResponse).result.result == ResultCode.OPERATION_FAILED
-    assert stage.context.target_real_time_factor == 1.0
+    assert server.parts.target_real_time_factor == 1.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.sim_server.fakes import ReadHere, a_desk, a_stage, a_world, names_in
+from tests.sim_server.fakes import InlineParser, a_server, a_world, make_parts, names_in
 from tests.sim_server.orders import BOX_BOT
 from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
@@ -27,16 +27,16 @@ def suspicions(report: SpawnEntityReport) -> list[str]:
     return [entry.reason for entry in report.report if entry.status == "suspicious"]
 
 
-def descriptions_of(context: ServerContext) -> ReadHere:
-    assert isinstance(context.descriptions, ReadHere)
+def descriptions_of(context: ServerContext) -> InlineParser:
+    assert isinstance(context.descriptions, InlineParser)
     return context.descriptions
 
 
 def spawned(world_names: list[str], order: SpawnEntityOrder) -> tuple[SpawnEntityReport, list[str]]:
-    desk = a_desk(a_world(*world_names))
-    report = handle_request(desk, order)
+    parts = make_parts(a_world(*world_names))
+    report = handle_request(parts, order)
     assert isinstance(report, SpawnEntityReport)
-    return report, names_in(desk.world)
+    return report, names_in(parts.world)
 
 
 def test_dry_run_says_the_name_and_spawns_nothing() -> None:
@@ -47,11 +47,11 @@ def test_dry_run_says_the_name_and_spawns_nothing() -> None:
 
 
 def test_dry_run_tells_nobody() -> None:
-    desk = a_desk(a_world())
+    parts = make_parts(a_world())
 
-    handle_request(desk, an_order(dry_run=True, initial_pose=UNDERGROUND))
+    handle_request(parts, an_order(dry_run=True, initial_pose=UNDERGROUND))
 
-    assert desk.world.take_events() == []
+    assert parts.world.take_events() == []
 
 
 def test_dry_run_is_refused_as_the_spawn_would_be() -> None:
@@ -70,12 +70,12 @@ def test_report_names_what_stands_there(*, is_dry: bool) -> None:
     ("pose", "fault"), [(AT_R1, "overlaps entity 'r1'"), (UNDERGROUND, "below ground")]
 )
 def test_strict_spawn_is_refused_and_leaves_nothing(pose: PoseStamped, fault: str) -> None:
-    desk = a_desk(a_world("r1"))
+    parts = make_parts(a_world("r1"))
 
     with pytest.raises(ModelError, match=rf"^report\.suspicious: .*{fault}"):
-        handle_request(desk, an_order(strict=True, initial_pose=pose))
+        handle_request(parts, an_order(strict=True, initial_pose=pose))
 
-    assert names_in(desk.world) == ["r1"]
+    assert names_in(parts.world) == ["r1"]
 
 
 def test_strict_spawn_is_made_when_nothing_is_suspicious() -> None:
@@ -86,19 +86,19 @@ def test_strict_spawn_is_made_when_nothing_is_suspicious() -> None:
 
 
 def test_robot_stands_on_the_lowest_corner_of_its_meshes() -> None:
-    desk = a_desk(a_world())
+    parts = make_parts(a_world())
     corners = np.array([[[0.0, 0.0, -0.25], [1.0, 0.0, 0.0], [0.0, 1.0, 0.5]]])
-    desk.store.pin("a" * 64, write_corners(corners))
+    parts.store.pin("a" * 64, write_corners(corners))
     shape = Shape("mesh", (1.0, 1.0, 2.0), mesh="a" * 64)
-    descriptions_of(desk).given = Model("m", (Link("base", Inertial(1.0), (shape,)),))
+    descriptions_of(parts).given = Model("m", (Link("base", Inertial(1.0), (shape,)),))
 
-    snapped = handle_request(desk, an_order("high", snap_to_ground=True))
-    sunk = handle_request(desk, an_order("low", initial_pose=FAR))
+    snapped = handle_request(parts, an_order("high", snap_to_ground=True))
+    sunk = handle_request(parts, an_order("low", initial_pose=FAR))
 
     assert isinstance(snapped, SpawnEntityReport)
     assert isinstance(sunk, SpawnEntityReport)
     assert suspicions(snapped) == []
-    assert desk.world.state_of("high")[2] == pytest.approx(0.5)
+    assert parts.world.state_of("high")[2] == pytest.approx(0.5)
     assert any("44.0 cm below ground" in reason for reason in suspicions(sunk))
 
 
@@ -108,78 +108,78 @@ def test_bond_without_a_token_is_refused() -> None:
 
 
 def test_entity_goes_when_its_bond_goes() -> None:
-    stage = a_stage("r1")
-    stage.inbox.bonds.append(("b1", True))
-    stage.ask("spawn_entity", an_order(bond="b1"))
-    stage.loop.serve()
-    bound = names_in(stage.world)
+    server = a_server("r1")
+    server.inbox.bonds.append(("b1", True))
+    server.ask("spawn_entity", an_order(bond="b1"))
+    server.loop.serve()
+    bound = names_in(server.world)
 
-    stage.inbox.bonds.append(("b1", False))
-    stage.loop.serve()
+    server.inbox.bonds.append(("b1", False))
+    server.loop.serve()
 
     assert bound == ["r1", "new"]
-    assert names_in(stage.world) == ["r1"]
+    assert names_in(server.world) == ["r1"]
 
 
 def test_bond_that_goes_leaves_another_entity_of_the_name_alone() -> None:
-    stage = a_stage()
-    stage.inbox.bonds.append(("b1", True))
-    stage.ask("spawn_entity", an_order(bond="b1"))
-    stage.loop.serve()
-    stage.world.delete("new")
-    stage.wall.ns += 1
-    stage.ask("spawn_entity", an_order())
-    stage.loop.serve()
+    server = a_server()
+    server.inbox.bonds.append(("b1", True))
+    server.ask("spawn_entity", an_order(bond="b1"))
+    server.loop.serve()
+    server.world.delete("new")
+    server.wall.ns += 1
+    server.ask("spawn_entity", an_order())
+    server.loop.serve()
 
-    stage.inbox.bonds.append(("b1", False))
-    stage.loop.serve()
+    server.inbox.bonds.append(("b1", False))
+    server.loop.serve()
 
-    assert names_in(stage.world) == ["new"]
+    assert names_in(server.world) == ["new"]
 
 
 def test_spawns_wait_for_reading_and_are_made_in_order_of_asking() -> None:
-    stage = a_stage()
-    reader = ReadHere()
+    server = a_server()
+    reader = InlineParser()
     reader.is_slow = True
-    stage.context.descriptions = reader
-    calls = [stage.ask("spawn_entity", an_order(name)) for name in ("a", "b")]
-    stage.loop.serve()
+    server.parts.descriptions = reader
+    calls = [server.ask("spawn_entity", an_order(name)) for name in ("a", "b")]
+    server.loop.serve()
     before = [call.is_over for call in calls]
 
     reader.is_slow = False
-    stage.loop.serve()
+    server.loop.serve()
 
     assert before == [False, False]
     assert [call.is_over for call in calls] == [True, True]
-    assert names_in(stage.world) == ["a", "b"]
+    assert names_in(server.world) == ["a", "b"]
 
 
 def test_retry_takes_the_place_of_a_spawn_that_waits() -> None:
-    stage = a_stage()
-    reader = ReadHere()
+    server = a_server()
+    reader = InlineParser()
     reader.is_slow = True
-    stage.context.descriptions = reader
-    first = stage.ask("spawn_entity", an_order("a"))
+    server.parts.descriptions = reader
+    first = server.ask("spawn_entity", an_order("a"))
     first.request_id = b"1"
-    stage.loop.serve()
-    again = stage.ask("spawn_entity", an_order("a"))
+    server.loop.serve()
+    again = server.ask("spawn_entity", an_order("a"))
     again.request_id = b"1"
-    stage.loop.serve()
+    server.loop.serve()
 
     reader.is_slow = False
-    stage.loop.serve()
+    server.loop.serve()
 
     assert (first.is_over, again.is_over) == (False, True)
-    assert names_in(stage.world) == ["a"]
+    assert names_in(server.world) == ["a"]
 
 
 def test_world_steps_on_while_a_spawn_waits() -> None:
-    stage = a_stage("r1")
-    reader = ReadHere()
+    server = a_server("r1")
+    reader = InlineParser()
     reader.is_slow = True
-    stage.context.descriptions = reader
-    stage.ask("spawn_entity", an_order("a"))
-    steps = stage.world.steps
-    stage.turn_for(0.1)
+    server.parts.descriptions = reader
+    server.ask("spawn_entity", an_order("a"))
+    steps = server.world.steps
+    server.turn_for(0.1)
 
-    assert stage.world.steps > steps
+    assert server.world.steps > steps

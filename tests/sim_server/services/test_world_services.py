@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.sim_server.fakes import WallTime, a_desk, a_world, kinds_of_events, names_in
+from tests.sim_server.fakes import WallTime, a_world, kinds_of_events, make_parts, names_in
 from tests.sim_server.orders import an_order
 from zensim.proto.messages import entity_messages, world_messages
 from zensim.proto.messages.entity_messages import TagsFilter
@@ -80,7 +80,7 @@ def available(
 
 @pytest.fixture
 def context() -> ServerContext:
-    return a_desk(a_world("r0", "r1"))
+    return make_parts(a_world("r0", "r1"))
 
 
 @pytest.fixture
@@ -121,37 +121,37 @@ def test_world_stands_while_another_is_read(context: ServerContext) -> None:
 
 def test_world_is_made_over_some_turns_and_is_there_at_once() -> None:
     wall = WallTime()
-    desk = a_desk(a_world("r0"), wall)
-    made = desk.world_factory
+    parts = make_parts(a_world("r0"), wall)
+    made = parts.world_factory
 
     def slowly(model: WorldModel) -> Iterator[BuiltWorld | None]:
         for part in made(model):
             wall.ns += WORLD_BUILD_SLICE_NS
             yield part
 
-    desk.world_factory = slowly
-    later = handle_request(desk, loading("walls"))
+    parts.world_factory = slowly
+    later = handle_request(parts, loading("walls"))
     assert isinstance(later, DeferredResponse)
     seen = []
     while not later.is_ready():
-        desk.descriptions.poll()
-        seen.append(names_in(desk.world))
+        parts.descriptions.poll()
+        seen.append(names_in(parts.world))
     later.outcome()
 
     assert len(seen) > 1
     assert all(names == ["r0"] for names in seen)
-    assert names_in(desk.world) == ["outer_walls", "inner_walls"]
+    assert names_in(parts.world) == ["outer_walls", "inner_walls"]
 
 
 def test_world_keeps_its_own_pace() -> None:
-    desk = a_desk(a_world())
+    parts = make_parts(a_world())
     pace = "<physics type='ode'><max_step_size>0.002</max_step_size>"
     pace += "<real_time_factor>0.5</real_time_factor></physics>"
 
-    loaded(desk, loading(text=sdf(pace)))
+    loaded(parts, loading(text=sdf(pace)))
 
-    assert (desk.world.step_ns, desk.target_real_time_factor) == (2_000_000, 0.5)
-    assert desk.world.control_steps == 5
+    assert (parts.world.step_ns, parts.target_real_time_factor) == (2_000_000, 0.5)
+    assert parts.world.control_steps == 5
 
 
 @pytest.mark.parametrize("state", [State.PLAYING, State.PAUSED, State.STOPPED, State.NO_WORLD])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tests.engines import STEP_NS
 from tests.models import a_box, a_state
-from tests.sim_server.fakes import a_birth, a_world
+from tests.sim_server.fakes import a_spawn, a_world
 from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.world.applied_forces import (
     MAX_APPLIED_FORCES,
@@ -27,7 +27,7 @@ DT_S = STEP_NS * 1e-9
 def boxes(*names: str) -> World:
     world = a_world()
     for i, name in enumerate(names):
-        world.spawn(a_birth(name, model=a_box(), base=a_state((5.0 * i, 0.0, 1.0))))
+        world.spawn(a_spawn(name, model=a_box(), base=a_state((5.0 * i, 0.0, 1.0))))
     world.take_events()
     return world
 

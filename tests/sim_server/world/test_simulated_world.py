@@ -9,8 +9,8 @@ import pytest
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_state, an_arm, on_ground
 from tests.sim_server.fakes import (
-    a_birth,
     a_command,
+    a_spawn,
     a_world,
     kinds_of_events,
     names_in,
@@ -33,20 +33,20 @@ from zensim.sim_server.world.spawn_request import ValidatedSpawn
 def test_expected_entity_is_not_there_but_its_names_are() -> None:
     world = a_world("a")
 
-    world.stage_spawn(a_birth("b"))
+    world.stage_spawn(a_spawn("b"))
 
     assert names_in(world) == ["a"]
     assert world.take_events() == []
     assert world.roster().names == ("a",)
     with pytest.raises(NameNotUnique):
-        world.spawn(a_birth("b"))
+        world.spawn(a_spawn("b"))
     with pytest.raises(NamespaceRefused):
-        world.spawn(a_birth("c", "b"))
+        world.spawn(a_spawn("c", "b"))
 
 
 def test_expected_entities_are_let_in_all_at_once() -> None:
     world = a_world("a")
-    expected = [world.stage_spawn(a_birth(name))[0] for name in "cb"]
+    expected = [world.stage_spawn(a_spawn(name))[0] for name in "cb"]
 
     world.commit_staged(expected)
 
@@ -59,17 +59,17 @@ def test_entity_that_is_turned_away_leaves_nothing() -> None:
     engine = ObedientEngine(EngineConfig(STEP_NS))
     world = a_world("a", engine=engine)
 
-    world.rollback_staged([world.stage_spawn(a_birth("b"))[0]])
+    world.rollback_staged([world.stage_spawn(a_spawn("b"))[0]])
 
     assert len(engine.bodies) == 1
-    world.spawn(a_birth("b"))
+    world.spawn(a_spawn("b"))
     assert names_in(world) == ["a", "b"]
 
 
 def test_reset_that_deletes_what_was_spawned_expects_nobody() -> None:
     engine = ObedientEngine(EngineConfig(STEP_NS))
     world = a_world("a", engine=engine)
-    entity, _ = world.stage_spawn(a_birth("b"))
+    entity, _ = world.stage_spawn(a_spawn("b"))
 
     world.reset(ResetScope.SPAWNED)
 
@@ -95,7 +95,7 @@ def test_expected_entity_is_concealed_until_it_is_let_in() -> None:
     engine = ConcealingEngine()
     world = a_world("a", engine=engine)
 
-    entity, _ = world.stage_spawn(a_birth("b"))
+    entity, _ = world.stage_spawn(a_spawn("b"))
     before = set(engine.concealed)
     world.commit_staged([entity])
 
@@ -105,9 +105,9 @@ def test_expected_entity_is_concealed_until_it_is_let_in() -> None:
 
 def test_expected_entity_overlaps_others_that_are_expected_too() -> None:
     world = a_world("a")
-    world.stage_spawn(a_birth("b", base=on_ground(5.0)))
+    world.stage_spawn(a_spawn("b", base=on_ground(5.0)))
 
-    _, overlapped = world.stage_spawn(a_birth("c", base=on_ground(5.02)))
+    _, overlapped = world.stage_spawn(a_spawn("c", base=on_ground(5.02)))
 
     assert overlapped() == ["b"]
 
@@ -116,7 +116,7 @@ def test_world_refuses_spawn_when_name_is_taken() -> None:
     world = a_world("r1")
 
     with pytest.raises(NameNotUnique, match="'r1' already exists; choose another"):
-        world.spawn(a_birth("r1", "elsewhere"))
+        world.spawn(a_spawn("r1", "elsewhere"))
 
     assert names_in(world) == ["r1"]
     assert world.take_events() == []
@@ -127,7 +127,7 @@ def test_world_refuses_spawn_when_name_is_none(name: str) -> None:
     world = a_world()
 
     with pytest.raises(NameRefused, match="is not valid; use a letter"):
-        world.spawn(a_birth(name))
+        world.spawn(a_spawn(name))
 
     assert names_in(world) == []
 
@@ -137,7 +137,7 @@ def test_world_refuses_spawn_when_namespace_is_none(namespace: str) -> None:
     world = a_world()
 
     with pytest.raises(NamespaceRefused, match="use"):
-        world.spawn(a_birth("r1", namespace))
+        world.spawn(a_spawn("r1", namespace))
 
     assert names_in(world) == []
 
@@ -146,7 +146,7 @@ def test_world_refuses_spawn_when_namespace_is_taken() -> None:
     world = a_world("r1")
 
     with pytest.raises(NamespaceRefused, match="'r1' belongs to entity 'r1'; choose another"):
-        world.spawn(a_birth("r2", "/r1"))
+        world.spawn(a_spawn("r2", "/r1"))
 
     assert names_in(world) == ["r1"]
 
@@ -154,7 +154,7 @@ def test_world_refuses_spawn_when_namespace_is_taken() -> None:
 def test_world_numbers_a_name_when_it_is_taken_and_may_be_changed() -> None:
     world = a_world("r", "r_1")
 
-    entity = world.spawn(a_birth("r", allow_renaming=True))
+    entity = world.spawn(a_spawn("r", allow_renaming=True))
 
     assert (entity.name, entity.namespace) == ("r_2", "r_2")
 
@@ -163,7 +163,7 @@ def test_world_keeps_a_numbered_name_valid_when_the_name_is_as_long_as_can_be() 
     longest = "a" * 64
     world = a_world(longest)
 
-    entity = world.spawn(a_birth(longest, allow_renaming=True))
+    entity = world.spawn(a_spawn(longest, allow_renaming=True))
 
     assert entity.name == "a" * 56 + "_1"
 
@@ -172,7 +172,7 @@ def test_world_gives_a_name_again_when_its_entity_was_deleted() -> None:
     world = a_world("r1")
     world.delete("r1")
 
-    world.spawn(a_birth("r1"))
+    world.spawn(a_spawn("r1"))
 
     assert names_in(world) == ["r1"]
 
@@ -182,7 +182,7 @@ def test_world_keeps_nothing_of_a_spawn_that_the_engine_refused() -> None:
     world = a_world("r1", engine=engine)
 
     with pytest.raises(EngineRefused):
-        world.spawn(a_birth("r2", model=an_arm("planar")))
+        world.spawn(a_spawn("r2", model=an_arm("planar")))
 
     assert names_in(world) == ["r1"]
     assert len(engine.bodies) == 1
@@ -207,8 +207,8 @@ def test_world_tells_where_an_entity_is_after_another_was_deleted() -> None:
 
 def test_world_lines_joints_up_when_entities_have_none() -> None:
     world = a_world("r0")
-    world.spawn(a_birth("box", model=a_box(), base=a_state((5.0, 0.0, 0.1))))
-    world.spawn(a_birth("r1", base=on_ground(1.0)))
+    world.spawn(a_spawn("box", model=a_box(), base=a_state((5.0, 0.0, 0.1))))
+    world.spawn(a_spawn("r1", base=on_ground(1.0)))
 
     roster = world.roster()
 
@@ -221,7 +221,7 @@ def test_world_counts_rosters_as_entities_come_and_go() -> None:
     world = a_world("r0")
     before = world.roster_number
 
-    world.spawn(a_birth("r1"))
+    world.spawn(a_spawn("r1"))
     world.delete("r0")
 
     assert world.roster_number == before + 2
@@ -335,7 +335,7 @@ def test_world_places_an_entity() -> None:
 
 def test_world_starts_an_entity_where_it_was_spawned_whatever_becomes_of_the_row() -> None:
     world, row = a_world(), on_ground(1.0)
-    world.spawn(a_birth("r0", base=row))
+    world.spawn(a_spawn("r0", base=row))
 
     row[:] = 9.0
     world.reset(ResetScope.STATE)
@@ -356,7 +356,7 @@ def test_world_rehearses_a_spawn_and_leaves_nothing() -> None:
     world = a_world("r0", "r1", engine=engine)
     before = (world.roster_number, world.reading().base.tobytes(), engine.bodies)
 
-    overlapped = world.check_overlaps(a_birth("r9", base=on_ground(1.02)))
+    overlapped = world.check_overlaps(a_spawn("r9", base=on_ground(1.02)))
 
     assert overlapped == ["r1"]
     assert (world.roster_number, world.reading().base.tobytes(), engine.bodies) == before
@@ -367,16 +367,16 @@ def test_world_refuses_in_a_rehearsal_what_it_refuses_to_spawn() -> None:
     world = a_world("r0")
 
     with pytest.raises(NameNotUnique):
-        world.check_overlaps(a_birth("r0", base=on_ground(5.0)))
+        world.check_overlaps(a_spawn("r0", base=on_ground(5.0)))
     with pytest.raises(EngineRefused):
-        world.check_overlaps(a_birth("r1", model=an_arm("planar")))
+        world.check_overlaps(a_spawn("r1", model=an_arm("planar")))
 
     assert names_in(world) == ["r0"]
 
 
 def test_world_names_the_entities_that_an_entity_overlaps() -> None:
     world = a_world("r0", "r1")
-    world.spawn(a_birth("r2", base=on_ground(0.02)))
+    world.spawn(a_spawn("r2", base=on_ground(0.02)))
 
     first, second, _ = world.entities
     assert (world.find_overlaps(first), world.find_overlaps(second)) == (["r2"], [])
@@ -398,7 +398,7 @@ def test_what_belongs_to_the_world_has_no_namespace_and_outlives_a_reset() -> No
 def test_robot_of_a_world_has_a_namespace_so_that_it_can_be_driven() -> None:
     world = a_world()
 
-    robot = world.spawn(replace(a_birth("r1"), belongs_to_world=True))
+    robot = world.spawn(replace(a_spawn("r1"), belongs_to_world=True))
 
     assert robot.namespace == "r1"
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.sim_server.fakes import a_desk, a_world, kinds_of_events, names_in
+from tests.sim_server.fakes import a_world, kinds_of_events, make_parts, names_in
 from zensim.proto.messages.result_messages import SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
     SetSimulationStateRequest,
@@ -28,11 +28,11 @@ def test_every_state_is_told_of(table: dict[State, object]) -> None:
 @pytest.mark.parametrize("present", State)
 @pytest.mark.parametrize("wanted", State)
 def test_state_follows_another_as_the_table_says(present: State, wanted: State) -> None:
-    desk = a_desk(a_world("r0"))
-    desk.world.state = present
+    parts = make_parts(a_world("r0"))
+    parts.world.state = present
 
     try:
-        handle_request(desk, asked(wanted))
+        handle_request(parts, asked(wanted))
         code = None
     except RequestRefused as refused:
         code = refused.code
@@ -40,19 +40,19 @@ def test_state_follows_another_as_the_table_says(present: State, wanted: State) 
     if wanted == present:
         assert code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
     elif wanted in ALLOWED_TRANSITIONS[present]:
-        assert (code, desk.world.state) == (None, wanted)
+        assert (code, parts.world.state) == (None, wanted)
     else:
-        assert (code, desk.world.state) == (SetSimulationStateCode.INCORRECT_TRANSITION, present)
+        assert (code, parts.world.state) == (SetSimulationStateCode.INCORRECT_TRANSITION, present)
 
 
 @pytest.mark.parametrize("present", State)
 @pytest.mark.parametrize("wanted", [6, 77, 255])
 def test_state_that_is_none_is_refused_with_those_that_are(present: State, wanted: int) -> None:
-    desk = a_desk(a_world())
-    desk.world.state = present
+    parts = make_parts(a_world())
+    parts.world.state = present
 
     with pytest.raises(RequestRefused, match=f"{wanted}, which is no state; use") as refused:
-        handle_request(desk, asked(wanted))
+        handle_request(parts, asked(wanted))
 
     assert refused.value.code == SetSimulationStateCode.INCORRECT_TRANSITION
 
@@ -63,21 +63,21 @@ def test_world_is_never_asked_for_as_a_state() -> None:
 
 
 def test_stop_goes_back_to_the_start() -> None:
-    desk = a_desk(a_world("r0"))
-    desk.world.step()
-    goal = desk.step_goals.add(5)
+    parts = make_parts(a_world("r0"))
+    parts.world.step()
+    goal = parts.step_goals.add(5)
 
-    handle_request(desk, asked(State.STOPPED))
+    handle_request(parts, asked(State.STOPPED))
 
-    assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (0, 1, [])
+    assert (parts.world.steps, parts.world.epoch, names_in(parts.world)) == (0, 1, [])
     assert goal.is_over
-    assert kinds_of_events(desk.world) == ["deleted", "reset", "stopped"]
+    assert kinds_of_events(parts.world) == ["deleted", "reset", "stopped"]
 
 
 def test_pause_keeps_everything_where_it_is() -> None:
-    desk = a_desk(a_world("r0"))
-    desk.world.step()
+    parts = make_parts(a_world("r0"))
+    parts.world.step()
 
-    handle_request(desk, asked(State.PAUSED))
+    handle_request(parts, asked(State.PAUSED))
 
-    assert (desk.world.steps, desk.world.epoch, names_in(desk.world)) == (1, 0, ["r0"])
+    assert (parts.world.steps, parts.world.epoch, names_in(parts.world)) == (1, 0, ["r0"])

@@ -7,7 +7,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
-from tests.sim_server.fakes import a_birth, a_command, a_world, names_in
+from tests.sim_server.fakes import a_command, a_spawn, a_world, names_in
 from zensim.proto.messages.agent_messages import DriveCommand, OnRelease
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.sim_server.errors import SimError
@@ -35,7 +35,7 @@ class AnySequence(RuleBasedStateMachine):
     @rule(name=NAMES, namespace=NAMESPACES, model=MODELS, is_renamed=st.booleans())
     def spawn(self, name: str, namespace: str, model: object, *, is_renamed: bool) -> None:
         before = names_in(self.world)
-        birth = a_birth(name, namespace, model=model, allow_renaming=is_renamed)  # type: ignore[arg-type]
+        birth = a_spawn(name, namespace, model=model, allow_renaming=is_renamed)  # type: ignore[arg-type]
         try:
             entity = self.world.spawn(birth)
         except SimError:

@@ -5,7 +5,7 @@ from typing import cast
 import pytest
 
 from tests.fakes import MemoryBus
-from tests.sim_server.fakes import WallTime, a_desk, a_world, names_in
+from tests.sim_server.fakes import WallTime, a_world, make_parts, names_in
 from zensim.proto.bus import Bus, NoServer
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
@@ -27,7 +27,7 @@ class Served:
         self.world = a_world(*names)
         wall = WallTime()
         loop = ServerLoop(
-            a_desk(self.world, wall),
+            make_parts(self.world, wall),
             BusInbox(bus, "default"),
             BusWorldPublisher(bus, "default"),
             wall,

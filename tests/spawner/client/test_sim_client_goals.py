@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from tests.fakes import MemoryBus
-from tests.sim_server.fakes import WallTime, a_desk, a_world
+from tests.sim_server.fakes import WallTime, a_world, make_parts
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import (
     SimulateStepsRequest,
@@ -31,8 +31,8 @@ class Served:
         self.world: World = a_world("r0")
         self.world.pause()
         wall = WallTime()
-        desk = a_desk(self.world, wall)
-        loop = ServerLoop(desk, BusInbox(bus, "default"), BusWorldPublisher(bus, "default"), wall)
+        parts = make_parts(self.world, wall)
+        loop = ServerLoop(parts, BusInbox(bus, "default"), BusWorldPublisher(bus, "default"), wall)
         self.bus.pumps.append(loop.turn)
         self.client = SimClient(bus)
 

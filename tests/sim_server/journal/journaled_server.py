@@ -1,10 +1,17 @@
-"""A stage with a journal whose disk is written at once, or fails, or waits to be told."""
+"""A server with a journal whose disk is written at once, or fails, or waits to be told."""
 
 import sqlite3
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.sim_server.fakes import RecordingOutlet, ScriptedInbox, Stage, WallTime, a_desk, a_world
+from tests.sim_server.fakes import (
+    RecordingPublisher,
+    ScriptedInbox,
+    ServerFixture,
+    WallTime,
+    a_world,
+    make_parts,
+)
 from zensim.sim_server.journal.batch_writer import BatchWriter
 from zensim.sim_server.journal.change_tracker import ChangeTracker
 from zensim.sim_server.journal.journal_contents import JournalContents, read_contents
@@ -73,26 +80,26 @@ class Journalled:
         self.ledger: SqliteStore = open_store(folder)
         journal = Journal(self.ledger, read_contents(self.ledger))
         world = world or a_world(*(names if journal.contents is None else ()))
-        self.context = a_desk(world, wall)
-        self.refused = journal.restore(world, self.context.store, wall.now_ns())
-        keeper = BatchWriter(self.ledger, self.context.store.folder)
+        self.parts = make_parts(world, wall)
+        self.refused = journal.restore(world, self.parts.store, wall.now_ns())
+        keeper = BatchWriter(self.ledger, self.parts.store.folder)
         self.disk = Disk(keeper, self.ledger.position)
         self.recorder = ChangeTracker(
-            self.context,
+            self.parts,
             self.disk,
             position=self.ledger.position,
             known=journal.kept,
             wall_s=lambda: wall.now_ns() * 1e-9,
         )
-        self.context.journal = self.recorder
-        journal.prepare(self.context, now_s=wall.now_ns() * 1e-9)
-        inbox, outlet = ScriptedInbox(), RecordingOutlet()
-        loop = ServerLoop(self.context, inbox, outlet, wall)
-        self.stage = Stage(wall, None, world, self.context, inbox, outlet, loop)  # type: ignore[arg-type]
+        self.parts.journal = self.recorder
+        journal.prepare(self.parts, now_s=wall.now_ns() * 1e-9)
+        inbox, publisher = ScriptedInbox(), RecordingPublisher()
+        loop = ServerLoop(self.parts, inbox, publisher, wall)
+        self.server = ServerFixture(wall, None, world, self.parts, inbox, publisher, loop)  # type: ignore[arg-type]
 
     @property
     def world(self) -> World:
-        return self.context.world
+        return self.parts.world
 
     def crash(self) -> None:
         """Lose everything that is not on the disk."""
