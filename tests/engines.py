@@ -35,7 +35,7 @@ class _Body:
     targets: FloatArray | None = None
 
 
-class ObedientEngine:
+class ObedientEngine(Engine):
     """Kinematics alone: wheels turn as told, bodies go as wheels say; nothing falls or collides."""
 
     name = "obedient"
@@ -84,19 +84,19 @@ class ObedientEngine:
             np.concatenate([none, *(body.velocities for body in found)]),
         )
 
-    def place(self, body: int, base: FloatArray) -> None:
+    def set_base_state(self, body: int, base: FloatArray) -> None:
         self._bodies[body].base = base.copy()
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        self.place(body, base)
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        self.set_base_state(body, base)
         self._bodies[body].positions[:] = 0.0 if positions is None else positions
         self._bodies[body].velocities[:] = 0.0
         self._bodies[body].targets = None
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        self.place(body, base)
+        self.set_base_state(body, base)
         self._bodies[body].positions[:] = positions
         self._bodies[body].velocities[:] = velocities
 
@@ -108,7 +108,7 @@ class ObedientEngine:
             body.targets = targets[at : at + width] if width else None
             at += width
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         pushed = self._bodies[body]
         if link == 0 and not pushed.model.is_static:
             inertial = pushed.model.links[0].inertial
@@ -116,7 +116,7 @@ class ObedientEngine:
             pushed.base[7:10] += wrench[:3] * self._dt_s / inertial.mass_kg
             pushed.base[10:13] += wrench[3:] * self._dt_s / np.array([ixx, iyy, izz])
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
         self._bodies[body].velocities[joint] += effort * self._dt_s
 
     def step(self) -> bool:

@@ -253,7 +253,7 @@ def _make_restore_attempts(
             engines.append(make_engine())
         birth = make_spawn_request(contents, contents.entities[number], 0)
         body = engines[0].add(birth.model, birth.base)
-        engines[0].rest(body, *contents.stand(contents.entities[number]))
+        engines[0].set_at_rest(body, *contents.stand(contents.entities[number]))
         engines[0].step()
 
     return [lambda number=i: attempt(number) for i in range(len(contents.entities))]  # type: ignore[misc]

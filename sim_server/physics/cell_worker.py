@@ -17,11 +17,17 @@ from zensim.sim_server.physics.cells.cell_worker_client import (
     CellWorkerReply,
     SharedArray,
 )
-from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray, as_hiding
+from zensim.sim_server.physics.engine import Engine, EngineRefused, FloatArray
 from zensim.sim_server.physics.engine_factory import CellConfig
 from zensim.sim_server.physics.memory_trim import release_zero_pages, use_mmap_for_large_blocks
 
-FORWARDED_METHODS = ("place", "rest", "put", "push_link", "push_joint")
+FORWARDED_METHODS = (
+    "set_base_state",
+    "set_at_rest",
+    "set_state",
+    "apply_link_wrench",
+    "apply_joint_effort",
+)
 """What a cell is told of a body as an engine is; nothing comes of it."""
 
 
@@ -93,15 +99,13 @@ class CellWorker:
         self._cells[cell] = HostedCell(self._config.make())
         release_zero_pages()
 
-    def _conceal(self, cell: int, body: int) -> None:
+    def _hide(self, cell: int, body: int) -> None:
         known = self._cells[cell]
-        if engine := as_hiding(known.engine):
-            engine.hide(known.engine_numbers[body])
+        known.engine.hide(known.engine_numbers[body])
 
-    def _reveal(self, cell: int, bodies: Sequence[int]) -> None:
+    def _show(self, cell: int, bodies: Sequence[int]) -> None:
         known = self._cells[cell]
-        if engine := as_hiding(known.engine):
-            engine.show(known.to_engine_numbers(bodies))
+        known.engine.show(known.to_engine_numbers(bodies))
 
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
@@ -133,7 +137,7 @@ class CellWorker:
     def _forget_removed(self, cell: int) -> None:
         self._cells[cell].engine.forget_removed()
 
-    def _overlapping(self, cell: int, body: int) -> CellWorkerReply:
+    def _find_overlaps(self, cell: int, body: int) -> CellWorkerReply:
         known = self._cells[cell]
         return CellWorkerReply(
             known.to_server_numbers(known.engine.find_overlaps(known.engine_numbers[body]))

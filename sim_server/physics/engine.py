@@ -1,9 +1,8 @@
-"""The Engine protocol and its optional capabilities: array-based physics without names, time or network."""
+"""The Engine interface and its optional capabilities."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from typing import Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +14,7 @@ from zensim.sim_server.errors import SimError
 FloatArray = npt.NDArray[np.float64]
 
 MIN_MASS_KG = 1e-4
-"""What a moving link weighs at least: engines take 0 for 'never moves'."""
+"""Least mass of a moving link: engines treat mass 0 as immovable."""
 MIN_INERTIA = 1e-8
 """Least principal moment [kg m^2] of a moving link."""
 
@@ -29,7 +28,7 @@ class EngineRefused(SimError):
 
 @dataclass(frozen=True)
 class BodyStates:
-    """State of some bodies, in the order asked for.
+    """State of some bodies, in the order requested.
 
     Attributes:
         base: (n, 13): root link frame in the world: position, quaternion xyzw, linear, angular.
@@ -42,20 +41,44 @@ class BodyStates:
     joint_velocities: FloatArray
 
 
-class Engine(Protocol):
-    """Steps bodies through time."""
+@dataclass(frozen=True)
+class EngineCapabilities:
+    """Which optional methods of `Engine` have an effect.
+
+    Attributes:
+        hides: `hide` and `show`.
+        sleeps: `sleep`, `wake` and `find_contacts`.
+        is_remote: Another process does the work: `skip_validation`, `find_overlaps_async` and
+            `is_idle` avoid waiting for it.
+    """
+
+    hides: bool = False
+    sleeps: bool = False
+    is_remote: bool = False
+
+
+class Engine(ABC):
+    """Physics of bodies: arrays in and out; no names, time or network.
+
+    Methods that are not abstract are optional; their defaults have no effect.
+    """
+
+    capabilities = EngineCapabilities()
 
     @property
+    @abstractmethod
     def name(self) -> str:
-        """Which engine this is."""
+        """Name of the engine, as `--engine` takes it."""
 
+    @abstractmethod
     def prepare(self, model: Model) -> bool:
         """Make a part of what `add` needs for a model, as much as fits between two steps.
 
         Returns:
-            Whether nothing is left to be made, or `add` is to say what is wrong.
+            Whether nothing is left to make, or `add` will raise.
         """
 
+    @abstractmethod
     def add(self, model: Model, base: FloatArray) -> int:
         """Make a body of a model with its root link at `base` (13,), joints at zero.
 
@@ -63,137 +86,113 @@ class Engine(Protocol):
             EngineRefused: The engine cannot simulate the model.
         """
 
+    @abstractmethod
     def remove(self, body: int) -> None:
-        """Take a body out; its number may be used again."""
+        """Remove a body; its number may be used again."""
 
+    @abstractmethod
     def forget_removed(self) -> None:
-        """Keep nothing of what was taken out: bodies made from now on repeat a fresh run's bits."""
+        """Drop caches of removed bodies, so that new bodies give the same bits as a fresh run."""
 
+    @abstractmethod
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """Name the other bodies that a body reaches into; the ground is none."""
+        """Find the other bodies that a body penetrates, the ground excepted."""
 
+    @abstractmethod
     def read(self, bodies: Sequence[int]) -> BodyStates:
-        """Read bodies back."""
+        """Read the states of bodies."""
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """Put the root link at `base` (13,) and keep the joints."""
+    @abstractmethod
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """Set the state of the root link to `base` (13,); joints stay as they are."""
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """Put the root link at `base` (13,), joints still at `positions` or zero, targets at zero.
+    @abstractmethod
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """Set the root link to `base` (13,), stop the joints at `positions` or zero, clear targets.
 
-        A twist is imposed no more, until it is commanded again.
+        A planar twist is not imposed again until the next command.
         """
 
-    def put(
+    @abstractmethod
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """Give a body a whole state; its targets stay as commanded, and one that sleeps wakes.
+        """Set the whole state of a body; targets stay, and a sleeping body wakes.
 
         Args:
-            body: What is put there.
+            body: Number of the body.
             base: (13,) of its root link.
             positions: Of its joints, in the order of `Model.joints`.
             velocities: Likewise.
         """
 
+    @abstractmethod
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """Set the targets of `Model.actuators`, body by body; they hold until set again.
 
-        Speeds and angles are reached with the effort that each motor has. A twist is imposed before
-        each step on what the body does in the plane: heights and tilts remain the engine's.
+        Motors reach speeds and angles within their effort limits. A planar twist is imposed before
+        each step on vx, vy and wz only; height and tilt follow the dynamics.
         """
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """Push a link in the next step, beside what else pushes it.
+    @abstractmethod
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """Add a wrench to a link in the next step.
 
         Args:
-            body: What is pushed; one that never moves does not mind.
-            link: Index among `Model.links`.
+            body: Number of the body; no effect on one that never moves.
+            link: Index in `Model.links`.
             wrench: (6,) force [N] and torque [N m] at its centre of mass, in the world's axes.
         """
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """Push a joint along its axis in the next step, beside its motor [N m or N]."""
+    @abstractmethod
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """Add an effort [N m or N] along the axis of a joint in the next step."""
 
+    @abstractmethod
     def step(self) -> bool:
         """Advance by one step.
 
         Returns:
-            Whether all is well as far as a glance tells; if not, a body has gone bad, and is to be
-            read and removed before the next step.
+            False if a body diverged: read all and remove it before the next step.
         """
 
+    @abstractmethod
     def close(self) -> None:
         """Free the engine."""
 
-
-@runtime_checkable
-class SupportsTiers(Protocol):
-    """An engine in which bodies may move by other means than forces and contacts."""
-
     @property
     def kinematic_count(self) -> int:
-        """How many bodies are in the kinematic tier."""
+        """Number of bodies in the kinematic tier."""
+        return 0
 
-    def tier_of(self, body: int) -> TierName:
-        """Say by which dynamics a body moves now."""
+    def tier_of(self, body: int) -> TierName:  # noqa: ARG002
+        """Find the dynamics that a body has now."""
+        return "full"
 
+    def hide(self, body: int) -> None:  # noqa: B027
+        """Keep a body that was just added from moving and touching anything."""
 
-@runtime_checkable
-class SupportsHiding(Protocol):
-    """An engine that can keep bodies out of the world until others are made too."""
+    def show(self, bodies: Sequence[int]) -> None:  # noqa: B027
+        """Let hidden bodies take part from the next step on."""
 
-    def hide(self, body: int) -> None:
-        """Let a body that was just added neither move nor touch anything."""
+    def sleep(self, bodies: Sequence[int]) -> None:  # noqa: B027
+        """Put bodies at rest to sleep: they keep their state; the caller wakes them on contact."""
 
-    def show(self, bodies: Sequence[int]) -> None:
-        """Let concealed bodies take part from the next step on."""
-
-
-@runtime_checkable
-class SupportsSleep(Protocol):
-    """An engine in which bodies can sleep: they stay where they are, and cost next to nothing."""
-
-    def sleep(self, bodies: Sequence[int]) -> None:
-        """Let bodies sleep that hardly move; what awake ones do to them is the caller's care."""
-
-    def wake(self, bodies: Sequence[int]) -> None:
+    def wake(self, bodies: Sequence[int]) -> None:  # noqa: B027
         """Wake bodies at rest: they move from the step after the next on."""
 
-    def find_contacts(self, body: int) -> Sequence[int]:
-        """Name the other bodies that a body touched in the last step; the ground is none."""
+    def find_contacts(self, body: int) -> Sequence[int]:  # noqa: ARG002
+        """Find the other bodies that a body touched in the last step, the ground excepted."""
+        return ()
 
-
-@runtime_checkable
-class SupportsAsync(Protocol):
-    """An engine that other processes work for, and that need not wait for them."""
-
-    def skip_validation(self, model: Model) -> None:
-        """Note that an engine alike has taken a model, so that adding it need not be waited for."""
+    def skip_validation(self, model: Model) -> None:  # noqa: B027
+        """Let `add` return before the model is validated: an equal engine has accepted it."""
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """Begin to find what `find_overlaps` names; what is returned waits for it."""
+        """Start `find_overlaps`; the returned function waits for the result."""
+        found = self.find_overlaps(body)
+        return lambda: found
 
     def is_idle(self) -> bool:
-        """Whether nothing that was begun is still under way; asked at every turn of the loop."""
-
-
-def as_hiding(engine: Engine) -> SupportsHiding | None:
-    """Take an engine as one that conceals, if it does."""
-    return cast("SupportsHiding", engine) if _supports_hiding(type(engine)) else None
-
-
-def as_async(engine: Engine) -> SupportsAsync | None:
-    """Take an engine as one that need not wait, if it is."""
-    return cast("SupportsAsync", engine) if _supports_async(type(engine)) else None
-
-
-@cache
-def _supports_async(kind: type) -> bool:
-    return issubclass(kind, SupportsAsync)
-
-
-@cache
-def _supports_hiding(kind: type) -> bool:
-    # Asked of an object, a protocol looks all its methods up: 65 us for each body of a fleet.
-    return issubclass(kind, SupportsHiding)
+        """Whether no started call is unfinished; polled in each iteration of the loop."""
+        return True

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple, Protocol, cast
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,14 +12,9 @@ from zensim.proto.messages.model_messages import Decay, Inertial, Model
 from zensim.sim_server.physics.actuation import Actuation, make_actuation
 from zensim.sim_server.physics.body_reach import MAX_REACH_M, ReachCache
 from zensim.sim_server.physics.command_cache import CommandCache
-from zensim.sim_server.physics.engine import (
-    BodyStates,
-    Engine,
-    FloatArray,
-    SupportsHiding,
-    SupportsSleep,
-)
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
+from zensim.sim_server.physics.engine_layer import EngineLayer
 
 IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
@@ -199,17 +194,9 @@ LOOKAHEAD_PERIODS = 2.0
 """How far ahead a look sees, in looks."""
 
 
-class SleepCapableEngine(Engine, SupportsHiding, SupportsSleep, Protocol):
-    """An engine whose bodies can sleep."""
-
-
 def wrap_with_sleep(engine: Engine, config: EngineConfig) -> Engine:
     """Let bodies sleep in an engine, if they can."""
-    return (
-        SleepingEngine(cast("SleepCapableEngine", engine), config)
-        if isinstance(engine, SupportsSleep)
-        else engine
-    )
+    return SleepingEngine(engine, config) if engine.capabilities.sleeps else engine
 
 
 class DeferredPush(NamedTuple):
@@ -231,12 +218,12 @@ class _ReadRows(NamedTuple):
     asleep_joints: IntArray
 
 
-class SleepingEngine:
-    """An engine, and who sleeps in it."""
+class SleepingEngine(EngineLayer):
+    """An engine whose bodies at rest sleep."""
 
-    def __init__(self, engine: SleepCapableEngine, config: EngineConfig) -> None:
+    def __init__(self, engine: Engine, config: EngineConfig) -> None:
+        super().__init__(engine)
         dt_s = config.step_ns * 1e-9
-        self._engine = engine
         self._measure = ReachCache(config.mesh_folder)
         self._every = max(1, round(SLEEP_CHECK_PERIOD_S / dt_s))
         self._ahead_s = LOOKAHEAD_PERIODS * self._every * dt_s
@@ -251,28 +238,19 @@ class SleepingEngine:
         self._rows: tuple[Sequence[int], _ReadRows] | None = None
 
     @property
-    def name(self) -> str:
-        """See `Engine.name`."""
-        return self._engine.name
-
-    @property
     def asleep(self) -> tuple[int, ...]:
         """The bodies that sleep."""
         return tuple(self._bodies_in(SleepState.ASLEEP).tolist())
 
-    def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`."""
-        return self._engine.prepare(model)
-
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
-        body = self._engine.add(model, base)
+        body = self._inner.add(model, base)
         self._plans[body] = make_actuation(model)
         self._commands.forget(body)
         self._tracker.add(body, model, self._find_radius_m(model), self._steps)
         if self._tracker.state[body] == SleepState.FIXED:
             # Else each sleeper that stands on it would be looked for contacts in each step.
-            self._engine.sleep([body])
+            self._inner.sleep([body])
         self._rows = None
         self._wake_near(body, base)
         return body
@@ -281,8 +259,8 @@ class SleepingEngine:
         """See `Engine.remove`; who may have stood on it wakes."""
         self._wake([body])
         if self._touched:
-            self._wake_near(body, self._engine.read([body]).base[0])
-        self._engine.remove(body)
+            self._wake_near(body, self._inner.read([body]).base[0])
+        self._inner.remove(body)
         self._tracker.remove(body)
         self._hidden.pop(body, None)
         self._deferred_pushes = [push for push in self._deferred_pushes if push.body != body]
@@ -290,40 +268,36 @@ class SleepingEngine:
         self._rows = None
 
     def hide(self, body: int) -> None:
-        """See `SupportsHiding.conceal`."""
-        self._engine.hide(body)
+        """See `Engine.hide`."""
+        self._inner.hide(body)
         self._hidden[body] = SleepState(self._tracker.state[body])
         self._tracker.remove(body)
 
     def show(self, bodies: Sequence[int]) -> None:
-        """See `SupportsHiding.reveal`."""
-        self._engine.show(bodies)
+        """See `Engine.show`."""
+        self._inner.show(bodies)
         for body in bodies:
             self._tracker.state[body] = self._hidden.pop(body)
             self._tracker.mark_moved(body, self._steps)
         if self._touched:
-            for body, base in zip(bodies, self._engine.read(bodies).base, strict=True):
+            for body, base in zip(bodies, self._inner.read(bodies).base, strict=True):
                 self._wake_near(body, base)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
-        self._engine.forget_removed()
+        self._inner.forget_removed()
         self._wake(self.asleep)
         self._steps = 0
         self._tracker.mark_moved(np.flatnonzero(self._tracker.state), 0)
 
-    def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.overlapping`."""
-        return self._engine.find_overlaps(body)
-
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`; sleepers stand where they fell asleep."""
         if not self._touched:
-            return self._engine.read(bodies)
+            return self._inner.read(bodies)
         rows = self._split_rows(bodies)
         if not len(rows.asleep):
-            return self._engine.read(bodies)
-        reading = self._engine.read(rows.awake)
+            return self._inner.read(bodies)
+        reading = self._inner.read(rows.awake)
         joints = len(rows.awake_joints) + len(rows.asleep_joints)
         base, positions, velocities = (
             np.empty((len(bodies), 13)),
@@ -337,31 +311,31 @@ class SleepingEngine:
         velocities[rows.awake_joints] = reading.joint_velocities
         return BodyStates(base, positions, velocities)
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """See `Engine.place`."""
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """See `Engine.set_base_state`."""
         self._mark_placed(body, base)
-        self._engine.place(body, base)
+        self._inner.set_base_state(body, base)
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.put`."""
+        """See `Engine.set_state`."""
         self._mark_placed(body, base)
-        self._engine.put(body, base, positions, velocities)
+        self._inner.set_state(body, base, positions, velocities)
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.rest`."""
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.set_at_rest`."""
         self._mark_placed(body, base)
         self._commands.forget(body)
         self._tracker.is_driven[body] = False
-        self._engine.rest(body, base, positions)
+        self._inner.set_at_rest(body, base, positions)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`; who is told something new wakes."""
         news = list(self._commands.take_changed(bodies, targets))
         if not news:
             return
-        self._engine.command(bodies, targets)
+        self._inner.command(bodies, targets)
         for body, numbers in news:
             plan = self._plans[body]
             twist = numbers[plan.twist : plan.twist + 3] if plan.twist is not None else []
@@ -369,38 +343,34 @@ class SleepingEngine:
             self._tracker.mark_moved(body, self._steps)
         self._wake([body for body, _ in news])
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.push_link`; a sleeper is pushed a step later, when it is awake."""
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.apply_link_wrench`; a sleeper is pushed a step later, when it is awake."""
         if self._wake_for_push(body):
             self._deferred_pushes.append(DeferredPush(body, link, wrench.copy()))
         else:
-            self._engine.push_link(body, link, wrench)
+            self._inner.apply_link_wrench(body, link, wrench)
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.push_joint`; a sleeper is pushed a step later, when it is awake."""
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.apply_joint_effort`; a sleeper is pushed a step later, when it is awake."""
         if self._wake_for_push(body):
             self._deferred_pushes.append(DeferredPush(body, joint, effort))
         else:
-            self._engine.push_joint(body, joint, effort)
+            self._inner.apply_joint_effort(body, joint, effort)
 
     def step(self) -> bool:
         """See `Engine.step`."""
-        is_well = self._engine.step()
+        is_well = self._inner.step()
         self._steps += 1
         self._waking.clear()
         late, self._deferred_pushes = self._deferred_pushes, []
         for push in late:
             if isinstance(push.what, float):
-                self._engine.push_joint(push.body, push.where, push.what)
+                self._inner.apply_joint_effort(push.body, push.where, push.what)
             else:
-                self._engine.push_link(push.body, push.where, push.what)
+                self._inner.apply_link_wrench(push.body, push.where, push.what)
         if self._steps % self._every == 0 and is_well:
             self._update_sleepers()
         return is_well
-
-    def close(self) -> None:
-        """See `Engine.close`."""
-        self._engine.close()
 
     def _update_sleepers(self) -> None:
         calm = self._tracker
@@ -408,13 +378,13 @@ class SleepingEngine:
         quiet = awake[~calm.is_driven[awake]]
         if not len(quiet) and not len(asleep):
             return
-        reading = self._engine.read(tuple(quiet.tolist()))
+        reading = self._inner.read(tuple(quiet.tolist()))
         is_ripe = calm.update(quiet, reading, self._steps)
         if not is_ripe.any() and not len(asleep):
             return
         ripe, base = quiet[is_ripe], reading.base[is_ripe]
         restless = np.setdiff1d(self._bodies_in(SleepState.AWAKE, SleepState.NEVER_SLEEPS), ripe)
-        moving = self._engine.read(tuple(restless.tolist())).base
+        moving = self._inner.read(tuple(restless.tolist())).base
         radius = calm.radius[restless]
         spots, radii = calm.base[asleep, :3], calm.radius[asleep]
         self._wake(asleep[find_reachable(moving, radius, spots, radii, self._ahead_s)].tolist())
@@ -423,7 +393,7 @@ class SleepingEngine:
 
     def _put_to_sleep(self, bodies: list[int]) -> None:
         """Let those sleep that touch none who stays awake."""
-        touched = {body: frozenset(self._engine.find_contacts(body)) for body in bodies}
+        touched = {body: frozenset(self._inner.find_contacts(body)) for body in bodies}
         fixed = set(self._bodies_in(SleepState.FIXED).tolist())
         while True:
             still = touched.keys() | self._touched.keys() | fixed
@@ -434,8 +404,8 @@ class SleepingEngine:
                 del touched[body]
         if touched:
             numbers = np.array(list(touched), dtype=np.intp)
-            self._tracker.store_asleep(numbers, self._engine.read(tuple(touched)))
-            self._engine.sleep(tuple(touched))
+            self._tracker.store_asleep(numbers, self._inner.read(tuple(touched)))
+            self._inner.sleep(tuple(touched))
             self._touched |= touched
             self._rows = None
 
@@ -449,7 +419,7 @@ class SleepingEngine:
         if woken:
             self._tracker.state[woken] = SleepState.AWAKE
             self._tracker.mark_moved(np.array(woken, dtype=np.intp), self._steps)
-            self._engine.wake(sorted(woken))
+            self._inner.wake(sorted(woken))
             self._waking.update(woken)
             self._rows = None
 
@@ -465,7 +435,7 @@ class SleepingEngine:
         """Note that a body is taken from where it is, and put somewhere."""
         self._wake([body])
         if self._touched:
-            self._wake_near(body, self._engine.read([body]).base[0])
+            self._wake_near(body, self._inner.read([body]).base[0])
             self._wake_near(body, base)
         self._tracker.mark_moved(body, self._steps)
 

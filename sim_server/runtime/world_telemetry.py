@@ -18,7 +18,6 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Stats, WorldClock
 from zensim.proto.rotation import FloatArray
-from zensim.sim_server.physics.engine import SupportsTiers
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
 from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
 from zensim.sim_server.server_context import ServerContext
@@ -171,7 +170,7 @@ class WorldTelemetry:
             target_real_time_factor=self._context.target_real_time_factor,
             awaited=self._context.lockstep.awaited,
             misses=self._context.lockstep.misses,
-            kinematic=engine.kinematic_count if isinstance(engine, SupportsTiers) else 0,
+            kinematic=engine.kinematic_count,
             busy_max_s=meter.busy_max_s,
         )
 

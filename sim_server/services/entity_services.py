@@ -11,7 +11,6 @@ from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEnti
 from zensim.proto.messages.standard_messages import Header, time_from_ns
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.errors import PoseRefused, RequestRefused, UnsupportedFeature
-from zensim.sim_server.physics.engine import SupportsTiers
 from zensim.sim_server.queries.bounds_queries import BoundsUnsupported, PoseSnapshot, make_bounds
 from zensim.sim_server.queries.entity_filters import filter_entities
 from zensim.sim_server.queries.frame_queries import (
@@ -55,7 +54,7 @@ def get_entity_info(
 ) -> entity_messages.GetEntityInfoReport:
     """Tell what an entity is."""
     entity, engine = context.world.entity(request.entity), context.world.engine
-    tier = engine.tier_of(entity.body) if isinstance(engine, SupportsTiers) else "full"
+    tier = engine.tier_of(entity.body)
     return entity_messages.GetEntityInfoReport(info=entity.info, dynamics=tier)
 
 

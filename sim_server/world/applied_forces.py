@@ -43,7 +43,7 @@ class LinkWrench:
 
     def apply(self, engine: Engine, body: int) -> None:
         """Push for one step."""
-        engine.push_link(body, self.link, self.wrench)
+        engine.apply_link_wrench(body, self.link, self.wrench)
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class JointEffort:
 
     def apply(self, engine: Engine, body: int) -> None:
         """Push for one step."""
-        engine.push_joint(body, self.joint, self.effort)
+        engine.apply_joint_effort(body, self.joint, self.effort)
 
 
 AppliedForce = LinkWrench | JointEffort

@@ -13,7 +13,7 @@ from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.sim_server.errors import EntityNotFound
 from zensim.sim_server.physics.actuation import make_stop_targets
-from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray, as_async, as_hiding
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 from zensim.sim_server.world.applied_forces import AppliedForces
 from zensim.sim_server.world.claim_registry import ClaimRegistry
 from zensim.sim_server.world.divergence_guard import (
@@ -100,14 +100,13 @@ class EntityStore(SimulationClock):
         entity = self._make(birth)
         self._expected[entity.name] = entity
         overlapped = self._find_overlaps_later(entity)
-        if hiding := as_hiding(self._engine):
-            hiding.hide(entity.body)
+        self._engine.hide(entity.body)
         return entity, overlapped
 
     @property
     def is_idle(self) -> bool:
         """Whether the engine has done all that it was told; asked at every turn of the loop."""
-        return (engine := as_async(self._engine)) is None or engine.is_idle()
+        return self._engine.is_idle()
 
     def is_staged(self, entity: Entity) -> bool:
         """Whether an entity is still expected: a reset or another world ends it."""
@@ -115,8 +114,7 @@ class EntityStore(SimulationClock):
 
     def commit_staged(self, entities: Sequence[Entity]) -> None:
         """Let what is expected be there, all at once."""
-        if hiding := as_hiding(self._engine):
-            hiding.show([entity.body for entity in entities])
+        self._engine.show([entity.body for entity in entities])
         for entity in entities:
             self._add_entity(self._expected.pop(entity.name))
 
@@ -165,11 +163,8 @@ class EntityStore(SimulationClock):
         return self._names.names_of_bodies(self._engine.find_overlaps(entity.body))
 
     def _find_overlaps_later(self, entity: Entity) -> Callable[[], list[str]]:
-        if (engine := as_async(self._engine)) is None:
-            names = self.find_overlaps(entity)
-            return lambda: names
-        soon = engine.find_overlaps_async(entity.body)
-        return lambda: self._names.names_of_bodies(soon())
+        wait = self._engine.find_overlaps_async(entity.body)
+        return lambda: self._names.names_of_bodies(wait())
 
     def roster(self) -> EntityIndex:
         """Where each entity stands in the arrays."""
@@ -256,9 +251,9 @@ class World(EntityStore):
         self._unfreeze(self.entity(name))
         body = self._entities[name].body
         if positions is None:
-            self._engine.place(body, base)
+            self._engine.set_base_state(body, base)
         else:
-            self._engine.rest(body, base, positions)
+            self._engine.set_at_rest(body, base, positions)
         self.placed += 1
         self._reading = None
 
@@ -359,7 +354,7 @@ class World(EntityStore):
             self.reading()  # so that what has gone bad is mended before
             for entity in self.entities:
                 self._unfreeze(entity)
-                self._engine.rest(self._entities[entity.name].body, entity.initial)
+                self._engine.set_at_rest(self._entities[entity.name].body, entity.initial)
             self.watch.forget_all()
         if bits & ResetScope.TIME:
             self.steps = 0
@@ -470,7 +465,7 @@ class World(EntityStore):
 
     def _restore_at_rest(self, entity: Entity, stand: RestState) -> None:
         self._recreate_body(entity, entity.model, stand.base)
-        self._engine.rest(self._entities[entity.name].body, stand.base, stand.positions)
+        self._engine.set_at_rest(self._entities[entity.name].body, stand.base, stand.positions)
 
     def _recreate_body(self, entity: Entity, model: Model, base: FloatArray) -> None:
         """Give an entity another body: an engine may never let go of numbers that went bad."""

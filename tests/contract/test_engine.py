@@ -95,7 +95,7 @@ def test_engine_reports_the_root_link_where_it_was_placed(
         body = engine.add(a_lopsided_box(), a_state())
 
         for state in states:
-            engine.place(body, state)
+            engine.set_base_state(body, state)
 
             assert_same_state(state_of(engine, body), state)
 
@@ -104,8 +104,8 @@ def test_engine_does_not_change_the_row_that_it_was_given(engine: Engine) -> Non
     given_row, kept = a_state((0.0, 0.0, 5.0)), a_state((0.0, 0.0, 5.0))
     body = engine.add(a_lopsided_box(), given_row)
 
-    engine.place(body, given_row)
-    engine.rest(body, given_row)
+    engine.set_base_state(body, given_row)
+    engine.set_at_rest(body, given_row)
     advance(engine, 5)
 
     assert np.array_equal(given_row, kept)
@@ -276,7 +276,7 @@ def test_engine_overlaps_nobody_who_was_removed_or_moved_away(engine: Engine) ->
     body, removed, moved = (engine.add(a_box(), a_state((0.0, 0.0, 0.1))) for _ in range(3))
 
     engine.remove(removed)
-    engine.place(moved, a_state((3.0, 0.0, 0.1)))
+    engine.set_base_state(moved, a_state((3.0, 0.0, 0.1)))
     engine.step()
 
     assert list(engine.find_overlaps(body)) == []

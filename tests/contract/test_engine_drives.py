@@ -57,7 +57,7 @@ def test_engine_rests_steering_straight_ahead(engine: Engine) -> None:
     engine.command([body], STEER_TARGETS)
     advance(engine, STEPS_OF_1_S)
 
-    engine.rest(body, a_state())
+    engine.set_at_rest(body, a_state())
     advance(engine, STEPS_OF_1_S)
 
     assert engine.read([body]).joint_positions == pytest.approx(np.zeros(4), abs=1e-3)
@@ -109,7 +109,7 @@ def test_engine_imposes_no_twist_before_one_is_commanded(engine: Engine) -> None
     engine.command([rested], np.array([0.0, 1.0, 0.0]))
     advance(engine, 10)
 
-    engine.rest(rested, flying)
+    engine.set_at_rest(rested, flying)
     advance(engine, 10)
 
     for body in (added, rested):

@@ -26,7 +26,7 @@ def test_engine_keeps_joints_when_it_places_a_robot(engine: Engine) -> None:
     advance(engine, 120)
     before = engine.read([body])
 
-    engine.place(body, on_ground(5.0))
+    engine.set_base_state(body, on_ground(5.0))
 
     after = engine.read([body])
     assert after.joint_positions == pytest.approx(before.joint_positions, abs=1e-12)
@@ -38,7 +38,7 @@ def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) ->
     engine.command([body], np.array([6.0, 2.0]))
     advance(engine, 120)
 
-    engine.rest(body, on_ground(5.0, 1.0, 0.3))
+    engine.set_at_rest(body, on_ground(5.0, 1.0, 0.3))
 
     reading = engine.read([body])
     assert_same_state(reading.base[0], on_ground(5.0, 1.0, 0.3))
@@ -53,7 +53,7 @@ def test_engine_rests_a_robot_with_joints_where_it_is_told(engine: Engine) -> No
     engine.command([body], np.array([6.0, 2.0]))
     advance(engine, 120)
 
-    engine.rest(body, on_ground(5.0), np.array([0.5, -2.0]))
+    engine.set_at_rest(body, on_ground(5.0), np.array([0.5, -2.0]))
 
     reading = engine.read([body])
     assert reading.joint_positions == pytest.approx([0.5, -2.0], abs=1e-12)
@@ -68,7 +68,7 @@ def test_engine_puts_a_robot_as_it_was_and_it_goes_on_alike(engine: Engine) -> N
     beside = reading.base[0].copy()
     beside[1] += 50.0
 
-    engine.put(other, beside, reading.joint_positions, reading.joint_velocities)
+    engine.set_state(other, beside, reading.joint_positions, reading.joint_velocities)
 
     found = engine.read([other])
     assert_same_state(found.base[0], beside)
@@ -89,7 +89,7 @@ def test_engine_puts_a_robot_that_was_taken_out_and_brought_back(engine: Engine)
     moving[7], speed = 0.5, 0.5 / 0.05
 
     engine.command([body], np.array([speed, speed]))
-    engine.put(body, moving, np.array([1.0, 2.0]), np.array([speed, speed]))
+    engine.set_state(body, moving, np.array([1.0, 2.0]), np.array([speed, speed]))
     engine.step()
 
     reading = engine.read([body])
@@ -104,7 +104,7 @@ def test_engine_does_not_change_what_it_was_given_to_put(engine: Engine) -> None
     base, positions, velocities = on_ground(1.0), np.array([0.1, 0.2]), np.array([3.0, 3.0])
     kept = base.copy(), positions.copy(), velocities.copy()
 
-    engine.put(body, base, positions, velocities)
+    engine.set_state(body, base, positions, velocities)
     advance(engine, 5)
 
     for found, expected in zip((base, positions, velocities), kept, strict=True):

@@ -34,7 +34,7 @@ def test_engine_link_is_pushed_by_force_and_mass(engine: Engine) -> None:
     body = engine.add(model, a_state(UP, turn=(0.0, 0.0, 1.0)))
 
     for _ in range(24):
-        engine.push_link(body, 0, wrench(2.0, -1.0, 0.5, 0.0, 0.0, 0.0))
+        engine.apply_link_wrench(body, 0, wrench(2.0, -1.0, 0.5, 0.0, 0.0, 0.0))
         engine.step()
 
     gained = 24 * DT_S / model.mass_kg
@@ -47,7 +47,7 @@ def test_engine_link_is_turned_by_torque_and_moment(engine: Engine) -> None:
     body = engine.add(model, a_state(UP))
 
     for _ in range(24):
-        engine.push_link(body, 0, wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
+        engine.apply_link_wrench(body, 0, wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
         engine.step()
 
     gained = 24 * DT_S * 0.01 / model.links[0].inertial.inertia[5]
@@ -56,7 +56,7 @@ def test_engine_link_is_turned_by_torque_and_moment(engine: Engine) -> None:
 
 def test_engine_push_is_over_after_one_step(engine: Engine) -> None:
     body = engine.add(a_box(), a_state(UP))
-    engine.push_link(body, 0, wrench(2.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    engine.apply_link_wrench(body, 0, wrench(2.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     engine.step()
     before = velocity(engine, body)
 
@@ -69,7 +69,7 @@ def test_engine_pushes_of_one_step_add_up(engine: Engine) -> None:
     once, twice = (engine.add(a_box(), a_state((x, 0.0, 3.0))) for x in (0.0, 5.0))
 
     for body in (once, twice, twice):
-        engine.push_link(body, 0, wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        engine.apply_link_wrench(body, 0, wrench(1.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     engine.step()
 
     assert velocity(engine, twice) == pytest.approx(2.0 * velocity(engine, once), abs=1e-9)
@@ -79,7 +79,7 @@ def test_engine_static_body_does_not_mind_a_push(engine: Engine) -> None:
     start = a_state(UP)
     body = engine.add(a_box(is_static=True), start)
 
-    engine.push_link(body, 0, wrench(9.0, 9.0, 9.0, 9.0, 9.0, 9.0))
+    engine.apply_link_wrench(body, 0, wrench(9.0, 9.0, 9.0, 9.0, 9.0, 9.0))
     engine.step()
 
     assert engine.read([body]).base[0] == pytest.approx(start, abs=1e-9)
@@ -88,11 +88,11 @@ def test_engine_static_body_does_not_mind_a_push(engine: Engine) -> None:
 def test_engine_joint_is_pushed_along_its_axis(engine: Engine) -> None:
     body = engine.add(an_arm("continuous"), a_state(UP))
 
-    engine.push_joint(body, 0, 0.01)
+    engine.apply_joint_effort(body, 0, 0.01)
     engine.step()
     forward = engine.read([body]).joint_velocities[0]
     for _ in range(2):
-        engine.push_joint(body, 0, -0.01)
+        engine.apply_joint_effort(body, 0, -0.01)
         engine.step()
     backward = engine.read([body]).joint_velocities[0]
 

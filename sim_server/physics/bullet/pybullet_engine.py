@@ -40,7 +40,13 @@ from zensim.sim_server.physics.bullet.bullet_state import (
     read_joint_states,
 )
 from zensim.sim_server.physics.command_cache import CommandCache
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    Engine,
+    EngineCapabilities,
+    EngineRefused,
+    FloatArray,
+)
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.link_forces import LinkForce, make_link_forces
 
@@ -89,10 +95,11 @@ JOINT_TYPES["revolute"] = JOINT_TYPES["continuous"] = pybullet.JOINT_REVOLUTE
 GEOMETRY_TYPES = {kind: getattr(pybullet, f"GEOM_{kind.upper()}") for kind in COLLISION_SHAPE_KINDS}
 
 
-class PyBulletEngine:
+class PyBulletEngine(Engine):
     """Bullet's multibody dynamics, DIRECT mode, one client."""
 
     name = "pybullet"
+    capabilities = EngineCapabilities(hides=True, sleeps=True)
 
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
         """Connect; so many parked bodies stay awake, for those who move bodies in and out."""
@@ -174,31 +181,31 @@ class PyBulletEngine:
         pybullet.removeBody(body, physicsClientId=self._client)
 
     def hide(self, body: int) -> None:
-        """See `Concealing.conceal`; gears would wake it."""
+        """See `Engine.hide`; gears would wake it."""
         if not (known := self._bodies[body]).gears:
             self._loads.pop(body, None)
             self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
             self._set_activation([body], ACTIVATION_ASLEEP)
 
     def show(self, bodies: Sequence[int]) -> None:
-        """See `Concealing.reveal`."""
+        """See `Engine.show`."""
         self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
             self._set_collision_filter(body, known := self._bodies[body], *COLLIDE_WITH_ALL)
             self._register(body, known)
 
     def sleep(self, bodies: Sequence[int]) -> None:
-        """See `Dozing.doze`."""
+        """See `Engine.sleep`."""
         self._set_activation(bodies, ACTIVATION_ASLEEP)
 
     def wake(self, bodies: Sequence[int]) -> None:
-        """See `Dozing.rouse`."""
+        """See `Engine.wake`."""
         self._set_activation(bodies, ACTIVATION_AWAKE)
         for body in bodies:
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(self._bodies[body].joints))
 
     def find_contacts(self, body: int) -> Sequence[int]:
-        """See `Dozing.touching`."""
+        """See `Engine.find_contacts`."""
         points = pybullet.getContactPoints(body, physicsClientId=self._client) or ()
         return sorted({point[2] for point in points} & self._bodies.keys() - {body})
 
@@ -208,7 +215,7 @@ class PyBulletEngine:
             pybullet.removeBody(body, physicsClientId=self._client)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.overlapping`."""
+        """See `Engine.find_overlaps`."""
         client = self._client
         links = range(-1, pybullet.getNumJoints(body, physicsClientId=client))
         boxes = np.array([pybullet.getAABB(body, link, physicsClientId=client) for link in links])
@@ -226,8 +233,8 @@ class PyBulletEngine:
         base = self._com_frames.states(bodies, self._com_states(bodies))
         return BodyStates(base, *read_joint_states(jointed, self._client, pybullet.getJointStates))
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """See `Engine.place`."""
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """See `Engine.set_base_state`."""
         state = self._com_frames.to_com_state(body, base)
         place, turn = state[:3].tolist(), state[3:7].tolist()
         pybullet.resetBasePositionAndOrientation(body, place, turn, physicsClientId=self._client)
@@ -235,16 +242,16 @@ class PyBulletEngine:
         if (waiting := self._pending_velocities.get(body)) is not None:
             self._pending_velocities[body] = state[7:], waiting[1]
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.put`; one brought back in this step stands still until the next."""
-        self.place(body, base)
+        """See `Engine.set_state`; one brought back in this step stands still until the next."""
+        self.set_base_state(body, base)
         self._set_joints(body, positions, velocities)
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.rest`."""
-        self.place(body, base)
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.set_at_rest`."""
+        self.set_base_state(body, base)
         zeros = np.zeros(len(self._bodies[body].joints))
         self._set_joints(body, zeros if positions is None else positions, zeros)
         self._clear_targets(body)
@@ -254,14 +261,14 @@ class PyBulletEngine:
         for body, numbers in self._commands.take_changed(bodies, targets):
             self._actuate(body, numbers)
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.push_link`."""
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.apply_link_wrench`."""
         self._apply_wrench(
             body, link - 1, self._part_state(body, link - 1)[0], wrench[:3], wrench[3:]
         )
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.push_joint`."""
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.apply_joint_effort`."""
         pybullet.setJointMotorControl2(
             body, joint, pybullet.TORQUE_CONTROL, force=effort, physicsClientId=self._client
         )
@@ -276,7 +283,7 @@ class PyBulletEngine:
         self._apply_pending_velocities()
         if self._ground is None or self._is_finite(self._ground):
             return True
-        self.place(self._ground, ORIGIN_STATE)
+        self.set_base_state(self._ground, ORIGIN_STATE)
         return False
 
     def close(self) -> None:
@@ -302,7 +309,7 @@ class PyBulletEngine:
     def _park(self, body: int, known: BulletBody) -> None:
         """Put a body where it touches nothing, to sleep there unless it is to be ready."""
         self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
-        self.place(body, self._pool.park(body, known))
+        self.set_base_state(body, self._pool.park(body, known))
         self._set_activation(self._pool.add_awake(body), ACTIVATION_ASLEEP)
 
     def _set_collision_filter(self, body: int, known: BulletBody, group: int, mask: int) -> None:
@@ -322,7 +329,7 @@ class PyBulletEngine:
             self._set_activation([sleeper], ACTIVATION_AWAKE)
         self._set_collision_filter(body, known, *COLLIDE_WITH_ALL)
         self._register(body, known)
-        self.rest(body, base)
+        self.set_at_rest(body, base)
         return body
 
     def _apply_pending_velocities(self) -> None:

@@ -17,7 +17,13 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    Engine,
+    EngineCapabilities,
+    EngineRefused,
+    FloatArray,
+)
 
 MAX_NUMBERS = 1 << 23
 """Room on a board: what is not written takes no memory."""
@@ -263,16 +269,23 @@ class CellWorkerClient:
         return CellWorkerDied(f"engine worker {self.number} ended{said}, and its robots with it")
 
 
-class RemoteCell:
+class RemoteCell(Engine):
     """The Engine of a cell that a worker has; it numbers bodies itself and so waits for none."""
+
+    capabilities = EngineCapabilities(hides=True, is_remote=True)
 
     def __init__(self, worker: CellWorkerClient, cell: int, name: str) -> None:
         self.worker = worker
         self.cell = cell
-        self.name = name
+        self._name = name
         self._numbers = count()
         self._taken: Model | None = None
         worker.enqueue("make", cell)
+
+    @property
+    def name(self) -> str:
+        """See `Engine.name`."""
+        return self._name
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`."""
@@ -280,7 +293,7 @@ class RemoteCell:
         return self.worker.call(bool, "prepare", self.cell)
 
     def skip_validation(self, model: Model) -> None:
-        """See `Patient.trust`; files of meshes may be gone by the time that they are read here."""
+        """See `Engine.skip_validation`; files of meshes may be gone by the time that they are read here."""
         if model is not self._taken and not _has_meshes(model):
             self._taken = model
 
@@ -300,27 +313,27 @@ class RemoteCell:
         self.worker.enqueue("remove", self.cell, body)
 
     def hide(self, body: int) -> None:
-        """See `Concealing.conceal`; a worker's engine that cannot lets the body be."""
-        self.worker.enqueue("conceal", self.cell, body)
+        """See `Engine.hide`; a worker's engine that cannot lets the body be."""
+        self.worker.enqueue("hide", self.cell, body)
 
     def show(self, bodies: Sequence[int]) -> None:
-        """See `Concealing.reveal`."""
-        self.worker.enqueue("reveal", self.cell, bodies)
+        """See `Engine.show`."""
+        self.worker.enqueue("show", self.cell, bodies)
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
         self.worker.enqueue("forget_removed", self.cell)
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.overlapping`."""
-        return self.worker.call(list, "overlapping", self.cell, body)
+        """See `Engine.find_overlaps`."""
+        return self.worker.call(list, "find_overlaps", self.cell, body)
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Patient.overlapping_soon`."""
-        return self.worker.call_async(list, "overlapping", self.cell, body).wait
+        """See `Engine.find_overlaps_async`."""
+        return self.worker.call_async(list, "find_overlaps", self.cell, body).wait
 
     def is_idle(self) -> bool:
-        """See `Patient.is_settled`."""
+        """See `Engine.is_idle`."""
         return self.worker.is_idle()
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
@@ -328,31 +341,31 @@ class RemoteCell:
         self.worker.send("read", ((self.cell, bodies),))
         return self.worker.readings()[0]
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """See `Engine.place`."""
-        self.worker.enqueue("place", self.cell, body, base)
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """See `Engine.set_base_state`."""
+        self.worker.enqueue("set_base_state", self.cell, body, base)
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.rest`."""
-        self.worker.enqueue("rest", self.cell, body, base, positions)
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.set_at_rest`."""
+        self.worker.enqueue("set_at_rest", self.cell, body, base, positions)
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.put`."""
-        self.worker.enqueue("put", self.cell, body, base, positions, velocities)
+        """See `Engine.set_state`."""
+        self.worker.enqueue("set_state", self.cell, body, base, positions, velocities)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
         self.worker.enqueue("command_one", self.cell, bodies, np.asarray(targets))
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.push_link`."""
-        self.worker.enqueue("push_link", self.cell, body, link, wrench)
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.apply_link_wrench`."""
+        self.worker.enqueue("apply_link_wrench", self.cell, body, link, wrench)
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.push_joint`."""
-        self.worker.enqueue("push_joint", self.cell, body, joint, effort)
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.apply_joint_effort`."""
+        self.worker.enqueue("apply_joint_effort", self.cell, body, joint, effort)
 
     def step(self) -> bool:
         """See `Engine.step`."""

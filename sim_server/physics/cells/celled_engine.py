@@ -1,7 +1,7 @@
 """The Engine over many cells: regroups bodies, moves them between cells, forwards calls."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,14 +26,7 @@ from zensim.sim_server.physics.cells.cell_body_table import (
     make_index_map,
 )
 from zensim.sim_server.physics.cells.cell_executor import CellExecutor, CellReadRequest, CellTargets
-from zensim.sim_server.physics.engine import (
-    BodyStates,
-    Engine,
-    FloatArray,
-    SupportsHiding,
-    as_async,
-    as_hiding,
-)
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.broad_phase import IntArray
 
@@ -66,7 +59,7 @@ class CellMap:
         """See `Engine.prepare`; who trusts others that took the model is not waited for."""
         is_taken = model is self._taken
         return all(
-            (is_taken and as_async(engine) is not None) or engine.prepare(model)
+            (is_taken and engine.capabilities.is_remote) or engine.prepare(model)
             for engine in self.engines.values()
         )
 
@@ -94,20 +87,19 @@ class CellMap:
     def hide(self, body: int) -> None:
         """Let a body wait; one whose engine cannot do that stands where it will be."""
         for engine, inner in self.locate(body):
-            if (hiding := as_hiding(engine)) is not None:
-                hiding.hide(inner)
+            if engine.capabilities.hides:
+                engine.hide(inner)
                 self.members.set_concealed(body, is_concealed=True)
 
     def show(self, bodies: Iterable[int]) -> None:
         """Let bodies that wait take part."""
-        homes: dict[int, tuple[SupportsHiding, list[int]]] = {}
+        hidden: dict[int, tuple[Engine, list[int]]] = {}
         for body in bodies:
             for engine, inner in self.locate(body) if body in self.members.concealed else ():
-                if (waiting := as_hiding(engine)) is not None:
-                    homes.setdefault(id(engine), (waiting, []))[1].append(inner)
+                hidden.setdefault(id(engine), (engine, []))[1].append(inner)
             self.members.set_concealed(body, is_concealed=False)
-        for waiting, inners in homes.values():
-            waiting.show(inners)
+        for engine, inners in hidden.values():
+            engine.show(inners)
 
     def read_each(self, bodies: Iterable[int]) -> BodyStates:
         """Read bodies one by one: also those that are in no lineup."""
@@ -153,18 +145,17 @@ class CellMap:
         return sorted(found)
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Patient.overlapping_soon`."""
+        """See `Engine.find_overlaps_async`."""
         cell, inner = int(self.members.cell[body]), int(self.members.inner[body])
-        if cell < 0 or (engine := as_async(self.engines[cell])) is None:
+        if cell < 0:
             found = self.find_overlaps(body)
             return lambda: found
-        soon = engine.find_overlaps_async(inner)
-        return lambda: sorted(self._to_body_numbers(cell, set(soon())))
+        wait = self.engines[cell].find_overlaps_async(inner)
+        return lambda: sorted(self._to_body_numbers(cell, set(wait())))
 
     def is_idle(self) -> bool:
-        """See `Patient.is_settled`."""
-        waiting = [as_async(engine) for engine in self.engines.values()]
-        return all(engine is None or engine.is_idle() for engine in waiting)
+        """See `Engine.is_idle`."""
+        return all(engine.is_idle() for engine in self.engines.values())
 
     def move(self, lineup: CellBodyOrder, now: BodyStates, cells: IntArray) -> bool:
         """Move bodies that are to be in other cells, as they are now.
@@ -186,7 +177,7 @@ class CellMap:
             engine = self._find_accepting_engine(cell, members.by_number[number].model)
             inner = engine.add(members.by_number[number].model, now.base[row])
             positions, velocities = now.joint_positions[joints], now.joint_velocities[joints]
-            engine.put(inner, now.base[row], positions, velocities)
+            engine.set_state(inner, now.base[row], positions, velocities)
             members.move(number, cell=cell, inner=inner)
         return bool(rows)
 
@@ -211,8 +202,8 @@ class CellMap:
     def _find_accepting_engine(self, cell: int, model: Model) -> Engine:
         """Find the engine of a cell; it knows whether others have taken a model."""
         engine = self.get_engine(cell)
-        if model is self._taken and (trusting := as_async(engine)) is not None:
-            trusting.skip_validation(model)
+        if model is self._taken:
+            engine.skip_validation(model)
         return engine
 
     def _find_nearest_cell(self, base: FloatArray) -> int:
@@ -277,7 +268,7 @@ class CellSettings:
     largest: int = 0
 
 
-class CelledEngine:
+class CelledEngine(Engine):
     """Engines as one."""
 
     def __init__(self, config: EngineConfig, cells: CellExecutor, settings: CellSettings) -> None:
@@ -291,6 +282,7 @@ class CelledEngine:
         )
         self._measure = ReachCache(config.mesh_folder)
         self._cell_map = CellMap(cells, settings.alone, self._room)
+        self.capabilities = replace(self._cell_map.engines[0].capabilities, sleeps=False)
         self._members = self._cell_map.members
         self._pushes: list[QueuedLoad] = []
         self._body_order: tuple[int, CellBodyOrder] | None = None
@@ -315,17 +307,14 @@ class CelledEngine:
         self._record_place(number, base)
         return number
 
-    def skip_validation(self, model: Model) -> None:
-        """See `Patient.trust`; here cells trust each other."""
-
     def hide(self, body: int) -> None:
-        """See `Concealing.conceal`; who takes no part is looked at by nobody."""
+        """See `Engine.hide`; who takes no part is looked at by nobody."""
         self._cell_map.hide(body)
         if body in self._members.concealed:
             self._is_due = self._was_due
 
     def show(self, bodies: Sequence[int]) -> None:
-        """See `Concealing.reveal`."""
+        """See `Engine.show`."""
         self._cell_map.show(bodies)
         self._now, self._is_due = None, True
 
@@ -342,17 +331,17 @@ class CelledEngine:
         self._is_due = True
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.overlapping`."""
+        """See `Engine.find_overlaps`."""
         return self.find_overlaps_async(body)()
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Patient.overlapping_soon`."""
+        """See `Engine.find_overlaps_async`."""
         if not self._cell_map.is_single_cell and self._may_touch_other_cells(body):
             self._regroup()
         return self._cell_map.find_overlaps_async(body)
 
     def is_idle(self) -> bool:
-        """See `Patient.is_settled`."""
+        """See `Engine.is_idle`."""
         return self._cell_map.is_idle()
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
@@ -363,25 +352,25 @@ class CelledEngine:
             return self._cell_map.engines[0].read(self._index_map(bodies).alone)
         return self._index_map(bodies).select(self._read_moving())
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """See `Engine.place`."""
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """See `Engine.set_base_state`."""
         for engine, inner in self._cell_map.locate(body):
-            engine.place(inner, base)
+            engine.set_base_state(inner, base)
         self._record_place(body, base)
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.rest`."""
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.set_at_rest`."""
         for engine, inner in self._cell_map.locate(body):
-            engine.rest(inner, base, positions)
+            engine.set_at_rest(inner, base, positions)
         self._members.forget_targets(body)
         self._record_place(body, base)
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.put`."""
+        """See `Engine.set_state`."""
         for engine, inner in self._cell_map.locate(body):
-            engine.put(inner, base, positions, velocities)
+            engine.set_state(inner, base, positions, velocities)
         self._record_place(body, base)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
@@ -399,15 +388,15 @@ class CelledEngine:
         asked = np.maximum.reduceat(speeds, route.starts)
         self._is_due |= bool((asked > members.bound[route.driven]).any())
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.push_link`: cells are told before the next step."""
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.apply_link_wrench`: cells are told before the next step."""
         self._bound_push_speed(
             body, float(np.abs(wrench[:3]).sum()), float(np.abs(wrench[3:]).sum())
         )
         self._pushes.append(QueuedLoad(body, link, wrench.copy()))
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.push_joint`: likewise."""
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.apply_joint_effort`: likewise."""
         self._bound_push_speed(body, abs(effort), abs(effort))
         self._pushes.append(QueuedLoad(body, joint, effort))
 
@@ -560,9 +549,9 @@ class CelledEngine:
         for body, where, push in self._pushes:
             for engine, inner in self._cell_map.locate(body):
                 if isinstance(push, float):
-                    engine.push_joint(inner, where, push)
+                    engine.apply_joint_effort(inner, where, push)
                 else:
-                    engine.push_link(inner, where, push)
+                    engine.apply_link_wrench(inner, where, push)
         self._pushes.clear()
 
     def _list_pending_targets(self) -> Iterator[CellTargets]:

@@ -163,7 +163,7 @@ class TieredBodies:
             number = self.add_guest(row, WAKING_TURN_RAD_S if at_once else 0.0)
             positions, velocities = self.kinematic.joints(row)
             state = rows.states(np.array([row]))[0]
-            self._full.put(number, state, positions, velocities)
+            self._full.set_state(number, state, positions, velocities)
             if row in self.commanded:
                 self._full.command([number], self.kinematic.targets_of(row))
             rows.full[row], rows.tier[row] = number, Tier.FULL

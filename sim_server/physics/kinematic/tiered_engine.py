@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.sim_server.physics.engine import BodyStates, FloatArray, as_async, as_hiding
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.physics.engine_layer import EngineLayer
 from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlanCache
 from zensim.sim_server.physics.kinematic.tier_body_table import Tier
 from zensim.sim_server.physics.kinematic.tier_switching import (
@@ -29,11 +30,11 @@ PROXIMITY_PERIOD_S = 0.02
 MAX_TRIED_MODELS = 256
 
 
-class TieredEngine:
+class TieredEngine(EngineLayer):
     """Robots in the kinematic tier, and all else in a full engine; `auto` robots change over."""
 
     def __init__(self, full: Engine, config: EngineConfig, default: Dynamics) -> None:
-        self._full = full
+        super().__init__(full)
         self._plans = PlanarPlanCache(config, default)
         gx, gy, gz = config.gravity
         self._has_flat_ground = config.has_ground and gx == gy == 0.0 and gz < 0.0
@@ -44,23 +45,14 @@ class TieredEngine:
         self._switcher = TierSwitcher(self._bodies, self._every * dt_s)
         self._tried: dict[int, Model] = {}
 
-    @property
-    def name(self) -> str:
-        """See `Engine.name`: that of the full engine."""
-        return self._full.name
-
     def tier_of(self, body: int) -> TierName:
-        """See `Tiered.tier_of`."""
+        """See `Engine.tier_of`."""
         return "kinematic" if self._bodies.rows.tier[body] == Tier.KINEMATIC else "full"
 
     @property
     def kinematic_count(self) -> int:
-        """See `Tiered.kinematic_count`."""
+        """See `Engine.kinematic_count`."""
         return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
-
-    def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`."""
-        return self._full.prepare(model)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`; refuses also a model that asks for the kinematic tier and cannot."""
@@ -68,7 +60,7 @@ class TieredEngine:
         is_auto = self._plans.dynamics(model) == "auto"
         number = -1
         if plan is None or (is_auto and not self._starts_kinematic(base, plan[1].low)):
-            number = self._full.add(model, base)
+            number = self._inner.add(model, base)
         else:
             self._verify_model(model, base)
         row = bodies.add(model, plan, is_auto=is_auto)
@@ -82,28 +74,18 @@ class TieredEngine:
         self._bodies.remove(body)
         self._switcher.forget(body)
 
-    def skip_validation(self, model: Model) -> None:
-        """See `Patient.trust`."""
-        if full := as_async(self._full):
-            full.skip_validation(model)
-
     def hide(self, body: int) -> None:
-        """See `Concealing.conceal`; who is kinematic costs nothing and stands where it will be."""
-        if (full := as_hiding(self._full)) and self._bodies.rows.full[body] >= 0:
-            full.hide(int(self._bodies.rows.full[body]))
+        """See `Engine.hide`; who is kinematic costs nothing and stands where it will be."""
+        if (number := int(self._bodies.rows.full[body])) >= 0:
+            self._inner.hide(number)
 
     def show(self, bodies: Sequence[int]) -> None:
-        """See `Concealing.reveal`."""
-        if full := as_hiding(self._full):
-            numbers = self._bodies.rows.full[list(bodies)]
-            full.show(numbers[numbers >= 0].tolist())
-
-    def forget_removed(self) -> None:
-        """See `Engine.forget_removed`."""
-        self._full.forget_removed()
+        """See `Engine.show`."""
+        numbers = self._bodies.rows.full[list(bodies)]
+        self._inner.show(numbers[numbers >= 0].tolist())
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.overlapping`; who is kinematic is asked of the full engine if need be."""
+        """See `Engine.find_overlaps`; who is kinematic is asked of the full engine if need be."""
         bodies = self._bodies
         full = bodies.rows.full
         guests, is_by_edge = (
@@ -115,31 +97,26 @@ class TieredEngine:
         visits = {row: bodies.add_guest(row) for row in guests}
         rows = {**bodies.numbers, **{visit: row for row, visit in visits.items()}}
         mine = visits.get(body, int(full[body]))
-        found = sorted(rows[other] for other in self._full.find_overlaps(mine))
+        found = sorted(rows[other] for other in self._inner.find_overlaps(mine))
         for visit in visits.values():
-            self._full.remove(visit)
+            self._inner.remove(visit)
         return found
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Patient.overlapping_soon`; where somebody is kinematic it is found at once."""
-        number, full = int(self._bodies.rows.full[body]), as_async(self._full)
-        if full is None or number < 0 or self._bodies.held_count:
+        """See `Engine.find_overlaps_async`; where somebody is kinematic it is found at once."""
+        number = int(self._bodies.rows.full[body])
+        if number < 0 or self._bodies.held_count:
             found = self.find_overlaps(body)
             return lambda: found
-        soon, rows = full.find_overlaps_async(number), self._bodies.numbers
-        return lambda: sorted(rows[other] for other in soon() if other in rows)
-
-    def is_idle(self) -> bool:
-        """See `Patient.is_settled`."""
-        full = as_async(self._full)
-        return full is None or full.is_idle()
+        wait, rows = self._inner.find_overlaps_async(number), self._bodies.numbers
+        return lambda: sorted(rows[other] for other in wait() if other in rows)
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
         """See `Engine.read`."""
         mapping = self._bodies.mappings.get(bodies)
         kinematic, full = mapping.kinematic, mapping.full
         if not len(kinematic.rows):
-            return self._full.read(mapping.bodies)
+            return self._inner.read(mapping.bodies)
         if not mapping.bodies:
             return self._read_kinematic(mapping)
         base = np.empty((mapping.count, 13))
@@ -162,25 +139,25 @@ class TieredEngine:
             flat.velocities[mapping.pooled_joints],
         )
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """See `Engine.place`; who is always kinematic keeps the twist that its wheels give it."""
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """See `Engine.set_base_state`; who is always kinematic keeps the twist that its wheels give it."""
         if not self._stays_kinematic(body, base):
-            self._full.place(self._bodies.move_to_full(body), base)
+            self._inner.set_base_state(self._bodies.move_to_full(body), base)
         self._bodies.set_state(body, base)
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.put`."""
+        """See `Engine.set_state`."""
         bodies = self._bodies
         if bodies.rows.full[body] < 0:
             bodies.kinematic.set_joints(body, positions, velocities)
         if not self._stays_kinematic(body, base):
-            self._full.put(bodies.move_to_full(body), base, positions, velocities)
+            self._inner.set_state(bodies.move_to_full(body), base, positions, velocities)
         bodies.set_state(body, base)
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.rest`; who may be kinematic there is so from now on."""
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.set_at_rest`; who may be kinematic there is so from now on."""
         bodies, rows = self._bodies, self._bodies.rows
         if rows.is_held[body]:
             self._switcher.forget(body)
@@ -188,38 +165,42 @@ class TieredEngine:
             if rows.full[body] >= 0 and self._starts_kinematic(base, float(rows.heights[0, body])):
                 bodies.move_to_kinematic(body)
             if not self._stays_kinematic(body, base):
-                self._full.rest(bodies.move_to_full(body), base, positions)
+                self._inner.set_at_rest(bodies.move_to_full(body), base, positions)
         else:
-            self._full.rest(int(rows.full[body]), base, positions)
+            self._inner.set_at_rest(int(rows.full[body]), base, positions)
         bodies.set_state(body, base)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
         mapping = self._bodies.mappings.get(bodies)
         if not len(mapping.held):
-            self._full.command(mapping.bodies, targets)
+            self._inner.command(mapping.bodies, targets)
             return
         pool = self._bodies.kinematic.targets.numbers
         pool[mapping.pooled_targets] = targets[mapping.held_targets]
         self._bodies.commanded.update(mapping.held)
         if mapping.bodies:
-            self._full.command(mapping.bodies, targets[mapping.full.targets])
+            self._inner.command(mapping.bodies, targets[mapping.full.targets])
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.push_link`; who is always kinematic does not mind."""
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.apply_link_wrench`; who is always kinematic does not mind."""
         if self._can_be_pushed(body):
-            self._full.push_link(self._bodies.move_to_full(body, at_once=True), link, wrench)
+            self._inner.apply_link_wrench(
+                self._bodies.move_to_full(body, at_once=True), link, wrench
+            )
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.push_joint`; who is always kinematic does not mind."""
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.apply_joint_effort`; who is always kinematic does not mind."""
         if self._can_be_pushed(body):
-            self._full.push_joint(self._bodies.move_to_full(body, at_once=True), joint, effort)
+            self._inner.apply_joint_effort(
+                self._bodies.move_to_full(body, at_once=True), joint, effort
+            )
 
     def step(self) -> bool:
         """See `Engine.step`: look around, go, and then all that is full."""
         bodies = self._bodies
         if not bodies.held_count:
-            return self._full.step()
+            return self._inner.step()
         if self._steps_to_check == 0:
             self._switcher.update()
             self._steps_to_check = self._every
@@ -227,11 +208,7 @@ class TieredEngine:
         bodies.gather()
         self._move_kinematic()
         bodies.invalidate_reading()
-        return self._full.step() if bodies.movers else True
-
-    def close(self) -> None:
-        """See `Engine.close`."""
-        self._full.close()
+        return self._inner.step() if bodies.movers else True
 
     def _move_kinematic(self) -> None:
         kinematic = self._bodies.kinematic
@@ -243,7 +220,7 @@ class TieredEngine:
         """See that the full engine takes a model, before it has to."""
         if id(model) in self._tried:
             return
-        self._full.remove(self._full.add(model, base))
+        self._inner.remove(self._inner.add(model, base))
         self._tried[id(model)] = model
         if len(self._tried) > MAX_TRIED_MODELS:
             del self._tried[next(iter(self._tried))]

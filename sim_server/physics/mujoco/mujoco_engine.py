@@ -14,7 +14,13 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.rotation import conjugate, rotate
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.blueprint import BlueprintCache, check_mesh_files
-from zensim.sim_server.physics.engine import BodyStates, EngineRefused, FloatArray
+from zensim.sim_server.physics.engine import (
+    BodyStates,
+    Engine,
+    EngineCapabilities,
+    EngineRefused,
+    FloatArray,
+)
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.link_forces import make_link_forces
 from zensim.sim_server.physics.mujoco.actuator_targets import make_zero_targets
@@ -96,10 +102,11 @@ class CompiledModel:
     plan: ModelLayout
 
 
-class MujocoEngine:
+class MujocoEngine(Engine):
     """MuJoCo's constraints solved by Newton's method, one MjData."""
 
     name = "mujoco"
+    capabilities = EngineCapabilities(hides=True)
 
     def __init__(self, config: EngineConfig) -> None:
         self._config = config
@@ -144,7 +151,7 @@ class MujocoEngine:
         self._owners[seat.geometries] = number
         self._activate(body)
         zeros = np.zeros(len(model.joints))
-        self.put(number, base, zeros, zeros)
+        self.set_state(number, base, zeros, zeros)
         return number
 
     def remove(self, body: int) -> None:
@@ -157,7 +164,7 @@ class MujocoEngine:
         self._slots.release(gone.archetype, gone.slot)
 
     def hide(self, body: int) -> None:
-        """See `Concealing.conceal`."""
+        """See `Engine.hide`."""
         seat = self._bodies[body].address
         self._hidden[body] = self._data.qpos[seat.positions]
         freeze_slot(self._model, self._data, seat)
@@ -165,7 +172,7 @@ class MujocoEngine:
         self._is_changed = True
 
     def show(self, bodies: Sequence[int]) -> None:
-        """See `Concealing.reveal`."""
+        """See `Engine.show`."""
         for number in bodies:
             body = self._bodies[number]
             # To the bit: what hangs drifts by what gravity and its compensation are rounded by.
@@ -181,7 +188,7 @@ class MujocoEngine:
         self._switch_model(_COMPILE_CACHE.compile(self._slots.counts, self._config))
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.overlapping`."""
+        """See `Engine.find_overlaps`."""
         model, data, owners = self._model, self._data, self._owners
         mujoco.mj_kinematics(model, data)
         own = self._bodies[body].address.geometries
@@ -205,8 +212,8 @@ class MujocoEngine:
             chosen.gather.gather_joints(data.qvel, chosen.gather.velocities),
         )
 
-    def place(self, body: int, base: FloatArray) -> None:
-        """See `Engine.place`."""
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        """See `Engine.set_base_state`."""
         placed = self._bodies[body]
         if placed.archetype.is_static:
             self._place_static(placed, base)
@@ -224,20 +231,20 @@ class MujocoEngine:
         if body in self._hidden:
             self.hide(body)
 
-    def put(
+    def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.put`."""
-        self.place(body, base)
+        """See `Engine.set_state`."""
+        self.set_base_state(body, base)
         moving, place, rate = self._bodies[body].address.joints
         if body not in self._broken:
             self._data.qpos[place] = positions[moving]
             self._data.qvel[rate] = velocities[moving]
 
-    def rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.rest`."""
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        """See `Engine.set_at_rest`."""
         zeros = np.zeros(len(self._bodies[body].model.joints))
-        self.put(body, base, zeros if positions is None else positions, zeros)
+        self.set_state(body, base, zeros if positions is None else positions, zeros)
         self.command([body], np.zeros(self._bodies[body].actuation.width))
         self._targets.is_twist_imposed[self._bodies[body].address.velocities] = False
         self._is_changed = True
@@ -247,14 +254,14 @@ class MujocoEngine:
         if self._selection(bodies).scatter.apply(self._targets, targets):
             self._is_changed = True
 
-    def push_link(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.push_link`."""
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        """See `Engine.apply_link_wrench`."""
         seat = self._bodies[body].address
         self._data.xfrc_applied[seat.start.bodies + seat.layout.bodies[link]] += wrench
         self._is_pushed = True
 
-    def push_joint(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.push_joint`."""
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        """See `Engine.apply_joint_effort`."""
         if (place := self._bodies[body].address.joint_velocity(joint)) != NO_INDEX:
             self._data.qfrc_applied[place] += effort
             self._is_pushed = True

@@ -17,8 +17,8 @@ def test_pybullet_rests_a_robot_as_told_last_in_the_step_it_was_brought_back() -
         body = engine.add(a_cart(), on_ground())
         flying = a_state((0.0, 0.0, 50.0), angular=(0.0, 0.0, 1.0))
 
-        engine.put(body, on_ground(3.0), np.zeros(2), np.full(2, 4.0))
-        engine.rest(body, flying)
+        engine.set_state(body, on_ground(3.0), np.zeros(2), np.full(2, 4.0))
+        engine.set_at_rest(body, flying)
         advance(engine, 3)
 
         reading = engine.read([body])
@@ -38,7 +38,7 @@ def test_pybullet_brings_a_robot_back_moving_that_did_not_sleep() -> None:
         for x in range(3):  # each is awake, or rose when the one before was taken
             moving[0] = 5.0 * x
             body = engine.add(a_cart(), moving)
-            engine.put(body, moving, np.zeros(2), np.full(2, 10.0))
+            engine.set_state(body, moving, np.zeros(2), np.full(2, 10.0))
             engine.command([body], np.full(2, 10.0))
             engine.step()
 

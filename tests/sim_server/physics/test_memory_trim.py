@@ -9,14 +9,14 @@ from zensim.sim_server.physics.memory_trim import release_zero_pages
 
 PROGRAM = """
 import numpy as np, psutil
-from zensim.sim_server.physics.memory_trim import give_back_blank_pages, map_large_blocks
+from zensim.sim_server.physics.memory_trim import release_zero_pages, use_mmap_for_large_blocks
 held = lambda: psutil.Process().memory_full_info().uss
-assert map_large_blocks()
+assert use_mmap_for_large_blocks()
 blank, full, mixed = np.empty(1 << 20), np.empty(1 << 20), np.empty(1 << 20)
 blank[:], full[:], mixed[:] = 0.0, 1.5, 0.0
 mixed[::200_000] = 2.5
 before = held()
-given = give_back_blank_pages()
+given = release_zero_pages()
 print(given, before - held())
 assert not blank.any() and (full == 1.5).all()
 assert mixed.sum() == 6 * 2.5 and (mixed[::200_000] == 2.5).all()

@@ -269,7 +269,7 @@ def test_sleeper_is_pushed_as_hard_as_one_that_is_awake(engine: SleepingEngine) 
     wrench = np.array([0.0, 0.0, 200.0, 0.0, 0.0, 0.0])
 
     for _ in range(24):
-        engine.push_link(body, 0, wrench)
+        engine.apply_link_wrench(body, 0, wrench)
         engine.step()
     engine.step()
     pushed = base_of(engine, body)[9]
@@ -278,7 +278,7 @@ def test_sleeper_is_pushed_as_hard_as_one_that_is_awake(engine: SleepingEngine) 
     twin = awake.add(a_box(), box_at())
     advance(awake, STANDING)
     for _ in range(24):
-        awake.push_link(twin, 0, wrench)
+        awake.apply_link_wrench(twin, 0, wrench)
         awake.step()
     expected = awake.read([twin]).base[0, 9]
     awake.close()
@@ -327,7 +327,7 @@ def test_what_stood_on_something_falls_when_it_is_moved_away(engine: SleepingEng
     advance(engine, STANDING)
     slept = engine.asleep
 
-    engine.place(below, box_at(3.0))
+    engine.set_base_state(below, box_at(3.0))
     advance(engine, SECONDS)
 
     assert slept == (below, above)
@@ -339,7 +339,7 @@ def test_tower_sleeps_as_a_whole_and_wakes_as_a_whole(engine: SleepingEngine) ->
     advance(engine, 2 * STANDING)
     slept = engine.asleep
 
-    engine.push_link(tower[2], 0, np.zeros(6))
+    engine.apply_link_wrench(tower[2], 0, np.zeros(6))
 
     assert slept == tower
     assert engine.asleep == ()
@@ -378,7 +378,7 @@ def test_sleeper_that_is_put_somewhere_moving_goes_on_moving(engine: SleepingEng
     body = engine.add(a_box(), box_at())
     advance(engine, STANDING)
 
-    engine.place(body, a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0)))
+    engine.set_base_state(body, a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0)))
     advance(engine, SECONDS // 2)
 
     assert base_of(engine, body)[0] == pytest.approx(0.5, abs=0.02)

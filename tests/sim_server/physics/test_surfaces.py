@@ -224,7 +224,7 @@ def two_fingers(tags: str = "", model_tags: str = "") -> Model:
 def gap_of(engine: Engine, model: Model) -> float:
     """Push the balls together by gravity along y; how far apart their middles end."""
     body = engine.add(model, a_state())
-    engine.rest(body, a_state(), np.array([0.1, 0.1]))
+    engine.set_at_rest(body, a_state(), np.array([0.1, 0.1]))
     advance(engine, 240)
     left, right = engine.read([body]).joint_positions.tolist()
     return 0.3 - 0.5 * (math.sin(left) + math.sin(right))

@@ -43,18 +43,20 @@ class Crowd:
         del self.models[body]
 
     def be_placed(self) -> None:
-        self.engine.place(self._somebody(), self._somewhere())
+        self.engine.set_base_state(self._somebody(), self._somewhere())
 
     def rest(self) -> None:
         body = self._somebody()
-        self.engine.rest(body, self._somewhere(), self._numbers(len(self.models[body].joints)))
+        self.engine.set_at_rest(
+            body, self._somewhere(), self._numbers(len(self.models[body].joints))
+        )
 
     def be_put(self) -> None:
         count = len(self.models[body := self._somebody()].joints)
-        self.engine.put(body, self._somewhere(), self._numbers(count), self._numbers(count))
+        self.engine.set_state(body, self._somewhere(), self._numbers(count), self._numbers(count))
 
     def be_pushed(self) -> None:
-        self.engine.push_link(self._somebody(), 0, 400.0 * self._numbers(6))
+        self.engine.apply_link_wrench(self._somebody(), 0, 400.0 * self._numbers(6))
 
     def overlap(self) -> None:
         body = self._somebody()

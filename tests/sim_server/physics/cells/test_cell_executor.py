@@ -57,12 +57,14 @@ def a_mixed_crowd(engine: Engine) -> bytes:
     engine.remove(bodies[0])
     for turn in range(40):
         engine.command(crowd, draws.uniform(-6.0, 6.0, 22 + 3 + 2))
-        engine.push_link(bodies[2], 0, draws.uniform(-20.0, 20.0, 6))
-        engine.push_joint(bodies[3], 0, 0.1)
+        engine.apply_link_wrench(bodies[2], 0, draws.uniform(-20.0, 20.0, 6))
+        engine.apply_joint_effort(bodies[3], 0, 0.1)
         if turn == 20:
-            engine.rest(bodies[4], on_ground(5.0, 5.0), np.array([0.1, 0.2]))
-            engine.put(bodies[5], on_ground(5.0, -5.0), np.array([0.1, 0.2]), np.array([5.0, 5.0]))
-            engine.place(bodies[6], on_ground(-5.0, 5.0))
+            engine.set_at_rest(bodies[4], on_ground(5.0, 5.0), np.array([0.1, 0.2]))
+            engine.set_state(
+                bodies[5], on_ground(5.0, -5.0), np.array([0.1, 0.2]), np.array([5.0, 5.0])
+            )
+            engine.set_base_state(bodies[6], on_ground(-5.0, 5.0))
         advance(engine, 12)
     touching = [list(engine.find_overlaps(body)) for body in crowd]
     reading = engine.read(crowd)

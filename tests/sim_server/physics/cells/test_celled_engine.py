@@ -127,7 +127,7 @@ def test_clusters_let_a_kicked_box_hit_what_stands_in_its_way() -> None:
         kicked = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
         advance(engine, 30)
 
-        engine.push_link(kicked, 0, np.array([6000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        engine.apply_link_wrench(kicked, 0, np.array([6000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
         advance(engine, 120)
 
         assert engine.read([target]).base[0, 0] > 1.6
@@ -141,7 +141,7 @@ def test_clusters_stop_a_cart_at_a_wall_in_whatever_cell() -> None:
         engine.command(carts, np.full(8, 8.0))
         advance(engine, 900)
         stopped = engine.read(carts).base[:, 0]
-        engine.place(wall, a_state((30.0, 10.0, 0.5)))
+        engine.set_base_state(wall, a_state((30.0, 10.0, 0.5)))
         advance(engine, 900)
         freed = engine.read(carts).base[:, 0]
 
@@ -214,7 +214,7 @@ def test_clusters_keep_a_body_gone_bad_from_the_others() -> None:
     with clustered() as (engine, _):
         bodies = tuple(engine.add(a_cart(), on_ground(5.0 * i)) for i in range(3))
         advance(engine, 10)
-        engine.place(bodies[1], np.full(13, np.nan))
+        engine.set_base_state(bodies[1], np.full(13, np.nan))
 
         is_well = [engine.step() for _ in range(20)]
 

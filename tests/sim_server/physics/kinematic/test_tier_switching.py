@@ -73,7 +73,7 @@ def test_wrench_makes_a_robot_full_until_it_has_settled() -> None:
         body = engine.add(a_box_bot(), box_bot_at())
         steps(engine, 5)
 
-        engine.push_link(body, 0, np.array([0.0, 40.0, 0.0, 0.0, 0.0, 0.0]))
+        engine.apply_link_wrench(body, 0, np.array([0.0, 40.0, 0.0, 0.0, 0.0, 0.0]))
 
         assert engine.tier_of(body) == "full"
         steps(engine, 1)
@@ -122,7 +122,7 @@ def test_removed_and_rested_robots_leave_nothing_behind() -> None:
         assert engine.tier_of(first) == "full"
 
         engine.remove(second)
-        engine.rest(first, box_bot_at())
+        engine.set_at_rest(first, box_bot_at())
         steps(engine, 60)
 
         assert engine.tier_of(first) == "kinematic"

@@ -102,14 +102,14 @@ def test_engine_says_that_a_broken_body_is_there_and_the_others_go_on(engine: En
 
     state = box_bot_at()
     state[7] = np.nan
-    engine.place(broken, state)
+    engine.set_base_state(broken, state)
 
     assert not engine.step()
     advance(engine, 240)
     base = engine.read([broken, other]).base
     assert np.isnan(base[0]).any()
     assert base[1, 0] == pytest.approx(0.101 + 4.0 * 0.035, abs=0.01)
-    engine.place(broken, box_bot_at(-1.0))
+    engine.set_base_state(broken, box_bot_at(-1.0))
     assert engine.step()
     assert engine.read([broken]).base[0, 0] == pytest.approx(-1.0, abs=1e-3)
 

@@ -1,0 +1,89 @@
+# ruff: noqa: D102 - see `Engine`
+"""Base of layers around an engine."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from zensim.proto.messages.model_messages import Model, TierName
+from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+
+
+class EngineLayer(Engine):
+    """An engine around another: every call goes to the inner engine unless overridden.
+
+    `sleep`, `wake` and `find_contacts` are not forwarded: one layer at most controls sleep.
+    """
+
+    def __init__(self, inner: Engine) -> None:
+        self._inner = inner
+        self.capabilities = replace(inner.capabilities, sleeps=False)
+
+    @property
+    def name(self) -> str:
+        return self._inner.name
+
+    def prepare(self, model: Model) -> bool:
+        return self._inner.prepare(model)
+
+    def add(self, model: Model, base: FloatArray) -> int:
+        return self._inner.add(model, base)
+
+    def remove(self, body: int) -> None:
+        self._inner.remove(body)
+
+    def forget_removed(self) -> None:
+        self._inner.forget_removed()
+
+    def find_overlaps(self, body: int) -> Sequence[int]:
+        return self._inner.find_overlaps(body)
+
+    def read(self, bodies: Sequence[int]) -> BodyStates:
+        return self._inner.read(bodies)
+
+    def set_base_state(self, body: int, base: FloatArray) -> None:
+        self._inner.set_base_state(body, base)
+
+    def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
+        self._inner.set_at_rest(body, base, positions)
+
+    def set_state(
+        self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
+    ) -> None:
+        self._inner.set_state(body, base, positions, velocities)
+
+    def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
+        self._inner.command(bodies, targets)
+
+    def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
+        self._inner.apply_link_wrench(body, link, wrench)
+
+    def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
+        self._inner.apply_joint_effort(body, joint, effort)
+
+    def step(self) -> bool:
+        return self._inner.step()
+
+    def close(self) -> None:
+        self._inner.close()
+
+    @property
+    def kinematic_count(self) -> int:
+        return self._inner.kinematic_count
+
+    def tier_of(self, body: int) -> TierName:
+        return self._inner.tier_of(body)
+
+    def hide(self, body: int) -> None:
+        self._inner.hide(body)
+
+    def show(self, bodies: Sequence[int]) -> None:
+        self._inner.show(bodies)
+
+    def skip_validation(self, model: Model) -> None:
+        self._inner.skip_validation(model)
+
+    def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
+        return self._inner.find_overlaps_async(body)
+
+    def is_idle(self) -> bool:
+        return self._inner.is_idle()
