@@ -2,38 +2,16 @@
 
 from dataclasses import dataclass
 
-from zensim.proto.messages.drive_messages import (
-    AckermannDrive,
-    DiffDrive,
-    Drive,
-    PlanarMove,
-    TricycleDrive,
-)
+from zensim.proto.drives.column_math import FLOAT_MATH
+from zensim.proto.drives.drive_kinematics import make_drive_kinematics
+from zensim.proto.drives.measured_joints import MeasuredJoints
+from zensim.proto.messages.drive_messages import DiffDrive, Drive
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.drives.ackermann_steering import AckermannSteering
-from zensim.robot_agent.drives.differential_drive import DifferentialDrive
-from zensim.robot_agent.drives.drive_controller import DriveController, MeasuredJoints
-from zensim.robot_agent.drives.planar_motion import PlanarMotion
-from zensim.robot_agent.drives.tricycle_steering import TricycleSteering
 from zensim.robot_agent.odometry import BaseMotion, EncoderOdometry, find_world_motion
 from zensim.robot_agent.robot_frames import find_base_frame
-
-
-def make_drive_controller(drive: Drive) -> DriveController:
-    """Make the controller of a drive."""
-    match drive:
-        case DiffDrive():
-            return DifferentialDrive(drive)
-        case AckermannDrive():
-            return AckermannSteering(drive)
-        case TricycleDrive():
-            return TricycleSteering(drive)
-        case PlanarMove():
-            return PlanarMotion()
-
 
 NO_DRIVE = DiffDrive(update_rate_hz=30.0)
 """Has no wheels and publishes nothing: stands in where a description has no drive."""
@@ -71,11 +49,11 @@ def make_rate_limiter(rate_hz: float | None) -> RateLimiter | None:
 
 @dataclass(frozen=True, slots=True)
 class _DriveUpdate:
-    """What the drive had before it at its last update."""
+    """Inputs of the last update of the drive, the twist apart."""
 
-    measured: MeasuredJoints
+    measured: MeasuredJoints[float]
     elapsed_s: float
-    memory: tuple[float, ...]
+    state: tuple[float, ...]
 
 
 class BaseController:
@@ -89,7 +67,8 @@ class BaseController:
         self.motion = BaseMotion()
         """As of the last odometry."""
         self._base_in_root = find_base_frame(model).pose_in_root
-        self._drive = make_drive_controller(drive)
+        self._drive = make_drive_kinematics(drive, FLOAT_MATH)
+        self._drive_state = (0.0,) * self._drive.state_size
         self._last: _DriveUpdate | None = None
         """None when the drive was not due at the last reading."""
         self._limiter = RateLimiter(drive.update_rate_hz)
@@ -108,7 +87,7 @@ class BaseController:
         self.targets = self._standing
         self.motion = BaseMotion()
         self._last = None
-        self._drive.reset()
+        self._drive_state = (0.0,) * self._drive.state_size
         self._limiter.reset()
         if self._odometry_limiter is not None:
             self._odometry_limiter.reset()
@@ -131,8 +110,12 @@ class BaseController:
         """Make the last update anew, as if this twist had been there; tell whether it was due."""
         if (last := self._last) is None:
             return False
-        self._drive.memory = last.memory
-        self.targets = self._drive.update(twist, measured=last.measured, elapsed_s=last.elapsed_s)
+        self.targets, self._drive_state = self._drive.find_targets(
+            (twist.linear.x, twist.linear.y, twist.angular.z),
+            measured=last.measured,
+            state=last.state,
+            dt_s=last.elapsed_s,
+        )
         return True
 
     def _update_drive(self, reading: RobotState, twist: Twist) -> bool:
@@ -144,10 +127,10 @@ class BaseController:
             [reading.positions[joint] for joint in self._measured],
             [reading.velocities[joint] for joint in self._measured],
         )
-        self._last = _DriveUpdate(measured, elapsed_s, self._drive.memory)
+        self._last = _DriveUpdate(measured, elapsed_s, self._drive_state)
         return self.revise(twist)
 
     def _motion(self, reading: RobotState) -> BaseMotion:
         if self._encoder is not None:
             return self._encoder.motion
-        return find_world_motion(reading.base, self._base_in_root)
+        return BaseMotion(*find_world_motion(reading.base, self._base_in_root, FLOAT_MATH))

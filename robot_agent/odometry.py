@@ -1,10 +1,12 @@
-"""Odometry of one robot from the world state or from wheel encoders, and its message."""
+"""Odometry from the world state or from wheel encoders, in columns, and its message."""
 
-import math
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import msgspec
 
+from zensim.proto.drives.column_math import FLOAT_MATH, Column, ColumnMath
+from zensim.proto.drives.differential_drive import find_base_step, integrate_base_step
 from zensim.proto.messages.drive_messages import DriveSettings, WheelPair
 from zensim.proto.messages.model_messages import IDENTITY, ZERO, Origin, Quat, Vec3
 from zensim.proto.messages.standard_messages import (
@@ -19,17 +21,25 @@ from zensim.proto.messages.standard_messages import (
     TwistWithCovariance,
     Vector3,
 )
-from zensim.robot_agent.scalar_transforms import (
+from zensim.robot_agent.rigid_transforms import (
+    Rotation,
+    Vector,
     add,
     cross,
     find_yaw,
-    from_axis_angle,
     multiply,
     rotate,
+    rotate_about,
 )
 
 UNKNOWN_VARIANCE = 1e12
 """Variance of what a planar robot does not measure: z, roll, pitch."""
+Z_AXIS = (0.0, 0.0, 1.0)
+
+MotionColumns: TypeAlias = tuple[
+    tuple[Column, Column, Column | float], Rotation[Column], Column, Column | float, Column
+]
+"""Fields of `BaseMotion`, in order."""
 
 
 class BaseMotion(msgspec.Struct, frozen=True, gc=False):
@@ -42,74 +52,90 @@ class BaseMotion(msgspec.Struct, frozen=True, gc=False):
     angular_z: float = 0.0
 
 
-def find_world_motion(state: Sequence[float], base_in_root: Origin) -> BaseMotion:
-    """Read the true motion: the pose is in the world, the velocity turned by its yaw.
+def find_world_motion(
+    state: Sequence[Column], base_in_root: Origin, xp: ColumnMath[Column]
+) -> MotionColumns[Column]:
+    """Find the true motion: pose in the world, velocities in the base.
 
     Args:
-        state: Of the root link, in the order of `zensim.proto.messages.agent_messages.STATE_COLUMNS`.
-        base_in_root: Where the robot's base is fixed on its root link.
+        state: Of the root link, columns as in `proto.messages.agent_messages.STATE_COLUMNS`.
+        base_in_root: Fixed pose of the robot's base in its root link.
+        xp: Arithmetic of the columns.
     """
     px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = state
-    root: Quat = (qx, qy, qz, qw)
+    root = (qx, qy, qz, qw)
     arm = rotate(root, base_in_root.position)
     orientation = multiply(root, base_in_root.orientation)
-    # A point that is off the root link moves also because the link turns.
+    # A point off the root link moves also when the link rotates.
     vx, vy, _ = add((vx, vy, vz), cross((wx, wy, wz), arm))
-    yaw = find_yaw(orientation)
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return BaseMotion(
-        add((px, py, pz), arm), orientation, cos * vx + sin * vy, cos * vy - sin * vx, wz
+    yaw = find_yaw(orientation, xp)
+    cos, sin = xp.cos(yaw), xp.sin(yaw)
+    position = add((px, py, pz), arm)
+    return position, orientation, cos * vx + sin * vy, cos * vy - sin * vx, wz
+
+
+def find_encoder_motion(
+    pose: Vector[Column],
+    step: tuple[Column, Column],
+    elapsed_s: Column,
+    xp: ColumnMath[Column],
+    *,
+    is_speed_unsigned: bool,
+) -> MotionColumns[Column]:
+    """Find the motion after a step by encoders.
+
+    Args:
+        pose: x, y [m], yaw [rad] after the step.
+        step: Distance [m] and rotation [rad].
+        elapsed_s: Simulation time of the step; > 0.
+        xp: Arithmetic of the columns.
+        is_speed_unsigned: linear.x is never negative, in reverse neither: a fault of Gazebo's.
+    """
+    x, y, yaw = pose
+    distance_m, turned_rad = step
+    speed = distance_m / elapsed_s
+    return (
+        (x, y, 0.0),
+        rotate_about(Z_AXIS, yaw, xp),
+        abs(speed) if is_speed_unsigned else speed,
+        0.0,
+        turned_rad / elapsed_s,
     )
 
 
 class EncoderOdometry:
-    """Motion as the first wheel pair tells it; starts at 0, drifts as a real robot's does."""
+    """Motion by the first wheel pair; starts at 0 and drifts as on a real robot."""
 
     def __init__(self, pair: WheelPair, *, is_speed_unsigned: bool) -> None:
-        """Take the wheels.
+        """Create odometry at 0.
 
         Args:
             pair: Its separation and diameter.
-            is_speed_unsigned: linear.x is never negative, in reverse neither: a fault of Gazebo's.
+            is_speed_unsigned: See `find_encoder_motion`.
         """
         self._pair = pair
         self._is_speed_unsigned = is_speed_unsigned
-        self._before: tuple[float, float, int] | None = None
-        self._x = self._y = self._yaw = 0.0
-        self.motion = BaseMotion()
+        self.reset()
 
     def reset(self) -> None:
         """Start at 0 again."""
-        self._before = None
-        self._x = self._y = self._yaw = 0.0
+        self._before: tuple[float, float, int] | None = None
+        self._pose = ZERO
         self.motion = BaseMotion()
 
     def update(self, *, left_rad: float, right_rad: float, time_ns: int) -> None:
-        """Take the wheel joints' positions at a moment of simulation time."""
+        """Take the wheel joints' positions at a time of the simulation."""
         before, self._before = self._before, (left_rad, right_rad, time_ns)
         if before is None or time_ns <= before[2]:
             return
-        # Positions hold all that was turned since; speeds, sampled and summed, lose what lies
-        # between two states.
-        radius = self._pair.diameter_m / 2.0
-        left_m, right_m = (left_rad - before[0]) * radius, (right_rad - before[1]) * radius
-        self._advance((left_m + right_m) / 2.0, (right_m - left_m) / self._pair.separation_m)
-        self.motion = self._motion(left_m, right_m, (time_ns - before[2]) * 1e-9)
-
-    def _advance(self, distance_m: float, turned_rad: float) -> None:
-        middle = self._yaw + turned_rad / 2.0
-        self._x += distance_m * math.cos(middle)
-        self._y += distance_m * math.sin(middle)
-        self._yaw += turned_rad
-
-    def _motion(self, left_m: float, right_m: float, elapsed_s: float) -> BaseMotion:
-        speed = (left_m + right_m) / 2.0 / elapsed_s
-        return BaseMotion(
-            (self._x, self._y, 0.0),
-            from_axis_angle((0.0, 0.0, 1.0), self._yaw),
-            abs(speed) if self._is_speed_unsigned else speed,
-            0.0,
-            (right_m - left_m) / self._pair.separation_m / elapsed_s,
+        # Positions contain every rotation; sampled velocities miss changes between two states.
+        step = find_base_step(self._pair, left_rad - before[0], right_rad - before[1])
+        self._pose = integrate_base_step(self._pose, *step, FLOAT_MATH)
+        elapsed_s = (time_ns - before[2]) * 1e-9
+        self.motion = BaseMotion(
+            *find_encoder_motion(
+                self._pose, step, elapsed_s, FLOAT_MATH, is_speed_unsigned=self._is_speed_unsigned
+            )
         )
 
 

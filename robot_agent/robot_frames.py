@@ -14,7 +14,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
 )
 from zensim.robot_agent.odometry import BaseMotion
-from zensim.robot_agent.scalar_transforms import (
+from zensim.robot_agent.rigid_transforms import (
     add,
     compose,
     from_axis_angle,

@@ -8,6 +8,7 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.codec.cdr_template import CdrTemplate
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Origin
 from zensim.proto.messages.standard_messages import (
@@ -25,7 +26,8 @@ from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicF
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates, get_drive, make_rate_limiter
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.odometry import BaseMotion, find_world_motion
+from zensim.robot_agent.odometry import Z_AXIS, BaseMotion, find_world_motion
+from zensim.robot_agent.rigid_transforms import find_yaw, from_axis_angle
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     FrameEdge,
@@ -34,7 +36,6 @@ from zensim.robot_agent.robot_frames import (
     list_moving_joints,
     list_published_joints,
 )
-from zensim.robot_agent.scalar_transforms import find_yaw, from_axis_angle
 from zensim.robot_agent.topic_remapping import resolve_odom_key, resolve_topic_key
 
 MakeValue: TypeAlias = Callable[[TFMessage], MakePayload]
@@ -128,8 +129,11 @@ def _find_odom_origin(claim: Claim) -> Origin:
     """Find where encoders counted from: the spawn, upright."""
     if not claim.spawn_state:
         return Origin()
-    base = find_world_motion(claim.spawn_state, find_base_frame(claim.model).pose_in_root)
-    return Origin(base.position, from_axis_angle((0.0, 0.0, 1.0), find_yaw(base.orientation)))
+    base = BaseMotion(
+        *find_world_motion(claim.spawn_state, find_base_frame(claim.model).pose_in_root, FLOAT_MATH)
+    )
+    yaw = find_yaw(base.orientation, FLOAT_MATH)
+    return Origin(base.position, from_axis_angle(Z_AXIS, yaw))
 
 
 def _return_message(message: TFMessage) -> TFMessage:

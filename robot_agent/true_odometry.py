@@ -31,14 +31,16 @@ from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.ros2.ros_graph import Topic
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.scalar_transforms import (
+from zensim.robot_agent.rigid_transforms import (
     add,
     compose,
+    conjugate,
     cross,
     from_axis_angle,
     multiply,
     normalize,
     rotate,
+    scale,
 )
 from zensim.robot_agent.topic_remapping import resolve_topic_key
 
@@ -108,11 +110,6 @@ def _apply_joint(
         orientation=turned.orientation,
         angular=add(at.angular, scale(along, velocity)),
     )
-
-
-def scale(vector: Vec3, factor: float) -> Vec3:
-    """Make a vector longer or shorter."""
-    return (vector[0] * factor, vector[1] * factor, vector[2] * factor)
 
 
 NO_NOISE = (ZERO, ZERO)
@@ -211,7 +208,7 @@ class TrueOdometry:
             motion = _make_relative(self._frame.motion(reading), motion)
         linear, angular = motion.linear, motion.angular
         if self.wish.compat != "gazebo11":
-            back = _conjugate(motion.orientation)
+            back = conjugate(motion.orientation)
             linear, angular = rotate(back, linear), rotate(back, angular)
         offset = self.wish.offset
         return LinkState(
@@ -223,7 +220,7 @@ class TrueOdometry:
 
 
 def _make_relative(frame: LinkState, body: LinkState) -> LinkState:
-    back = _conjugate(frame.orientation)
+    back = conjugate(frame.orientation)
 
     def difference(one: Vec3, other: Vec3) -> Vec3:
         return rotate(back, add(one, scale(other, -1.0)))
@@ -234,8 +231,3 @@ def _make_relative(frame: LinkState, body: LinkState) -> LinkState:
         difference(body.linear, frame.linear),
         difference(body.angular, frame.angular),
     )
-
-
-def _conjugate(orientation: Quat) -> Quat:
-    x, y, z, w = orientation
-    return (-x, -y, -z, w)

@@ -9,10 +9,10 @@ import numpy as np
 from zensim.proto import keys
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_layout import HEADER_BYTES
+from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.messages.model_messages import Joint
 from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
 from zensim.proto.ros2.ros_graph import RosNode
-from zensim.proto.rotation import multiply, rotate
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.message_templates import list_tf_paths, list_tf_stamps
@@ -28,7 +28,7 @@ from zensim.robot_agent.pool.robot_rows import (
     remap_floats,
     remap_ints,
 )
-from zensim.robot_agent.scalar_transforms import normalize
+from zensim.robot_agent.rigid_transforms import multiply, normalize, rotate, rotate_about
 
 POSE_COLUMNS = 7
 
@@ -61,12 +61,15 @@ class JointTransforms:
         found[..., 3:] = self._turned
         turns, slides = self._turns, self._slides
         if len(turns):
-            half = positions[:, turns, None] / 2.0
-            turn = np.concatenate([self._axes[turns] * np.sin(half), np.cos(half)], axis=-1)
-            found[:, turns, 3:] = multiply(self._turned[turns], turn)
+            x, y, z = self._axes[turns].T
+            turn = rotate_about((x, y, z), positions[:, turns], ARRAY_MATH)
+            ox, oy, oz, ow = self._turned[turns].T
+            found[:, turns, 3:] = np.stack(multiply((ox, oy, oz, ow), turn), axis=-1)
         if len(slides):
+            ox, oy, oz, ow = self._turned[slides].T
             shift = self._axes[slides] * positions[:, slides, None]
-            found[:, slides, :3] += rotate(self._turned[slides], shift)
+            moved = rotate((ox, oy, oz, ow), (shift[..., 0], shift[..., 1], shift[..., 2]))
+            found[:, slides, :3] += np.stack(moved, axis=-1)
         return found
 
 

@@ -93,7 +93,7 @@ def test_agent_never_sleeps_so_long_that_everything_else_waits() -> None:
 
 
 MS = 1_000_000
-NICE = f"from robot_agent.precedence import be_nice; print(be_nice({NICENESS}))"
+NICE = f"from zensim.robot_agent.agent_timing import set_niceness; print(set_niceness({NICENESS}))"
 TOLD = "; import os; print(os.getpriority(os.PRIO_PROCESS, 0))"
 
 

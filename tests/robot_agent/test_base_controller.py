@@ -5,41 +5,14 @@ import pytest
 
 from tests.robot_agent.models import AT_REST, DRIVE, WHEELS, two_wheeler
 from zensim.proto.messages.drive_messages import (
-    AckermannDrive,
     Compat,
-    DiffDrive,
-    Drive,
     Limits,
     PlanarMove,
-    TricycleDrive,
-    WheelPair,
 )
 from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.robot_agent.base_controller import BaseController, make_drive_controller
+from zensim.robot_agent.base_controller import BaseController
 from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.drives.drive_controller import MeasuredJoints
 from zensim.robot_agent.odometry import BaseMotion
-
-
-@pytest.mark.parametrize(
-    "drive",
-    [
-        DiffDrive((WheelPair("l", "r"),)),
-        PlanarMove(),
-        AckermannDrive(),
-        AckermannDrive(steering_wheel_joint="w"),
-        TricycleDrive(),
-        TricycleDrive(max_steering_speed=1.0),
-    ],
-)
-def test_controller_has_a_number_for_each_that_the_actuators_take(drive: Drive) -> None:
-    joints = sum(1 for actuator in drive.actuators if actuator.joint)
-    measured = MeasuredJoints((0.0,) * joints, (0.0,) * joints)
-
-    found = make_drive_controller(drive).update(Twist(), measured=measured, elapsed_s=0.01)
-
-    assert found == (0.0,) * sum(actuator.width for actuator in drive.actuators)
-
 
 MS = 1_000_000
 FORWARD = Twist(Vector3(0.5))

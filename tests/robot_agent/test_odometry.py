@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.model_messages import IDENTITY, DiffDrive, Origin, WheelPair
 from zensim.proto.messages.standard_messages import Header, Time
 from zensim.robot_agent.odometry import (
@@ -15,7 +16,7 @@ from zensim.robot_agent.odometry import (
     find_world_motion,
     make_covariance,
 )
-from zensim.robot_agent.scalar_transforms import find_yaw, from_axis_angle
+from zensim.robot_agent.rigid_transforms import find_yaw, from_axis_angle
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
 SECOND = 1_000_000_000
@@ -38,17 +39,21 @@ def an_encoder(*, is_speed_unsigned: bool = False) -> EncoderOdometry:
     return encoder
 
 
+def world_motion(state: tuple[float, ...], base_in_root: Origin) -> BaseMotion:
+    return BaseMotion(*find_world_motion(state, base_in_root, FLOAT_MATH))
+
+
 def test_world_motion_starts_at_the_spawn_pose() -> None:
-    motion = find_world_motion(state(position=(3.0, 4.0, 0.1), yaw=1.0), Origin())
+    motion = world_motion(state(position=(3.0, 4.0, 0.1), yaw=1.0), Origin())
 
     assert motion.position == pytest.approx((3.0, 4.0, 0.1))
-    assert find_yaw(motion.orientation) == pytest.approx(1.0)
+    assert find_yaw(motion.orientation, FLOAT_MATH) == pytest.approx(1.0)
 
 
 def test_world_motion_turns_the_velocity_into_the_body() -> None:
     facing_left = state(yaw=math.pi / 2, linear=(-0.3, 0.5, 0.7), angular=(0.1, 0.2, 0.9))
 
-    motion = find_world_motion(facing_left, Origin())
+    motion = world_motion(facing_left, Origin())
 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((0.5, 0.3))
     assert motion.angular_z == pytest.approx(0.9)
@@ -57,7 +62,7 @@ def test_world_motion_turns_the_velocity_into_the_body() -> None:
 def test_world_motion_is_that_of_the_base_when_it_is_off_the_root_link() -> None:
     below = Origin((0.0, 0.0, -0.06))
 
-    motion = find_world_motion(state(position=(1.0, 2.0, 0.06)), below)
+    motion = world_motion(state(position=(1.0, 2.0, 0.06)), below)
 
     assert motion.position == pytest.approx((1.0, 2.0, 0.0))
 
@@ -65,7 +70,7 @@ def test_world_motion_is_that_of_the_base_when_it_is_off_the_root_link() -> None
 def test_world_motion_adds_what_the_turn_gives_to_a_base_off_the_root_link() -> None:
     ahead = Origin((0.5, 0.0, 0.0))
 
-    motion = find_world_motion(state(linear=(1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0)), ahead)
+    motion = world_motion(state(linear=(1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0)), ahead)
 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((1.0, 1.0))
 
@@ -73,7 +78,7 @@ def test_world_motion_adds_what_the_turn_gives_to_a_base_off_the_root_link() -> 
 def test_world_motion_turns_with_a_base_that_is_turned_on_the_root_link() -> None:
     backwards = Origin((0.0, 0.0, 0.0), from_axis_angle(UP, math.pi))
 
-    motion = find_world_motion(state(linear=(1.0, 0.2, 0.0)), backwards)
+    motion = world_motion(state(linear=(1.0, 0.2, 0.0)), backwards)
 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((-1.0, -0.2))
 
@@ -99,7 +104,7 @@ def test_encoder_turns_on_the_spot_when_wheels_turn_against_each_other() -> None
     encoder.update(left_rad=2.0, right_rad=-6.0, time_ns=6 * SECOND)
 
     assert encoder.motion.position == pytest.approx((0.0, 0.0, 0.0))
-    assert find_yaw(encoder.motion.orientation) == pytest.approx(0.5)
+    assert find_yaw(encoder.motion.orientation, FLOAT_MATH) == pytest.approx(0.5)
     assert encoder.motion.angular_z == pytest.approx(0.5)
 
 
@@ -109,7 +114,7 @@ def test_encoder_moves_along_the_middle_heading_of_an_arc() -> None:
     encoder.update(left_rad=3.0, right_rad=-3.0, time_ns=6 * SECOND)
 
     assert encoder.motion.position == pytest.approx((0.2 * math.cos(0.5), 0.2 * math.sin(0.5), 0))
-    assert find_yaw(encoder.motion.orientation) == pytest.approx(1.0)
+    assert find_yaw(encoder.motion.orientation, FLOAT_MATH) == pytest.approx(1.0)
     assert encoder.motion.linear_x == pytest.approx(0.2)
 
 

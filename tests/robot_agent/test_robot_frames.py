@@ -24,6 +24,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
 )
 from zensim.robot_agent.odometry import BaseMotion
+from zensim.robot_agent.rigid_transforms import compose, from_axis_angle, invert
 from zensim.robot_agent.robot_frames import (
     BaseFrame,
     FrameEdge,
@@ -35,7 +36,6 @@ from zensim.robot_agent.robot_frames import (
     make_moving_transforms,
     make_odometry_edge,
 )
-from zensim.robot_agent.scalar_transforms import compose, from_axis_angle, invert
 
 STAMP = Time(1, 2)
 LIDAR = Joint("lidar_joint", "revolute", "base_link", "lidar", axis=(0.0, 0.0, 1.0))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fakes import MemoryBus, MemorySubscription
-from tests.robot_agent.pool.kinds import DRIVES, robot_of
+from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from zensim.proto.codec import cdr
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, Claim, DriveState

@@ -6,21 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.proto.drives.single_drive import SingleDrive
 from zensim.proto.messages.drive_messages import TricycleDrive
-from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.robot_agent.drives.drive_controller import MeasuredJoints
-from zensim.robot_agent.drives.tricycle_steering import TricycleSteering
 
 RADIUS = 0.1
-STANDING = MeasuredJoints((0.0, 0.0), (0.0, 0.0))
+AT_REST = (0.0, 0.0)
 
 
-def a_tricycle(**limits: float) -> TricycleSteering:
-    return TricycleSteering(TricycleDrive(actuated_wheel_diameter_m=2.0 * RADIUS, **limits))  # type: ignore[arg-type]
-
-
-def twist(speed: float, angle: float = 0.0) -> Twist:
-    return Twist(Vector3(speed), Vector3(0.0, 0.0, angle))
+def a_tricycle(**limits: float) -> SingleDrive:
+    return SingleDrive(TricycleDrive(actuated_wheel_diameter_m=2.0 * RADIUS, **limits))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -39,7 +33,7 @@ def test_tricycle_takes_rim_speed_and_steering_angle(
     drive = a_tricycle()
     drive.reset()
 
-    found = drive.update(twist(speed, angle), measured=STANDING, elapsed_s=0.01)
+    found = drive.update(speed, angle, positions=AT_REST, velocities=AT_REST, dt_s=0.01)
 
     assert found == pytest.approx(expected)
 
@@ -58,18 +52,18 @@ def test_tricycle_limits_acceleration_and_deceleration(
     wanted: float, current: float, expected: float
 ) -> None:
     drive = a_tricycle(max_acceleration=20.0, max_deceleration=40.0)
-    measured = MeasuredJoints((0.0, 0.0), (current, 0.0))
+    positions, velocities = (0.0, 0.0), (current, 0.0)
 
-    found = drive.update(twist(wanted * RADIUS), measured=measured, elapsed_s=0.01)
+    found = drive.update(wanted * RADIUS, positions=positions, velocities=velocities, dt_s=0.01)
 
     assert found[0] == pytest.approx(expected)
 
 
 def test_tricycle_has_no_limit_on_the_side_that_is_zero() -> None:
     drive = a_tricycle(max_acceleration=20.0)
-    measured = MeasuredJoints((0.0, 0.0), (5.0, 0.0))
+    positions, velocities = (0.0, 0.0), (5.0, 0.0)
 
-    assert drive.update(twist(0.0), measured=measured, elapsed_s=0.01)[0] == 0.0
+    assert drive.update(0.0, positions=positions, velocities=velocities, dt_s=0.01)[0] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -86,9 +80,9 @@ def test_tricycle_steers_at_its_speed_until_the_angle_is_reached(
     angle: float, current: float, expected: float
 ) -> None:
     drive = a_tricycle(max_steering_speed=2.0, angle_tolerance=0.01)
-    measured = MeasuredJoints((0.0, current), (0.0, 0.0))
+    positions, velocities = (0.0, current), (0.0, 0.0)
 
-    found = drive.update(twist(1.0, angle), measured=measured, elapsed_s=0.01)
+    found = drive.update(1.0, angle, positions=positions, velocities=velocities, dt_s=0.01)
 
     assert found[1] == pytest.approx(expected)
 
@@ -97,7 +91,7 @@ def test_tricycle_steers_at_its_speed_until_the_angle_is_reached(
 def test_tricycle_keeps_targets_finite(speed: float, angle: float) -> None:
     drive = a_tricycle(max_acceleration=1.0, max_deceleration=1.0, max_steering_speed=1.0)
 
-    found = drive.update(twist(speed, angle), measured=STANDING, elapsed_s=0.01)
+    found = drive.update(speed, angle, positions=AT_REST, velocities=AT_REST, dt_s=0.01)
 
     assert all(map(math.isfinite, found))
 
@@ -105,4 +99,4 @@ def test_tricycle_keeps_targets_finite(speed: float, angle: float) -> None:
 def test_tricycle_does_not_steer_when_no_time_has_gone() -> None:
     drive = a_tricycle(max_steering_speed=1.0)
 
-    assert drive.update(twist(0.0, 1.0), measured=STANDING, elapsed_s=0.0)[1] == 0.0
+    assert drive.update(0.0, 1.0, positions=AT_REST, velocities=AT_REST, dt_s=0.0)[1] == 0.0

@@ -6,18 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.proto.drives.single_drive import SingleDrive
 from zensim.proto.messages.drive_messages import AckermannDrive
-from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.robot_agent.drives.ackermann_steering import AckermannSteering
-from zensim.robot_agent.drives.drive_controller import MeasuredJoints
 
 CAR = AckermannDrive(wheel_radius_m=0.1, wheelbase_m=1.0, track_m=0.6, max_speed=5.0, max_steer=0.6)
-STRAIGHT = MeasuredJoints((0.0,) * 5, (0.0,) * 5)
+STRAIGHT = (0.0,) * 5
 
 
 def targets(speed: float, steer: float, drive: AckermannDrive = CAR) -> tuple[float, ...]:
-    twist = Twist(Vector3(speed), Vector3(0.0, 0.0, steer))
-    return AckermannSteering(drive).update(twist, measured=STRAIGHT, elapsed_s=0.01)
+    return SingleDrive(drive).update(speed, steer, positions=STRAIGHT)
 
 
 @pytest.mark.parametrize(
@@ -55,9 +52,8 @@ def test_inner_wheels_of_a_car_turn_more_and_roll_less() -> None:
 
 def test_car_turns_its_steering_wheel_with_its_front_wheels() -> None:
     drive = AckermannDrive(steering_wheel_joint="wheel", max_steer=0.5, max_steering_angle=5.0)
-    measured = MeasuredJoints((0.0, 0.0, 0.2, 0.1, 0.0), (0.0,) * 5)
 
-    found = AckermannSteering(drive).update(Twist(), measured=measured, elapsed_s=0.01)
+    found = SingleDrive(drive).update(positions=(0.0, 0.0, 0.2, 0.1, 0.0))
 
     assert found[4] == pytest.approx(1.5)
 
@@ -70,9 +66,6 @@ def test_car_keeps_targets_finite_when_it_may_steer_beyond_a_right_angle() -> No
 
 @given(steer=st.floats(-0.6, 0.6), speed=st.floats(0.1, 5.0))
 def test_car_has_one_turning_circle_for_all_wheels(steer: float, speed: float) -> None:
-    drive = AckermannSteering(CAR)
-    drive.reset()
-
     left_rim, right_rim, left, right = targets(speed, steer)
 
     curvature = math.tan(steer)

@@ -1,4 +1,4 @@
-"""Robots of every kind of drive, and states that they may be in."""
+"""Parameters of each drive, and a robot with it."""
 
 from zensim.proto.messages.drive_messages import (
     AckermannDrive,
@@ -74,7 +74,7 @@ DRIVES: dict[str, Drive] = {
 
 
 def robot_of(drive: Drive) -> Model:
-    """A robot with this drive, a lift that slides, and a camera."""
+    """Make a robot with this drive, a sliding lift and a camera."""
     lift = Joint(
         "lift",
         "prismatic",

@@ -6,46 +6,40 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.proto.drives.single_drive import SingleDrive
+from zensim.proto.drives.column_math import FLOAT_MATH
+from zensim.proto.drives.differential_drive import limit_velocity
 from zensim.proto.messages.drive_messages import DiffDrive, Limits, WheelPair
-from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.robot_agent.drives.differential_drive import DifferentialDrive, VelocityLimiter
-from zensim.robot_agent.drives.drive_controller import MeasuredJoints
+
+AT_REST, DT_S = 0.0, 0.1
 
 
-def test_velocity_is_what_is_wanted_when_nothing_limits_it() -> None:
-    assert VelocityLimiter(Limits()).update(1e9, 0.01) == 1e9
+def test_velocity_is_the_wanted_one_when_unlimited() -> None:
+    assert limit_velocity(Limits(), 1e9, AT_REST, DT_S, FLOAT_MATH) == 1e9
 
 
 @pytest.mark.parametrize(("wanted", "found"), [(0.3, 0.3), (9.0, 1.0), (-9.0, -0.5)])
-def test_velocity_stays_within_its_bounds(wanted: float, found: float) -> None:
-    limited = VelocityLimiter(Limits(min_velocity=-0.5, max_velocity=1.0))
+def test_velocity_stays_within_its_limits(wanted: float, found: float) -> None:
+    limits = Limits(min_velocity=-0.5, max_velocity=1.0)
 
-    assert limited.update(wanted, 0.01) == found
-
-
-def test_velocity_changes_no_faster_than_it_may() -> None:
-    limited = VelocityLimiter(Limits(min_acceleration=-4.0, max_acceleration=2.0))
-
-    assert limited.update(1.0, 0.1) == pytest.approx(0.2)
-    assert limited.update(1.0, 0.1) == pytest.approx(0.4)
-    assert limited.update(-1.0, 0.2) == pytest.approx(-0.4)
+    assert limit_velocity(limits, wanted, AT_REST, DT_S, FLOAT_MATH) == found
 
 
-def test_velocity_starts_from_standing_when_it_is_reset() -> None:
-    limited = VelocityLimiter(Limits(max_acceleration=1.0))
-    limited.update(1.0, 0.5)
+@pytest.mark.parametrize(("now", "wanted", "found"), [(0.2, 1.0, 0.4), (0.4, -1.0, 0.0)])
+def test_velocity_changes_within_the_acceleration_limits(
+    now: float, wanted: float, found: float
+) -> None:
+    limits = Limits(min_acceleration=-4.0, max_acceleration=2.0)
 
-    limited.reset()
-
-    assert limited.update(1.0, 0.1) == pytest.approx(0.1)
+    assert limit_velocity(limits, wanted, now, DT_S, FLOAT_MATH) == pytest.approx(found)
 
 
 @given(st.lists(st.floats(-5.0, 5.0), max_size=20))
-def test_velocity_never_leaves_its_bounds(wishes: list[float]) -> None:
-    limited = VelocityLimiter(Limits(-1.0, 2.0, -3.0, 3.0))
+def test_velocity_never_leaves_its_limits(commands: list[float]) -> None:
+    limits = Limits(-1.0, 2.0, -3.0, 3.0)
     before = 0.0
-    for wish in wishes:
-        now = limited.update(wish, 0.1)
+    for wanted in commands:
+        now = limit_velocity(limits, wanted, before, DT_S, FLOAT_MATH)
         assert -1.0 <= now <= 2.0
         assert abs(now - before) <= 0.3 + 1e-12
         before = now
@@ -57,12 +51,8 @@ RADIUS = 0.1
 STILL = (0.0, 0.0)
 
 
-def twist(x: float, turn: float = 0.0) -> Twist:
-    return Twist(Vector3(x), Vector3(0.0, 0.0, turn))
-
-
-def limited(max_acceleration: float = 1.0) -> DifferentialDrive:
-    return DifferentialDrive(DiffDrive(pairs=(PAIR,), max_acceleration=max_acceleration))
+def limited(max_acceleration: float = 1.0) -> SingleDrive:
+    return SingleDrive(DiffDrive(pairs=(PAIR,), max_acceleration=max_acceleration))
 
 
 def rims(targets: tuple[float, ...]) -> list[float]:
@@ -83,47 +73,40 @@ def rims(targets: tuple[float, ...]) -> list[float]:
     ],
 )
 def test_drive_finds_wheel_speeds(speed: float, turn: float, left: float, right: float) -> None:
-    drive = DifferentialDrive(DiffDrive(pairs=(PAIR,)))
+    drive = SingleDrive(DiffDrive(pairs=(PAIR,)))
 
-    targets = drive.update(
-        twist(speed, turn), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01
-    )
+    targets = drive.update(speed, turn, velocities=STILL, dt_s=0.01)
 
     assert targets == pytest.approx((left, right))
 
 
 def test_drive_uses_forward_speed_and_turn_only() -> None:
-    drive = DifferentialDrive(DiffDrive(pairs=(PAIR,)))
-    sideways = Twist(Vector3(0.0, 1.0, 1.0), Vector3(1.0, 1.0, 0.0))
+    drive = SingleDrive(DiffDrive(pairs=(PAIR,)))
 
-    targets = drive.update(sideways, measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01)
+    targets = drive.update(vy=1.0, velocities=STILL, dt_s=0.01)
 
     assert targets == (0.0, 0.0)
 
 
 def test_drive_gives_each_pair_its_own_separation_and_diameter() -> None:
-    drive = DifferentialDrive(DiffDrive(pairs=(PAIR, REAR)))
+    drive = SingleDrive(DiffDrive(pairs=(PAIR, REAR)))
 
-    targets = drive.update(
-        twist(0.5, 1.0), measured=MeasuredJoints(velocities=(0.0,) * 4), elapsed_s=0.01
-    )
+    targets = drive.update(0.5, 1.0, velocities=(0.0,) * 4, dt_s=0.01)
 
     assert targets == pytest.approx((3.0, 7.0, 4.0, 16.0))
 
 
 def test_drive_has_no_targets_when_it_has_no_wheels() -> None:
-    drive = DifferentialDrive(DiffDrive())
+    drive = SingleDrive(DiffDrive())
 
-    assert drive.update(twist(1.0), measured=MeasuredJoints(velocities=()), elapsed_s=0.01) == ()
+    assert drive.update(1.0, velocities=(), dt_s=0.01) == ()
 
 
 def test_drive_limits_acceleration_at_the_rim() -> None:
     drive = limited(1.0)
 
-    first = drive.update(twist(0.5), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01)
-    second = drive.update(
-        twist(0.5), measured=MeasuredJoints(velocities=(0.1, 0.1)), elapsed_s=0.02
-    )
+    first = drive.update(0.5, velocities=STILL, dt_s=0.01)
+    second = drive.update(0.5, velocities=(0.1, 0.1), dt_s=0.02)
 
     assert rims(first) == pytest.approx([0.01, 0.01])
     assert rims(second) == pytest.approx([0.03, 0.03])
@@ -132,9 +115,7 @@ def test_drive_limits_acceleration_at_the_rim() -> None:
 def test_drive_limits_deceleration_at_the_rim() -> None:
     drive = limited(1.0)
 
-    targets = drive.update(
-        twist(0.0), measured=MeasuredJoints(velocities=(5.0, -5.0)), elapsed_s=0.01
-    )
+    targets = drive.update(0.0, velocities=(5.0, -5.0), dt_s=0.01)
 
     assert rims(targets) == pytest.approx([-0.01, 0.01])
 
@@ -142,9 +123,7 @@ def test_drive_limits_deceleration_at_the_rim() -> None:
 def test_drive_adds_no_more_than_what_is_missing() -> None:
     drive = limited(10.0)
 
-    targets = drive.update(
-        twist(0.5), measured=MeasuredJoints(velocities=(4.8, 4.8)), elapsed_s=0.1
-    )
+    targets = drive.update(0.5, velocities=(4.8, 4.8), dt_s=0.1)
 
     assert rims(targets) == pytest.approx([0.02, 0.02])
 
@@ -158,9 +137,7 @@ def test_drive_commands_the_speed_itself_when_both_rims_are_within_a_centimetre_
     drive = limited(1.0)
     speed = measured / RADIUS
 
-    targets = drive.update(
-        twist(0.5), measured=MeasuredJoints(velocities=(speed, speed)), elapsed_s=0.01
-    )
+    targets = drive.update(0.5, velocities=(speed, speed), dt_s=0.01)
 
     assert rims(targets) == pytest.approx([expected, expected])
 
@@ -168,19 +145,15 @@ def test_drive_commands_the_speed_itself_when_both_rims_are_within_a_centimetre_
 def test_drive_limits_both_wheels_when_one_is_not_there_yet() -> None:
     drive = limited(1.0)
 
-    targets = drive.update(
-        twist(0.5), measured=MeasuredJoints(velocities=(5.0, 0.0)), elapsed_s=0.01
-    )
+    targets = drive.update(0.5, velocities=(5.0, 0.0), dt_s=0.01)
 
     assert rims(targets) == pytest.approx([0.0, 0.01])
 
 
 def test_drive_limits_pairs_one_by_one() -> None:
-    drive = DifferentialDrive(DiffDrive(pairs=(PAIR, REAR), max_acceleration=1.0))
+    drive = SingleDrive(DiffDrive(pairs=(PAIR, REAR), max_acceleration=1.0))
 
-    targets = drive.update(
-        twist(0.5), measured=MeasuredJoints(velocities=(5.0, 5.0, 0.0, 0.0)), elapsed_s=0.01
-    )
+    targets = drive.update(0.5, velocities=(5.0, 5.0, 0.0, 0.0), dt_s=0.01)
 
     assert targets == pytest.approx((5.0, 5.0, 0.2, 0.2))
 
@@ -188,29 +161,25 @@ def test_drive_limits_pairs_one_by_one() -> None:
 def test_drive_remembers_its_instruction_when_the_speed_was_reached_meanwhile() -> None:
     drive = limited(1.0)
     for _ in range(3):
-        drive.update(twist(0.5), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01)
-    drive.update(twist(0.5), measured=MeasuredJoints(velocities=(5.0, 5.0)), elapsed_s=0.01)
+        drive.update(0.5, velocities=STILL, dt_s=0.01)
+    drive.update(0.5, velocities=(5.0, 5.0), dt_s=0.01)
 
-    targets = drive.update(
-        twist(0.0), measured=MeasuredJoints(velocities=(5.0, 5.0)), elapsed_s=0.01
-    )
+    targets = drive.update(0.0, velocities=(5.0, 5.0), dt_s=0.01)
 
     assert rims(targets) == pytest.approx([0.02, 0.02])
 
 
 def test_drive_forgets_its_instruction_when_it_is_reset() -> None:
     drive = limited(1.0)
-    drive.update(twist(0.5), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.3)
+    drive.update(0.5, velocities=STILL, dt_s=0.3)
 
     drive.reset()
 
-    assert rims(
-        drive.update(twist(0.5), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01)
-    ) == pytest.approx([0.01, 0.01])
+    assert rims(drive.update(0.5, velocities=STILL, dt_s=0.01)) == pytest.approx([0.01, 0.01])
 
 
 def test_drive_limits_the_twist_itself_when_it_has_bounds_for_it() -> None:
-    drive = DifferentialDrive(
+    drive = SingleDrive(
         DiffDrive(
             pairs=(PAIR,),
             linear_limits=Limits(max_velocity=0.3),
@@ -218,9 +187,9 @@ def test_drive_limits_the_twist_itself_when_it_has_bounds_for_it() -> None:
         )
     )
 
-    first = drive.update(twist(9.0, 1.0), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.5)
+    first = drive.update(9.0, 1.0, velocities=STILL, dt_s=0.5)
     drive.reset()
-    again = drive.update(twist(9.0, 1.0), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.5)
+    again = drive.update(9.0, 1.0, velocities=STILL, dt_s=0.5)
 
     assert first == again == pytest.approx((2.0, 4.0))
 
@@ -229,9 +198,7 @@ def test_drive_limits_the_twist_itself_when_it_has_bounds_for_it() -> None:
 def test_drive_does_not_wind_up_when_its_wheels_are_held(speed: float) -> None:
     drive = limited(1.0)
     for _ in range(1000):
-        targets = drive.update(
-            twist(speed), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.1
-        )
+        targets = drive.update(speed, velocities=STILL, dt_s=0.1)
 
     assert rims(targets) == pytest.approx([math.copysign(0.6, speed)] * 2)
 
@@ -239,18 +206,14 @@ def test_drive_does_not_wind_up_when_its_wheels_are_held(speed: float) -> None:
 def test_drive_keeps_targets_finite_when_the_twist_overflows() -> None:
     drive = limited(1.0)
 
-    far = drive.update(
-        twist(1e308, 1e308), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01
-    )
-    direct = DifferentialDrive(DiffDrive(pairs=(REAR,)))
+    far = drive.update(1e308, 1e308, velocities=STILL, dt_s=0.01)
+    direct = SingleDrive(DiffDrive(pairs=(REAR,)))
 
     assert all(map(math.isfinite, far))
     assert all(
         map(
             math.isfinite,
-            direct.update(
-                twist(-1.7e308, 1.7e308), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01
-            ),
+            direct.update(-1.7e308, 1.7e308, velocities=STILL, dt_s=0.01),
         )
     )
 
@@ -265,11 +228,9 @@ def test_drive_speeds_give_the_twist_back(
     speed: float, turn: float, separation: float, diameter: float
 ) -> None:
     pair = WheelPair("left", "right", separation, diameter)
-    drive = DifferentialDrive(DiffDrive(pairs=(pair,)))
+    drive = SingleDrive(DiffDrive(pairs=(pair,)))
 
-    left, right = drive.update(
-        twist(speed, turn), measured=MeasuredJoints(velocities=STILL), elapsed_s=0.01
-    )
+    left, right = drive.update(speed, turn, velocities=STILL, dt_s=0.01)
 
     rim_left, rim_right = left * diameter / 2.0, right * diameter / 2.0
     assert (rim_left + rim_right) / 2.0 == pytest.approx(speed, abs=1e-9)
@@ -286,9 +247,7 @@ def test_drive_wheels_that_obey_never_change_faster_than_the_limit(
     drive, elapsed_s = limited(acceleration), 0.01
     wheels: tuple[float, ...] = STILL
     for speed, turn in commands:
-        targets = drive.update(
-            twist(speed, turn), measured=MeasuredJoints(velocities=wheels), elapsed_s=elapsed_s
-        )
+        targets = drive.update(speed, turn, velocities=wheels, dt_s=elapsed_s)
         change = max(abs(b - a) for a, b in zip(rims(wheels), rims(targets), strict=True))
         # Within the tolerance the speed itself is commanded.
         assert change <= max(acceleration * elapsed_s, 0.01) + 0.011

@@ -1,0 +1,1 @@
+"""Kinematics and limits of each drive, for floats and for arrays alike."""

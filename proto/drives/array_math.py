@@ -1,0 +1,17 @@
+"""Arithmetic of drives on arrays; not in column_math, as single agents do not load numpy."""
+
+import numpy as np
+import numpy.typing as npt
+
+from zensim.proto.drives.column_math import ColumnMath
+
+ARRAY_MATH: ColumnMath[npt.NDArray[np.float64]] = ColumnMath(
+    minimum=np.minimum,
+    maximum=np.maximum,
+    where=np.where,
+    copysign=np.copysign,
+    sin=np.sin,
+    cos=np.cos,
+    tan=np.tan,
+    arctan2=np.arctan2,
+)

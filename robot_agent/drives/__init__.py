@@ -1,1 +1,0 @@
-"""Drive controllers: pure, without network and clock."""
