@@ -19,8 +19,8 @@ from benchmarks.figures import Asked, Figure, table
 from benchmarks.fleet import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
 from tests.integration.processes import joined, read_json_line, running
 from tests.integration.robots import Robot, robot
-from zensim.proto import keys
 from zensim.proto.bus import BusSubscription
+from zensim.proto.topic_catalog import TF
 from zensim.spawner.client.sim_client import SimClient
 
 __all__ = ["rows", "table"]
@@ -64,7 +64,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
             client = SimClient(bus)
             standing = _watched(groups, client, seconds, lambda: None)
             found = [robot(bus, f"box_bot{i}") for i in range(robots)]
-            tf = bus.subscribe(f"*/{keys.TF}", 4096)
+            tf = bus.subscribe(TF.key("*"), 4096)
             driving = _watched(groups, client, seconds, lambda: _command(found, tf))
         yield from _second_figures("standing", standing)
         yield from _second_figures("driving", driving)

@@ -23,12 +23,12 @@ from benchmarks.fleet import CIRCLE, MILLISECONDS, SPACING_M
 from benchmarks.machine import thread_used_s, used_s
 from benchmarks.motion import MOVES
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
-from zensim.proto import keys
 from zensim.proto.bus import Bus, Sample
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.messages.telemetry_messages import Snapshot
+from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout
 
@@ -125,8 +125,8 @@ def _driven(robots: int, domain: str) -> Iterator[Driven]:
 def _circle(bus: Bus, names: Sequence[str]) -> None:
     """Let all drive circles until told otherwise: robots that stand sleep, and cost nothing."""
     encoding = make_encoding(Twist, Format.CDR)
-    outlets = [bus.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names]
-    snapshots = bus.subscribe(keys.snapshot("default"))
+    outlets = [bus.advertise(CMD_VEL.key(name), encoding) for name in names]
+    snapshots = bus.subscribe(SNAPSHOT.key("default"))
     linear, angular = CIRCLE
     payload = encode(Twist(Vector3(x=linear), Vector3(z=angular)), Format.CDR)
 

@@ -19,6 +19,7 @@ from zensim.proto.codec.message_codec import Format, decode, encode, make_encodi
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.service_catalog import CLAIM_ENTITY
+from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, SNAPSHOT
 
 WORLD, AGENT = "default", "circling"
 CALL_TIMEOUT_S = 20.0
@@ -28,10 +29,10 @@ WHEEL_SPEEDS = (4.93, 6.5)
 
 def drive(bus: Bus, names: tuple[str, ...]) -> NoReturn:
     """Claim robots, then drive them until told to end."""
-    states = bus.subscribe(keys.drive_state(WORLD, AGENT))
-    snapshots = bus.subscribe(keys.snapshot(WORLD))
+    states = bus.subscribe(DRIVE_STATE.key(WORLD, AGENT))
+    snapshots = bus.subscribe(SNAPSHOT.key(WORLD))
     encoding = make_encoding(DriveCommand, Format.MSGPACK)
-    commands = bus.advertise(keys.drive_command(WORLD, AGENT), encoding)
+    commands = bus.advertise(DRIVE_COMMAND.key(WORLD, AGENT), encoding)
     count = soon(lambda: _claim(bus, names), CALL_TIMEOUT_S)
     sys.stdout.write(f"claimed {count}\n")
     sys.stdout.flush()

@@ -15,10 +15,10 @@ import msgspec
 from benchmarks.fleet import CIRCLE, POLL_S
 from benchmarks.motion import MOVES
 from zensim.deploy.parent_death_signal import die_with_parent
-from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
+from zensim.proto.topic_catalog import CMD_VEL, ODOM, TF
 
 TALLY = "bench/tally"
 DEPTH = 262_144
@@ -42,13 +42,11 @@ class Crowd:
 
     def __init__(self, bus: Bus, mouth: Bus, names: list[str]) -> None:
         self.tally = Tally()
-        self._odom = bus.subscribe(f"*/{keys.ODOM}", DEPTH)
-        self._tf = bus.subscribe(f"*/{keys.TF}", DEPTH)
+        self._odom = bus.subscribe(ODOM.key("*"), DEPTH)
+        self._tf = bus.subscribe(TF.key("*"), DEPTH)
         encoding = make_encoding(Twist, Format.CDR)
-        self._cmd_vels = [
-            mouth.advertise(keys.robot(name, keys.CMD_VEL), encoding) for name in names
-        ]
-        self._stand = {keys.robot(name, keys.ODOM) for name in names}
+        self._cmd_vels = [mouth.advertise(CMD_VEL.key(name), encoding) for name in names]
+        self._stand = {ODOM.key(name) for name in names}
 
     def command(self) -> None:
         """Let every robot drive in a circle."""

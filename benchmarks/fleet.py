@@ -9,10 +9,10 @@ from typing import TypeVar
 from benchmarks.figures import Asked, Figure
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import Robot, robot
-from zensim.proto import keys
 from zensim.proto.bus import BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Stats
+from zensim.proto.topic_catalog import STATS
 
 T = TypeVar("T")
 ROBOTS = 10
@@ -55,7 +55,7 @@ def fleet(count: int, *serve_arguments: str) -> Iterator[Fleet]:
 
 def stats_of(found: Fleet) -> BusSubscription:
     """Listen to what the server says of itself each second."""
-    return found.server.bus.subscribe(keys.stats("default"), 4096)
+    return found.server.bus.subscribe(STATS.key("default"), 4096)
 
 
 def observed(stats: BusSubscription, act: Callable[[], object]) -> list[Stats]:

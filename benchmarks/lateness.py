@@ -9,10 +9,10 @@ from itertools import pairwise
 from benchmarks.bodies import CONFIG
 from benchmarks.circling import AGENT, WORLD
 from benchmarks.fleet import MILLISECONDS, POLL_S
-from zensim.proto import keys
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import DriveState
+from zensim.proto.topic_catalog import DRIVE_STATE
 
 DEPTH = 4096
 PERIOD_S = CONFIG.control_steps * CONFIG.step_ns * 1e-9
@@ -47,7 +47,7 @@ class Lateness:
 @contextmanager
 def watched(bus: Bus) -> Iterator[Lateness]:
     """Take the drive states of the circling robots as they come; at real-time factor 1."""
-    states, seen, is_over = bus.subscribe(keys.drive_state(WORLD, AGENT), DEPTH), Lateness(), False
+    states, seen, is_over = bus.subscribe(DRIVE_STATE.key(WORLD, AGENT), DEPTH), Lateness(), False
 
     def listen() -> None:
         while not is_over:

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import msgspec
 
 from zensim.deploy.supervisor import PREPARED_START_MODULE, SupervisedProgram, Supervisor
-from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, BusError, NoServer, open_bus
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.telemetry_messages import Info
 from zensim.proto.ros2.ros_settings import RosSettings, to_cli_arguments
+from zensim.proto.topic_catalog import ODOM
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, RateOverrides
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import spawn_fleet
@@ -180,13 +180,13 @@ def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
 
 def _wait_until_ready(demo: LocalDeployment, steps: LaunchProgress, began_s: float) -> None:
     config = demo.config
-    odom = demo.bus.subscribe(f"*/{keys.ODOM}", ODOM_DEPTH)
+    odom = demo.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
     demo.client.wait_for_server(START_TIMEOUT_S, demo.supervisor.watch)
     outcomes = spawn_fleet(demo.client, config.model, config.places, lambda _: steps.on_spawned())
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
     viewer = _start_viewer(demo) if config.has_viewer else None
-    missing = {keys.robot(place.name, keys.ODOM) for place in config.places}
+    missing = {ODOM.key(place.name) for place in config.places}
     deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * len(missing)
     while missing:
         seen = {sample.key for sample in odom.take()} & missing

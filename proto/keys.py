@@ -1,12 +1,5 @@
 """Every Zenoh key expression, built and parsed; names are validated by the names module first."""
 
-CMD_VEL = "cmd_vel"
-ODOM = "odom"
-TF = "tf"
-TF_STATIC = "tf_static"
-JOINT_STATES = "joint_states"
-ROBOT_DESCRIPTION = "robot_description"
-
 
 def service(world: str, name: str) -> str:
     """A service's queryable."""
@@ -16,51 +9,6 @@ def service(world: str, name: str) -> str:
 def services(world: str) -> str:
     """All services of one world."""
     return f"sim/{world}/*"
-
-
-def clock(world: str) -> str:
-    """Simulation time."""
-    return f"sim/{world}/clock"
-
-
-def stats(world: str) -> str:
-    """How the loop is doing, once a second."""
-    return f"sim/{world}/stats"
-
-
-def snapshot(world: str) -> str:
-    """Every entity's pose and twist."""
-    return f"sim/{world}/snapshot"
-
-
-def events(world: str) -> str:
-    """What happened."""
-    return f"sim/{world}/events"
-
-
-def steps_progress(world: str) -> str:
-    """How far goals of steps are."""
-    return f"sim/{world}/simulate_steps_feedback"
-
-
-def model_states(world: str) -> str:
-    """Every entity's pose and twist, as Gazebo tells them."""
-    return f"sim/{world}/model_states"
-
-
-def link_states(world: str) -> str:
-    """Every link's pose and twist, as Gazebo tells them."""
-    return f"sim/{world}/link_states"
-
-
-def drive_state(world: str, agent: str) -> str:
-    """Server to one agent."""
-    return f"sim/{world}/drive/{agent}/state"
-
-
-def drive_command(world: str, agent: str) -> str:
-    """One agent to the server."""
-    return f"sim/{world}/drive/{agent}/command"
 
 
 def drive_commands(world: str) -> str:

@@ -22,6 +22,10 @@ class RateLimiter:
         """Open at the next call: time may have gone back."""
         self._opened_ns = None
 
+    def is_due(self, time_ns: int) -> bool:
+        """Open if due."""
+        return self.elapsed_s(time_ns) is not None
+
     def elapsed_s(self, time_ns: int) -> float | None:
         """Open if due: return the time [s] since the last opening, one period at first, else None."""
         opened_ns = self._opened_ns

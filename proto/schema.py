@@ -28,28 +28,23 @@ from zensim.proto.messages import (
 )
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.service_catalog import SERVICES
+from zensim.proto.topic_catalog import TOPICS, TopicScope, TopicSpec
 
 Kind = TypeVar("Kind")
 
 SCHEMAS = Path(__file__).parent / "schemas"
 MESSAGE_MODULES: tuple[ModuleType, ...] = (
-    asset_messages,
     agent_messages,
+    asset_messages,
     drive_messages,
     entity_messages,
-    spawn_messages,
     gazebo_messages,
-    standard_messages,
-    standard_messages,
-    entity_messages,
     model_messages,
-    spawn_messages,
     result_messages,
-    world_messages,
-    entity_messages,
     simulation_messages,
-    telemetry_messages,
+    spawn_messages,
     standard_messages,
+    telemetry_messages,
     world_messages,
 )
 KEY_ARGUMENTS = {
@@ -59,24 +54,6 @@ KEY_ARGUMENTS = {
     "namespace": "r1",
     "topic": "odom",
 }
-TOPICS: dict[str, tuple[type[msgspec.Struct], ...]] = {
-    keys.clock("default"): (telemetry_messages.WorldClock,),
-    keys.stats("default"): (telemetry_messages.Stats,),
-    keys.snapshot("default"): (telemetry_messages.Snapshot,),
-    keys.events("default"): (telemetry_messages.Event,),
-    keys.model_states("default"): (gazebo_messages.ModelStates,),
-    keys.link_states("default"): (gazebo_messages.LinkStates,),
-    keys.steps_progress("default"): (simulation_messages.StepsProgress,),
-    keys.drive_state("default", "agent_1"): (agent_messages.DriveState,),
-    keys.drive_command("default", "agent_1"): (agent_messages.DriveCommand,),
-    keys.robot("r1", keys.CMD_VEL): (standard_messages.Twist, standard_messages.TwistStamped),
-    keys.robot("r1", keys.ODOM): (standard_messages.Odometry,),
-    keys.robot("r1", keys.TF): (standard_messages.TFMessage,),
-    keys.robot("r1", keys.TF_STATIC): (standard_messages.TFMessage,),
-    keys.robot("r1", keys.JOINT_STATES): (standard_messages.JointState,),
-    keys.robot("r1", keys.ROBOT_DESCRIPTION): (standard_messages.String,),
-}
-"""What travels on each topic."""
 
 
 def list_messages() -> dict[str, type[msgspec.Struct]]:
@@ -86,7 +63,7 @@ def list_messages() -> dict[str, type[msgspec.Struct]]:
 
 def list_top_level_types() -> list[type[msgspec.Struct]]:
     """List the types that travel by themselves: on topics, as requests, as responses."""
-    on_topics = {kind for kinds in TOPICS.values() for kind in kinds}
+    on_topics = {kind for topic in TOPICS.values() for kind in topic.messages}
     in_services = {kind for one in SERVICES.values() for kind in (one.request, one.response)}
     return sorted(on_topics | in_services, key=lambda kind: kind.__name__)
 
@@ -138,14 +115,32 @@ def list_services() -> dict[str, object]:
 
 
 def list_keys() -> dict[str, object]:
-    """Write each key expression with example arguments, and what travels on each topic."""
-    examples = {}
-    for name, function in sorted(vars(keys).items()):
-        wanted = inspect.signature(function).parameters if inspect.isfunction(function) else ["-"]
-        if set(wanted) <= set(KEY_ARGUMENTS):
-            examples[name] = function(**{given: KEY_ARGUMENTS[given] for given in wanted})
-    on_topics = {key: [kind.__name__ for kind in kinds] for key, kinds in sorted(TOPICS.items())}
-    return {"arguments": KEY_ARGUMENTS, "keys": examples, "topics": on_topics}
+    """Write each key expression with example arguments, and the messages of each topic."""
+    examples = {
+        topic.name: _make_example_key(topic)
+        for topic in TOPICS.values()
+        if topic.scope is not TopicScope.ROBOT
+    }
+    for name, function in vars(keys).items():
+        if inspect.isfunction(function):
+            wanted = inspect.signature(function).parameters
+            if set(wanted) <= set(KEY_ARGUMENTS):
+                examples[name] = function(**{given: KEY_ARGUMENTS[given] for given in wanted})
+    on_topics = {
+        _make_example_key(topic): [kind.__name__ for kind in topic.messages]
+        for topic in TOPICS.values()
+    }
+    return {
+        "arguments": KEY_ARGUMENTS,
+        "keys": dict(sorted(examples.items())),
+        "topics": dict(sorted(on_topics.items())),
+    }
+
+
+def _make_example_key(topic: TopicSpec) -> str:
+    if topic.scope is TopicScope.ROBOT:
+        return topic.key(KEY_ARGUMENTS["namespace"])
+    return topic.key(KEY_ARGUMENTS["world"], KEY_ARGUMENTS["agent"])
 
 
 def list_codes() -> dict[str, object]:

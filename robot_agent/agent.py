@@ -14,11 +14,12 @@ import msgspec
 
 from zensim.proto import keys
 from zensim.proto.bus import BusConfig, open_bus_with_retry
-from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
 from zensim.robot_agent.agent_network import AgentNetwork
 from zensim.robot_agent.agent_timing import (
@@ -137,10 +138,8 @@ class Agent:
         # What comes is matched against all that its session has declared: 0.2 ms a message with a
         # thousand publishers. States come with commands, so that one link keeps their order.
         self._rx_session = network if config.pool_limit is None else network.open_session()
-        self._states = self._rx_session.subscribe(keys.drive_state(world, agent))
-        self._commands = network.advertise(
-            keys.drive_command(world, agent), make_encoding(DriveCommand, Format.MSGPACK)
-        )
+        self._states = self._rx_session.subscribe(DRIVE_STATE.key(world, agent))
+        self._commands = network.advertise(DRIVE_COMMAND.key(world, agent), DRIVE_COMMAND.encoding)
         self._graph = RosGraph(network, config.ros)
         self._claim_client = _make_claim_client(network, config)
         self._robots = _make_robot_set(network, config, self._graph, self._rx_session)

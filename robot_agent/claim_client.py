@@ -6,7 +6,6 @@ from typing import NoReturn
 
 import msgspec
 
-from zensim.proto import keys
 from zensim.proto.bus import NoServer
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.agent_messages import (
@@ -19,6 +18,7 @@ from zensim.proto.messages.agent_messages import (
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
+from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.agent_network import AgentNetwork, AgentSubscription
 
 
@@ -106,7 +106,7 @@ class NamedClaimClient:
 
     def _take_events(self) -> None:
         if self._events is None:
-            key = keys.events(self._settings.world)
+            key = EVENTS.key(self._settings.world)
             self._events = self._network.subscribe(key, CLAIM_EVENTS_DEPTH)
         for sample in self._events.take():
             try:
@@ -199,7 +199,7 @@ class ShareClaimClient:
     def __init__(self, network: AgentNetwork, wish: ShareSettings) -> None:
         self._network = network
         self._settings = wish
-        self._events = network.subscribe(keys.events(wish.world), SHARE_EVENTS_DEPTH)
+        self._events = network.subscribe(EVENTS.key(wish.world), SHARE_EVENTS_DEPTH)
         self._has_asked = False
         self._give_up_s: float | None = None
         self._asked_s = self._next_s = -math.inf

@@ -13,6 +13,7 @@ from zensim.proto.messages.standard_messages import (
     TransformStamped,
     Vector3,
 )
+from zensim.proto.topic_catalog import JOINT_STATES
 from zensim.robot_agent.odometry import BaseMotion
 from zensim.robot_agent.rigid_transforms import (
     add,
@@ -27,7 +28,7 @@ from zensim.robot_agent.rigid_transforms import (
 MOVABLE_KINDS = frozenset({"revolute", "continuous", "prismatic"})
 """Kinds of joints with one position; the others stand as if fixed."""
 
-DEFAULT_JOINT_STATE_PUBLISHER = JointStatePublisher(update_rate_hz=30.0)
+DEFAULT_JOINT_STATE_PUBLISHER = JointStatePublisher(update_rate_hz=JOINT_STATES.rate_hz)
 """Stands in where a description has no publisher of joint states."""
 
 

@@ -6,22 +6,19 @@ from typing import TypeAlias
 
 import msgspec
 
-from zensim.proto import keys
 from zensim.proto.codec.cdr_template import CdrTemplate
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model, Origin
 from zensim.proto.messages.standard_messages import (
-    JointState,
-    Odometry,
     String,
     TFMessage,
     Time,
     TransformStamped,
 )
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.proto.ros2.ros_graph import Topic
 from zensim.proto.ros2.ros_settings import RosSettings
+from zensim.proto.topic_catalog import JOINT_STATES, ODOM, ROBOT_DESCRIPTION, TF, TF_STATIC
 from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicFactory
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates, get_drive, make_rate_limiter
@@ -55,10 +52,10 @@ def make_tf_publishers(
     """
     outlets = []
     if faces.settings.has_namespaced_tf:
-        outlets.append(LazyTopicPublisher(faces, Topic(own_key, TFMessage), value_of(template)))
+        outlets.append(LazyTopicPublisher(faces, TF.at(own_key), value_of(template)))
     if faces.settings.has_global_tf:
         shared = value_of(prefix_frames(template, namespace))
-        outlets.append(LazyTopicPublisher(faces, Topic(keys.TF, TFMessage), shared, is_shared=True))
+        outlets.append(LazyTopicPublisher(faces, TF.root(), shared, is_shared=True))
     return outlets
 
 
@@ -84,10 +81,10 @@ def make_tf_static_publishers(
     """Declare a robot's transforms that never change."""
     outlets = []
     for key, message in list_tf_static(claim, fixed, faces.settings):
-        topic = Topic(key, TFMessage, is_latched=True)
+        topic = TF_STATIC.at(key)
         outlets.append(
             LazyTopicPublisher(
-                faces, topic, partial(_return_message, message), is_shared=key == keys.TF_STATIC
+                faces, topic, partial(_return_message, message), is_shared=key == TF_STATIC.suffix
             )
         )
     return outlets
@@ -98,12 +95,12 @@ def list_tf_static(
 ) -> Iterator[tuple[str, TFMessage]]:
     """Find which topics tell of a robot's fixed transforms, and what."""
     if ros.has_namespaced_tf and fixed.transforms:
-        yield keys.robot(claim.namespace, keys.TF_STATIC), fixed
+        yield TF_STATIC.key(claim.namespace), fixed
     shared = prefix_frames(fixed, claim.namespace).transforms + _make_root_transform(
         claim, ros.tf_root
     )
     if ros.has_global_tf and shared:
-        yield keys.TF_STATIC, TFMessage(shared)
+        yield TF_STATIC.suffix, TFMessage(shared)
 
 
 def _make_root_transform(claim: Claim, root: str) -> tuple[TransformStamped, ...]:
@@ -155,14 +152,14 @@ class MotionTelemetry:
         if drive.publish_odom:
             key = resolve_odom_key(claim.namespace, drive)
             self.publishers.append(
-                LazyTopicPublisher(faces, Topic(key, Odometry), self._make_odometry(model))
+                LazyTopicPublisher(faces, ODOM.at(key), self._make_odometry(model))
             )
             self._limiters.append(make_rate_limiter(odometry_hz))
         if self._moving or self._has_odom_tf:
             told = make_tf_publishers(
                 faces,
                 claim.namespace,
-                resolve_topic_key(claim.namespace, keys.TF, drive.ros),
+                resolve_topic_key(claim.namespace, TF.suffix, drive.ros),
                 template=message_templates.make_tf_template(model),
                 value_of=self._make_transforms,
             )
@@ -237,8 +234,8 @@ class JointTelemetry:
         self._joints = list_published_joints(claim.model)
         self.publishers: list[LazyTopicPublisher] = []
         if self._joints:
-            key = resolve_topic_key(claim.namespace, keys.JOINT_STATES, publisher.ros)
-            topic = Topic(key, JointState)
+            key = resolve_topic_key(claim.namespace, JOINT_STATES.suffix, publisher.ros)
+            topic = JOINT_STATES.at(key)
             self.publishers.append(
                 LazyTopicPublisher(faces, topic, self._make_joint_states(claim.model))
             )
@@ -279,7 +276,7 @@ def make_static_publishers(faces: TopicFactory, claim: Claim) -> list[LazyTopicP
     fixed = TFMessage(tuple(edge.to_message(Time()) for edge in edges))
     outlets = make_tf_static_publishers(faces, claim, fixed)
     if claim.robot_description:
-        key = keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION)
-        topic, description = Topic(key, String, is_latched=True), String(claim.robot_description)
+        key = ROBOT_DESCRIPTION.key(claim.namespace)
+        topic, description = ROBOT_DESCRIPTION.at(key), String(claim.robot_description)
         outlets.append(LazyTopicPublisher(faces, topic, lambda: description))
     return outlets

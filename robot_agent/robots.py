@@ -8,8 +8,9 @@ from zensim.proto.bus import Sample
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
-from zensim.proto.messages.standard_messages import Twist, TwistStamped
+from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.ros2.ros_graph import RosGraph
+from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
 from zensim.robot_agent.agent_network import AgentNetwork, AgentSubscription
 from zensim.robot_agent.base_controller import BaseController, get_drive
@@ -105,7 +106,7 @@ class Robot:
         self._is_motion_new = False
         if claim.model.drive is not None:
             key = resolve_cmd_vel_key(claim.namespace, get_drive(claim.model))
-            heard = faces.subscription(key, (Twist, TwistStamped), CMD_VEL_DEPTH)
+            heard = faces.subscription(key, CMD_VEL.messages, CMD_VEL_DEPTH)
             self.commanded = CmdVelSubscriber(heard, cmd_vel_timeout_ns)
 
     def reset(self) -> None:

@@ -3,8 +3,9 @@
 from zensim.proto import keys
 from zensim.proto.messages.drive_messages import DriveSettings, RosBlock
 from zensim.proto.names import InvalidName, check_namespace
+from zensim.proto.topic_catalog import CMD_VEL, ODOM, TF
 
-ABSOLUTE_TOPICS = frozenset({keys.TF})
+ABSOLUTE_TOPICS = frozenset({TF.suffix})
 """Gazebo's plug-ins put these outside any namespace, so that rules name them with a slash."""
 
 
@@ -30,12 +31,12 @@ def resolve_topic_key(namespace: str, topic: str, ros: RosBlock) -> str:
 
 def resolve_cmd_vel_key(namespace: str, drive: DriveSettings) -> str:
     """Find where a drive hears commands."""
-    return _resolve_drive_key(namespace, keys.CMD_VEL, drive.command_topic, drive)
+    return _resolve_drive_key(namespace, CMD_VEL.suffix, drive.command_topic, drive)
 
 
 def resolve_odom_key(namespace: str, drive: DriveSettings) -> str:
     """Find where a drive's odometry is told."""
-    return _resolve_drive_key(namespace, keys.ODOM, drive.odometry_topic, drive)
+    return _resolve_drive_key(namespace, ODOM.suffix, drive.odometry_topic, drive)
 
 
 def _resolve_drive_key(namespace: str, usual: str, written: str, drive: DriveSettings) -> str:

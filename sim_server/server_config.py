@@ -6,6 +6,7 @@ from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.proto.names import check_name
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.proto.topic_catalog import DRIVE_STATE
 from zensim.sim_server.pacing.lockstep import LockstepSettings
 from zensim.sim_server.physics.engine_config import (
     EngineMissing,
@@ -14,7 +15,7 @@ from zensim.sim_server.physics.engine_config import (
     find_installed_engines,
 )
 
-CONTROL_HZ = 100.0
+CONTROL_HZ = DRIVE_STATE.rate_hz
 """Agents are told at this rate at most unless asked for, as a Gazebo drive updates by default."""
 STEP_HZ = 240.0
 REAL_TIME_FACTOR = 1.0

@@ -7,7 +7,6 @@ import msgspec
 
 from zensim.proto.ros2 import liveliness_tokens, rmw_keys
 from zensim.proto.ros2.liveliness_tokens import (
-    LATCHED,
     RELIABLE_10,
     EndpointKind,
     GraphEndpoint,
@@ -134,18 +133,17 @@ class Topic(msgspec.Struct, frozen=True):
 
     key: str
     kind: type[msgspec.Struct]
-    is_latched: bool = False
-    """Whether who comes late gets the last value."""
+    qos: Qos = RELIABLE_10
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether late subscribers get the last message."""
+        return self.qos.durability == "transient_local"
 
     @property
     def ros_type(self) -> str:
         """As `pkg/msg/Name`."""
         return str(getattr(self.kind, "ros_type", ""))
-
-    @property
-    def qos(self) -> Qos:
-        """What ROS 2 is told."""
-        return LATCHED if self.is_latched else RELIABLE_10
 
 
 class RosNode:

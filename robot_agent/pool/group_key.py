@@ -7,6 +7,7 @@ from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.drive_messages import Drive, RosBlock
 from zensim.proto.messages.model_messages import Model, Origin
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.proto.topic_catalog import JOINT_STATES, TF
 from zensim.robot_agent.base_controller import get_drive
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
@@ -63,13 +64,13 @@ def find_topic_keys(claim: Claim, ros: RosSettings = NO_ROS) -> RobotTopicKeys:
     return RobotTopicKeys(
         resolve_cmd_vel_key(namespace, drive),
         resolve_odom_key(namespace, drive) if drive.publish_odom else "",
-        resolve_topic_key(namespace, keys.TF, drive.ros)
+        resolve_topic_key(namespace, TF.suffix, drive.ros)
         if has_tf and ros.has_namespaced_tf
         else "",
-        resolve_topic_key(namespace, keys.JOINT_STATES, publisher.ros)
+        resolve_topic_key(namespace, JOINT_STATES.suffix, publisher.ros)
         if list_published_joints(model)
         else "",
-        keys.TF if has_tf and ros.has_global_tf else "",
+        TF.suffix if has_tf and ros.has_global_tf else "",
     )
 
 

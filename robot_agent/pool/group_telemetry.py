@@ -9,9 +9,17 @@ from zensim.proto import keys
 from zensim.proto.codec import cdr
 from zensim.proto.messages.agent_messages import Claim
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.messages.standard_messages import JointState, Odometry, String, TFMessage, Time
+from zensim.proto.messages.standard_messages import String, TFMessage, Time
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
+from zensim.proto.topic_catalog import (
+    JOINT_STATES,
+    ODOM,
+    ROBOT_DESCRIPTION,
+    ROBOT_TOPICS,
+    TF,
+    TopicSpec,
+)
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, TopicMember
@@ -23,7 +31,7 @@ from zensim.robot_agent.pool.robot_rows import FloatArray, GroupRateLimiter, Int
 from zensim.robot_agent.robot_frames import find_base_frame, list_fixed_edges
 from zensim.robot_agent.robot_telemetry import list_tf_static, prefix_frames
 
-FindPublisher = Callable[[str, type[msgspec.Struct]], FleetTopicPublisher]
+FindPublisher = Callable[[str, TopicSpec], FleetTopicPublisher]
 """Finds the outlet of a pattern."""
 
 
@@ -34,7 +42,7 @@ class GroupOdometryTopic(GroupTopic):
         self, kind: GroupKey, bases: GroupBaseController, find_publisher: FindPublisher
     ) -> None:
         super().__init__(
-            find_publisher(kind.patterns.odom, Odometry),
+            find_publisher(kind.patterns.odom, ODOM),
             numbers=lambda rows: bases.motions[rows],
             paths=message_templates.ODOMETRY_PATHS,
             stamps=message_templates.HEADER_STAMP,
@@ -48,7 +56,7 @@ class GroupJointTopic(GroupTopic):
     def __init__(self, kind: GroupKey, find_publisher: FindPublisher) -> None:
         count = len(kind.published)
         super().__init__(
-            find_publisher(kind.patterns.joint_states, JointState),
+            find_publisher(kind.patterns.joint_states, JOINT_STATES),
             numbers=lambda rows: self._states[rows],
             paths=message_templates.list_joint_paths(count),
             stamps=message_templates.HEADER_STAMP,
@@ -103,9 +111,9 @@ class GroupTelemetry:
         self.shared: SharedTfTopic | None = None
         if wanted.tf:
             count = message_templates.count_transforms(kind.drive, kind.moving)
-            self.transforms = GroupTfTopic(poses, find_publisher(wanted.tf, TFMessage), count)
+            self.transforms = GroupTfTopic(poses, find_publisher(wanted.tf, TF), count)
         if wanted.shared_tf:
-            self.shared = SharedTfTopic(poses, find_publisher(wanted.shared_tf, TFMessage), node)
+            self.shared = SharedTfTopic(poses, find_publisher(wanted.shared_tf, TF), node)
         self.joints = GroupJointTopic(kind, find_publisher) if wanted.joint_states else None
 
     @property
@@ -221,7 +229,7 @@ class StaticTopics:
         if text := claim.robot_description:
             if text not in self._texts:
                 self._texts[text] = StaticValue(String(text))
-            yield keys.robot(claim.namespace, keys.ROBOT_DESCRIPTION), self._texts[text]
+            yield ROBOT_DESCRIPTION.key(claim.namespace), self._texts[text]
 
     def _get_fixed(self, model: Model) -> "_FixedTransforms":
         if (found := self._fixed.get(id(model))) is None:
@@ -229,9 +237,8 @@ class StaticTopics:
         return found
 
     def _outlet(self, line: TopicMember) -> FleetTopicPublisher:
-        topic = keys.last_chunk(line.key)
-        kind = TFMessage if topic == keys.TF_STATIC else String
-        return self._find_publisher(keys.make_pattern(line.key), kind)
+        topic = ROBOT_TOPICS[keys.last_chunk(line.key)]
+        return self._find_publisher(keys.make_pattern(line.key), topic)
 
 
 class _FixedTransforms:

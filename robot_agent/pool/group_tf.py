@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 import msgspec
 import numpy as np
 
-from zensim.proto import keys
 from zensim.proto.codec.cdr import encode
 from zensim.proto.codec.cdr_layout import HEADER_BYTES
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.messages.model_messages import Joint
 from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
 from zensim.proto.ros2.ros_graph import RosNode
+from zensim.proto.topic_catalog import TF
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates
 from zensim.robot_agent.message_templates import list_tf_paths, list_tf_stamps
@@ -207,7 +207,7 @@ class SharedTfTopic:
         self._node = node
         self._poses = poses
         self._outlet = outlet
-        self._line = TopicMember(keys.TF, self, node=node)
+        self._line = TopicMember(TF.suffix, self, node=node)
         outlet.add(self._line)
         self._templates: Sequence[TFMessage] = ()
         self._images: TfMessageBatch | None = None

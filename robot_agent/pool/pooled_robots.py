@@ -5,14 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 
-import msgspec
 import numpy as np
 
-from zensim.proto import keys
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
-from zensim.proto.messages.standard_messages import Twist, TwistStamped
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS
+from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import make_topic_factory
 from zensim.robot_agent.agent_network import AgentNetwork
 from zensim.robot_agent.drive_state_decoder import RobotState
@@ -37,7 +35,6 @@ from zensim.robot_agent.robots import NODE_NAME, Robot
 
 LOG = logging.getLogger("zensim.agent")
 GROUP_NODE_PREFIX = "zensim_pool"
-STATIC_TOPICS = frozenset({keys.TF_STATIC, keys.ROBOT_DESCRIPTION})
 
 
 @dataclass(frozen=True)
@@ -77,7 +74,7 @@ class PooledRobots:
         self._timeout_ns = timeout_ns
         self._members: dict[int, GroupMember] = {}
         self._robots: dict[int, Robot] = {}
-        self._outlets: dict[tuple[str, type[msgspec.Struct]], FleetTopicPublisher] = {}
+        self._outlets: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
         self._constants = StaticTopics(self._find_publisher, self._ros)
         self._commands = FleetCmdVel(ears or network, timeout_ns, graph.domain if graph else None)
         self._groups: dict[GroupKey, RobotGroup] = {}
@@ -175,8 +172,8 @@ class PooledRobots:
 
     def announce(self) -> None:
         """Publish what never changes to those who have begun to listen."""
-        for (pattern, _), outlet in self._outlets.items():
-            if keys.last_chunk(pattern) in STATIC_TOPICS:
+        for (_, topic), outlet in self._outlets.items():
+            if topic.is_latched:
                 outlet.announce()
         for robot in self._robots.values():
             robot.announce()
@@ -244,13 +241,12 @@ class PooledRobots:
                 targets.append(self._robots[one].target_count)
         return PoolStateLayout(joints, targets)
 
-    def _find_publisher(self, pattern: str, message: type[msgspec.Struct]) -> FleetTopicPublisher:
-        key = (pattern, message)
+    def _find_publisher(self, pattern: str, topic: TopicSpec) -> FleetTopicPublisher:
+        key = (pattern, topic)
         if key not in self._outlets:
-            ros = self._make_ros_publisher(
-                Topic(pattern, message, keys.last_chunk(pattern) in STATIC_TOPICS)
-            )
-            self._outlets[key] = FleetTopicPublisher(self._network, pattern, message, ros)
+            endpoint = topic.at(pattern)
+            ros = self._make_ros_publisher(endpoint)
+            self._outlets[key] = FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
         return self._outlets[key]
 
     def _make_ros_publisher(self, topic: Topic) -> RosFleetPublisher | None:
@@ -269,7 +265,7 @@ class PooledRobots:
         """Let a robot into ROS 2's graph: as a node that hears commands."""
         node = self._graph.add_node(namespace, NODE_NAME) if self._graph else None
         if node is not None:
-            for kind in (Twist, TwistStamped):
+            for kind in CMD_VEL.messages:
                 node.add_topic_endpoint("MS", Topic(cmd_vel, kind))
         return node
 

@@ -14,6 +14,7 @@ from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.simulation_messages import StepsProgress
 from zensim.proto.ros2 import action_messages as action
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, NO_HASH, make_data_key
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
@@ -201,7 +202,9 @@ def _make_steps_action(bus: Bus, node: RosNode, faces: TopicFactory) -> Simulate
             keys.append(name.strip("/"))
         queues[name] = MergedQueries(tuple(bus.serve(key) for key in keys))
     tellers: dict[str, TopicPublisher] = {
-        name: faces.publisher(Topic(name.strip("/"), kind, is_latched=name == action.STATUS_TOPIC))
+        name: faces.publisher(
+            Topic(name.strip("/"), kind, LATCHED if name == action.STATUS_TOPIC else RELIABLE_10)
+        )
         for name, kind in action.ACTION_TOPICS.items()
     }
     return SimulateStepsAction(queues, tellers)

@@ -10,6 +10,7 @@ from zensim.proto.keys import parse_agent
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.topic_catalog import EVENTS
 from zensim.sim_server.runtime.inbox import Inbox
 from zensim.sim_server.runtime.world_publisher import WorldPublisher
 from zensim.sim_server.server_context import ServerContext
@@ -131,7 +132,7 @@ class AgentSessions:
             text = f"agent '{agent}' did not answer step {step} within {settings.timeout_s:g} s"
             LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
             event = Event("missed", "", agent, step, self._world.epoch, text)
-            self._publisher.publish("events", event)
+            self._publisher.publish(EVENTS, event)
         if settings.on_miss == "fail":
             self._abort_and_pause(f"{text}; see that it runs, and go on")
         else:

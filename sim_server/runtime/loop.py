@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from zensim.proto.messages.simulation_messages import State
+from zensim.proto.topic_catalog import EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
 from zensim.sim_server.runtime.inbox import Inbox
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
@@ -110,11 +111,11 @@ class ServerLoop:
                 event.agent,
                 event.message,
             )
-            self._publisher.publish("events", event)
+            self._publisher.publish(EVENTS, event)
         now_ns = self._clock.now_ns()
         self._publish_progress(now_ns)
-        if self._loop_stats.close_window(now_ns) and self._publisher.is_wanted("stats"):
-            self._publisher.publish("stats", self._telemetry.stats())
+        if self._loop_stats.close_window(now_ns) and self._publisher.is_wanted(STATS):
+            self._publisher.publish(STATS, self._telemetry.stats())
         for topic in self._telemetry.due(now_ns):
             if self._publisher.is_wanted(topic):
                 self._publisher.publish(topic, self._telemetry.message(topic))
@@ -169,4 +170,4 @@ class ServerLoop:
 
     def _publish_progress(self, now_ns: int) -> None:
         for progress in self._context.step_goals.due_progress(now_ns):
-            self._publisher.publish("simulate_steps_feedback", progress)
+            self._publisher.publish(STEPS_PROGRESS, progress)

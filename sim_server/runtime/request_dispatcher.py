@@ -189,8 +189,8 @@ class RequestDispatcher:
         self._settle()
 
     def _take(self, call: IncomingCall) -> None:
-        if call.name in GETTABLE_TOPICS:
-            self._reply(call, self._telemetry.message(call.name))
+        if (topic := GETTABLE_TOPICS.get(call.name)) is not None:
+            self._reply(call, self._telemetry.message(topic))
         elif (answer := self._responses.find(call)) is not None:
             self._send(call, answer)
         elif not (self._attach_to_pending(call) or self._defer_until_writable(call)):

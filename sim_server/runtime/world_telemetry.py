@@ -1,6 +1,6 @@
 """Messages of a world's topics and when each is due; Gazebo's model_states and link_states among them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import msgspec
 import numpy as np
@@ -8,7 +8,6 @@ import numpy as np
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (
-    NANOSECONDS,
     Point,
     Pose,
     Quaternion,
@@ -17,7 +16,17 @@ from zensim.proto.messages.standard_messages import (
     time_from_ns,
 )
 from zensim.proto.messages.telemetry_messages import Stats, WorldClock
+from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.rotation import FloatArray
+from zensim.proto.topic_catalog import (
+    CLOCK,
+    LINK_STATES,
+    MODEL_STATES,
+    SNAPSHOT,
+    STATS,
+    WORLD_TOPICS,
+    TopicSpec,
+)
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
 from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
 from zensim.sim_server.server_context import ServerContext
@@ -76,28 +85,8 @@ def _to_poses_and_twists(rows: FloatArray) -> tuple[tuple[Pose, ...], tuple[Twis
     return tuple(poses), tuple(twists)
 
 
-CLOCK_HZ = 100
-SNAPSHOT_HZ = 30
-PAUSED_HZ = 2
-GAZEBO_HZ = 20
-GETTABLE_TOPICS = ("clock", "snapshot", "stats", "model_states", "link_states")
-"""Topics that also answer a get with their value of now."""
-
-
-class TopicTimer:
-    """Says when a topic is due in wall time."""
-
-    def __init__(self, period_ns: int) -> None:
-        self._period_ns = period_ns
-        self._next_ns = 0
-
-    def is_due(self, now_ns: int) -> bool:
-        """Whether a period has passed; if so the next one starts."""
-        if now_ns < self._next_ns:
-            return False
-        # From the old deadline where possible, so that the rate holds although polls come late.
-        self._next_ns = max(self._next_ns + self._period_ns, now_ns + self._period_ns // 2)
-        return True
+PAUSED_HZ = 2.0
+GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_gettable}
 
 
 class WorldTelemetry:
@@ -107,40 +96,41 @@ class WorldTelemetry:
         self._context = context
         self._world = context.world
         self._loop_stats = context.loop_stats
-        self._clock = TopicTimer(NANOSECONDS // CLOCK_HZ)
-        self._snapshot = TopicTimer(NANOSECONDS // SNAPSHOT_HZ)
-        self._gazebo = TopicTimer(NANOSECONDS // GAZEBO_HZ)
-        self._idle = TopicTimer(NANOSECONDS // PAUSED_HZ)
+        self._limiters = {
+            topic: RateLimiter(topic.rate_hz)
+            for topic in (CLOCK, SNAPSHOT, MODEL_STATES, LINK_STATES)
+        }
+        self._idle_limiter = RateLimiter(PAUSED_HZ)
+        self._make_message: dict[TopicSpec, Callable[[], msgspec.Struct]] = {
+            CLOCK: self.clock,
+            STATS: self.stats,
+            SNAPSHOT: lambda: self._world.snapshot(self._real_time_factor()),
+            MODEL_STATES: lambda: make_model_states(self._world),
+            LINK_STATES: lambda: make_link_states(self._world),
+        }
         self._shown = (-1, -1, -1, -1)
 
-    def due(self, now_ns: int) -> Iterator[str]:
-        """Name the topics of motion that are due now."""
+    def due(self, now_ns: int) -> Iterator[TopicSpec]:
+        """List the topics of motion that are due at a wall time."""
         world = self._world
         seen = (world.epoch, world.steps, world.roster_number, world.placed)
-        has_changed = seen != self._shown or self._idle.is_due(now_ns)
-        if has_changed and self._clock.is_due(now_ns):
-            yield "clock"
-        # Agents are told at the next control step: to read all back for viewers before is a waste.
+        if seen == self._shown and not self._idle_limiter.is_due(now_ns):
+            return
+        if self._limiters[CLOCK].is_due(now_ns):
+            yield CLOCK
+        # A reading of all bodies is made for agents at the next control step anyway.
         if world.state == State.PLAYING and not world.is_control_step:
             return
-        if has_changed and self._gazebo.is_due(now_ns):
-            yield "model_states"
-            yield "link_states"
-        if has_changed and self._snapshot.is_due(now_ns):
+        for topic in (MODEL_STATES, LINK_STATES):
+            if self._limiters[topic].is_due(now_ns):
+                yield topic
+        if self._limiters[SNAPSHOT].is_due(now_ns):
             self._shown = seen
-            yield "snapshot"
+            yield SNAPSHOT
 
-    def message(self, topic: str) -> msgspec.Struct:
-        """Make the message of a topic."""
-        if topic == "clock":
-            return self.clock()
-        if topic == "snapshot":
-            return self._world.snapshot(self._real_time_factor())
-        if topic == "model_states":
-            return make_model_states(self._world)
-        if topic == "link_states":
-            return make_link_states(self._world)
-        return self.stats()
+    def message(self, topic: TopicSpec) -> msgspec.Struct:
+        """Make the message of a gettable topic."""
+        return self._make_message[topic]()
 
     def clock(self) -> WorldClock:
         """Simulation time."""

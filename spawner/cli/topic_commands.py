@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 import typer
 
-from zensim.proto import keys
 from zensim.proto.bus import BusError, BusPublisher, BusSubscription, Sample
 from zensim.proto.codec.message_codec import (
     Format,
@@ -19,34 +18,19 @@ from zensim.proto.codec.message_codec import (
     decode,
     detect_format,
     encode,
-    make_encoding,
     parse_schema_name,
 )
 from zensim.proto.keys import last_chunk
-from zensim.proto.messages import agent_messages, standard_messages, telemetry_messages
 from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.schema import list_messages
+from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
 from zensim.spawner.cli.command_session import AsJson, Connect, WorldName, open_client
 
-TOPIC_TYPES: dict[str, type[msgspec.Struct]] = {
-    kind.ros_type: kind
-    for kind in (
-        standard_messages.Odometry,
-        standard_messages.TFMessage,
-        standard_messages.JointState,
-        standard_messages.String,
-        standard_messages.Clock,
-        standard_messages.Twist,
-        standard_messages.TwistStamped,
-        standard_messages.PoseStamped,
-    )
-}
-TELEMETRY_TYPES: dict[str, type[msgspec.Struct]] = {
-    "clock": telemetry_messages.WorldClock,
-    "stats": telemetry_messages.Stats,
-    "snapshot": telemetry_messages.Snapshot,
-    "events": telemetry_messages.Event,
-    "state": agent_messages.DriveState,
-    "command": agent_messages.DriveCommand,
+ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
+ZENSIM_TYPES = {
+    topic.suffix: topic.messages[0]
+    for topic in TOPICS.values()
+    if topic.scope is not TopicScope.ROBOT
 }
 ARRAY_TYPES = {"base": "<f8", "joint_positions": "<f8", "joint_velocities": "<f8", "targets": "<f8"}
 CLAIM_TYPE = "<u4"
@@ -62,9 +46,9 @@ def to_plain(sample: Sample) -> object:
 
 
 def _decode_sample(sample: Sample) -> object:
-    kind = TOPIC_TYPES.get(parse_schema_name(sample.encoding))
+    kind = ROS_TYPES.get(parse_schema_name(sample.encoding))
     if sample.key.startswith("sim/"):
-        kind = TELEMETRY_TYPES.get(last_chunk(sample.key))
+        kind = ZENSIM_TYPES.get(last_chunk(sample.key))
     if kind is not None:
         message = decode(kind, sample.payload, sample.encoding)
         return {
@@ -162,8 +146,8 @@ def drive(
         twist = _make_twist(linear, angular)
         if not rate > 0:
             raise ValueError(f"--rate {rate:g} is no rate; use more than 0")
-        key = keys.robot(robot.strip("/"), keys.CMD_VEL)
-        publisher = client.bus.advertise(key, make_encoding(Twist, Format.CDR))
+        key = CMD_VEL.key(robot.strip("/"))
+        publisher = client.bus.advertise(key, CMD_VEL.encoding)
         _wait_for_subscriber(publisher, key)
         typer.echo(f"zensim drive: {key} at {linear:g} m/s, {angular:g} rad/s", err=True)
         count = 1 if once else math.ceil(duration * rate) if duration > 0 else 0

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures import TimeoutError as FutureTimeout
 
-from zensim.proto import keys, service_catalog
+from zensim.proto import service_catalog
 from zensim.proto.bus import Bus, BusSubscription, NoServer
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.asset_messages import (
@@ -78,6 +78,7 @@ from zensim.proto.messages.world_messages import (
     WorldResource,
 )
 from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS, Request, Response, Service
+from zensim.proto.topic_catalog import STEPS_PROGRESS
 
 GOAL_POLL_S = 0.005
 PROGRESS_DEPTH = 64
@@ -113,7 +114,7 @@ def run_step_goal(
         TimeoutError: It is not over in time.
         NoServer: Nothing serves this world.
     """
-    progress = bus.subscribe(keys.steps_progress(world), PROGRESS_DEPTH)
+    progress = bus.subscribe(STEPS_PROGRESS.key(world), PROGRESS_DEPTH)
     try:
         with ThreadPoolExecutor(1) as waiting:
             answer = waiting.submit(

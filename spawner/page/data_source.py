@@ -17,6 +17,7 @@ from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
 from zensim.proto.service_catalog import GET_ASSET, GET_MODELS, Request, Response, Service
 from zensim.proto.stl import read_corners, stl_size
+from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
     TriangleMesh,
@@ -242,7 +243,7 @@ class ViewerDataSource:
         self._network, self._world, self._clock = network, world, clock
         self._fetcher = fetcher
         self._tokens = network.watch_tokens(keys.alive_server(world))
-        self._snapshots = network.subscribe(keys.snapshot(world))
+        self._snapshots = network.subscribe(SNAPSHOT.key(world))
         self._models: GetModelsResponse | None = None
         self._ask_at = self._frame_at = clock()
         self._heard_at = clock()
@@ -288,7 +289,7 @@ class ViewerDataSource:
         for gone in self._ears.keys() - wanted.keys():
             self._ears.pop(gone).close()
         for entity in wanted.keys() - self._ears.keys():
-            samples = self._network.subscribe(keys.robot(wanted[entity], keys.CMD_VEL))
+            samples = self._network.subscribe(CMD_VEL.key(wanted[entity]))
             self._ears[entity] = CommandMonitor(samples)
         now = self._clock()
         heard = {entity: ear.last(now) for entity, ear in self._ears.items()}

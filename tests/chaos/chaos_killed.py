@@ -17,12 +17,13 @@ from pathlib import Path
 from benchmarks.figures import Asked, Figure
 from tests.chaos.persistence import ANSWER_S, Mortal, ask, mortal
 from tests.integration.processes import START_S, eventually, zensim
-from zensim.proto import keys, service_catalog
+from zensim.proto import service_catalog
 from zensim.proto.bus import Bus, BusConfig, BusSubscription, NoServer, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.entity_messages import GetEntitiesRequest
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import WorldClock
+from zensim.proto.topic_catalog import CLOCK
 from zensim.spawner.client.sim_client import SimClient
 
 ROUNDS, ROUNDS_WHEN_SHORT = 100, 2
@@ -122,7 +123,7 @@ def _toll(folder: Path, rounds: int, robots: int) -> Toll:
             *("--spacing", "2", "--connect", endpoint),
         )
         assert done.returncode == 0, done.stderr
-        clock = bus.subscribe(keys.clock("default"), 4096)
+        clock = bus.subscribe(CLOCK.key("default"), 4096)
         churn = Churn(bus, standing=set(client.entities()))
         worker = threading.Thread(target=churn.run)
         worker.start()

@@ -8,10 +8,10 @@ from subprocess import Popen
 
 from tests.integration.processes import START_S, eventually, running, zensim
 from tests.integration.robots import Robot, robot
-from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import WorldClock
+from zensim.proto.topic_catalog import CLOCK
 from zensim.spawner.client.sim_client import SimClient
 
 ROBOTS, ROBOTS_WHEN_SHORT = 10, 2
@@ -84,7 +84,7 @@ def crew(endpoint: str, count: int) -> Iterator[Crew]:
         done = zensim("fleet", "box_bot", "--count", str(count), "--spacing", "3", *joined)
         assert done.returncode == 0, done.stderr
         agents = [stack.enter_context(running("agent", name, "--quiet", *joined)) for name in names]
-        clock, told = Clock(), bus.subscribe(keys.clock("default"), 4096)
+        clock, told = Clock(), bus.subscribe(CLOCK.key("default"), 4096)
 
         def read_clock() -> None:
             for sample in told.take():

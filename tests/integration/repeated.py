@@ -17,10 +17,10 @@ from tests.integration.processes import (
     wait_for_agents,
 )
 from tests.integration.robots import Robot, robot
-from zensim.proto import keys
 from zensim.proto.bus import Bus, BusSubscription
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Snapshot
+from zensim.proto.topic_catalog import ODOM
 
 if TYPE_CHECKING:
     import hashlib
@@ -91,10 +91,10 @@ def locked_fleet(
 
 def drive(server: Server, robots: int, steps: int) -> Said:
     """Drive all robots, each in its own way, and keep what they said."""
-    odom = server.bus.subscribe(f"*/{keys.ODOM}", DEPTH)
+    odom = server.bus.subscribe(ODOM.key("*"), DEPTH)
     fleet = [robot(server.bus, f"box_bot{i}") for i in range(robots)]
     # An agent that answers has heard of the listener before, and has told of where it stands.
-    eventually(lambda: len(server.bus.get(f"*/{keys.ODOM}")) == robots, START_S, "odometry")
+    eventually(lambda: len(server.bus.get(ODOM.key("*"))) == robots, START_S, "odometry")
     odom.take()
     heard = _Heard(odom)
     draws = random.Random(SEED)

@@ -6,7 +6,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from tests.integration.processes import eventually
-from zensim.proto import keys
 from zensim.proto.bus import Bus, BusPublisher, BusSubscription
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.simulation_messages import State
@@ -17,6 +16,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     ns_from_time,
 )
+from zensim.proto.topic_catalog import CMD_VEL, ODOM
 from zensim.spawner.client.sim_client import SimClient
 
 SEND_EVERY_S = 0.1
@@ -74,8 +74,8 @@ def robot(bus: Bus, namespace: str) -> Robot:
     """Subscribe to a robot and get ready to drive it."""
     found = Robot(
         namespace,
-        bus.subscribe(keys.robot(namespace, keys.ODOM), 100_000),
-        bus.advertise(keys.robot(namespace, keys.CMD_VEL), make_encoding(Twist, Format.CDR)),
+        bus.subscribe(ODOM.key(namespace), 100_000),
+        bus.advertise(CMD_VEL.key(namespace), make_encoding(Twist, Format.CDR)),
     )
     eventually(lambda: found.cmd_vel.is_matched, 20.0, f"a listener on {namespace}/cmd_vel")
     return found

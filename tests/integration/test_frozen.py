@@ -6,9 +6,9 @@ from pathlib import Path
 
 from tests.integration.processes import driven, eventually, serving
 from tests.integration.robots import drive_for, robot
-from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.telemetry_messages import Event, Snapshot
+from zensim.proto.topic_catalog import EVENTS, SNAPSHOT
 
 INERTIAL = """<inertial><origin xyz="{x} 0 0"/><mass value="{mass}"/>
 <inertia ixx="{moment}" ixy="0" ixz="0" iyy="{moment}" iyz="0" izz="{moment}"/></inertial>"""
@@ -37,8 +37,8 @@ def test_robot_that_goes_bad_is_frozen_and_the_others_drive_on(tmp_path: Path) -
     with serving() as server:
         assert server.zensim("spawn", "box_bot", "--name", "r1").returncode == 0
         with driven(server, "r1"):
-            events = server.bus.subscribe(keys.events("default"), 1000)
-            shown = server.bus.subscribe(keys.snapshot("default"), 100_000)
+            events = server.bus.subscribe(EVENTS.key("default"), 1000)
+            shown = server.bus.subscribe(SNAPSHOT.key("default"), 100_000)
             other = robot(server.bus, "r1")
             where = ("-x", "0", "-y", "3", "-z", "1")
             assert server.zensim("spawn", str(file), "--name", "bad", *where).returncode == 0

@@ -33,6 +33,7 @@ from zensim.proto.messages.spawn_messages import (
 )
 from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped, Vector3
 from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.topic_catalog import EVENTS
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_announced_feature_works_over_the_network(server: Server, feature: Featu
 
 
 def test_a_fleet_comes_between_two_steps(server: Server) -> None:
-    events, found = server.bus.subscribe(keys.events("default"), 1000), list[Event]()
+    events, found = server.bus.subscribe(EVENTS.key("default"), 1000), list[Event]()
     names = [f"r{i}" for i in range(20)]
 
     answer = server.client.spawn_all(a_fleet(*names))

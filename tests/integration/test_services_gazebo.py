@@ -4,7 +4,6 @@ import pytest
 
 from tests.integration.processes import Server, eventually, serving
 from zensim.proto.codec.message_codec import decode
-from zensim.proto.keys import link_states, model_states
 from zensim.proto.messages.gazebo_messages import (
     LinkStates,
     ModelStates,
@@ -14,6 +13,7 @@ from zensim.proto.messages.gazebo_messages import (
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import Point, Pose, Vector3, Wrench
+from zensim.proto.topic_catalog import LINK_STATES, MODEL_STATES
 from zensim.spawner.client.gazebo_client import GazeboClient
 
 PUSH_N = 2.0
@@ -70,8 +70,8 @@ def test_wheel_is_turned_until_it_is_cleared_and_the_world_is_reset() -> None:
 def test_states_are_told_on_topics_and_by_request() -> None:
     with serving() as server:
         gazebo = spawned(server, "r1", "r2")
-        models = server.bus.subscribe(model_states("default"), 4)
-        links = server.bus.subscribe(link_states("default"), 4)
+        models = server.bus.subscribe(MODEL_STATES.key("default"), 4)
+        links = server.bus.subscribe(LINK_STATES.key("default"), 4)
 
         model_sample = eventually(models.newest, 5.0, "hearing models")
         link_sample = eventually(links.newest, 5.0, "hearing links")

@@ -9,12 +9,12 @@ import pytest
 
 from tests.integration.processes import Server, agent_of, driven, eventually, serving
 from tests.integration.robots import Robot, place, robot, stamp_s
-from zensim.proto import keys
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.simulation_messages import ResetScope, State, StepsProgress
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
 from zensim.proto.messages.telemetry_messages import WorldClock
+from zensim.proto.topic_catalog import CLOCK
 
 PERIOD = 3
 """Steps between two drive states, at 240 Hz."""
@@ -195,7 +195,7 @@ def test_stopped_server_makes_up_for_nothing_and_its_clock_never_goes_back(
     scene: tuple[Server, Robot],
 ) -> None:
     server, _ = scene
-    clock = server.bus.subscribe(keys.clock("default"), 100_000)
+    clock = server.bus.subscribe(CLOCK.key("default"), 100_000)
     server.client.set_simulation_state(State.PLAYING)
     eventually(clock.newest, SOON_S, "the clock")
     before = server.steps()

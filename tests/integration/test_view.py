@@ -13,9 +13,9 @@ from websockets.exceptions import InvalidStatus
 from tests.integration.bare_page import a_camera, bare_page
 from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
-from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
 
 if TYPE_CHECKING:
     import subprocess
@@ -151,7 +151,7 @@ def test_name_appears_when_the_pointer_is_over_a_robot(shown: Shown) -> None:
 @pytest.mark.browser
 def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
     tab, bus = shown.tab, shown.server.bus
-    cmd_vel = bus.advertise(keys.robot("box_bot1", keys.CMD_VEL), make_encoding(Twist, Format.CDR))
+    cmd_vel = bus.advertise(CMD_VEL.key("box_bot1"), make_encoding(Twist, Format.CDR))
 
     tab.click(*tab.evaluate(PLACE % 1))
     tab.until("document.body.innerText.includes('Stop following')")
@@ -214,7 +214,7 @@ def test_page_recovers_when_the_server_ends_and_another_comes() -> None:
 
 def test_snapshots_are_asked_for_while_a_page_is_open_only() -> None:
     with serving() as server, viewing(server.endpoint) as (url, _):
-        snapshot = server.bus.advertise(keys.snapshot("default"), Format.MSGPACK.value)
+        snapshot = server.bus.advertise(SNAPSHOT.key("default"), Format.MSGPACK.value)
         assert not snapshot.is_matched
 
         with bare_page(url) as page:

@@ -98,9 +98,9 @@ def test_command_ends_quietly_when_interrupted(capsys: pytest.CaptureFixture[str
 
 def test_command_ends_well_when_its_reader_has_gone() -> None:
     program = (
-        "from zensim.proto.exit_codes import one_line_failures\n"
+        "from zensim.proto.exit_codes import exit_on_failure\n"
         "import sys\n"
-        "with one_line_failures('echo'):\n"
+        "with exit_on_failure('echo'):\n"
         "    while True:\n"
         "        print('line', flush=True)\n"
     )

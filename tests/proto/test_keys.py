@@ -6,6 +6,15 @@ from hypothesis import strategies as st
 
 from zensim.proto import keys
 from zensim.proto.names import NAME_PATTERN
+from zensim.proto.topic_catalog import (
+    CLOCK,
+    CMD_VEL,
+    DRIVE_COMMAND,
+    DRIVE_STATE,
+    EVENTS,
+    SNAPSHOT,
+    STATS,
+)
 
 NAMES = st.from_regex(NAME_PATTERN, fullmatch=True)
 
@@ -15,17 +24,17 @@ NAMES = st.from_regex(NAME_PATTERN, fullmatch=True)
     [
         (keys.service("default", "spawn_entity"), "sim/default/spawn_entity"),
         (keys.services("default"), "sim/default/*"),
-        (keys.clock("default"), "sim/default/clock"),
-        (keys.stats("default"), "sim/default/stats"),
-        (keys.snapshot("default"), "sim/default/snapshot"),
-        (keys.events("default"), "sim/default/events"),
-        (keys.drive_state("default", "a1"), "sim/default/drive/a1/state"),
-        (keys.drive_command("default", "a1"), "sim/default/drive/a1/command"),
+        (CLOCK.key("default"), "sim/default/clock"),
+        (STATS.key("default"), "sim/default/stats"),
+        (SNAPSHOT.key("default"), "sim/default/snapshot"),
+        (EVENTS.key("default"), "sim/default/events"),
+        (DRIVE_STATE.key("default", "a1"), "sim/default/drive/a1/state"),
+        (DRIVE_COMMAND.key("default", "a1"), "sim/default/drive/a1/command"),
         (keys.drive_commands("default"), "sim/default/drive/*/command"),
         (keys.alive_server("default"), "sim/default/alive/server"),
         (keys.alive_agent("default", "a1"), "sim/default/alive/agent/a1"),
         (keys.alive_agents("default"), "sim/default/alive/agent/*"),
-        (keys.robot("team/r1", keys.CMD_VEL), "team/r1/cmd_vel"),
+        (CMD_VEL.key("team/r1"), "team/r1/cmd_vel"),
         (keys.robot_topics("team/r1"), "team/r1/*"),
     ],
 )
@@ -35,8 +44,8 @@ def test_key_is_as_the_design_says(key: str, expected: str) -> None:
 
 @given(world=NAMES, agent=NAMES)
 def test_agent_is_read_from_the_keys_that_hold_one(world: str, agent: str) -> None:
-    assert keys.parse_agent(keys.drive_state(world, agent)) == agent
-    assert keys.parse_agent(keys.drive_command(world, agent)) == agent
+    assert keys.parse_agent(DRIVE_STATE.key(world, agent)) == agent
+    assert keys.parse_agent(DRIVE_COMMAND.key(world, agent)) == agent
     assert keys.parse_agent(keys.alive_agent(world, agent)) == agent
 
 
@@ -44,7 +53,7 @@ def test_agent_is_read_from_the_keys_that_hold_one(world: str, agent: str) -> No
     "key",
     [
         "",
-        keys.clock("default"),
+        CLOCK.key("default"),
         keys.alive_server("default"),
         "sim/default/alive/viewer/a1",
         "sim/default/other/a1/state",

@@ -16,6 +16,7 @@ from zensim.proto.messages.agent_messages import (
 )
 from zensim.proto.messages.result_messages import ClaimCode, Result, ResultCode
 from zensim.proto.messages.telemetry_messages import Event, EventKind
+from zensim.proto.topic_catalog import DRIVE_STATE, EVENTS
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
@@ -56,10 +57,10 @@ class StandInServer:
             call.reply(encode(response, Format.MSGPACK), encoding)
 
     def send(self, state: DriveState, agent: str = AGENT) -> None:
-        self._bus.put_message(keys.drive_state(WORLD, agent), state, Format.MSGPACK)
+        self._bus.put_message(DRIVE_STATE.key(WORLD, agent), state, Format.MSGPACK)
 
     def tell(self, kind: EventKind, entity: str) -> None:
-        self._bus.put_message(keys.events(WORLD), Event(kind, entity), Format.MSGPACK)
+        self._bus.put_message(EVENTS.key(WORLD), Event(kind, entity), Format.MSGPACK)
 
     def commands(self) -> list[DriveCommand]:
         return [

@@ -17,6 +17,7 @@ from zensim.proto.messages.model_messages import DiffDrive
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
+from zensim.proto.topic_catalog import DRIVE_STATE
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.agent import Agent, Housekeeping, run_agent
 from zensim.robot_agent.agent_config import AgentConfig
@@ -310,7 +311,7 @@ def test_agent_goes_on_when_a_state_is_garbled(caplog: pytest.LogCaptureFixture)
     scene.poll()
 
     for _ in range(3):
-        scene.bus.put(keys.drive_state(WORLD, AGENT), b"garbage")
+        scene.bus.put(DRIVE_STATE.key(WORLD, AGENT), b"garbage")
         assert scene.poll()
 
     assert scene.agent.malformed == 3

@@ -8,6 +8,7 @@ from zensim.proto import keys
 from zensim.proto.bus import NoServer
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.result_messages import ClaimCode, ServiceError
+from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.claim_client import ClaimSettings, NamedClaimClient
 
 
@@ -42,7 +43,7 @@ def test_claimer_asks_no_more_when_it_has_all() -> None:
     claimer.poll(100.0)
 
     assert server.asked_for() == [("r1",)]
-    assert not bus.is_heard(keys.events(WORLD))
+    assert not bus.is_heard(EVENTS.key(WORLD))
 
 
 def test_claimer_asks_ever_less_often() -> None:
@@ -83,7 +84,7 @@ def test_claimer_does_not_ask_when_something_else_appears_or_is_garbled() -> Non
 
     server.tell("spawned", "r2")
     server.tell("deleted", "r1")
-    bus.put(keys.events(WORLD), b"garbage")
+    bus.put(EVENTS.key(WORLD), b"garbage")
     claimer.poll(0.001)
 
     assert server.asked_for() == []

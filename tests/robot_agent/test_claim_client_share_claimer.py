@@ -15,6 +15,7 @@ from zensim.proto.messages.agent_messages import (
 )
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import Event, EventKind
+from zensim.proto.topic_catalog import EVENTS
 from zensim.robot_agent.claim_client import (
     MAX_SHARE_PERIOD_S,
     MIN_SHARE_PERIOD_S,
@@ -38,7 +39,7 @@ class Sharer:
         bus.pumps.append(self._poll)
 
     def tell(self, kind: EventKind) -> None:
-        self._bus.put_message(keys.events(WORLD), Event(kind, "r1"), Format.MSGPACK)
+        self._bus.put_message(EVENTS.key(WORLD), Event(kind, "r1"), Format.MSGPACK)
 
     def asked(self) -> int:
         count = len(self.requests)
@@ -104,7 +105,7 @@ def test_pool_asks_for_nothing_when_others_claim() -> None:
     claimer.poll(0.0)
     sharer.asked()
     sharer.tell("claimed")
-    bus.put(keys.events(WORLD), b"garbage")
+    bus.put(EVENTS.key(WORLD), b"garbage")
 
     claimer.poll(0.5)
 

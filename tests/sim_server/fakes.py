@@ -11,11 +11,11 @@ from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground
 from zensim.proto.bus import BusConfig, Sample
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
-from zensim.proto.keys import drive_command
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.topic_catalog import DRIVE_COMMAND, TopicSpec
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
 from zensim.sim_server.pacing.loop_stats import LoopStats
@@ -150,11 +150,11 @@ class RecordingPublisher:
     forgotten: list[str] = field(default_factory=list)
     unwanted: set[str] = field(default_factory=set)
 
-    def is_wanted(self, topic: str) -> bool:
-        return topic not in self.unwanted
+    def is_wanted(self, topic: TopicSpec) -> bool:
+        return topic.suffix not in self.unwanted
 
-    def publish(self, topic: str, message: msgspec.Struct) -> None:
-        self.told.append((topic, message))
+    def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
+        self.told.append((topic.suffix, message))
 
     def publish_drive_state(self, agent: str, state: DriveState) -> None:
         self.drive_states.append((agent, state))
@@ -194,7 +194,7 @@ class ServerFixture:
         """Put an up-to-date drive command into the inbox."""
         command = msgspec.structs.replace(a_command(self.world, agent, *targets))
         self.inbox.commands.append(
-            Sample(drive_command("default", agent), encode(command, Format.MSGPACK), "")
+            Sample(DRIVE_COMMAND.key("default", agent), encode(command, Format.MSGPACK), "")
         )
 
     def turn_for(self, seconds: float) -> None:

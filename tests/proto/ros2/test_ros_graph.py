@@ -4,7 +4,7 @@ import pytest
 
 from tests.fakes import MemoryBus
 from zensim.proto.messages.standard_messages import Odometry, String
-from zensim.proto.ros2.liveliness_tokens import GraphEndpoint, GraphNode, parse_token
+from zensim.proto.ros2.liveliness_tokens import LATCHED, GraphEndpoint, GraphNode, parse_token
 from zensim.proto.ros2.rmw_keys import NO_HASH
 from zensim.proto.ros2.ros_graph import MAX_NODES_PER_SESSION, RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
@@ -41,7 +41,7 @@ def test_node_has_a_token_and_one_for_each_endpoint() -> None:
 def test_latched_topic_is_transient_local() -> None:
     node = a_node(MemoryBus())
 
-    endpoint = node.add_topic_endpoint("MP", Topic("tf_static", String, is_latched=True))
+    endpoint = node.add_topic_endpoint("MP", Topic("tf_static", String, LATCHED))
 
     assert (endpoint.qos.durability, endpoint.qos.depth) == ("transient_local", 1)
 
@@ -80,7 +80,7 @@ def test_bridge_is_told_of_an_action_and_not_of_what_it_is_made_of() -> None:
     node = a_node(bus, RosSettings(is_bridged=True))
 
     node.announce_action("simulate_steps", "simulation_interfaces/action/SimulateSteps")
-    node.add_topic_endpoint("MP", Topic("simulate_steps/_action/status", String, is_latched=True))
+    node.add_topic_endpoint("MP", Topic("simulate_steps/_action/status", String, LATCHED))
 
     assert bus.list_tokens("@/*/@ros2_lv/*/**") == [
         f"@/{bus.zid}/@ros2_lv/AS/simulate_steps/simulation_interfaces§action§SimulateSteps"

@@ -6,6 +6,7 @@ import pytest
 
 from tests.fakes import MemoryBus
 from zensim.proto.messages.standard_messages import String
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import RosSettings
@@ -193,7 +194,9 @@ def a_face(
     bus: MemoryBus, *names: str, is_latched: bool = True, values: Same | None = None
 ) -> tuple[RosFleetPublisher, list[TopicMember]]:
     graph = RosGraph(bus, RosSettings())
-    face = RosFleetPublisher(bus, graph, Topic("*/text", String, is_latched))
+    face = RosFleetPublisher(
+        bus, graph, Topic("*/text", String, LATCHED if is_latched else RELIABLE_10)
+    )
     lines = [
         TopicMember(f"{name}/text", values or Same(), node=a_node(graph, name)) for name in names
     ]

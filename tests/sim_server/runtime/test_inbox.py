@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, cast
 
 from tests.fakes import MemoryBus, MemoryCall
 from zensim.proto import keys
+from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE
 from zensim.sim_server.runtime.inbox import COMMAND_DEPTH, BusInbox, IncomingCall
 
 if TYPE_CHECKING:
@@ -44,16 +45,16 @@ def test_inbox_serves_every_service_of_its_world_only() -> None:
 
     assert bus.is_served(keys.service("w", "anything"))
     assert not bus.is_served(keys.service("other", "info"))
-    assert not bus.is_served(keys.drive_state("w", "a"))
+    assert not bus.is_served(DRIVE_STATE.key("w", "a"))
 
 
 def test_inbox_takes_commands_of_all_agents_in_order_and_once() -> None:
     bus = MemoryBus()
     inbox = an_inbox(bus)
 
-    bus.put(keys.drive_command("w", "a"), b"1")
-    bus.put(keys.drive_command("w", "b"), b"2")
-    bus.put(keys.drive_command("other", "a"), b"3")
+    bus.put(DRIVE_COMMAND.key("w", "a"), b"1")
+    bus.put(DRIVE_COMMAND.key("w", "b"), b"2")
+    bus.put(DRIVE_COMMAND.key("other", "a"), b"3")
 
     assert [sample.payload for sample in inbox.take_commands()] == [b"1", b"2"]
     assert inbox.take_commands() == []
@@ -64,7 +65,7 @@ def test_inbox_keeps_the_newest_commands_when_nobody_takes_them() -> None:
     inbox = an_inbox(bus)
 
     for i in range(COMMAND_DEPTH + 3):
-        bus.put(keys.drive_command("w", "a"), str(i).encode())
+        bus.put(DRIVE_COMMAND.key("w", "a"), str(i).encode())
 
     commands = inbox.take_commands()
     assert len(commands) == COMMAND_DEPTH

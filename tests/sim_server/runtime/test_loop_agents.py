@@ -16,10 +16,10 @@ from tests.sim_server.fakes import (
 )
 from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import Format, encode
-from zensim.proto.keys import drive_command
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimEntityResponse, OnRelease
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, Stats
+from zensim.proto.topic_catalog import DRIVE_COMMAND
 
 
 def a_driven_server(*names: str, on_release: OnRelease = "stop") -> ServerFixture:
@@ -242,7 +242,7 @@ def test_loop_drops_and_counts_any_bytes_for_a_command(
 ) -> None:
     server = a_driven_server("r0")
 
-    server.inbox.commands.append(Sample(drive_command("default", agent), payload, encoding))
+    server.inbox.commands.append(Sample(DRIVE_COMMAND.key("default", agent), payload, encoding))
     server.loop.turn()
 
     assert server.world.claims.dropped == 1
@@ -264,7 +264,7 @@ def test_loop_drops_and_counts_any_command_that_does_not_fit(
     is_fitting = (epoch, claims, len(targets)) == (0, fitting.claims, 16)
 
     server.inbox.commands.append(
-        Sample(drive_command("default", "a"), encode(command, Format.MSGPACK), "")
+        Sample(DRIVE_COMMAND.key("default", "a"), encode(command, Format.MSGPACK), "")
     )
     server.loop.turn()
 

@@ -9,7 +9,6 @@ from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, ServerFixture, a_server, a_spawn, wheel_speeds
 from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import Format, decode, encode
-from zensim.proto.keys import drive_command
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand
 from zensim.proto.messages.result_messages import Result, ResultCode
 from zensim.proto.messages.simulation_messages import (
@@ -19,6 +18,7 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationResponse,
 )
 from zensim.proto.messages.telemetry_messages import Event, InfoRequest, Stats
+from zensim.proto.topic_catalog import DRIVE_COMMAND
 from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
 from zensim.sim_server.runtime.loop import POLL_S, ServerLoop
 
@@ -57,7 +57,7 @@ def encode_targets(speed: float, count: int) -> bytes:
 
 def send(server: ServerFixture, agent: str, command: DriveCommand) -> None:
     payload = encode(command, Format.MSGPACK)
-    server.inbox.commands.append(Sample(drive_command("default", agent), payload, ""))
+    server.inbox.commands.append(Sample(DRIVE_COMMAND.key("default", agent), payload, ""))
 
 
 def result_of(call: MemoryCall) -> Result:

@@ -2,24 +2,18 @@
 
 from typing import cast
 
-import msgspec
 import pytest
 
 from tests.fakes import MemoryBus, MemoryPublisher
-from zensim.proto import keys
 from zensim.proto.bus import Bus, BusPublisher
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import DriveState
-from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
+from zensim.proto.sample_messages import make_sample_message
+from zensim.proto.topic_catalog import DRIVE_STATE, WORLD_TOPICS, TopicSpec
 from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
 
+TOPIC_NAMES = [topic.name for topic in WORLD_TOPICS]
 STATE = DriveState(1, 2, 3, b"", b"", b"", b"")
-MESSAGES: dict[str, msgspec.Struct] = {
-    "clock": WorldClock(step=1),
-    "stats": Stats(world="w"),
-    "snapshot": Snapshot(1, 2, 3, 4, ("r",), b"", b""),
-    "events": Event("spawned", "r"),
-}
 
 
 class CountingBus(MemoryBus):
@@ -40,10 +34,11 @@ def an_outlet(bus: MemoryBus) -> BusWorldPublisher:
     return BusWorldPublisher(cast("Bus", bus), "w")
 
 
-@pytest.mark.parametrize(("topic", "message"), MESSAGES.items())
-def test_outlet_tells_a_topic_on_its_key(topic: str, message: msgspec.Struct) -> None:
+@pytest.mark.parametrize("topic", WORLD_TOPICS, ids=TOPIC_NAMES)
+def test_publisher_publishes_each_world_topic_on_its_key(topic: TopicSpec) -> None:
+    message = make_sample_message(topic.messages[0])
     bus = MemoryBus()
-    listener = bus.subscribe(f"sim/w/{topic}")
+    listener = bus.subscribe(f"sim/w/{topic.suffix}")
 
     an_outlet(bus).publish(topic, message)
 
@@ -52,20 +47,20 @@ def test_outlet_tells_a_topic_on_its_key(topic: str, message: msgspec.Struct) ->
     assert decode(type(message), sample.payload, sample.encoding) == message
 
 
-@pytest.mark.parametrize("topic", MESSAGES)
-def test_outlet_knows_whether_somebody_listens(topic: str) -> None:
+@pytest.mark.parametrize("topic", WORLD_TOPICS, ids=TOPIC_NAMES)
+def test_publisher_is_wanted_when_a_topic_is_subscribed(topic: TopicSpec) -> None:
     bus = MemoryBus()
     outlet = an_outlet(bus)
     before = outlet.is_wanted(topic)
 
-    bus.subscribe(f"sim/*/{topic}")
+    bus.subscribe(f"sim/*/{topic.suffix}")
 
     assert (before, outlet.is_wanted(topic)) == (False, True)
 
 
 def test_outlet_tells_each_agent_on_its_own_key() -> None:
     bus = MemoryBus()
-    listener = bus.subscribe(keys.drive_state("w", "*"), 10)
+    listener = bus.subscribe(DRIVE_STATE.key("w", "*"), 10)
     outlet = an_outlet(bus)
 
     for agent in ("a", "b", "a"):
@@ -73,7 +68,7 @@ def test_outlet_tells_each_agent_on_its_own_key() -> None:
 
     samples = listener.take()
     assert [sample.key for sample in samples] == [
-        keys.drive_state("w", agent) for agent in ("a", "b", "a")
+        DRIVE_STATE.key("w", agent) for agent in ("a", "b", "a")
     ]
     assert decode(DriveState, samples[0].payload) == STATE
 
@@ -91,12 +86,12 @@ def test_outlet_keeps_one_publisher_for_each_agent_until_it_is_forgotten() -> No
     outlet.forget_agent("nobody")
 
     assert while_told == before + 2
-    assert bus.open[before:] == [keys.drive_state("w", "b")]
+    assert bus.open[before:] == [DRIVE_STATE.key("w", "b")]
 
 
 def test_outlet_tells_an_agent_again_that_was_forgotten_and_came_back() -> None:
     bus = MemoryBus()
-    listener = bus.subscribe(keys.drive_state("w", "a"), 10)
+    listener = bus.subscribe(DRIVE_STATE.key("w", "a"), 10)
     outlet = an_outlet(bus)
     outlet.publish_drive_state("a", STATE)
     outlet.forget_agent("a")

@@ -4,16 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tests.models import on_ground
 from tests.sim_server.fakes import a_server, a_spawn, a_world, make_parts, names_in
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
+from zensim.proto.topic_catalog import CLOCK, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
-from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, TopicTimer, WorldTelemetry
+from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.world.simulated_world import World
 
 SECOND = 1_000_000_000
@@ -27,7 +26,7 @@ CHANGES: dict[str, Callable[[World], object]] = {
 
 
 def due(telemetry: WorldTelemetry, now_ns: int) -> list[str]:
-    return list(telemetry.due(now_ns))
+    return [topic.name for topic in telemetry.due(now_ns)]
 
 
 def counts(seconds: float, *, is_paused: bool = False) -> dict[str, int]:
@@ -122,7 +121,7 @@ def test_clock_tells_time_step_and_epoch() -> None:
     for _ in range(240):
         world.step()
 
-    clock = WorldTelemetry(make_parts(world)).message("clock")
+    clock = WorldTelemetry(make_parts(world)).message(CLOCK)
 
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
@@ -135,7 +134,7 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
     meter.slipped_ns = SECOND
     meter.close_window(SECOND)
 
-    stats = WorldTelemetry(replace(make_parts(world), loop_stats=meter)).message("stats")
+    stats = WorldTelemetry(replace(make_parts(world), loop_stats=meter)).message(STATS)
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -144,8 +143,8 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
     assert (stats.step_time_s, stats.step_time_max_s, stats.late_max_s) == (0.002, 0.002, 0.001)
 
 
-@pytest.mark.parametrize("topic", ["stats", "snapshot"])
-def test_real_time_factor_is_zero_while_time_stands(topic: str) -> None:
+@pytest.mark.parametrize("topic", [STATS, SNAPSHOT], ids=["stats", "snapshot"])
+def test_real_time_factor_is_zero_while_time_stands(topic: TopicSpec) -> None:
     world, meter = a_world(), LoopStats(0)
     meter.real_time_factor = 1.0
     world.pause()
@@ -154,28 +153,3 @@ def test_real_time_factor_is_zero_while_time_stands(topic: str) -> None:
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0
-
-
-@given(
-    gaps_ns=st.lists(st.integers(0, 40 * MILLISECOND), min_size=1, max_size=300),
-    period_ns=st.sampled_from([SECOND // 100, SECOND // 30, SECOND // 2]),
-)
-def test_timer_is_never_due_more_often_than_its_rate(gaps_ns: list[int], period_ns: int) -> None:
-    timer, now_ns, moments = TopicTimer(period_ns), SECOND, []
-
-    for gap_ns in gaps_ns:
-        now_ns += gap_ns
-        if timer.is_due(now_ns):
-            moments.append(now_ns)
-
-    # The first may be early by half a period, so that late polls do not lower the rate.
-    span_ns = moments[-1] - moments[0] if moments else 0
-    assert len(moments) <= span_ns / period_ns + 2.0
-
-
-def test_timer_keeps_its_rate_when_it_is_asked_late() -> None:
-    timer = TopicTimer(10 * MILLISECOND)
-
-    dues = sum(timer.is_due(SECOND + i * 3 * MILLISECOND) for i in range(1000))
-
-    assert dues == pytest.approx(300, abs=2)

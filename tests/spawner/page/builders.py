@@ -11,6 +11,7 @@ from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.model_messages import DiffDrive, Joint, Link, Model, Origin, Shape
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.service_catalog import SERVICES
+from zensim.proto.topic_catalog import SNAPSHOT
 
 BLUE = (0.1, 0.3, 0.9, 1.0)
 CUBE = Shape("box", (0.1, 0.1, 0.1), rgba=BLUE)
@@ -87,7 +88,7 @@ class World:
         bus.pumps.append(self._answer)
 
     def publish(self, snapshot: Snapshot) -> None:
-        self._bus.put_message(keys.snapshot("default"), snapshot, Format.MSGPACK)
+        self._bus.put_message(SNAPSHOT.key("default"), snapshot, Format.MSGPACK)
 
     def count(self, request: type[msgspec.Struct]) -> int:
         return sum(isinstance(asked, request) for asked in self.asked)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.fakes import ManualClock, MemoryBus
 from tests.spawner.page.builders import World, a_robot, a_snapshot, a_wall, models_of
-from zensim.proto import keys
+from zensim.proto import keys, topic_catalog
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
 from zensim.proto.messages.model_messages import Shape
 from zensim.proto.messages.result_messages import Result, ResultCode
@@ -25,7 +25,7 @@ from zensim.spawner.page.data_source import (
 )
 from zensim.spawner.page.render_state import LastCommand
 
-SNAPSHOT: Final = keys.snapshot("default")
+SNAPSHOT: Final = topic_catalog.SNAPSHOT.key("default")
 NOBODY: Final[frozenset[str]] = frozenset()
 
 

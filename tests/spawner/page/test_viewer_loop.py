@@ -4,7 +4,7 @@ import pytest
 
 from tests.fakes import ManualClock, MemoryBus
 from tests.spawner.page.builders import World, a_robot, a_snapshot, models_of
-from zensim.proto import keys
+from zensim.proto import topic_catalog
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
     ResetSimulationRequest,
@@ -24,7 +24,7 @@ from zensim.spawner.page.render_state import (
 from zensim.spawner.page.side_panel import BUTTONS, Button
 from zensim.spawner.page.viewer_loop import Viewer
 
-SNAPSHOT = keys.snapshot("default")
+SNAPSHOT = topic_catalog.SNAPSHOT.key("default")
 
 
 class FakePage:

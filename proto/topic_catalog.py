@@ -1,0 +1,272 @@
+"""The catalog of topics: key, messages, QoS, default rate and users of each."""
+
+from enum import Enum
+
+import msgspec
+
+from zensim.proto.codec.message_codec import Format, make_encoding
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState
+from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
+from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.messages.standard_messages import (
+    Clock,
+    JointState,
+    Odometry,
+    String,
+    TFMessage,
+    Twist,
+    TwistStamped,
+)
+from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
+from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10, Qos
+from zensim.proto.ros2.ros_graph import Topic
+
+
+class TopicScope(Enum):
+    """Owner of a topic; the value is the prefix of its key."""
+
+    WORLD = "sim/{}/"
+    AGENT = "sim/{}/drive/{}/"
+    ROBOT = "{}/"
+
+
+class Participant(Enum):
+    """Program that publishes or subscribes."""
+
+    SERVER = "server"
+    AGENT = "agent"
+    USER = "user"
+
+
+class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
+    """One topic, equal to itself only."""
+
+    name: str
+    """Unique in the catalog."""
+    suffix: str = ""
+    """Last chunk of the key; the name if empty."""
+    scope: TopicScope
+    messages: tuple[type[msgspec.Struct], ...]
+    """A publisher uses any of them; those of zensim use the first."""
+    publisher: Participant
+    subscriber: Participant = Participant.USER
+    format: Format = Format.CDR
+    """As zensim publishes it; subscribers accept every format."""
+    qos: Qos = RELIABLE_10
+    """Of the ROS 2 endpoints, if there are any."""
+    root_message: type[msgspec.Struct] | None = None
+    """Published as CDR on the suffix alone, as `/clock` and `/tf` of ROS 2; None = not published."""
+    rate_hz: float = 0.0
+    """Default rate [Hz], of wall time in scope WORLD, else of simulation time; 0 = on change, or as
+    the robot's description says."""
+    is_gettable: bool = True
+    """Whether a get on the key replies with the last message."""
+    description: str
+    """One line of the README."""
+
+    def __post_init__(self) -> None:
+        """Complete the suffix."""
+        if not self.suffix:
+            msgspec.structs.force_setattr(self, "suffix", self.name)
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether late subscribers get the last message."""
+        return self.qos is LATCHED
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh Encoding of the first message."""
+        return make_encoding(self.messages[0], self.format)
+
+    def key(self, *owner: str) -> str:
+        """Write the key of an owner: world; world and agent; or namespace."""
+        return self.scope.value.format(*owner) + self.suffix
+
+    def at(self, key: str) -> Topic:
+        """Describe the ROS 2 endpoint at a key, which differs from `key()` if it is remapped."""
+        return Topic(key, self.messages[0], self.qos)
+
+    def root(self) -> Topic:
+        """Describe the ROS 2 endpoint at the root.
+
+        Raises:
+            ValueError: There is none.
+        """
+        if self.root_message is None:
+            raise ValueError(f"topic '{self.name}' is not published at the root")
+        return Topic(self.suffix, self.root_message, self.qos)
+
+
+CLOCK = TopicSpec(
+    name="clock",
+    scope=TopicScope.WORLD,
+    messages=(WorldClock,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    root_message=Clock,
+    rate_hz=100.0,
+    description="simulation time",
+)
+STATS = TopicSpec(
+    name="stats",
+    scope=TopicScope.WORLD,
+    messages=(Stats,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    rate_hz=1.0,
+    description="real-time factor, step time, counts",
+)
+SNAPSHOT = TopicSpec(
+    name="snapshot",
+    scope=TopicScope.WORLD,
+    messages=(Snapshot,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    rate_hz=30.0,
+    description="pose and twist of every entity",
+)
+EVENTS = TopicSpec(
+    name="events",
+    scope=TopicScope.WORLD,
+    messages=(Event,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="spawned, deleted, claimed, released, reset",
+)
+MODEL_STATES = TopicSpec(
+    name="model_states",
+    scope=TopicScope.WORLD,
+    messages=(ModelStates,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    root_message=ModelStates,
+    rate_hz=20.0,
+    description="pose and twist of every entity, as Gazebo publishes them",
+)
+LINK_STATES = TopicSpec(
+    name="link_states",
+    scope=TopicScope.WORLD,
+    messages=(LinkStates,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    root_message=LinkStates,
+    rate_hz=20.0,
+    description="pose and twist of every link, as Gazebo publishes them",
+)
+STEPS_PROGRESS = TopicSpec(
+    name="steps_progress",
+    suffix="simulate_steps_feedback",
+    scope=TopicScope.WORLD,
+    messages=(StepsProgress,),
+    publisher=Participant.SERVER,
+    format=Format.MSGPACK,
+    is_gettable=False,
+    description="progress of each `simulate_steps` goal",
+)
+DRIVE_STATE = TopicSpec(
+    name="drive_state",
+    suffix="state",
+    scope=TopicScope.AGENT,
+    messages=(DriveState,),
+    publisher=Participant.SERVER,
+    subscriber=Participant.AGENT,
+    format=Format.MSGPACK,
+    rate_hz=100.0,
+    is_gettable=False,
+    description="state of all robots of one agent",
+)
+DRIVE_COMMAND = TopicSpec(
+    name="drive_command",
+    suffix="command",
+    scope=TopicScope.AGENT,
+    messages=(DriveCommand,),
+    publisher=Participant.AGENT,
+    subscriber=Participant.SERVER,
+    format=Format.MSGPACK,
+    rate_hz=100.0,
+    is_gettable=False,
+    description="actuator targets of all robots of one agent",
+)
+CMD_VEL = TopicSpec(
+    name="cmd_vel",
+    scope=TopicScope.ROBOT,
+    messages=(Twist, TwistStamped),
+    publisher=Participant.USER,
+    subscriber=Participant.AGENT,
+    is_gettable=False,
+    description="velocity command",
+)
+ODOM = TopicSpec(
+    name="odom",
+    scope=TopicScope.ROBOT,
+    messages=(Odometry,),
+    publisher=Participant.AGENT,
+    description="pose and twist of the base",
+)
+TF = TopicSpec(
+    name="tf",
+    scope=TopicScope.ROBOT,
+    messages=(TFMessage,),
+    publisher=Participant.AGENT,
+    root_message=TFMessage,
+    description="transforms of the base and of moving joints",
+)
+TF_STATIC = TopicSpec(
+    name="tf_static",
+    scope=TopicScope.ROBOT,
+    messages=(TFMessage,),
+    publisher=Participant.AGENT,
+    qos=LATCHED,
+    root_message=TFMessage,
+    description="transforms of fixed joints",
+)
+JOINT_STATES = TopicSpec(
+    name="joint_states",
+    scope=TopicScope.ROBOT,
+    messages=(JointState,),
+    publisher=Participant.AGENT,
+    rate_hz=30.0,
+    description="positions and velocities of joints",
+)
+ROBOT_DESCRIPTION = TopicSpec(
+    name="robot_description",
+    scope=TopicScope.ROBOT,
+    messages=(String,),
+    publisher=Participant.AGENT,
+    qos=LATCHED,
+    description="the URDF",
+)
+
+TOPICS: dict[str, TopicSpec] = {
+    topic.name: topic
+    for topic in (
+        CLOCK,
+        STATS,
+        SNAPSHOT,
+        EVENTS,
+        MODEL_STATES,
+        LINK_STATES,
+        STEPS_PROGRESS,
+        DRIVE_STATE,
+        DRIVE_COMMAND,
+        CMD_VEL,
+        ODOM,
+        TF,
+        TF_STATIC,
+        JOINT_STATES,
+        ROBOT_DESCRIPTION,
+    )
+}
+"""Every topic, by name."""
+WORLD_TOPICS = tuple(topic for topic in TOPICS.values() if topic.scope is TopicScope.WORLD)
+ROBOT_TOPICS = {topic.suffix: topic for topic in TOPICS.values() if topic.scope is TopicScope.ROBOT}
+"""The topics of each robot, by suffix."""
+MESSAGE_TYPES_BY_ROS_NAME: dict[str, type[msgspec.Struct]] = {
+    kind.ros_type: kind
+    for topic in TOPICS.values()
+    for kind in (*topic.messages, topic.root_message)
+    if kind is not None and hasattr(kind, "ros_type")
+}
+"""Messages that travel as CDR, by `pkg/msg/Name`."""
