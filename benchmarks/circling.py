@@ -12,12 +12,12 @@ from typing import NoReturn
 import numpy as np
 
 from benchmarks.fleet import POLL_S, soon
-from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand, DriveState
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.process_limits import die_with_supervisor
 from zensim.proto.service_catalog import CLAIM_ENTITY
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, SNAPSHOT
 
@@ -61,7 +61,7 @@ def _claim(bus: Bus, names: tuple[str, ...]) -> int | None:
 
 
 if __name__ == "__main__":
-    die_with_parent(os.environ)
+    die_with_supervisor(os.environ)
     with open_bus(BusConfig(connect=(sys.argv[1],))) as joined:
         token = joined.token(keys.alive_agent(WORLD, AGENT))
         drive(joined, tuple(f"box_bot{i}" for i in range(int(sys.argv[2]))))

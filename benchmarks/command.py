@@ -10,7 +10,7 @@ from typing import Protocol
 
 from benchmarks import machine
 from benchmarks.report import Section, page
-from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
+from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 
 class Make(Protocol):

@@ -14,10 +14,10 @@ import msgspec
 
 from benchmarks.fleet import CIRCLE, POLL_S
 from benchmarks.motion import MOVES
-from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto.bus import Bus, BusConfig, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
+from zensim.proto.process_limits import die_with_supervisor
 from zensim.proto.topic_catalog import CMD_VEL, ODOM, TF
 
 TALLY = "bench/tally"
@@ -94,7 +94,7 @@ def _serve(bus: Bus, mouth: Bus, names: list[str], hz: float) -> NoReturn:
 
 
 if __name__ == "__main__":
-    die_with_parent(os.environ)
+    die_with_supervisor(os.environ)
     # A session matches each message that comes against all publishers that it has.
     with open_bus(BusConfig(connect=(sys.argv[1],))) as joined, joined.open_session() as mouth:
         _serve(joined, mouth, [f"box_bot{i}" for i in range(int(sys.argv[2]))], float(sys.argv[3]))

@@ -13,8 +13,8 @@ from typing import NoReturn
 
 from benchmarks.fleet import POLL_S, soon
 from benchmarks.machine import ROOT
-from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto.bus import Bus, BusConfig, open_bus
+from zensim.proto.process_limits import die_with_supervisor
 
 CALL = "bench/call"
 SINK = "bench/sink"
@@ -77,5 +77,5 @@ def _serve(endpoint: str) -> NoReturn:
 
 
 if __name__ == "__main__":
-    die_with_parent(os.environ)
+    die_with_supervisor(os.environ)
     _serve(sys.argv[1])

@@ -18,9 +18,9 @@ from benchmarks.machine import ROOT, used_s
 from benchmarks.plain import Turn
 from benchmarks.watched_server import Used, mark
 from tests.integration.processes import end, free_endpoint, joined
-from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
+from zensim.proto.process_limits import PARENT_PID_VARIABLE
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.spawn_client import read_payload, spawn_many
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout

@@ -13,9 +13,9 @@ import msgspec
 
 from benchmarks.stopwatch import Stopwatch
 from zensim.deploy.cli import main
-from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto.bus import BusPublisher
 from zensim.proto.messages.simulation_messages import State
+from zensim.proto.process_limits import die_with_supervisor
 from zensim.sim_server.runtime import world_publisher
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
 from zensim.sim_server.world.simulated_world import World
@@ -91,7 +91,7 @@ class Watch:
 
 
 if __name__ == "__main__":
-    die_with_parent(os.environ)
+    die_with_supervisor(os.environ)
     Watch().install()
     sys.argv[1:] = ["serve", *sys.argv[1:]]
     main()

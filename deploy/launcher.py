@@ -223,7 +223,7 @@ def _read_viewer_url(viewer: SupervisedProgram) -> str:
     if viewer.process is None or viewer.process.stdout is None:
         raise LaunchFailed("the page is not served")
     # It prints one line when it serves, and closes its output when it cannot.
-    line = viewer.process.stdout.readline()
+    line = viewer.process.stdout.readline().decode()
     if not line:
         raise LaunchFailed("the page is not served; see the line above, or use --no-viewer")
     return line.split()[-1]

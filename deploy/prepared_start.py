@@ -8,8 +8,8 @@ import sys
 
 import msgspec
 
-from zensim.deploy.parent_death_signal import die_with_parent
 from zensim.proto.exit_codes import exit_on_failure
+from zensim.proto.process_limits import die_with_supervisor
 from zensim.robot_agent.agent import run_agent_process
 from zensim.robot_agent.agent_config import AgentProcessConfig
 
@@ -22,7 +22,7 @@ def main(verb: str, settings: str) -> None:
     Raises:
         SystemExit: As that of `zensim VERB`.
     """
-    die_with_parent(os.environ)
+    die_with_supervisor(os.environ)
     with exit_on_failure(verb):
         if verb != AGENT_VERB:
             raise ValueError(f"verb {verb!r} is unknown here; use '{AGENT_VERB}'")

@@ -1,18 +1,21 @@
 """The local supervisor: starts zensim's programs as processes, restarts them, ends them all."""
 
 import os
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
+from zensim.proto.child_process import (
+    close_pipes,
+    end_processes,
+    make_module_command,
+    start_process,
+)
+from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 TERMINATE_TIMEOUT_S = 1.2
 """What a process gets to end by itself; all together they must be gone within 2 s."""
-POLL_S = 0.01
 RESTART_DELAY_S = 0.5
 MAX_RESTARTS = 20
 CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.deploy.prepared_start"
@@ -31,7 +34,7 @@ class SupervisedProgram:
     arguments: tuple[str, ...]
     is_restarted: bool = False
     module: str = CLI_MODULE
-    process: "subprocess.Popen[str] | None" = None
+    process: "subprocess.Popen[bytes] | None" = None
     restarts: int = 0
     restart_at_s: float = 0.0
 
@@ -70,7 +73,7 @@ class Supervisor:
                 continue
             if (status := program.process.poll()) is None:
                 continue
-            _close_pipes(program.process)
+            close_pipes(program.process)
             if not program.is_restarted or program.restarts >= MAX_RESTARTS:
                 raise ProgramDied(f"{program.name} ended with status {status}")
             self.on_restart(program, status)
@@ -82,37 +85,13 @@ class Supervisor:
         """End every process: ask, wait a little, then kill."""
         # The server goes last, so that nobody else meets a network that has gone.
         alive = [p.process for p in reversed(self.programs) if p.process is not None]
-        for process in alive:
-            _send_signal(process, signal.SIGTERM)
-        deadline = time.monotonic() + TERMINATE_TIMEOUT_S
-        while any(process.poll() is None for process in alive) and time.monotonic() < deadline:
-            time.sleep(POLL_S)
-        for process in alive:
-            if process.poll() is None:
-                _send_signal(process, signal.SIGKILL)
-            process.wait()
-            _close_pipes(process)
+        end_processes(alive, TERMINATE_TIMEOUT_S)
         self.programs.clear()
 
 
-def _start_process(program: SupervisedProgram) -> "subprocess.Popen[str]":
-    environment = {**os.environ, PARENT_PID_VARIABLE: str(os.getpid())}
-    return subprocess.Popen(
-        [sys.executable, "-m", program.module, *program.arguments],
-        env=environment,
-        stdin=subprocess.DEVNULL,
+def _start_process(program: SupervisedProgram) -> "subprocess.Popen[bytes]":
+    return start_process(
+        make_module_command(program.module, *program.arguments),
         stdout=subprocess.PIPE,
-        text=True,
-        # Of its own session, so that Ctrl-C reaches the supervisor alone.
-        start_new_session=True,
+        environment={PARENT_PID_VARIABLE: str(os.getpid())},
     )
-
-
-def _send_signal(process: "subprocess.Popen[str]", number: signal.Signals) -> None:
-    if process.poll() is None:
-        process.send_signal(number)
-
-
-def _close_pipes(process: "subprocess.Popen[str]") -> None:
-    if process.stdout is not None:
-        process.stdout.close()

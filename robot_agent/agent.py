@@ -17,6 +17,7 @@ from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE
@@ -28,7 +29,6 @@ from zensim.robot_agent.agent_timing import (
     LateCommandWindow,
     PollSchedule,
     ProcessPriority,
-    set_niceness,
 )
 from zensim.robot_agent.claim_client import (
     ClaimSettings,

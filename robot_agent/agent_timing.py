@@ -1,9 +1,7 @@
 """When an agent polls, how long it accepts late commands, and its process priority."""
 
 import math
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
@@ -92,25 +90,6 @@ class ProcessPriority:
         wanted = NICENESS if factor > FAST_RTF else 0 if factor < SLOW_RTF else self._niceness
         if wanted != self._niceness and self._be_nice(wanted):
             self._niceness = wanted
-
-
-def set_niceness(niceness: int, processes: Path = Path("/proc")) -> bool:
-    """Give this process and its session a niceness; the session only when it is this process's own.
-
-    Returns:
-        False when it should be tried again: the kernel takes ten such wishes a second. True also
-        when the right is lacking, as for most users who want a niceness back.
-    """
-    try:
-        os.setpriority(os.PRIO_PROCESS, 0, niceness)
-        shares = processes / "self" / "autogroup"
-        if os.getsid(0) == os.getpid() and shares.exists():
-            shares.write_text(str(niceness), encoding="ascii")
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True
 
 
 WINDOW_PERIODS = 2.0

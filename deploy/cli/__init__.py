@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from zensim.deploy.parent_death_signal import die_with_parent
+from zensim.proto.process_limits import die_with_supervisor
 
 VERBS: dict[str, tuple[str, str]] = {
     "up": (
@@ -122,5 +122,5 @@ def _find_verb(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
 
 def main() -> None:
     """Run the command line."""
-    die_with_parent(os.environ)
+    die_with_supervisor(os.environ)
     build(_find_verb(sys.argv[1:], os.environ))(prog_name="zensim")

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import logging
-import os
-import select
-import signal
-import struct
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.child_process import run_in_fork
 from zensim.sim_server.journal.batch_writer import BatchWriter, WriterThread
 from zensim.sim_server.journal.change_tracker import ChangeTracker
 from zensim.sim_server.journal.journal_contents import (
@@ -44,70 +42,38 @@ if TYPE_CHECKING:
     from zensim.sim_server.world.simulated_world import World
 
 DEADLINE_S = 10.0
-"""For one try."""
+"""For one attempt."""
 MAX_CRASHES = 2
-"""How often an entity may end a process before it is set aside; the first time was the server."""
-ATTEMPT_NUMBER = struct.Struct("<I")
+"""Crashes of a process after which an entity is excluded."""
 
 
-def find_crashing(tries: Sequence[Callable[[], None]]) -> list[int]:
-    """Make tries one after another, each after those before it; number those that kill a process.
+def find_crashing(attempts: Sequence[Callable[[], None]]) -> list[int]:
+    """Run attempts in order, in copies of this process; return the indices of those that crash it.
 
-    Each is made in a copy of this process, so that nothing here has changed afterwards. One that
-    raises is harmless. One that ends its process is made again in the next, alone of those that
-    did; what kills twice is left out from then on.
+    An attempt that raises is harmless. One that ends its process is repeated in the next copy,
+    without those that crashed twice already.
     """
-    deaths: dict[int, int] = {}
+    crashes: dict[int, int] = {}
     while (
-        number := _find_first_crash(tries, [i for i in deaths if deaths[i] >= MAX_CRASHES])
+        index := _find_first_crash(attempts, [i for i in crashes if crashes[i] >= MAX_CRASHES])
     ) is not None:
-        deaths[number] = deaths.get(number, 0) + 1
-    return [number for number, count in deaths.items() if count >= MAX_CRASHES]
+        crashes[index] = crashes.get(index, 0) + 1
+    return [index for index, count in crashes.items() if count >= MAX_CRASHES]
 
 
-def _find_first_crash(tries: Sequence[Callable[[], None]], left_out: Sequence[int]) -> int | None:
-    wanted = [number for number in range(len(tries)) if number not in left_out]
-    if not wanted:
+def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int]) -> int | None:
+    included = [index for index in range(len(attempts)) if index not in excluded]
+    if not included:
         return None
-    reader, writer = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(reader)
-        _run_attempts(tries, wanted, writer)
-    os.close(writer)
-    try:
-        return _wait_for_child(reader, child, wanted)
-    finally:
-        os.close(reader)
 
+    def run(report: Callable[[int], None]) -> None:
+        for index in included:
+            report(index)
+            # The restore that follows reports exceptions.
+            with suppress(Exception):
+                attempts[index]()
 
-def _run_attempts(tries: Sequence[Callable[[], None]], wanted: Sequence[int], writer: int) -> None:
-    status = 1
-    try:
-        for number in wanted:
-            os.write(writer, ATTEMPT_NUMBER.pack(number))
-            _run_attempt(tries[number])
-        status = 0
-    finally:
-        os._exit(status)
-
-
-def _run_attempt(make: Callable[[], None]) -> None:
-    try:
-        make()
-    except Exception:  # noqa: BLE001  whoever restores it is told
-        return
-
-
-def _wait_for_child(reader: int, child: int, wanted: Sequence[int]) -> int | None:
-    last = wanted[0]
-    while True:
-        if not select.select([reader], [], [], DEADLINE_S)[0]:
-            os.kill(child, signal.SIGKILL)
-        if not (data := os.read(reader, ATTEMPT_NUMBER.size)):
-            break
-        last = ATTEMPT_NUMBER.unpack(data)[0]
-    _, status = os.waitpid(child, 0)
+    last, status = run_in_fork(run, DEADLINE_S)
     return last if status else None
 
 
@@ -236,7 +202,7 @@ def open_journal(folder: str) -> Journal:
     if ledger.lost:
         LOG.warning(
             "journal %s was cut short: its last %d changes are lost; going on from change %d",
-            os.fspath(ledger.folder),
+            ledger.folder,
             ledger.lost,
             ledger.position,
         )

@@ -133,7 +133,7 @@ class AssetStore:
         self._sizes.move_to_end(sha256)
         return size
 
-    def piece(self, sha256: str, offset: int, most: int) -> bytes:
+    def read(self, sha256: str, offset: int, max_bytes: int) -> bytes:
         """Read a piece of a file.
 
         Raises:
@@ -145,7 +145,7 @@ class AssetStore:
             )
         with self._path(sha256).open("rb") as file:
             file.seek(offset)
-            return file.read(most)
+            return file.read(max_bytes)
 
     def corners(self, sha256: str) -> NDArray[np.float32]:
         """Find the corners (n, 3) of a mesh that the server made, none twice; they are kept.
@@ -155,7 +155,7 @@ class AssetStore:
         """
         if (found := self._corners.get(sha256)) is None:
             found = self._corners[sha256] = _find_unique_corners(
-                read_corners(self.piece(sha256, 0, -1))
+                read_corners(self.read(sha256, 0, -1))
             )
         self._corners.move_to_end(sha256)
         while len(self._corners) > MAX_CACHED_CORNERS:

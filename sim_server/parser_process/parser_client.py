@@ -3,41 +3,44 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
-import subprocess
 import sys
 from collections import deque
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
+from zensim.proto.child_process import (
+    CHUNK_BYTES,
+    FRAME_LENGTH,
+    FramedProcess,
+    encode_frame,
+    make_module_command,
+)
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.process_limits import set_niceness
 from zensim.sim_server.parser_process.parser_protocol import (
-    FRAME_LENGTH,
     ParsedMesh,
     ParseRequest,
     ParseResult,
     ParserMessage,
     ParserReady,
-    encode_frame,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
 UPDATE_PERIOD_NS = 10_000_000
 MAX_UPDATE_NS = 1_000_000_000
-"""Counted between two looks: who looks so seldom was stopped itself."""
+"""Most time that one update adds: after a longer gap the server itself was stopped."""
 MAX_SLOWDOWN = 6
-"""A sixth of wall time counts on any machine, so that an answer comes."""
+"""The clock advances by at least a sixth of wall time, so that every request ends."""
 
 
 def read_run_queue_wait_ns(process_id: int) -> int:
-    """Ask the kernel how long a process has waited for a core [ns]; 0 when it does not say."""
+    """Read how long a process has waited for a core [ns]; 0 if the kernel does not report it."""
     try:
         text = Path(f"/proc/{process_id}/schedstat").read_text(encoding="ascii")
         return int(text.split()[1])
@@ -46,92 +49,90 @@ def read_run_queue_wait_ns(process_id: int) -> int:
 
 
 class ParserClock:
-    """A clock for one reader after another."""
+    """Wall time without the time that the parser process waited for a core."""
 
     def __init__(
-        self, now_ns: Callable[[], int], waited: Callable[[int], int] = read_run_queue_wait_ns
+        self,
+        wall_ns: Callable[[], int],
+        read_wait_ns: Callable[[int], int] = read_run_queue_wait_ns,
     ) -> None:
-        self._wall_ns = now_ns
-        self._waited = waited
+        self._wall_ns = wall_ns
+        self._read_wait_ns = read_wait_ns
         self._process_id = 0
-        self._seen_ns = now_ns()
-        self._seen_waited_ns = self._counted_ns = self._own_ns = 0
+        self._updated_ns = wall_ns()
+        self._last_wait_ns = self._elapsed_ns = self._own_ns = 0
         self.now_ns = 0
-        """Since this clock was made; never goes back."""
+        """Time since the clock was made; never decreases."""
 
-    def watch(self, process_id: int) -> None:
-        """Go by another process from now on."""
+    def track(self, process_id: int) -> None:
+        """Follow another process from now on."""
         self._process_id = process_id
-        self._seen_waited_ns = self._waited(process_id)
+        self._last_wait_ns = self._read_wait_ns(process_id)
 
-    def look(self, every_ns: int = UPDATE_PERIOD_NS) -> bool:
-        """Go on by what has passed since the last look, if that is enough; say whether it was."""
-        now_ns = self._wall_ns()
-        passed_ns = min(now_ns - self._seen_ns, MAX_UPDATE_NS)
-        if passed_ns < every_ns:
+    def update(self, min_period_ns: int = UPDATE_PERIOD_NS) -> bool:
+        """Advance the clock if the last update is old enough; return whether it was."""
+        wall_ns = self._wall_ns()
+        passed_ns = min(wall_ns - self._updated_ns, MAX_UPDATE_NS)
+        if passed_ns < min_period_ns:
             return False
-        waited_ns = self._waited(self._process_id)
-        # The kernel adds a wait when it is over: what was counted until then is taken back.
-        self._own_ns += passed_ns - (waited_ns - self._seen_waited_ns)
-        self._counted_ns += passed_ns
-        self._seen_ns, self._seen_waited_ns = now_ns, waited_ns
-        self.now_ns = max(self.now_ns, self._own_ns, self._counted_ns // MAX_SLOWDOWN)
+        wait_ns = self._read_wait_ns(self._process_id)
+        # The kernel adds a wait when it is over: what was counted until then is subtracted.
+        self._own_ns += passed_ns - (wait_ns - self._last_wait_ns)
+        self._elapsed_ns += passed_ns
+        self._updated_ns, self._last_wait_ns = wall_ns, wait_ns
+        self.now_ns = max(self.now_ns, self._own_ns, self._elapsed_ns // MAX_SLOWDOWN)
         return True
 
 
 LOG = logging.getLogger(__name__)
 
-WORKER_COMMAND = (sys.executable, "-m", "zensim.sim_server.parser_process.parser_worker")
+WORKER_COMMAND = make_module_command("zensim.sim_server.parser_process.parser_worker")
 DEADLINE_S = 9.0
-"""From handing a request over to its answer, in the reader's own time: callers wait for 10 s."""
+"""From a request to its result, in the parser's own time: callers time out after 10 s."""
 START_TIMEOUT_S = 60.0
 TIMEOUT_MESSAGE = (
-    f"reading took more than {DEADLINE_S:g} s; make the description smaller, or try again"
+    f"parsing took more than {DEADLINE_S:g} s; make the description smaller, or try again"
 )
 IDLE_POLL_NS = 250_000_000
-"""Between two looks at a reader that has nothing to do."""
-CHUNK_BYTES = 1 << 20
-"""Written or read in one turn of the loop, at most."""
+"""Period of polling an idle process."""
 PARSER_NICENESS = 5
-"""A third of the share of others: an answer comes, if late, where they have all cores."""
+"""A third of the share of others: results arrive, if late, where all cores are busy."""
 DECODER = msgspec.msgpack.Decoder(ParserMessage)
 
 
 class AssetSource(Protocol):
-    """Where the bytes of a sha256 are."""
+    """Access to files by sha256."""
 
     def size(self, sha256: str) -> int:
-        """Length of a file."""
+        """Return the length of a file [bytes]."""
 
-    def piece(self, sha256: str, offset: int, most: int) -> bytes:
-        """Read a piece of a file."""
+    def read(self, sha256: str, offset: int, max_bytes: int) -> bytes:
+        """Read a part of a file."""
 
 
 class ParserClient:
-    """A reader process and the requests that wait for it."""
+    """A parser process and the queue of requests to it."""
 
     def __init__(
         self, files: AssetSource, now_ns: Callable[[], int], command: Sequence[str] = WORKER_COMMAND
     ) -> None:
         self._files = files
-        self._time = ParserClock(now_ns)
+        self._clock = ParserClock(now_ns)
         self._command = command
         self._queue: deque[tuple[ParseRequest, int]] = deque()
-        self._ended: list[subprocess.Popen[bytes]] = []
+        self._killed: list[FramedProcess] = []
         self._has_been_ready = False
-        """Until then the server waits for it."""
-        # Kept: a buffer of this size would be mapped, and unmapped, at each reading.
-        self._piece = bytearray(CHUNK_BYTES)
-        self._begin()
+        """Until then the server waits for the process, so it keeps its priority."""
+        self._start()
 
     @property
     def process_id(self) -> int:
-        """Of the reader that is up."""
-        return self._process.pid
+        """Process id of the current process."""
+        return self._process.process_id
 
     @property
     def is_ready(self) -> bool:
-        """Whether the process has started and reads nothing now."""
+        """Whether the process has started and parses nothing now."""
         return self._is_ready and self._current is None
 
     @property
@@ -139,164 +140,104 @@ class ParserClient:
         return self.is_ready and not self._queue
 
     def submit(self, request: ParseRequest) -> None:
-        """Hand a request over; it is read after those before it."""
-        self._time.look()
-        self._queue.append((request, self._time.now_ns + round(DEADLINE_S * NANOSECONDS)))
+        """Queue a request."""
+        self._clock.update()
+        self._queue.append((request, self._clock.now_ns + round(DEADLINE_S * NANOSECONDS)))
 
     def poll(self) -> list[ParsedMesh | ParseResult]:
-        """Move some bytes each way, and take what is read; one that is idle is looked at at times.
+        """Exchange some bytes with the process and return what it has parsed; never blocks.
 
-        The loop polls at every turn, and each question to the kernel costs it some microseconds.
+        The loop polls at every turn, and each system call costs it some microseconds: an idle
+        process is polled every `IDLE_POLL_NS` only.
         """
-        if self._is_idle and not self._time.look(IDLE_POLL_NS):
+        if self._is_idle and not self._clock.update(IDLE_POLL_NS):
             return []
-        self._time.look()
-        self._ended = [process for process in self._ended if process.poll() is None]
-        answers = self._received()
-        if self._process.poll() is not None:
-            return answers + self._replace_exited()
-        if self._time.now_ns > self._deadline_ns:
-            return answers + self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")
-        answers += self._refuse_overdue()
-        self._next()
-        self._send()
-        return answers
+        self._clock.update()
+        self._killed = [process for process in self._killed if process.poll() is None]
+        results = self._receive()
+        if (status := self._process.poll()) is not None:
+            return results + self._replace_exited(status)
+        if self._clock.now_ns > self._deadline_ns:
+            return results + self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")
+        results += self._refuse_overdue()
+        self._send_next()
+        self._process.flush()
+        return results
 
     def close(self) -> None:
         """End the process."""
-        self._end()
-        for process in self._ended:
+        self._kill()
+        for process in self._killed:
             process.wait()
 
-    def _begin(self) -> None:
-        self._process = subprocess.Popen(
-            self._command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            bufsize=0,
-            start_new_session=True,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-        )
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._time.watch(self._process.pid)
+    def _start(self) -> None:
+        self._process = FramedProcess(self._command)
+        self._clock.track(self.process_id)
         if self._has_been_ready:
-            _lower_priority(self._process.pid)
-        self._in, self._out = self._process.stdin.fileno(), self._process.stdout.fileno()
-        for stream in (self._in, self._out):
-            os.set_blocking(stream, False)
+            set_niceness(PARSER_NICENESS, self.process_id)
         self._current: ParseRequest | None = None
         self._is_ready = False
-        self._outgoing = memoryview(b"")
-        self._to_send: deque[tuple[str, int]] = deque()
-        self._incoming = bytearray()
-        self._deadline_ns = self._time.now_ns + round(START_TIMEOUT_S * NANOSECONDS)
+        self._deadline_ns = self._clock.now_ns + round(START_TIMEOUT_S * NANOSECONDS)
 
-    def _end(self) -> None:
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream is not None:
-                stream.close()
+    def _kill(self) -> None:
         self._process.kill()
-        self._ended.append(self._process)
+        self._killed.append(self._process)
 
-    def _replace_exited(self) -> list[ParsedMesh | ParseResult]:
-        status = self._process.returncode
+    def _replace_exited(self, status: int) -> list[ParsedMesh | ParseResult]:
         if status == -signal.SIGXCPU:
             return self._replace_process(TIMEOUT_MESSAGE, slug="reader.timeout")
-        message = f"the reader ended (status {status}) over it; make it simpler"
+        message = f"the parser process ended (status {status}) over it; make it simpler"
         return self._replace_process(message, slug="reader.crashed")
 
     def _replace_process(self, message: str, *, slug: str) -> list[ParsedMesh | ParseResult]:
         current = self._current
-        LOG.warning("reader replaced reason=%s status=%s", slug, self._process.returncode)
-        self._end()
-        self._begin()
-        if current is None:
-            return []
-        return [_make_refusal(current, message, slug=slug)]
+        LOG.warning("parser process replaced reason=%s status=%s", slug, self._process.poll())
+        self._kill()
+        self._start()
+        return [] if current is None else [_make_refusal(current, message, slug=slug)]
 
-    def _next(self) -> None:
+    def _send_next(self) -> None:
         if self._current is not None or not self._queue or not self._is_ready:
             return
         self._current, self._deadline_ns = self._queue.popleft()
-        self._outgoing = memoryview(encode_frame(self._current))
-        self._to_send = deque((sha256, -1) for sha256 in self._current.files)
+        self._process.send(self._encode_request(self._current))
+
+    def _encode_request(self, request: ParseRequest) -> Iterator[bytes]:
+        yield encode_frame(msgspec.msgpack.encode(request))
+        for sha256 in request.files:
+            size = self._files.size(sha256)
+            yield FRAME_LENGTH.pack(size)
+            for offset in range(0, size, CHUNK_BYTES):
+                yield self._files.read(sha256, offset, CHUNK_BYTES)
 
     def _refuse_overdue(self) -> list[ParsedMesh | ParseResult]:
-        """Refuse what has waited for too long behind others, or for a new reader to start."""
-        answers: list[ParsedMesh | ParseResult] = []
-        while self._queue and self._time.now_ns > self._queue[0][1]:
-            late, _ = self._queue.popleft()
-            answers.append(_make_refusal(late, TIMEOUT_MESSAGE, slug="reader.timeout"))
-        return answers
+        """Refuse requests that waited too long for others, or for a new process to start."""
+        refusals: list[ParsedMesh | ParseResult] = []
+        while self._queue and self._clock.now_ns > self._queue[0][1]:
+            overdue, _ = self._queue.popleft()
+            refusals.append(_make_refusal(overdue, TIMEOUT_MESSAGE, slug="reader.timeout"))
+        return refusals
 
-    def _send(self) -> None:
-        left = CHUNK_BYTES
-        while left > 0 and (self._outgoing or self._fill_outgoing()):
-            try:
-                written = os.write(self._in, self._outgoing[:left])
-            except (BlockingIOError, BrokenPipeError):
-                return
-            self._outgoing = self._outgoing[written:]
-            left -= written
-
-    def _fill_outgoing(self) -> bool:
-        if not self._to_send:
-            return False
-        sha256, offset = self._to_send.popleft()
-        size = self._files.size(sha256)
-        if offset < 0:
-            self._outgoing = memoryview(FRAME_LENGTH.pack(size))
-        else:
-            self._outgoing = memoryview(self._files.piece(sha256, offset, CHUNK_BYTES))
-        following = max(offset, 0) if offset < 0 else offset + len(self._outgoing)
-        if following < size:
-            self._to_send.appendleft((sha256, following))
-        return True
-
-    def _received(self) -> list[ParsedMesh | ParseResult]:
-        try:
-            count = os.readv(self._out, [self._piece])
-        except BlockingIOError:
-            return []
-        self._incoming += memoryview(self._piece)[:count]
-        answers = []
-        while (message := self._next_message()) is not None:
+    def _receive(self) -> list[ParsedMesh | ParseResult]:
+        results = []
+        for frame in self._process.receive():
+            message = DECODER.decode(frame)
             if isinstance(message, ParserReady):
                 self._has_been_ready = True
-                _lower_priority(self._process.pid)
+                # Physics comes first when cores are few.
+                set_niceness(PARSER_NICENESS, self.process_id)
                 self._mark_idle()
                 continue
             if isinstance(message, ParseResult):
                 self._mark_idle()
-            answers.append(message)
-        return answers
+            results.append(message)
+        return results
 
     def _mark_idle(self) -> None:
         self._is_ready = True
         self._current = None
         self._deadline_ns = sys.maxsize
 
-    def _next_message(self) -> ParserMessage | None:
-        if len(self._incoming) < FRAME_LENGTH.size:
-            return None
-        end = FRAME_LENGTH.size + FRAME_LENGTH.unpack_from(self._incoming)[0]
-        if len(self._incoming) < end:
-            return None
-        message: ParserMessage = DECODER.decode(memoryview(self._incoming)[FRAME_LENGTH.size : end])
-        self._incoming = self._incoming[end:]
-        return message
-
 
 def _make_refusal(request: ParseRequest, message: str, *, slug: str) -> ParseResult:
     return ParseResult(request.number, None, ResultCode.OPERATION_FAILED, slug, message)
-
-
-def _lower_priority(process_id: int) -> None:
-    """Let physics come first when cores are few."""
-    with suppress(ProcessLookupError):
-        os.setpriority(os.PRIO_PROCESS, process_id, PARSER_NICENESS)
-    # Where the kernel shares cores among sessions, niceness counts inside of the reader's only.
-    with suppress(OSError):
-        Path(f"/proc/{process_id}/autogroup").write_text(str(PARSER_NICENESS), encoding="ascii")

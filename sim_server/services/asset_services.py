@@ -29,5 +29,5 @@ def get_asset(
     context: ServerContext, request: asset_messages.GetAssetRequest
 ) -> asset_messages.GetAssetResponse:
     """Give a piece of a file."""
-    data = context.store.piece(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
+    data = context.store.read(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
     return asset_messages.GetAssetResponse(Result(), data, context.store.size(request.sha256))

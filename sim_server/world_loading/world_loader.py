@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,6 +9,7 @@ from typing import TYPE_CHECKING
 import msgspec
 import numpy as np
 
+from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.sdf.sdf_world import WorldModel, read_world
@@ -47,7 +46,7 @@ def refuse_new_world(model: WorldModel) -> Iterator[BuiltWorld | None]:
     )
 
 
-COMMAND = (sys.executable, "-m", "zensim.sim_server.world_loading.world_loader_process")
+COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_process")
 
 
 class LoadedWorld(msgspec.Struct, frozen=True):
@@ -80,17 +79,16 @@ def load_world_in_process(order: WorldLoaderRequest) -> LoadedWorld:
     """
     if order.name in list_builtin_worlds():
         return LoadedWorld(read_world(read_builtin_world(order.name)))
-    payload = msgspec.msgpack.encode(order)
-    done = subprocess.run(COMMAND, input=payload, stdout=subprocess.PIPE, check=False)
-    if done.returncode:
+    outcome = run_process(COMMAND, msgspec.msgpack.encode(order))
+    if outcome.status:
         raise ConfigError(
-            f"world '{order.name}' ended the process that read it (status {done.returncode}); "
+            f"world '{order.name}' ended the process that read it (status {outcome.status}); "
             "make it simpler"
         )
-    outcome = msgspec.msgpack.decode(done.stdout, type=WorldLoaderResult)
-    if outcome.loaded is None:
-        raise ConfigError(outcome.fault)
-    return outcome.loaded
+    result = msgspec.msgpack.decode(outcome.output, type=WorldLoaderResult)
+    if result.loaded is None:
+        raise ConfigError(result.fault)
+    return result.loaded
 
 
 def list_warnings(report: Iterable[ReportEntry]) -> list[str]:

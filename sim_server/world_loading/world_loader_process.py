@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from zensim.proto.process_limits import die_with_parent
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
 from zensim.sim_server.description.pipeline import parse_world
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.parser_process.parser_worker import die_with_parent
 from zensim.sim_server.server_config import ConfigError
 from zensim.sim_server.world_loading.world_loader import (
     LoadedWorld,

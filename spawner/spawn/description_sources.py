@@ -1,9 +1,6 @@
 """Where a description comes from: a file, a shipped model, a model folder, a stream or a key; xacro is expanded."""
 
 import re
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from importlib import resources
@@ -13,6 +10,7 @@ from typing import BinaryIO
 import msgspec
 
 from zensim.proto.bus import Bus, Sample
+from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.result_messages import ServiceError, SpawnCode
 from zensim.proto.messages.standard_messages import String
@@ -33,7 +31,7 @@ from zensim.spawner.spawn.xacro_process import (
 
 XACRO_SUFFIX = ".xacro"
 XACRO_TAG = "<xacro:"
-XACRO_COMMAND = (sys.executable, "-m", "zensim.spawner.spawn.xacro_process")
+XACRO_COMMAND = make_module_command("zensim.spawner.spawn.xacro_process")
 XACRO_TIMEOUT_S = 60.0
 """Of wall time: only one that sleeps takes as long."""
 XACRO_TOO_LONG = f"it takes more than {CPU_LIMIT_S} s"
@@ -81,21 +79,12 @@ def expand_xacro(text: str, path: Path, arguments: Mapping[str, str], paths: Sea
 
 
 def _run_xacro_process(wish: XacroRequest) -> XacroResult:
-    try:
-        done = subprocess.run(
-            XACRO_COMMAND,
-            input=encode_request(wish),
-            stdout=subprocess.PIPE,
-            timeout=XACRO_TIMEOUT_S,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
+    outcome = run_process(XACRO_COMMAND, encode_request(wish), timeout_s=XACRO_TIMEOUT_S)
+    if outcome.is_out_of_time:
         return XacroResult(reason=XACRO_TOO_LONG)
-    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
-        return XacroResult(reason=XACRO_TOO_LONG)
-    if done.returncode:
-        return XacroResult(reason=f"xacro ended over it (status {done.returncode})")
-    return msgspec.msgpack.decode(done.stdout, type=XacroResult)
+    if outcome.status:
+        return XacroResult(reason=f"xacro ended over it (status {outcome.status})")
+    return msgspec.msgpack.decode(outcome.output, type=XacroResult)
 
 
 TOPIC_KEY = re.compile(r"[^/?#*$\s]+(?:/[^/?#*$\s]+)*")

@@ -4,7 +4,6 @@ The request arrives on stdin, the result leaves on stdout.
 """
 
 import os
-import resource
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -14,6 +13,8 @@ from xml.parsers.expat import ExpatError
 
 import msgspec
 
+from zensim.proto.child_process import reserve_stdout
+from zensim.proto.process_limits import ResourceLimits, die_with_parent, set_resource_limits
 from zensim.spawner.spawn.description_xml import MAX_TEXT_BYTES
 from zensim.spawner.spawn.search_paths import SearchPaths, is_package, read_package_name
 
@@ -21,7 +22,7 @@ XACRO_PACKAGES = ("xacrodoc", "xacro", "rospkg")
 CPU_LIMIT_S = 6
 MEMORY_LIMIT_BYTES = 1 << 29
 """Address space on top of what the imports took."""
-STDOUT, STDERR = 1, 2
+LIMITS = ResourceLimits(extra_memory_bytes=MEMORY_LIMIT_BYTES, total_cpu_s=CPU_LIMIT_S)
 
 
 class XacroRequest(msgspec.Struct, frozen=True):
@@ -53,30 +54,22 @@ def decode_request(data: bytes) -> XacroRequest:
 
 def main() -> None:
     """Expand one text."""
+    die_with_parent()
     wish = decode_request(sys.stdin.buffer.read())
-    # What macros print is no answer.
-    answers = os.fdopen(os.dup(STDOUT), "wb")
-    os.dup2(STDERR, STDOUT)
+    # What macros print is no reply.
+    answers = os.fdopen(reserve_stdout(), "wb")
     try:
         xacro, packages = _import_xacro(wish.path)
     except LookupError as error:
         _reply(answers, XacroResult(sentence=str(error.args[0])))
         return
-    _limit_resources()
+    set_resource_limits(LIMITS)
     _reply(answers, _expand(wish, xacro, packages))
 
 
 def _reply(answers: BinaryIO, found: XacroResult) -> None:
     answers.write(msgspec.msgpack.encode(found))
     answers.close()
-
-
-def _limit_resources() -> None:
-    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    most = pages * resource.getpagesize() + MEMORY_LIMIT_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    resource.setrlimit(resource.RLIMIT_CPU, (CPU_LIMIT_S, CPU_LIMIT_S))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 def _expand(wish: XacroRequest, xacro: ModuleType, packages: ModuleType) -> XacroResult:

@@ -9,8 +9,8 @@ import psutil
 import pytest
 
 from tests.integration.processes import eventually, free_endpoint
-from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 from zensim.deploy.supervisor import MAX_RESTARTS, ProgramDied, SupervisedProgram, Supervisor
+from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 NOWHERE = "tcp/127.0.0.1:1"
 WAITING = ("spawn", "box_bot", "--wait", "600", "--connect", NOWHERE)
@@ -80,7 +80,7 @@ def test_supervisor_gives_what_a_program_prints(supervisor: Supervisor) -> None:
 
     assert program.process is not None
     assert program.process.stdout is not None
-    assert '"name": "box_bot"' in program.process.stdout.read()
+    assert b'"name": "box_bot"' in program.process.stdout.read()
 
 
 def test_supervisor_says_nothing_while_everything_is_up(

@@ -132,7 +132,7 @@ def _put(store: AssetStore, data: bytes, chance: random.Random) -> None:
         payload = _damaged_bytes(payload, chance)
     taken = decode(asset_messages.PutAssetRequest, payload, Format.MSGPACK.value)
     store.put(taken.sha256, offset=taken.offset, total=taken.total, data=taken.data)
-    store.piece(taken.sha256, taken.offset, len(data))
+    store.read(taken.sha256, taken.offset, len(data))
 
 
 def _requests() -> Read:

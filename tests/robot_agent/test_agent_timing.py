@@ -1,10 +1,5 @@
 """When the answer to a state may be given anew."""
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 from msgspec.structs import replace
 
 from tests.robot_agent.models import a_state
@@ -93,8 +88,6 @@ def test_agent_never_sleeps_so_long_that_everything_else_waits() -> None:
 
 
 MS = 1_000_000
-NICE = f"from zensim.robot_agent.agent_timing import set_niceness; print(set_niceness({NICENESS}))"
-TOLD = "; import os; print(os.getpriority(os.PRIO_PROCESS, 0))"
 
 
 def state(time_ns: int, *, is_awaited: bool = False) -> DriveState:
@@ -121,10 +114,6 @@ def run(
         now_s = from_s + tick * 0.01
         told = state(round(1000 * from_s * MS + tick * 10 * MS * factor), is_awaited=awaited)
         precedence.note_state(now_s, told)
-
-
-def shares_of(process_id: int) -> str:
-    return Path(f"/proc/{process_id}/autogroup").read_text(encoding="ascii").strip()
 
 
 def test_agent_stands_back_once_when_time_runs_fast() -> None:
@@ -178,36 +167,6 @@ def test_agent_bears_a_reset_of_time() -> None:
     precedence.note_state(103.6, state(600 * MS))
 
     assert wishes.asked == []
-
-
-def test_process_of_a_session_of_its_own_takes_the_session_along() -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", f"{NICE}{TOLD}; input()"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    assert process.stdout is not None
-    is_done, niceness = process.stdout.readline(), process.stdout.readline()
-    shares = shares_of(process.pid) if Path("/proc/self/autogroup").exists() else ""
-    process.communicate("\n")
-
-    assert int(niceness) == NICENESS
-    # The kernel may have had too many wishes just then, and says so.
-    assert not shares or is_done == "False\n" or shares.endswith(f"nice {NICENESS}")
-
-
-def test_process_of_the_users_session_leaves_the_session_alone() -> None:
-    has_shares = Path("/proc/self/autogroup").exists()
-    before = shares_of(os.getpid()) if has_shares else ""
-
-    done = subprocess.run(
-        [sys.executable, "-c", NICE + TOLD], capture_output=True, text=True, check=True
-    )
-
-    assert done.stdout.split() == ["True", str(NICENESS)]
-    assert before == (shares_of(os.getpid()) if has_shares else "")
 
 
 NOW_S = 5.0

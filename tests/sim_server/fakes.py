@@ -100,7 +100,7 @@ class InlineParser:
         self.remembered[id(model)] = reading
 
     def ask(self, request: ParseRequest, on_read: Callable[[ParseResult], None]) -> None:
-        files = {name: self.store.piece(name, 0, self.store.size(name)) for name in request.files}
+        files = {name: self.store.read(name, 0, self.store.size(name)) for name in request.files}
         answer, meshes = parse_request(request, files)
         for name, data in meshes.items():
             self.store.keep(name, data)

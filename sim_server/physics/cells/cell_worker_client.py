@@ -5,8 +5,6 @@ import os
 import pickle
 import select
 import socket
-import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -16,6 +14,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from zensim.proto.child_process import SINGLE_THREADED, make_module_command, start_process
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.engine import (
     BodyStates,
@@ -126,13 +125,10 @@ class CellWorkerClient:
         self._states, self._targets = make_shared_array(), make_shared_array()
         here, there = socket.socketpair()
         passed = (there.fileno(), self._states.descriptor, self._targets.descriptor)
-        self._process = subprocess.Popen(
-            (sys.executable, "-m", WORKER_MODULE, *map(str, passed)),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
+        self._process = start_process(
+            make_module_command(WORKER_MODULE, *map(str, passed)),
             pass_fds=passed,
-            start_new_session=True,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            environment=SINGLE_THREADED,
         )
         there.close()
         self._line: Connection[Any, Any] = Connection(here.detach())

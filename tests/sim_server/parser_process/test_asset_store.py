@@ -35,7 +35,7 @@ def test_store_has_a_file_when_all_pieces_came(store: AssetStore) -> None:
 
     assert (first, second) == (50, len(DATA))
     assert NAME in store
-    assert store.piece(NAME, 10, 20) == DATA[10:30]
+    assert store.read(NAME, 10, 20) == DATA[10:30]
 
 
 def test_store_says_where_to_go_on_when_a_file_is_unfinished(store: AssetStore) -> None:
@@ -106,7 +106,7 @@ def test_store_keeps_what_is_pinned_beside_its_budget() -> None:
 
     assert [name in store for name in (pinned, *kept)] == [True, True, True]
     assert (put(store, b"pppp"), store.missing([pinned])) == (pinned, [])
-    assert store.piece(pinned, 1, 9) == b"ppp"
+    assert store.read(pinned, 1, 9) == b"ppp"
     store.close()
 
 
@@ -127,14 +127,14 @@ def test_store_refuses_to_look_for_more_files_than_a_bundle_has(store: AssetStor
 
 def test_store_says_so_when_a_file_is_not_here(store: AssetStore) -> None:
     with pytest.raises(AssetRefused, match=r"^bundle\.unknown: "):
-        store.piece(NAME, 0, 1)
+        store.read(NAME, 0, 1)
 
 
 def test_store_refuses_an_offset_behind_the_end(store: AssetStore) -> None:
     put(store, DATA)
 
     with pytest.raises(AssetRefused, match=r"^bundle\.offset: "):
-        store.piece(NAME, len(DATA) + 1, 1)
+        store.read(NAME, len(DATA) + 1, 1)
 
 
 def test_store_leaves_nothing_behind_when_closed() -> None:

@@ -155,7 +155,7 @@ def test_corners_of_a_large_model_are_read_before_it_is_ready(
     eventually(is_read, WITHIN_S, "a model")
 
     with monkeypatch.context() as patch:
-        patch.setattr(roomy.store, "piece", None)
+        patch.setattr(roomy.store, "read", None)
         assert len(roomy.store.corners(mesh_of(roomy.descriptions.model(order)[0])))
 
 

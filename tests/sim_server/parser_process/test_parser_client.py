@@ -46,7 +46,7 @@ class Kernel:
 def a_clock() -> tuple[WallTime, Kernel, ParserClock]:
     wall, kernel = WallTime(), Kernel()
     time = ParserClock(wall.now_ns, kernel.waited)
-    time.watch(PROCESS)
+    time.track(PROCESS)
     return wall, kernel, time
 
 
@@ -55,7 +55,7 @@ def looked_for(wall: WallTime, time: ParserClock, milliseconds: int) -> int:
     before_ns = time.now_ns
     for _ in range(milliseconds // 20):
         wall.ns += 20 * MS
-        time.look()
+        time.update()
     return (time.now_ns - before_ns) // MS
 
 
@@ -97,7 +97,7 @@ def test_time_goes_on_a_little_on_any_machine() -> None:
 def test_time_leaves_out_how_long_nobody_looked() -> None:
     wall, _, time = a_clock()
     wall.ns += 60_000 * MS
-    time.look()
+    time.update()
 
     assert time.now_ns == 1000 * MS
 
@@ -106,7 +106,7 @@ def test_time_does_not_jump_when_the_process_is_another() -> None:
     wall, kernel, time = a_clock()
     kernel.waits = {PROCESS: 0, NEXT: 900 * MS}
     looked_for(wall, time, 100)
-    time.watch(NEXT)
+    time.track(NEXT)
 
     assert looked_for(wall, time, 100) == 100
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import pytest
 
 from tests.integration.processes import Server, command_line, end, eventually
-from zensim.deploy.parent_death_signal import PARENT_PID_VARIABLE
 from zensim.proto.exit_codes import ExitCode
+from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 WITHIN_S = 20.0
 

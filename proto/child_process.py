@@ -1,0 +1,280 @@
+"""Child processes: start, run once, exchange frames without blocking, run in a fork, end."""
+
+import os
+import select
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple, NoReturn
+
+FRAME_LENGTH = struct.Struct("<Q")
+"""Precedes the bytes of each frame."""
+CHUNK_BYTES = 1 << 20
+"""Most bytes that one call reads or writes without blocking."""
+SINGLE_THREADED = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+"""Environment of a process whose array library must use one core only."""
+STDIN, STDOUT, STDERR = 0, 1, 2
+END_POLL_S = 0.01
+FORK_REPORT = struct.Struct("<I")
+
+
+def make_module_command(module: str, *arguments: str) -> tuple[str, ...]:
+    """Make the command that runs a module with this interpreter."""
+    return (sys.executable, "-m", module, *arguments)
+
+
+def start_process(
+    command: Sequence[str],
+    *,
+    stdin: int = subprocess.DEVNULL,
+    stdout: int = subprocess.DEVNULL,
+    stderr: int | None = None,
+    pass_fds: Sequence[int] = (),
+    environment: Mapping[str, str] | None = None,
+) -> "subprocess.Popen[bytes]":
+    """Start a process in its own session, so that Ctrl-C reaches the parent only.
+
+    Args:
+        command: Program and arguments.
+        stdin: As for `subprocess.Popen`.
+        stdout: As for `subprocess.Popen`; pipes are not buffered.
+        stderr: As for `subprocess.Popen`.
+        pass_fds: File descriptors that the child inherits.
+        environment: Variables to add to this process's own.
+    """
+    return subprocess.Popen(
+        command,
+        stdin=stdin,
+        stdout=stdout,
+        stderr=stderr,
+        bufsize=0,
+        pass_fds=pass_fds,
+        start_new_session=True,
+        env={**os.environ, **(environment or {})},
+    )
+
+
+class ProcessOutcome(NamedTuple):
+    """Exit status and output of a process that has ended; the status is negative for a signal."""
+
+    status: int
+    output: bytes
+
+    @property
+    def is_out_of_time(self) -> bool:
+        """Whether the process exceeded its deadline or its CPU time."""
+        return self.status in (-signal.SIGXCPU, -signal.SIGKILL)
+
+
+def run_process(
+    command: Sequence[str], request: bytes, *, timeout_s: float | None = None
+) -> ProcessOutcome:
+    """Run a process that reads a request from stdin and writes a reply to stdout.
+
+    It is killed at the timeout, and when the caller is interrupted.
+    """
+    with start_process(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        try:
+            output, _ = process.communicate(request, timeout_s)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return ProcessOutcome(-signal.SIGKILL, b"")
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+    return ProcessOutcome(process.returncode, output)
+
+
+def end_processes(processes: Sequence["subprocess.Popen[bytes]"], timeout_s: float) -> None:
+    """Send SIGTERM in this order, wait [s], send SIGKILL to the rest, and reap all."""
+    for process in processes:
+        process.terminate()
+    deadline_s = time.monotonic() + timeout_s
+    while any(one.poll() is None for one in processes) and time.monotonic() < deadline_s:
+        time.sleep(END_POLL_S)
+    for process in processes:
+        process.kill()
+        process.wait()
+        close_pipes(process)
+
+
+def close_pipes(process: "subprocess.Popen[bytes]") -> None:
+    """Close the parent's ends of a child's stdin and stdout."""
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()
+
+
+class FramedProcess:
+    """A child process that exchanges frames over stdin and stdout; no call blocks."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self._process = start_process(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            environment=SINGLE_THREADED,
+        )
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._stdin, self._stdout = self._process.stdin.fileno(), self._process.stdout.fileno()
+        for stream in (self._stdin, self._stdout):
+            os.set_blocking(stream, False)
+        self._queue: deque[Iterator[bytes]] = deque()
+        self._chunk = memoryview(b"")
+        self._incoming = bytearray()
+        # Allocated once: a buffer of this size is mapped and unmapped at each allocation.
+        self._buffer = bytearray(CHUNK_BYTES)
+
+    @property
+    def process_id(self) -> int:
+        """Process id of the child."""
+        return self._process.pid
+
+    def poll(self) -> int | None:
+        """Find the exit status, negative for a signal; None while the process runs."""
+        return self._process.poll()
+
+    def send(self, chunks: Iterable[bytes]) -> None:
+        """Queue chunks of frames; each is requested when the pipe has room for it."""
+        self._queue.append(iter(chunks))
+
+    def flush(self) -> None:
+        """Write what the pipe accepts now, at most `CHUNK_BYTES`."""
+        room = CHUNK_BYTES
+        while room > 0 and (self._chunk or self._next_chunk()):
+            try:
+                written = os.write(self._stdin, self._chunk[:room])
+            except (BlockingIOError, BrokenPipeError):
+                return
+            self._chunk = self._chunk[written:]
+            room -= written
+
+    def receive(self) -> list[bytes]:
+        """Read what the pipe holds, at most `CHUNK_BYTES`, and return the complete frames."""
+        try:
+            count = os.readv(self._stdout, [self._buffer])
+        except BlockingIOError:
+            return []
+        self._incoming += memoryview(self._buffer)[:count]
+        frames = []
+        while (frame := self._next_frame()) is not None:
+            frames.append(frame)
+        return frames
+
+    def kill(self) -> None:
+        """Close the pipes and kill the process; `poll` or `wait` reaps it."""
+        close_pipes(self._process)
+        self._process.kill()
+
+    def wait(self) -> None:
+        """Block until the process has ended."""
+        self._process.wait()
+
+    def _next_chunk(self) -> bool:
+        while self._queue:
+            if (chunk := next(self._queue[0], None)) is not None:
+                self._chunk = memoryview(chunk)
+                return True
+            self._queue.popleft()
+        return False
+
+    def _next_frame(self) -> bytes | None:
+        if len(self._incoming) < FRAME_LENGTH.size:
+            return None
+        end = FRAME_LENGTH.size + FRAME_LENGTH.unpack_from(self._incoming)[0]
+        if len(self._incoming) < end:
+            return None
+        frame = bytes(memoryview(self._incoming)[FRAME_LENGTH.size : end])
+        self._incoming = self._incoming[end:]
+        return frame
+
+
+def encode_frame(payload: bytes) -> bytes:
+    """Prefix a payload with its length."""
+    return FRAME_LENGTH.pack(len(payload)) + payload
+
+
+def reserve_stdout() -> int:
+    """Return a descriptor of stdout for replies; what is printed goes to stderr from now on."""
+    replies = os.dup(STDOUT)
+    os.dup2(STDERR, STDOUT)
+    return replies
+
+
+def read_frame(stream: int) -> bytes | None:
+    """Read a frame, blocking; None at the end of the stream."""
+    if (head := _read_exactly(stream, FRAME_LENGTH.size)) is None:
+        return None
+    return _read_exactly(stream, FRAME_LENGTH.unpack(head)[0])
+
+
+def write_frame(stream: int, payload: bytes) -> None:
+    """Write a frame, blocking."""
+    left = memoryview(encode_frame(payload))
+    while left:
+        left = left[os.write(stream, left) :]
+
+
+def _read_exactly(stream: int, length: int) -> bytes | None:
+    parts = []
+    while length:
+        part = os.read(stream, min(length, CHUNK_BYTES))
+        if not part:
+            return None
+        parts.append(part)
+        length -= len(part)
+    return b"".join(parts)
+
+
+def run_in_fork(
+    task: Callable[[Callable[[int], None]], None], report_timeout_s: float
+) -> tuple[int | None, int]:
+    """Run a task in a copy of this process, which nothing changes in this one.
+
+    Args:
+        task: Called with a function that reports a number (uint32) before each attempt.
+        report_timeout_s: The copy is killed when nothing is reported for this long.
+
+    Returns:
+        The last number reported, None without any; the wait status, 0 when the task returned.
+    """
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reader)
+        _run_forked(task, writer)
+    os.close(writer)
+    try:
+        return _wait_for_fork(reader, child, report_timeout_s)
+    finally:
+        os.close(reader)
+
+
+def _run_forked(task: Callable[[Callable[[int], None]], None], writer: int) -> NoReturn:
+    def report(number: int) -> None:
+        os.write(writer, FORK_REPORT.pack(number))
+
+    status = 1
+    try:
+        task(report)
+        status = 0
+    finally:
+        os._exit(status)
+
+
+def _wait_for_fork(reader: int, child: int, report_timeout_s: float) -> tuple[int | None, int]:
+    last: int | None = None
+    while True:
+        if not select.select([reader], [], [], report_timeout_s)[0]:
+            os.kill(child, signal.SIGKILL)
+        if not (data := os.read(reader, FORK_REPORT.size)):
+            break
+        last = FORK_REPORT.unpack(data)[0]
+    return last, os.waitpid(child, 0)[1]

@@ -1,0 +1,180 @@
+"""Process limits: end with the parent, resource limits, niceness."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from tests.contract.repository import ROOT
+from tests.integration.processes import eventually, kill
+from zensim.proto.process_limits import PARENT_PID_VARIABLE, die_with_supervisor, set_niceness
+
+CHILD = """
+import os, time
+from zensim.proto.process_limits import die_with_supervisor
+die_with_supervisor(os.environ)
+print(os.getpid(), flush=True)
+time.sleep(600)
+"""
+SUPERVISOR = f"""
+import os, subprocess, sys, time
+environment = {{**os.environ, "{PARENT_PID_VARIABLE}": str(os.getpid())}}
+subprocess.Popen([sys.executable, "-c", {CHILD!r}], env=environment, start_new_session=True)
+time.sleep(600)
+"""
+
+
+def run_child(parent: str) -> "subprocess.CompletedProcess[str]":
+    """Run a child that does not sleep, under a parent's name."""
+    return subprocess.run(
+        [sys.executable, "-c", CHILD.replace("time.sleep(600)", "")],
+        env={**os.environ, PARENT_PID_VARIABLE: parent},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
+
+
+def test_program_ends_when_its_supervisor_is_killed() -> None:
+    supervisor = subprocess.Popen(
+        [sys.executable, "-c", SUPERVISOR], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    )
+    assert supervisor.stdout is not None
+    child = int(supervisor.stdout.readline())
+    try:
+        supervisor.kill()
+        supervisor.wait()
+
+        eventually(lambda: not psutil.pid_exists(child), 5.0, "the child's end")
+    finally:
+        supervisor.stdout.close()
+        kill(child, signal.SIGKILL)
+
+
+def test_program_does_not_begin_when_its_supervisor_has_gone_already() -> None:
+    done = run_child("999999999")
+
+    assert (done.returncode, done.stdout) == (1, "")
+
+
+def test_program_begins_under_its_supervisor() -> None:
+    done = run_child(str(os.getpid()))
+
+    assert done.returncode == 0
+    assert done.stdout.strip().isdigit()
+
+
+@pytest.mark.parametrize("parent", ["", "abc", "-1"])
+def test_program_without_a_supervisor_begins(parent: str) -> None:
+    die_with_supervisor({PARENT_PID_VARIABLE: parent})
+    die_with_supervisor({})
+
+
+LIMITED = """
+import resource as r
+from zensim.proto.process_limits import ResourceLimits, allow_cpu_time, set_resource_limits
+set_resource_limits(ResourceLimits({memory}, total_cpu_s={cpu}, is_sandboxed={sandboxed}))
+allow = allow_cpu_time
+{then}
+"""
+
+
+def run_limited(
+    then: str, *, memory: int = 1 << 28, cpu: int | None = None, sandboxed: bool = False
+) -> "subprocess.CompletedProcess[str]":
+    """Run statements under limits."""
+    code = LIMITED.format(memory=memory, cpu=cpu, sandboxed=sandboxed, then=then)
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=20,
+        check=False,
+    )
+
+
+def test_memory_is_limited_beyond_what_the_process_has() -> None:
+    assert run_limited("x = bytearray(1 << 27)").returncode == 0
+    assert "MemoryError" in run_limited("x = bytearray(1 << 29)").stderr
+
+
+def test_cpu_time_is_limited() -> None:
+    done = run_limited("while True: pass", cpu=1)
+
+    assert done.returncode in (-signal.SIGKILL, -signal.SIGXCPU)
+
+
+def test_cpu_time_is_allowed_again_for_each_request() -> None:
+    done = run_limited("allow(5); print(r.getrlimit(r.RLIMIT_CPU)[0]); allow(9); allow(1)")
+
+    assert (done.returncode, done.stdout) == (0, "6\n")
+
+
+@pytest.mark.parametrize("limit", ["NOFILE", "FSIZE", "NPROC", "CORE"])
+def test_sandboxed_process_gets_no_files_and_no_processes(limit: str) -> None:
+    done = run_limited(f"print(r.getrlimit(r.RLIMIT_{limit}))", sandboxed=True)
+
+    assert done.stdout == "(0, 0)\n"
+
+
+def test_process_that_is_not_sandboxed_may_open_files() -> None:
+    assert run_limited("open('/dev/null').close()").returncode == 0
+
+
+NICENESS = 19
+SET_NICENESS = f"""
+import os
+from zensim.proto.process_limits import set_niceness
+print(set_niceness({NICENESS}))
+print(os.getpriority(os.PRIO_PROCESS, 0), flush=True)
+"""
+HAS_SESSION_SHARES = Path("/proc/self/autogroup").exists()
+
+
+def read_session_share(process_id: int) -> str:
+    if not HAS_SESSION_SHARES:
+        return ""
+    return Path(f"/proc/{process_id}/autogroup").read_text(encoding="ascii").strip()
+
+
+def test_session_leader_sets_the_niceness_of_its_session() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{SET_NICENESS}input()"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    is_done, niceness = process.stdout.readline(), process.stdout.readline()
+    share = read_session_share(process.pid)
+    process.communicate("\n")
+
+    assert int(niceness) == NICENESS
+    # The kernel may have been busy just then.
+    assert not share or is_done == "False\n" or share.endswith(f"nice {NICENESS}")
+
+
+def test_process_of_another_session_keeps_the_niceness_of_the_session() -> None:
+    before = read_session_share(os.getpid())
+
+    done = subprocess.run(
+        [sys.executable, "-c", SET_NICENESS], capture_output=True, text=True, check=True
+    )
+
+    assert done.stdout.split() == ["True", str(NICENESS)]
+    assert before == read_session_share(os.getpid())
+
+
+def test_niceness_of_a_process_that_has_ended_is_no_error() -> None:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+
+    assert set_niceness(5, process.pid)
