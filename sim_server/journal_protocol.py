@@ -21,6 +21,10 @@ class ChangeJournal(Protocol):
     """Of the newest change."""
 
     @property
+    def earlier_responses(self) -> tuple[JournaledResponse, ...]:
+        """Responses of an earlier server, oldest first."""
+
+    @property
     def durable(self) -> int:
         """The newest position that is on the disk."""
 

@@ -39,7 +39,13 @@ from zensim.sim_server.server_config import (
     fill_pace,
     validate_config,
 )
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import (
+    CurrentWorld,
+    Descriptions,
+    Pacing,
+    ServerParts,
+    make_server_parts,
+)
 from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world_loading.world_catalog import WorldCatalog, find_start_file
 from zensim.sim_server.world_loading.world_loader import (
@@ -183,49 +189,46 @@ def _run(
     with ExitStack() as ending:
         store = AssetStore()
         ending.callback(store.close)
-        reader = ParserClient(store, clock.now_ns)
-        ending.callback(reader.close)
+        parser = ParserClient(store, clock.now_ns)
+        ending.callback(parser.close)
         world = _make_world(config, loaded, store, journal)
         ending.callback(world.close)
-        desk = _make_context(config, loaded, world, reader, store)
-        if journal is not None:
-            ending.callback(journal.record(desk).close)
+        parts = _make_parts(config, loaded, world, parser, store)
+        tracker = None if journal is None else journal.record(parts)
+        if tracker is not None:
+            ending.callback(tracker.close)
         if journal is None or journal.contents is None:
-            _wait_for_parser(reader, clock, should_stop)
-        side = start_server_node(bus, config.ros)
-        ending.callback(side.close)
-        inbox = BusInbox(bus, config.world, side.sources)
-        loop = ServerLoop(
-            desk, inbox, BusWorldPublisher(bus, config.world, side.faces, side.on_progress), clock
-        )
+            _wait_for_parser(parser, clock, should_stop)
+        node = start_server_node(bus, config.ros)
+        ending.callback(node.close)
+        inbox = BusInbox(bus, config.world, node.sources)
+        publisher = BusWorldPublisher(bus, config.world, node.faces, node.on_progress)
+        loop = ServerLoop(parts, inbox, publisher, clock, tracker)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
 
 
-def _make_context(
-    config: ServerConfig, loaded: LoadedWorld, world: World, reader: ParserClient, store: AssetStore
-) -> ServerContext:
+def _make_parts(
+    config: ServerConfig, loaded: LoadedWorld, world: World, parser: ParserClient, store: AssetStore
+) -> ServerParts:
     now_ns = HostClock().now_ns
-    desk = ServerContext(
+    catalog = WorldCatalog([*map(Path, config.model_paths)], find_start_file(config.world_file))
+    resource = catalog.find_start_world(config.world_file, loaded.model.name)
+    return make_server_parts(
         world,
-        LoopStats(now_ns()),
-        now_ns,
-        DescriptionCache(reader, store, world.prepare, now_ns),
-        store,
-        loaded.model.name,
-        config.real_time_factor or 0.0,
-        config.seed,
-        lockstep=Lockstep(config.lockstep),
+        CurrentWorld(loaded.model, resource, config.seed),
+        Pacing(
+            now_ns,
+            LoopStats(now_ns()),
+            config.real_time_factor or 0.0,
+            lockstep=Lockstep(config.lockstep),
+        ),
+        Descriptions(DescriptionCache(parser, store, world.prepare, now_ns), store),
+        catalog=catalog,
+        factory=make_world_factory(config, partial(_make_engine, mesh_folder=store.folder)),
     )
-    desk.source = loaded.model
-    desk.world_catalog = WorldCatalog(
-        [*map(Path, config.model_paths)], find_start_file(config.world_file)
-    )
-    desk.resource = desk.world_catalog.find_start_world(config.world_file, loaded.model.name)
-    desk.world_factory = make_world_factory(config, partial(_make_engine, mesh_folder=store.folder))
-    return desk
 
 
 def _freeze_garbage_collector() -> None:

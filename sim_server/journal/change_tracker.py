@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from zensim.sim_server.journal_protocol import JournaledResponse
     from zensim.sim_server.physics.engine import FloatArray
-    from zensim.sim_server.server_context import ServerContext
+    from zensim.sim_server.service_parts import ServerParts
 
 LOG = logging.getLogger(__name__)
 MOTION_PERIOD_S = 0.4
@@ -70,16 +70,18 @@ class ChangeTracker:
 
     def __init__(
         self,
-        context: ServerContext,
+        parts: ServerParts,
         log: RecordQueue,
         *,
         position: int,
         known: Iterable[JournaledEntity] = (),
+        earlier_responses: tuple[JournaledResponse, ...] = (),
         wall_s: Callable[[], float],
     ) -> None:
         self.position = position
         """Of the newest record."""
-        self._context = context
+        self.earlier_responses = earlier_responses
+        self._parts = parts
         self._log = log
         self._wall_s = wall_s
         self._generation = 0
@@ -94,7 +96,7 @@ class ChangeTracker:
         self._motion_due_ns = 0
         self._is_failing = False
         self._commits = 0
-        self._bonds_due_ns = context.now_ns() + round(BOND_TIMEOUT_S * NANOSECONDS)
+        self._bonds_due_ns = parts.pacing.now_ns() + round(BOND_TIMEOUT_S * NANOSECONDS)
 
     @property
     def durable(self) -> int:
@@ -106,7 +108,7 @@ class ChangeTracker:
         """Whether the disk refused the last record, and has taken none since."""
         if self._is_failing and self._log.commits > self._commits:
             self._is_failing = False
-            LOG.warning("journal written again world=%s", self._context.world.name)
+            LOG.warning("journal written again world=%s", self._parts.world.name)
         return self._is_failing
 
     def note(
@@ -191,11 +193,11 @@ class ChangeTracker:
 
     def _end_lost_bonds(self) -> None:
         """End what hung on bonds whose holders did not come back after a restart."""
-        if not self._bonds_due_ns or self._context.now_ns() < self._bonds_due_ns:
+        if not self._bonds_due_ns or self._parts.pacing.now_ns() < self._bonds_due_ns:
             return
         self._bonds_due_ns = 0
-        for bond in self._context.bonded_entities.keys() - self._context.alive_bonds:
-            self._context.delete_bonded_entities(bond)
+        for bond in self._parts.bonds.entities.keys() - self._parts.bonds.alive:
+            self._parts.bonds.end(bond)
 
     def _drop_durable(self) -> None:
         durable = self._log.durable
@@ -204,17 +206,23 @@ class ChangeTracker:
 
     def _fingerprint(self) -> tuple[object, ...]:
         """What cannot stay the same when something has changed; costs nothing."""
-        world = self._context.world
-        factor = self._context.target_real_time_factor
-        return (world.roster_number, world.epoch, world.state, factor, id(self._context.source))
+        world = self._parts.world
+        factor = self._parts.pacing.target_real_time_factor
+        return (
+            world.roster_number,
+            world.epoch,
+            world.state,
+            factor,
+            id(self._parts.current_world.model),
+        )
 
     def _places(self) -> tuple[int, ...]:
-        world = self._context.world
+        world = self._parts.world
         return (world.placed, world.epoch)
 
     def _changes(self) -> tuple[EntityChange, ...]:
         self._seen = self._fingerprint()
-        present = {entity.name: entity for entity in self._context.world.entities}
+        present = {entity.name: entity for entity in self._parts.world.entities}
         changes = [
             EntityChange(name, kept, None)
             for name, kept in self._known.items()
@@ -228,7 +236,7 @@ class ChangeTracker:
                 self._ordinal_of(before, entity.born_ns),
                 entity,
                 self._bond_of(name),
-                self._context.descriptions.find_parse_key(entity.model),
+                self._parts.descriptions.provider.find_parse_key(entity.model),
             )
             if before is None or not before.has_same_row(after):
                 changes.append(EntityChange(name, before, after))
@@ -245,28 +253,28 @@ class ChangeTracker:
         return self._next_ordinal - 1
 
     def _bond_of(self, name: str) -> str:
-        born_ns = self._context.world.entity(name).born_ns
-        for bond, held in self._context.bonded_entities.items():
+        born_ns = self._parts.world.entity(name).born_ns
+        for bond, held in self._parts.bonds.entities.items():
             if (name, born_ns) in held:
                 return bond
         return ""
 
     def _new_world(self) -> WorldRow | None:
-        desk = self._context
-        if self._world is not None and self._world.source is desk.source:
+        world, current = self._parts.world, self._parts.current_world
+        if self._world is not None and self._world.source is current.model:
             return None
         self._world = WorldRow(
-            name=desk.world.name,
-            source=desk.source,
-            step_hz=NANOSECONDS / desk.world.step_ns,
-            seed=desk.seed,
-            resource=desk.resource,
+            name=world.name,
+            source=current.model,
+            step_hz=NANOSECONDS / world.step_ns,
+            seed=current.seed,
+            resource=current.resource,
         )
         return self._world
 
     def _new_clock(self) -> ClockRow | None:
-        world, last = self._context.world, self._clock
-        factor = self._context.target_real_time_factor
+        world, last = self._parts.world, self._clock
+        factor = self._parts.pacing.target_real_time_factor
         state = int(world.state)
         if last is not None and world.state in TRANSIENT_STATES:
             state = last.state
@@ -280,22 +288,22 @@ class ChangeTracker:
 
     def _is_motion_due(self) -> bool:
         """Whether to record: best at a step that agents are told of, as reading costs the most."""
-        late_ns = self._context.now_ns() - self._motion_due_ns
-        return late_ns >= (0 if self._context.world.is_control_step else MAX_MOTION_DELAY_NS)
+        late_ns = self._parts.pacing.now_ns() - self._motion_due_ns
+        return late_ns >= (0 if self._parts.world.is_control_step else MAX_MOTION_DELAY_NS)
 
     def _record_motion(self) -> None:
-        self._motion_due_ns = self._context.now_ns() + round(MOTION_PERIOD_S * NANOSECONDS)
+        self._motion_due_ns = self._parts.pacing.now_ns() + round(MOTION_PERIOD_S * NANOSECONDS)
         if self._is_failing:
             self._seen = ()  # what stands although it could not be kept is handed over again
             self.note()
-        world, last = self._context.world, self._motion
+        world, last = self._parts.world, self._motion
         is_old = last is None or (last.epoch, last.steps) != (world.epoch, world.steps)
         is_old = is_old or last is None or last.names != world.roster().names
         if is_old or self._places() != self._motion_seen or self._is_failing:
             self._submit(JournalRecord(self._generation, self.position, motion=self._take_motion()))
 
     def _take_motion(self) -> RecordedMotion:
-        world = self._context.world
+        world = self._parts.world
         roster, reading = world.roster(), world.reading()
         self._motion_seen = self._places()
         self._motion = RecordedMotion(
@@ -335,7 +343,7 @@ class ChangeTracker:
                 self._undo(change, record.former)
 
     def _undo(self, change: EntityChange, former: RecordedMotion | None) -> None:
-        name, world, before, after = change.name, self._context.world, change.before, change.after
+        name, world, before, after = change.name, self._parts.world, change.before, change.after
         is_there = any(entity.name == name for entity in world.entities)
         if before is not None and after is not None and before.ordinal == after.ordinal:
             if is_there:
@@ -347,7 +355,7 @@ class ChangeTracker:
             self._put_back(before, former)
 
     def _put_back(self, kept: JournaledEntity, former: RecordedMotion | None) -> None:
-        entity, world = kept.entity, self._context.world
+        entity, world = kept.entity, self._parts.world
         try:
             again = world.spawn(
                 ValidatedSpawn(

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.journal.journal_records import JournaledEntity
     from zensim.sim_server.parser_process.asset_store import AssetStore
     from zensim.sim_server.physics.engine import Engine
-    from zensim.sim_server.server_context import ServerContext
+    from zensim.sim_server.service_parts import ServerParts
     from zensim.sim_server.world.simulated_world import World
 
 DEADLINE_S = 10.0
@@ -139,40 +139,41 @@ class Journal:
         self._mark.unlink()
         return tuple(row.entity.name for row in restored.refused)
 
-    def prepare(self, context: ServerContext, now_s: float) -> None:
-        """Give a desk what is no part of its world: answers, bonds, and what was read."""
-        context.earlier_responses = self._recent_responses(now_s)
+    def prepare(self, parts: ServerParts) -> None:
+        """Restore the parts that are not in the world: resource, bonds, parsed descriptions."""
         if self.contents is not None:
-            context.resource = self.contents.world.resource
+            parts.current_world.resource = self.contents.world.resource
         for kept in self.kept:
             if kept.reading is not None:
-                context.descriptions.remember(kept.reading, kept.entity.model)
+                parts.descriptions.provider.remember(kept.reading, kept.entity.model)
             if kept.bond:
-                held = context.bonded_entities.setdefault(kept.bond, [])
-                held.append((kept.entity.name, kept.entity.born_ns))
+                parts.bonds.add(kept.bond, kept.entity)
 
-    def record(self, context: ServerContext) -> ChangeTracker:
+    def record(self, parts: ServerParts) -> ChangeTracker:
         """Go on where the journal ended."""
-        self.prepare(context, time.time())
-        keeper = BatchWriter(self.ledger, context.store.folder)
+        self.prepare(parts)
+        keeper = BatchWriter(self.ledger, parts.store.folder)
         with raising_journal_errors(self.ledger.folder):
             keeper.remove_unused_files()
         writer = WriterThread(keeper, self.ledger.position)
         writer.start()
         self._is_owned_by_tracker = True
         position = self.ledger.position
-        recorder = ChangeTracker(
-            context, writer, position=position, known=self.kept, wall_s=time.time
+        return ChangeTracker(
+            parts,
+            writer,
+            position=position,
+            known=self.kept,
+            earlier_responses=self.recent_responses(time.time()),
+            wall_s=time.time,
         )
-        context.journal = recorder
-        return recorder
 
     def close(self) -> None:
         """Let go of the folder, unless a recorder has done so."""
         if not self._is_owned_by_tracker:
             self.ledger.close()
 
-    def _recent_responses(self, now_s: float) -> tuple[JournaledResponse, ...]:
+    def recent_responses(self, now_s: float) -> tuple[JournaledResponse, ...]:
         """What was answered not too long ago."""
         answers = self.contents.answers if self.contents else ()
         oldest_s = now_s - RESPONSE_LIFETIME_S

@@ -9,14 +9,16 @@ import re2
 from zensim.proto.messages.entity_messages import MAX_TAGS, EntityFilters, FilterMode, TagsFilter
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.errors import SimError
+from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.queries.bounds_queries import (
     PoseSnapshot,
     Region,
     find_overlapping,
     parse_bounds,
 )
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import DeferredResponse, Pacing
 from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.simulated_world import World
 
 MAX_PATTERN_CHARACTERS = 1024
 MAX_AUTOMATON_BYTES = 1 << 16
@@ -102,10 +104,12 @@ class SearchTooLong(SimError):
 
 
 def filter_entities(
-    context: ServerContext,
+    world: World,
+    store: AssetStore,
+    pacing: Pacing,
     filters: EntityFilters,
     answer: Callable[[tuple[str, ...]], FilterResponse],
-) -> FilterResponse | DeferredResponse:
+) -> FilterResponse | DeferredResponse[FilterResponse]:
     """Answer with the names that pass, in the order of spawning: at once, or some turns later.
 
     Either way they are those that pass at the moment of asking.
@@ -115,12 +119,12 @@ def filter_entities(
     """
     region = parse_bounds(filters.bounds)
     pattern = PosixPattern(filters.filter) if filters.filter else None
-    found = _filter_by_info(context.world.entities, filters)
+    found = _filter_by_info(world.entities, filters)
     if region is None and pattern is None:
         return answer(tuple(entity.name for entity in found))
-    sight = PoseSnapshot(context.world.roster(), context.world.reading(), context.store.corners)
+    sight = PoseSnapshot(world.roster(), world.reading(), store.corners)
     search = _EntitySearch(
-        sight, found, context.now_ns, context.loop_stats.work_budget_ns(SEARCH_SLICE_NS)
+        sight, found, pacing.now_ns, pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS)
     )
     search.begin(pattern, region)
     if search.go_on():

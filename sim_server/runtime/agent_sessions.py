@@ -13,7 +13,8 @@ from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.topic_catalog import EVENTS
 from zensim.sim_server.runtime.inbox import Inbox
 from zensim.sim_server.runtime.world_publisher import WorldPublisher
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import Agents, Bonds, Pacing
+from zensim.sim_server.world.simulated_world import World
 
 MIN_STATE_INTERVAL_NS = 2_000_000
 """Wall time between two states that nobody waits for: an agent answers no more often."""
@@ -25,12 +26,22 @@ LOG = logging.getLogger(__name__)
 class AgentSessions:
     """Tells agents where their entities are, takes their commands, and waits where it must."""
 
-    def __init__(self, context: ServerContext, inbox: Inbox, outlet: WorldPublisher) -> None:
-        self._context = context
-        self._world = context.world
-        self._lockstep = context.lockstep
+    def __init__(
+        self,
+        world: World,
+        pacing: Pacing,
+        agents: Agents,
+        bonds: Bonds,
+        inbox: Inbox,
+        publisher: WorldPublisher,
+    ) -> None:
+        self._world = world
+        self._pacing = pacing
+        self._lockstep = pacing.lockstep
+        self._agents = agents
+        self._bonds = bonds
         self._inbox = inbox
-        self._publisher = outlet
+        self._publisher = publisher
         self._published_version = self._version
         self._published_ns = -MIN_STATE_INTERVAL_NS
         self._has_unsent_states = False
@@ -52,7 +63,7 @@ class AgentSessions:
 
         When time runs faster than the wall clock they are told no more often than they answer.
         """
-        now_ns = self._context.now_ns()
+        now_ns = self._pacing.now_ns()
         runs_fast = self._is_unpaced
         if runs_fast and now_ns - self._published_ns < MIN_STATE_INTERVAL_NS:
             self._has_unsent_states = True
@@ -82,7 +93,7 @@ class AgentSessions:
         """
         if not self._lockstep.is_waiting:
             return False
-        late = self._lockstep.find_late(self._context.now_ns())
+        late = self._lockstep.find_late(self._pacing.now_ns())
         if late and self._lockstep.settings.on_miss == "wait":
             self._publish_again(late)
         elif late:
@@ -91,11 +102,11 @@ class AgentSessions:
 
     @property
     def _is_awaited(self) -> bool:
-        return self._lockstep.settings.is_on or len(self._context.step_goals) > 0
+        return self._lockstep.settings.is_on or len(self._pacing.step_goals) > 0
 
     @property
     def _is_unpaced(self) -> bool:
-        is_paced = 0.0 < self._context.target_real_time_factor <= 1.0
+        is_paced = 0.0 < self._pacing.target_real_time_factor <= 1.0
         return not (is_paced or self._is_awaited) and self._world.state == State.PLAYING
 
     @property
@@ -114,11 +125,11 @@ class AgentSessions:
             is_awaited=self._is_awaited,
         )
         self._publisher.publish_drive_state(agent, told)
-        self._awaited_since_ns[agent] = self._context.now_ns()
+        self._awaited_since_ns[agent] = self._pacing.now_ns()
         if not told.claims:
             self._lockstep.forget(agent)
-        elif not self._lockstep.record_sent(agent, told, self._context.now_ns()):
-            self._context.step_goals.note_late((agent,))
+        elif not self._lockstep.record_sent(agent, told, self._pacing.now_ns()):
+            self._pacing.step_goals.note_late((agent,))
 
     def _publish_again(self, late: tuple[str, ...]) -> None:
         """Repeat what may have been lost on the way: a congested network drops messages."""
@@ -136,19 +147,19 @@ class AgentSessions:
         if settings.on_miss == "fail":
             self._abort_and_pause(f"{text}; see that it runs, and go on")
         else:
-            self._context.step_goals.note_late(late)
+            self._pacing.step_goals.note_late(late)
 
     def _abort_and_pause(self, reason: str) -> None:
-        self._context.step_goals.abort(reason)
+        self._pacing.step_goals.abort(reason)
         if self._world.state == State.PLAYING:
             self._world.pause()
 
     def _on_agent_liveliness(self, agent: str, *, is_alive: bool) -> None:
         if is_alive:
-            self._context.alive_agents.add(agent)
+            self._agents.alive.add(agent)
             return
-        self._context.alive_agents.discard(agent)
-        self._context.pools.pop(agent, None)
+        self._agents.alive.discard(agent)
+        self._agents.pool_limits.pop(agent, None)
         self._world.release(agent)
         self._lockstep.forget(agent)
         self._awaited_since_ns.pop(agent, None)
@@ -156,9 +167,9 @@ class AgentSessions:
 
     def _on_bond_liveliness(self, bond: str, *, is_alive: bool) -> None:
         if is_alive:
-            self._context.alive_bonds.add(bond)
+            self._bonds.alive.add(bond)
         else:
-            self._context.delete_bonded_entities(bond)
+            self._bonds.end(bond)
 
     def _command(self, sample: Sample) -> None:
         agent = parse_agent(sample.key)
@@ -172,4 +183,4 @@ class AgentSessions:
         if not self._lockstep.record_answer(agent, command):
             self._world.claims.dropped += 1
         elif self._world.command(agent, command):
-            self._world.record_ready_time(agent, self._context.now_ns())
+            self._world.record_ready_time(agent, self._pacing.now_ns())

@@ -2,16 +2,20 @@
 
 import logging
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
+from zensim.proto import keys
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.topic_catalog import EVENTS, STATS, STEPS_PROGRESS
+from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
 from zensim.sim_server.runtime.inbox import Inbox
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
 from zensim.sim_server.runtime.world_publisher import WorldPublisher
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import ServerParts
+from zensim.sim_server.services.service_registry import ServiceHandlers
 
 LOG = logging.getLogger(__name__)
 
@@ -40,20 +44,33 @@ class ServerLoop:
     """Drives one world."""
 
     def __init__(
-        self, context: ServerContext, inbox: Inbox, outlet: WorldPublisher, clock: LoopClock
+        self,
+        parts: ServerParts,
+        inbox: Inbox,
+        publisher: WorldPublisher,
+        clock: LoopClock,
+        journal: ChangeJournal | None = None,
     ) -> None:
-        self._context = context
-        self._world = context.world
-        self._loop_stats = context.loop_stats
+        self._world, self._pacing = parts.world, parts.pacing
+        self._descriptions = parts.descriptions
+        self._loop_stats = parts.pacing.loop_stats
         self._inbox = inbox
-        self._publisher = outlet
+        self._publisher = publisher
         self._clock = clock
-        self._telemetry = WorldTelemetry(context)
         self._deadline_ns = clock.now_ns()
         self._paced_ns = 0
-        self._factor = context.target_real_time_factor
-        self._dispatcher = RequestDispatcher(context, self._telemetry)
-        self._agent_sessions = AgentSessions(context, inbox, outlet)
+        self._factor = parts.pacing.target_real_time_factor
+        self._telemetry = WorldTelemetry(parts.world, parts.pacing)
+        self._dispatcher = RequestDispatcher(
+            ServiceHandlers(parts),
+            self._telemetry,
+            self._loop_stats,
+            partial(keys.service, parts.world.name),
+            journal,
+        )
+        self._agent_sessions = AgentSessions(
+            parts.world, parts.pacing, parts.agents, parts.bonds, inbox, publisher
+        )
 
     def run(self, should_stop: Callable[[], bool]) -> None:
         """Go on until told to stop, or to quit by a request: its reply has gone out by then."""
@@ -79,13 +96,13 @@ class ServerLoop:
 
     def serve(self) -> None:
         """Take in everything that has come."""
-        self._context.due_ns = self._deadline_ns
+        self._pacing.due_ns = self._deadline_ns
         # Calls are taken before tokens and answered after them: an agent's token comes first.
         calls = self._inbox.take_calls()
         self._agent_sessions.serve()
         for call in calls:
             self._dispatcher.take(call)
-        self._context.has_new_descriptions = self._context.descriptions.poll()
+        self._descriptions.has_new = self._descriptions.provider.poll()
         self._dispatcher.reply_to_ready()
         self._agent_sessions.publish_changed_claims()
 
@@ -122,7 +139,7 @@ class ServerLoop:
 
     def _advance(self, now_ns: int) -> None:
         self._apply_speed_change(now_ns)
-        if self._context.step_goals.has_steps_left:
+        if self._pacing.step_goals.has_steps_left:
             self._make_requested_step(now_ns)
         elif self._world.state != State.PLAYING:
             self._deadline_ns = now_ns
@@ -135,8 +152,8 @@ class ServerLoop:
 
     def _apply_speed_change(self, now_ns: int) -> None:
         """Begin to pace anew when the speed was changed: the old deadline may be far off."""
-        if self._factor != self._context.target_real_time_factor:
-            self._factor = self._context.target_real_time_factor
+        if self._factor != self._pacing.target_real_time_factor:
+            self._factor = self._pacing.target_real_time_factor
             self._deadline_ns = now_ns
 
     def _set_deadline(self) -> None:
@@ -153,21 +170,21 @@ class ServerLoop:
     def _make_requested_step(self, now_ns: int) -> None:
         self._deadline_ns = now_ns
         self.tick(now_ns)
-        self._context.step_goals.note_step()
-        if not self._context.lockstep.is_waiting:
+        self._pacing.step_goals.note_step()
+        if not self._pacing.lockstep.is_waiting:
             self._finish_goals()
 
     def _finish_goals(self) -> None:
         """End the goals whose steps are made and whose agents have answered; answer for them."""
-        if not self._context.step_goals:
+        if not self._pacing.step_goals:
             return
         if self._world.state not in (State.PAUSED, State.PLAYING):
-            self._context.step_goals.abort(f"the simulation is {self._world.state_name}")
-        self._context.step_goals.finish_completed()
+            self._pacing.step_goals.abort(f"the simulation is {self._world.state_name}")
+        self._pacing.step_goals.finish_completed()
         # Progress first: who hears of the end may then be sure that nothing more comes.
         self._publish_progress(self._clock.now_ns())
         self._dispatcher.reply_to_ready()
 
     def _publish_progress(self, now_ns: int) -> None:
-        for progress in self._context.step_goals.due_progress(now_ns):
+        for progress in self._pacing.step_goals.due_progress(now_ns):
             self._publisher.publish(STEPS_PROGRESS, progress)

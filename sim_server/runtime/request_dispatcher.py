@@ -3,6 +3,7 @@
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import msgspec
 
@@ -14,15 +15,15 @@ from zensim.proto.codec.message_codec import (
     encode,
     make_encoding,
 )
-from zensim.proto.keys import service as service_key
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SPAWN_ENTITY
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.journal_protocol import JournaledResponse
+from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
+from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.inbox import IncomingCall
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
-from zensim.sim_server.services.service_registry import handle_request, make_refusal
+from zensim.sim_server.service_parts import DeferredResponse
+from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
 
 MAX_CACHED_RESPONSES = 4096
 MAX_CACHED_BYTES = 32 << 20
@@ -154,20 +155,30 @@ class _PendingRequest:
     """A request that has begun and cannot be answered yet."""
 
     call: IncomingCall
-    deferred: DeferredResponse
+    deferred: DeferredResponse[Any]
 
 
 class RequestDispatcher:
     """All that was asked of one world."""
 
-    def __init__(self, context: ServerContext, telemetry: WorldTelemetry) -> None:
-        self._context = context
+    def __init__(
+        self,
+        handlers: ServiceHandlers,
+        telemetry: WorldTelemetry,
+        loop_stats: LoopStats,
+        key_of: Callable[[str], str],
+        journal: ChangeJournal | None,
+    ) -> None:
+        self._handlers = handlers
         self._telemetry = telemetry
+        self._loop_stats = loop_stats
+        self._journal = journal
         self._responses = ResponseCache()
-        self._responses.load(context.earlier_responses)
+        if journal is not None:
+            self._responses.load(journal.earlier_responses)
         self._pending: list[_PendingRequest] = []
         self._parked: list[tuple[IncomingCall, int]] = []
-        self._reply_queue = ReplyQueue(lambda name: service_key(context.world.name, name))
+        self._reply_queue = ReplyQueue(key_of)
         self._reason = ""
 
     @property
@@ -177,7 +188,7 @@ class RequestDispatcher:
 
     def take(self, call: IncomingCall) -> None:
         """Carry a request out and answer it, or begin to."""
-        self._context.loop_stats.requests += 1
+        self._loop_stats.requests += 1
         self._take(call)
 
     def reply_to_ready(self) -> None:
@@ -207,7 +218,7 @@ class RequestDispatcher:
 
     def _defer_until_writable(self, call: IncomingCall) -> bool:
         """Put a request off while the disk takes nothing, and see whether it does again."""
-        journal = self._context.journal
+        journal = self._journal
         if journal is None or call.name not in JOURNALED_SERVICES or not journal.is_failing:
             return False
         self._parked.append((call, journal.retry()))
@@ -218,7 +229,7 @@ class RequestDispatcher:
         try:
             _check_size(call)
             request = call.read(_request_type(call.name))
-            response = handle_request(self._context, request)
+            response = self._handlers.handle(request)
         except SimError as error:
             response = make_refusal(call.name, error.code, str(error))
         except MalformedPayload as error:
@@ -233,34 +244,33 @@ class RequestDispatcher:
     def _outcome(self, pending: _PendingRequest) -> msgspec.Struct:
         self._flush_unrelated_changes()
         try:
-            return pending.deferred.outcome()
+            response: msgspec.Struct = pending.deferred.outcome()
         except SimError as error:
-            return make_refusal(pending.call.name, error.code, str(error))
+            response = make_refusal(pending.call.name, error.code, str(error))
+        return response
 
     def _flush_unrelated_changes(self) -> None:
         """What a request did not do is not taken back with it."""
-        if self._context.journal is not None:
-            self._context.journal.note()
+        if self._journal is not None:
+            self._journal.note()
 
     def _reply(self, call: IncomingCall, response: msgspec.Struct) -> None:
         answer = _encode_response(call, response)
         forgotten = self._responses.keep(call, answer)
-        if self._context.journal is not None:
+        if self._journal is not None:
             is_asked = is_mutating(call.name)
-            self._context.journal.note(
-                make_journaled_response(call, answer), forgotten, is_asked=is_asked
-            )
+            self._journal.note(make_journaled_response(call, answer), forgotten, is_asked=is_asked)
         self._send(call, answer)
 
     def _send(self, call: IncomingCall, answer: CachedResponse) -> None:
-        journal = self._context.journal
+        journal = self._journal
         position = 0 if journal is None else journal.position
         self._reply_queue.add(QueuedReply(call, answer, position))
         self._reply_queue.send_durable(0 if journal is None else journal.durable)
 
     def _settle(self) -> None:
         """Let replies go as far as the journal has come; take back what it could not keep."""
-        if (journal := self._context.journal) is None:
+        if (journal := self._journal) is None:
             return
         if reason := journal.poll():
             self._reason = reason
@@ -292,7 +302,7 @@ class RequestDispatcher:
             f"the journal could not be written ({self._reason}), so it cannot be kept; "
             "make room on its disk, and try again",
         )
-        journal = self._context.journal
+        journal = self._journal
         position = 0 if journal is None else journal.durable
         self._reply_queue.add(QueuedReply(call, _encode_response(call, response), position))
 

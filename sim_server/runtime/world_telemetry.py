@@ -29,7 +29,7 @@ from zensim.proto.topic_catalog import (
 )
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
 from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import Pacing
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import World
 
@@ -92,10 +92,10 @@ GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_get
 class WorldTelemetry:
     """Decides what is due."""
 
-    def __init__(self, context: ServerContext) -> None:
-        self._context = context
-        self._world = context.world
-        self._loop_stats = context.loop_stats
+    def __init__(self, world: World, pacing: Pacing) -> None:
+        self._world = world
+        self._pacing = pacing
+        self._loop_stats = pacing.loop_stats
         self._limiters = {
             topic: RateLimiter(topic.rate_hz)
             for topic in (CLOCK, SNAPSHOT, MODEL_STATES, LINK_STATES)
@@ -157,9 +157,9 @@ class WorldTelemetry:
             commands=world.claims.taken,
             dropped=world.claims.dropped,
             ready_s=dict(world.ready_s),
-            target_real_time_factor=self._context.target_real_time_factor,
-            awaited=self._context.lockstep.awaited,
-            misses=self._context.lockstep.misses,
+            target_real_time_factor=self._pacing.target_real_time_factor,
+            awaited=self._pacing.lockstep.awaited,
+            misses=self._pacing.lockstep.misses,
             kinematic=engine.kinematic_count,
             busy_max_s=meter.busy_max_s,
         )

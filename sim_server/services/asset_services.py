@@ -2,32 +2,32 @@
 
 from zensim.proto.messages import asset_messages
 from zensim.proto.messages.result_messages import Result
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.parser_process.asset_store import AssetStore
 
 
 def missing_assets(
-    context: ServerContext, request: asset_messages.MissingAssetsRequest
+    store: AssetStore, request: asset_messages.MissingAssetsRequest
 ) -> asset_messages.MissingAssetsResponse:
     """Tell which files are not here yet."""
-    missing = context.store.missing(request.sha256s)
+    missing = store.missing(request.sha256s)
     return asset_messages.MissingAssetsResponse(
         Result(), tuple(name for name, _ in missing), tuple(received for _, received in missing)
     )
 
 
 def put_asset(
-    context: ServerContext, request: asset_messages.PutAssetRequest
+    store: AssetStore, request: asset_messages.PutAssetRequest
 ) -> asset_messages.PutAssetResponse:
     """Take a piece of a file."""
-    received = context.store.put(
+    received = store.put(
         request.sha256, offset=request.offset, total=request.total, data=request.data
     )
     return asset_messages.PutAssetResponse(Result(), received)
 
 
 def get_asset(
-    context: ServerContext, request: asset_messages.GetAssetRequest
+    store: AssetStore, request: asset_messages.GetAssetRequest
 ) -> asset_messages.GetAssetResponse:
     """Give a piece of a file."""
-    data = context.store.read(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
-    return asset_messages.GetAssetResponse(Result(), data, context.store.size(request.sha256))
+    data = store.read(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
+    return asset_messages.GetAssetResponse(Result(), data, store.size(request.sha256))

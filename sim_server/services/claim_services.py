@@ -6,8 +6,9 @@ from zensim.proto.messages import agent_messages
 from zensim.proto.messages.result_messages import ClaimCode, Result
 from zensim.proto.names import InvalidName, check_name
 from zensim.sim_server.errors import IncorrectState, RequestRefused
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import Agents
 from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.simulated_world import World
 
 
 def split_evenly(total: int, limits: Sequence[int]) -> tuple[int, ...]:
@@ -56,28 +57,28 @@ largest size, and robots that were spawned one by one have a text each."""
 
 
 def claim_entity(
-    context: ServerContext, request: agent_messages.ClaimEntityRequest
+    world: World, agents: Agents, request: agent_messages.ClaimEntityRequest
 ) -> agent_messages.ClaimEntityResponse:
     """Make an agent the driver of entities."""
-    agent = _check_agent(context, request.agent)
+    agent = _check_agent(agents, request.agent)
     if not request.entities:
         raise RequestRefused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
-    granted = context.world.claim(agent, request.entities, request.on_release)
+    granted = world.claim(agent, request.entities, request.on_release)
     return agent_messages.ClaimEntityResponse(
         Result(),
         *agent_messages.make_grants(granted),
-        context.world.step_ns,
-        context.world.control_steps,
+        world.step_ns,
+        world.control_steps,
     )
 
 
 def claim_share(
-    context: ServerContext, request: agent_messages.ClaimShareRequest
+    world: World, agents: Agents, request: agent_messages.ClaimShareRequest
 ) -> agent_messages.ClaimShareResponse:
     """Make a pool the driver of its share of the robots that nobody drives by name."""
-    agent, world = _check_agent(context, request.agent), context.world
-    context.pools[agent] = request.limit or UNLIMITED
-    moved = _find_share(context, agent)
+    agent = _check_agent(agents, request.agent)
+    agents.pool_limits[agent] = request.limit or UNLIMITED
+    moved = _find_share(world, agents.pool_limits, agent)
     names = _fit_in_reply(moved)
     for entity in names:
         # No wheel is stopped: the pool that gets it answers the very next state.
@@ -92,18 +93,17 @@ def claim_share(
     )
 
 
-def _check_agent(context: ServerContext, name: str) -> str:
+def _check_agent(agents: Agents, name: str) -> str:
     try:
         agent = check_name(name, "agent")
     except InvalidName as error:
         raise RequestRefused(ClaimCode.AGENT_INVALID, str(error)) from error
-    if agent not in context.alive_agents:
+    if agent not in agents.alive:
         raise IncorrectState(f"agent '{agent}' has no liveliness token; declare it before claiming")
     return agent
 
 
-def _find_share(context: ServerContext, agent: str) -> tuple[Entity, ...]:
-    world = context.world
+def _find_share(world: World, limits: Mapping[str, int], agent: str) -> tuple[Entity, ...]:
     robots = {
         entity.name: entity
         for entity in world.entities
@@ -111,10 +111,10 @@ def _find_share(context: ServerContext, agent: str) -> tuple[Entity, ...]:
     }
     held = {
         pool: [name for name, _ in world.claims.list_claims(pool) if name in robots]
-        for pool in context.pools
+        for pool in limits
     }
     free = [name for name in robots if not world.claims.agent_of(name)]
-    return tuple(robots[name] for name in find_robots_to_move(agent, context.pools, held, free))
+    return tuple(robots[name] for name in find_robots_to_move(agent, limits, held, free))
 
 
 def _fit_in_reply(moved: tuple[Entity, ...]) -> tuple[str, ...]:

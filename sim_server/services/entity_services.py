@@ -11,6 +11,7 @@ from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEnti
 from zensim.proto.messages.standard_messages import Header, time_from_ns
 from zensim.proto.rotation import FloatArray
 from zensim.sim_server.errors import PoseRefused, RequestRefused, UnsupportedFeature
+from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.queries.bounds_queries import BoundsUnsupported, PoseSnapshot, make_bounds
 from zensim.sim_server.queries.entity_filters import filter_entities
 from zensim.sim_server.queries.frame_queries import (
@@ -20,7 +21,7 @@ from zensim.sim_server.queries.frame_queries import (
     twist_to_world,
 )
 from zensim.sim_server.scene.convex_shapes import place_collision_shapes
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
 from zensim.sim_server.world.entity import check_entity_info
 from zensim.sim_server.world.pose_conversion import (
     WORLD_FRAMES,
@@ -33,88 +34,91 @@ from zensim.sim_server.world.simulated_world import World
 
 
 def get_entity_bounds(
-    context: ServerContext, request: entity_messages.GetEntityBoundsOrder
+    world: World, store: AssetStore, request: entity_messages.GetEntityBoundsOrder
 ) -> entity_messages.GetEntityBoundsResponse:
     """Tell the bounds of an entity's collisions, in the frame of its base link."""
-    entity = context.world.entity(request.entity)
+    entity = world.entity(request.entity)
     wanted = BoundsType.BOX if request.type == entity_messages.ANY_BOUNDS else request.type
     if wanted not in set(BoundsType) or wanted == BoundsType.EMPTY:
         raise BoundsUnsupported(
             f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
             f"or {entity_messages.ANY_BOUNDS} (any)"
         )
-    sight = PoseSnapshot(context.world.roster(), context.world.reading(), context.store.corners)
+    sight = PoseSnapshot(world.roster(), world.reading(), store.corners)
     links = sight.links_in_base(entity.model, entity.name)
-    solids = list(place_collision_shapes(entity.model, links, context.store.corners))
+    solids = list(place_collision_shapes(entity.model, links, store.corners))
     return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(solids, BoundsType(wanted)))
 
 
 def get_entity_info(
-    context: ServerContext, request: entity_messages.GetEntityInfoRequest
+    world: World, request: entity_messages.GetEntityInfoRequest
 ) -> entity_messages.GetEntityInfoReport:
     """Tell what an entity is."""
-    entity, engine = context.world.entity(request.entity), context.world.engine
+    entity, engine = world.entity(request.entity), world.engine
     tier = engine.tier_of(entity.body)
     return entity_messages.GetEntityInfoReport(info=entity.info, dynamics=tier)
 
 
 def set_entity_info(
-    context: ServerContext, request: entity_messages.SetEntityInfoRequest
+    world: World, request: entity_messages.SetEntityInfoRequest
 ) -> entity_messages.SetEntityInfoResponse:
     """Say what an entity is."""
-    context.world.entity(request.entity)
-    context.world.set_info(request.entity, check_entity_info(request.info))
+    world.entity(request.entity)
+    world.set_info(request.entity, check_entity_info(request.info))
     return entity_messages.SetEntityInfoResponse()
 
 
-def delete_entity(context: ServerContext, request: DeleteEntityRequest) -> DeleteEntityResponse:
+def delete_entity(world: World, request: DeleteEntityRequest) -> DeleteEntityResponse:
     """Take an entity out."""
-    context.world.delete(request.entity)
+    world.delete(request.entity)
     return DeleteEntityResponse()
 
 
 def get_entities(
-    context: ServerContext, request: entity_messages.GetEntitiesRequest
-) -> entity_messages.GetEntitiesResponse | DeferredResponse:
+    world: World, store: AssetStore, pacing: Pacing, request: entity_messages.GetEntitiesRequest
+) -> entity_messages.GetEntitiesResponse | DeferredResponse[entity_messages.GetEntitiesResponse]:
     """Name the entities that pass the filters."""
     return filter_entities(
-        context, request.filters, lambda names: entity_messages.GetEntitiesResponse(entities=names)
+        world,
+        store,
+        pacing,
+        request.filters,
+        lambda names: entity_messages.GetEntitiesResponse(entities=names),
     )
 
 
 def get_models(
-    context: ServerContext, request: telemetry_messages.GetModelsRequest
+    world: World, current: CurrentWorld, request: telemetry_messages.GetModelsRequest
 ) -> telemetry_messages.GetModelsResponse:
     """Tell how entities look."""
-    wanted = request.entities or context.world.roster().names
-    entities = [context.world.entity(name) for name in wanted]
+    wanted = request.entities or world.roster().names
+    entities = [world.entity(name) for name in wanted]
     number = {model: i for i, model in enumerate(dict.fromkeys(e.model for e in entities))}
     return telemetry_messages.GetModelsResponse(
         Result(),
-        context.world.roster_number,
+        world.roster_number,
         tuple(
             telemetry_messages.EntityModel(
                 entity.name,
                 entity.namespace,
                 number[entity.model],
-                context.world.claims.agent_of(entity.name),
+                world.claims.agent_of(entity.name),
                 pose_from_row(entity.initial),
             )
             for entity in entities
         ),
         tuple(number),
-        context.source.scene,
+        current.model.scene,
     )
 
 
 def get_entity_state(
-    context: ServerContext, request: entity_messages.GetEntityStateOrder
+    world: World, request: entity_messages.GetEntityStateOrder
 ) -> entity_messages.GetEntityStateResponse:
     """Tell where an entity is; accelerations are not measured and told as 0.
 
     In the world's frame it is where agents were told that it is, at their last control step.
     """
-    world = context.world
     if request.reference_frame in WORLD_FRAMES:
         row, time_ns = world.reported_state(request.entity)
         header = Header(time_from_ns(time_ns), "world")
@@ -125,17 +129,20 @@ def get_entity_state(
 
 
 def get_entities_states(
-    context: ServerContext, request: entity_messages.GetEntitiesStatesOrder
-) -> entity_messages.GetEntitiesStatesResponse | DeferredResponse:
+    world: World, store: AssetStore, pacing: Pacing, request: entity_messages.GetEntitiesStatesOrder
+) -> (
+    entity_messages.GetEntitiesStatesResponse
+    | DeferredResponse[entity_messages.GetEntitiesStatesResponse]
+):
     """Tell where the entities are that pass the filters, all at one step."""
-    view = _FrameView(context.world, request.reference_frame)
-    base, row = context.world.reading().base, context.world.roster().row
+    view = _FrameView(world, request.reference_frame)
+    base, row = world.reading().base, world.roster().row
 
     def answer(names: tuple[str, ...]) -> entity_messages.GetEntitiesStatesResponse:
         states = view.states(base[[row[name] for name in names]]) if names else []
         return entity_messages.GetEntitiesStatesResponse(entities=names, states=tuple(states))
 
-    return filter_entities(context, request.filters, answer)
+    return filter_entities(world, store, pacing, request.filters, answer)
 
 
 class _FrameView:
@@ -158,10 +165,10 @@ def _make_entity_state(header: Header, row: FloatArray) -> entity_messages.Entit
 
 
 def set_entity_state(
-    context: ServerContext, request: entity_messages.SetEntityStateRequest
+    world: World, request: entity_messages.SetEntityStateRequest
 ) -> entity_messages.SetEntityStateResponse:
     """Put an entity somewhere."""
-    row = context.world.state_of(request.entity).copy()
+    row = world.state_of(request.entity).copy()
     # A request of version 1 has no flags and means both.
     is_version_1 = not (request.set_pose or request.set_twist or request.set_acceleration)
     if request.set_acceleration:
@@ -171,10 +178,10 @@ def set_entity_state(
     frame_id = request.state.header.frame_id
     try:
         if request.set_pose or is_version_1:
-            row[:7] = pose_to_world(context.world, frame_id, pose_to_row(request.state.pose))
+            row[:7] = pose_to_world(world, frame_id, pose_to_row(request.state.pose))
         if request.set_twist or is_version_1:
-            row[7:13] = twist_to_world(context.world, frame_id, twist_to_row(request.state.twist))
+            row[7:13] = twist_to_world(world, frame_id, twist_to_row(request.state.twist))
     except PoseRefused as error:
         raise RequestRefused(SetEntityStateCode.INVALID_POSE, str(error)) from error
-    context.world.place(request.entity, np.asarray(row))
+    world.place(request.entity, np.asarray(row))
     return entity_messages.SetEntityStateResponse()

@@ -38,7 +38,7 @@ from zensim.sim_server.queries.frame_queries import (
     find_state,
     states_to_frame,
 )
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import Pacing
 from zensim.sim_server.services.entity_services import set_entity_state
 from zensim.sim_server.services.simulation_services import set_simulation_state
 from zensim.sim_server.world.applied_forces import JointEffort, LinkWrench, TimeSpan, make_time_span
@@ -56,59 +56,59 @@ MAX_FORCE = 1e6
 
 
 def apply_link_wrench(
-    context: ServerContext, request: gazebo_messages.ApplyLinkWrenchRequest
+    world: World, request: gazebo_messages.ApplyLinkWrenchRequest
 ) -> gazebo_messages.ApplyLinkWrenchReport:
     """Push a link: the wrench keeps the direction in the world that it has now."""
-    target = find_link(context.world, request.link_name)
+    target = find_link(world, request.link_name)
     force, torque = (
         _to_vector(request.wrench.force, "force"),
         _to_vector(request.wrench.torque, "torque"),
     )
-    wrench = _wrench_at_com(context.world, target, request, force, torque)
-    span = _make_span(context.world, request.start_time, request.duration)
+    wrench = _wrench_at_com(world, target, request, force, torque)
+    span = _make_span(world, request.start_time, request.duration)
     if span is None:
         return gazebo_messages.ApplyLinkWrenchReport(
             success=True, status_message="duration 0: nothing done"
         )
-    context.world.applied_forces.add(LinkWrench(target.entity.name, target.number, wrench, span))
+    world.applied_forces.add(LinkWrench(target.entity.name, target.number, wrench, span))
     return gazebo_messages.ApplyLinkWrenchReport(success=True, status_message=_describe_span(span))
 
 
 def clear_link_wrenches(
-    context: ServerContext, request: gazebo_messages.ClearLinkWrenchesRequest
+    world: World, request: gazebo_messages.ClearLinkWrenchesRequest
 ) -> gazebo_messages.ClearLinkWrenchesReport:
     """Push a link no more; none to clear is fine."""
-    target = find_link(context.world, request.link_name)
-    context.world.applied_forces.clear_link(target.entity.name, target.number)
+    target = find_link(world, request.link_name)
+    world.applied_forces.clear_link(target.entity.name, target.number)
     return gazebo_messages.ClearLinkWrenchesReport()
 
 
 def apply_joint_effort(
-    context: ServerContext, request: gazebo_messages.ApplyJointEffortRequest
+    world: World, request: gazebo_messages.ApplyJointEffortRequest
 ) -> gazebo_messages.ApplyJointEffortReport:
     """Push a joint along its axis."""
-    target = find_joint(context.world, request.joint_name)
+    target = find_joint(world, request.joint_name)
     if target.joint.kind == "fixed":
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
             f"joint {request.joint_name[:80]!r} is fixed; name one that moves",
         )
     (effort,) = _check_range((request.effort,), "effort")
-    span = _make_span(context.world, request.start_time, request.duration)
+    span = _make_span(world, request.start_time, request.duration)
     if span is None:
         return gazebo_messages.ApplyJointEffortReport(
             success=True, status_message="duration 0: nothing done"
         )
-    context.world.applied_forces.add(JointEffort(target.entity.name, target.number, effort, span))
+    world.applied_forces.add(JointEffort(target.entity.name, target.number, effort, span))
     return gazebo_messages.ApplyJointEffortReport(success=True, status_message=_describe_span(span))
 
 
 def clear_joint_efforts(
-    context: ServerContext, request: gazebo_messages.ClearJointEffortsRequest
+    world: World, request: gazebo_messages.ClearJointEffortsRequest
 ) -> gazebo_messages.ClearJointEffortsReport:
     """Push a joint no more; none to clear is fine."""
-    target = find_joint(context.world, request.joint_name)
-    context.world.applied_forces.clear_joint(target.entity.name, target.number)
+    target = find_joint(world, request.joint_name)
+    world.applied_forces.clear_joint(target.entity.name, target.number)
     return gazebo_messages.ClearJointEffortsReport()
 
 
@@ -174,15 +174,15 @@ MAX_PROPERTY = 1e6
 
 
 def get_joint_properties(
-    context: ServerContext, request: gazebo_messages.GetJointPropertiesRequest
+    world: World, request: gazebo_messages.GetJointPropertiesRequest
 ) -> gazebo_messages.GetJointPropertiesReport:
     """Tell how a joint moves, and where it is."""
-    target = find_joint(context.world, request.joint_name)
+    target = find_joint(world, request.joint_name)
     joint = target.joint
     if joint.kind == "fixed":
         return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
-    reading = context.world.reading()
-    place = context.world.roster().joints_of(target.entity.name).start + target.number
+    reading = world.reading()
+    place = world.roster().joints_of(target.entity.name).start + target.number
     is_limited = joint.kind in LIMITED_JOINTS
     return gazebo_messages.GetJointPropertiesReport(
         type=JOINT_TYPES[joint.kind],
@@ -197,19 +197,19 @@ def get_joint_properties(
 
 
 def set_joint_properties(
-    context: ServerContext, request: gazebo_messages.SetJointPropertiesRequest
+    world: World, request: gazebo_messages.SetJointPropertiesRequest
 ) -> gazebo_messages.SetJointPropertiesReport:
     """Change damping, friction and limits of a joint."""
-    target = find_joint(context.world, request.joint_name)
-    _change_joint(context, target, _apply_joint_request(target.joint, request))
+    target = find_joint(world, request.joint_name)
+    _change_joint(world, target, _apply_joint_request(target.joint, request))
     return gazebo_messages.SetJointPropertiesReport(success=True)
 
 
 def get_link_properties(
-    context: ServerContext, request: gazebo_messages.GetLinkPropertiesRequest
+    world: World, request: gazebo_messages.GetLinkPropertiesRequest
 ) -> gazebo_messages.GetLinkPropertiesReport:
     """Tell what a link weighs; the moments are about the link's own axes."""
-    link = find_link(context.world, request.link_name).link
+    link = find_link(world, request.link_name).link
     return gazebo_messages.GetLinkPropertiesReport(
         Pose(Point(*link.inertial.com_in_link), Quaternion()),
         link.weightless == Inertial(),
@@ -220,10 +220,10 @@ def get_link_properties(
 
 
 def set_link_properties(
-    context: ServerContext, request: gazebo_messages.SetLinkPropertiesRequest
+    world: World, request: gazebo_messages.SetLinkPropertiesRequest
 ) -> gazebo_messages.SetLinkPropertiesReport:
     """Change what a link weighs, and whether gravity pulls it."""
-    target = find_link(context.world, request.link_name)
+    target = find_link(world, request.link_name)
     if target.entity.model.is_static and target.number == 0:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -232,27 +232,27 @@ def set_link_properties(
     inertial = _to_inertial(request)
     weightless = Inertial() if request.gravity_mode else inertial
     _change_link(
-        context,
+        world,
         target,
         msgspec.structs.replace(target.link, inertial=inertial, weightless=weightless),
     )
     return gazebo_messages.SetLinkPropertiesReport(success=True)
 
 
-def _change_joint(context: ServerContext, target: ScopedJoint, joint: Joint) -> None:
+def _change_joint(world: World, target: ScopedJoint, joint: Joint) -> None:
     joints = list(target.entity.model.joints)
     joints[target.number] = joint
     model = msgspec.structs.replace(target.entity.model, joints=tuple(joints))
     if model != target.entity.model:
-        context.world.replace_model(target.entity.name, model)
+        world.replace_model(target.entity.name, model)
 
 
-def _change_link(context: ServerContext, target: ScopedLink, link: Link) -> None:
+def _change_link(world: World, target: ScopedLink, link: Link) -> None:
     links = list(target.entity.model.links)
     links[target.number] = link
     model = msgspec.structs.replace(target.entity.model, links=tuple(links))
     if model != target.entity.model:
-        context.world.replace_model(target.entity.name, model)
+        world.replace_model(target.entity.name, model)
 
 
 def _apply_joint_request(joint: Joint, request: gazebo_messages.SetJointPropertiesRequest) -> Joint:
@@ -342,41 +342,39 @@ def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
 
 
 def pause_physics(
-    context: ServerContext, _: gazebo_messages.PausePhysicsRequest
+    world: World, pacing: Pacing, _: gazebo_messages.PausePhysicsRequest
 ) -> gazebo_messages.EmptyReport:
     """Pause; paused already is fine, as it is to Gazebo."""
-    return _change_state(context, State.PAUSED)
+    return _change_state(world, pacing, State.PAUSED)
 
 
 def unpause_physics(
-    context: ServerContext, _: gazebo_messages.UnpausePhysicsRequest
+    world: World, pacing: Pacing, _: gazebo_messages.UnpausePhysicsRequest
 ) -> gazebo_messages.EmptyReport:
     """Play; playing already is fine, as it is to Gazebo."""
-    return _change_state(context, State.PLAYING)
+    return _change_state(world, pacing, State.PLAYING)
 
 
-def reset_world(
-    context: ServerContext, _: gazebo_messages.ResetWorldRequest
-) -> gazebo_messages.EmptyReport:
+def reset_world(world: World, _: gazebo_messages.ResetWorldRequest) -> gazebo_messages.EmptyReport:
     """Put every entity back to its start; time goes on, and what was spawned stays."""
-    context.world.reset(ResetScope.STATE)
+    world.reset(ResetScope.STATE)
     return gazebo_messages.EmptyReport()
 
 
 def get_gazebo_state(
-    context: ServerContext, request: gazebo_messages.GazeboGetEntityStateRequest
+    world: World, request: gazebo_messages.GazeboGetEntityStateRequest
 ) -> gazebo_messages.GazeboGetEntityStateReport:
     """Tell where an entity or a link is, and how it moves against the frame."""
-    row = find_state(context.world, request.name)
+    row = find_state(world, request.name)
     frame_id = request.reference_frame
     if frame_id not in WORLD_FRAMES:
-        frame = find_state(context.world, frame_id)
+        frame = find_state(world, frame_id)
         row = row.copy()
         row[7:] -= frame[7:]
         row = states_to_frame(frame[:7], row[None])[0]
     frame_id = frame_id or "world"
     return gazebo_messages.GazeboGetEntityStateReport(
-        Header(time_from_ns(context.world.time_ns), frame_id),
+        Header(time_from_ns(world.time_ns), frame_id),
         gazebo_messages.GazeboEntityState(
             request.name, pose_from_row(row), twist_from_row(row), frame_id
         ),
@@ -385,12 +383,12 @@ def get_gazebo_state(
 
 
 def set_gazebo_state(
-    context: ServerContext, request: gazebo_messages.GazeboSetEntityStateRequest
+    world: World, request: gazebo_messages.GazeboSetEntityStateRequest
 ) -> gazebo_messages.GazeboSetEntityStateReport:
     """Put an entity somewhere; a link goes where its entity goes."""
     state = request.state
     name, scope, _ = state.name.partition(SCOPE_SEPARATOR)
-    if scope and find_link(context.world, state.name).number:
+    if scope and find_link(world, state.name).number:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
             f"link {state.name[:80]!r} hangs on joints and cannot be put anywhere by itself; "
@@ -400,12 +398,12 @@ def set_gazebo_state(
         Header(frame_id=state.reference_frame), state.pose, state.twist
     )
     set_entity_state(
-        context, entity_messages.SetEntityStateRequest(name, wanted, set_pose=True, set_twist=True)
+        world, entity_messages.SetEntityStateRequest(name, wanted, set_pose=True, set_twist=True)
     )
     return gazebo_messages.GazeboSetEntityStateReport(success=True)
 
 
-def _change_state(context: ServerContext, state: State) -> gazebo_messages.EmptyReport:
-    if context.world.state != state:
-        set_simulation_state(context, SetSimulationStateRequest(SimulationState(state)))
+def _change_state(world: World, pacing: Pacing, state: State) -> gazebo_messages.EmptyReport:
+    if world.state != state:
+        set_simulation_state(world, pacing, SetSimulationStateRequest(SimulationState(state)))
     return gazebo_messages.EmptyReport(Result())

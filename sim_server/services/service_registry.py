@@ -2,7 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import msgspec
 
@@ -18,7 +19,7 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.proto.messages.spawn_messages import DeleteEntityResponse
 from zensim.proto.service_catalog import SERVICES, Request, Response, Service
 from zensim.sim_server.errors import IncorrectState
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services import (
     asset_services,
     claim_services,
@@ -30,6 +31,11 @@ from zensim.sim_server.services import (
 )
 from zensim.sim_server.services.spawn_services import get_spawnables, spawn_entity_when_parsed
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeVarTuple, Unpack
+
+    Parts = TypeVarTuple("Parts")
+
 SPAWN_FORMATS = ("urdf", "sdf")
 
 
@@ -38,23 +44,24 @@ class ServiceEntry:
     """One service of this server."""
 
     service: Service[Any, Any]
-    handler: Callable[[ServerContext, Any], msgspec.Struct | DeferredResponse]
+    handler: Callable[..., msgspec.Struct | DeferredResponse[Any]]
+    parts: tuple[type, ...]
+    """Types of the handler's parameters before the request."""
     features: tuple[Feature, ...] = ()
 
 
 def make_entry(
     service: Service[Request, Response],
-    handler: Callable[[ServerContext, Request], Response | DeferredResponse],
+    handler: "Callable[[Unpack[Parts], Request], Response | DeferredResponse[Response]]",
     *features: Feature,
 ) -> ServiceEntry:
-    """Pair a service with what answers it; the types of both must fit."""
-    return ServiceEntry(service, handler, features)
+    """Pair a service with its handler, whose parameters are parts of the server and the request."""
+    *parts, _request, _response = get_type_hints(handler).values()
+    return ServiceEntry(service, handler, tuple(parts), features)
 
 
-def get_simulator_features(
-    _: ServerContext, __: GetSimulatorFeaturesRequest
-) -> GetSimulatorFeaturesResponse:
-    """List what this server can do."""
+def get_simulator_features(_: GetSimulatorFeaturesRequest) -> GetSimulatorFeaturesResponse:
+    """List the features of this server."""
     numbers = tuple(int(feature) for feature in FEATURES)
     about = SimulatorFeatures(numbers, SPAWN_FORMATS, f"zensim {simulation_services.VERSION}")
     return GetSimulatorFeaturesResponse(about)
@@ -190,21 +197,31 @@ SERVICE_TABLE = (
 FEATURES = tuple(sorted(feature for one in SERVICE_TABLE for feature in one.features))
 
 
-def handle_request(
-    context: ServerContext, request: msgspec.Struct
-) -> msgspec.Struct | DeferredResponse:
-    """Carry out a request, or begin to.
+class ServiceHandlers:
+    """The handlers of all services, with the parts of one server."""
 
-    Raises:
-        SimError: It is refused.
-    """
-    if context.world.state in STATES_WITHOUT_WORLD and type(request) in REQUESTS_NEEDING_WORLD:
-        raise IncorrectState(f"there is no world now: {NO_WORLD_HINTS[context.world.state]}")
-    return HANDLERS[type(request)](context, request)
+    def __init__(self, parts: ServerParts) -> None:
+        provided = {type(part): part for part in vars(parts).values()}
+        self._world = parts.world
+        self._handlers = {
+            one.service.request: partial(one.handler, *(provided[part] for part in one.parts))
+            for one in SERVICE_TABLE
+        }
+
+    def handle(self, request: msgspec.Struct) -> msgspec.Struct | DeferredResponse[Any]:
+        """Handle a request.
+
+        Raises:
+            SimError: The request is refused.
+        """
+        state = self._world.state
+        if state in STATES_WITHOUT_WORLD and type(request) in REQUESTS_NEEDING_WORLD:
+            raise IncorrectState(f"there is no world now: {NO_WORLD_HINTS[state]}")
+        return self._handlers[type(request)](request)
 
 
 def make_refusal(name: str, code: int, message: str) -> msgspec.Struct:
-    """Make a service's response that says no."""
+    """Make the response of a service that refuses a request."""
     service = SERVICES.get(name)
     response = service.response if service else DeleteEntityResponse
     if "result" not in response.__struct_fields__:
@@ -225,5 +242,4 @@ REQUESTS_NEEDING_WORLD = frozenset(
     for service in SERVICES.values()
     if service.is_mutating and service.name not in SERVICES_WITHOUT_WORLD
 )
-"""What only a world can do: all that changes something in it."""
-HANDLERS = {one.service.request: one.handler for one in SERVICE_TABLE}
+"""Requests that change something in a world."""

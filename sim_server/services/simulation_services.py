@@ -20,7 +20,8 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time, time_from_ns
 from zensim.sim_server.errors import IncorrectState, RequestRefused, SimError, UnsupportedFeature
 from zensim.sim_server.pacing.step_goals import StepGoal
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
+from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world.simulation_clock import (
     ALLOWED_TRANSITIONS,
     STATE_NAMES,
@@ -31,10 +32,10 @@ VERSION = version("zensim")
 
 
 def get_server_info(
-    context: ServerContext, _: telemetry_messages.InfoRequest
+    world: World, current: CurrentWorld, pacing: Pacing, _: telemetry_messages.InfoRequest
 ) -> telemetry_messages.Info:
     """Say who this is, and how it goes."""
-    world, is_playing = context.world, context.world.state == State.PLAYING
+    is_playing = world.state == State.PLAYING
     return telemetry_messages.Info(
         world=world.name,
         version=VERSION,
@@ -42,16 +43,16 @@ def get_server_info(
         steps=world.steps,
         epoch=world.epoch,
         step_ns=world.step_ns,
-        real_time_factor=context.loop_stats.real_time_factor if is_playing else 0.0,
-        target_real_time_factor=context.target_real_time_factor,
+        real_time_factor=pacing.loop_stats.real_time_factor if is_playing else 0.0,
+        target_real_time_factor=pacing.target_real_time_factor,
         entities=len(world.entities),
         agents=len(world.claims.agents),
         claimed=len(world.claims),
         state=world.state_name,
         engine=world.engine.name,
-        world_model=context.world_model,
-        seed=context.seed,
-        is_lockstep=context.lockstep.settings.is_on,
+        world_model=current.model.name,
+        seed=current.seed,
+        is_lockstep=pacing.lockstep.settings.is_on,
     )
 
 
@@ -61,22 +62,24 @@ MAX_GOALS = 64
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 
-def step_simulation(context: ServerContext, request: StepSimulationRequest) -> DeferredResponse:
+def step_simulation(
+    world: World, pacing: Pacing, request: StepSimulationRequest
+) -> DeferredResponse[StepSimulationResponse]:
     """Make steps of a paused world, and answer when the agents have answered the last."""
-    goal = _add_goal(context, request.steps)
+    goal = _add_goal(world, pacing, request.steps)
     return DeferredResponse(
         lambda: goal.is_over, lambda: StepSimulationResponse(_make_goal_result(goal))
     )
 
 
 def simulate_steps(
-    context: ServerContext, request: simulation_messages.SimulateStepsRequest
-) -> DeferredResponse:
+    world: World, pacing: Pacing, request: simulation_messages.SimulateStepsRequest
+) -> DeferredResponse[simulation_messages.SimulateStepsResponse]:
     """Make steps of a paused world, tell of their progress, and answer at the end."""
     goal_id = _check_goal_id(request.goal_id)
-    goal = context.step_goals.find(goal_id)
+    goal = pacing.step_goals.find(goal_id)
     if goal is None:
-        goal = _add_goal(context, request.steps, goal_id)
+        goal = _add_goal(world, pacing, request.steps, goal_id)
     elif goal.steps != request.steps:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -86,12 +89,12 @@ def simulate_steps(
 
 
 def cancel_steps(
-    context: ServerContext, request: simulation_messages.CancelStepsRequest
+    pacing: Pacing, request: simulation_messages.CancelStepsRequest
 ) -> simulation_messages.CancelStepsResponse:
     """End a goal, or all, before the last step."""
-    canceled = context.step_goals.cancel(request.goal_id)
+    canceled = pacing.step_goals.cancel(request.goal_id)
     if not canceled and request.goal_id:
-        known = context.step_goals.find(request.goal_id)
+        known = pacing.step_goals.find(request.goal_id)
         raise RequestRefused(
             ResultCode.NOT_FOUND if known is None else ResultCode.INCORRECT_STATE,
             f"goal {request.goal_id[:80]!r} {'is unknown' if known is None else 'is over'}; "
@@ -102,10 +105,11 @@ def cancel_steps(
     )
 
 
-def run_to(context: ServerContext, request: simulation_messages.RunToRequest) -> DeferredResponse:
+def run_to(
+    world: World, pacing: Pacing, request: simulation_messages.RunToRequest
+) -> DeferredResponse[simulation_messages.RunToResponse]:
     """Make steps of a paused world until a time is reached; a reset meanwhile ends the run."""
-    world = context.world
-    if context.step_goals:
+    if pacing.step_goals:
         raise IncorrectState("steps that were asked for before wait; try again when they are made")
     wanted_ns, epoch = ns_from_time(request.time), world.epoch
     if wanted_ns < world.time_ns:
@@ -115,11 +119,11 @@ def run_to(context: ServerContext, request: simulation_messages.RunToRequest) ->
             "reset to go back",
         )
     steps = -((world.time_ns - wanted_ns) // world.step_ns)
-    goal = _add_goal(context, steps, least=0)
+    goal = _add_goal(world, pacing, steps, least=0)
 
     def is_over() -> bool:
         if world.epoch != epoch:
-            context.step_goals.abort_goal(goal, "the simulation was reset, and time went back")
+            pacing.step_goals.abort_goal(goal, "the simulation was reset, and time went back")
         return goal.is_over
 
     return DeferredResponse(
@@ -131,7 +135,7 @@ def run_to(context: ServerContext, request: simulation_messages.RunToRequest) ->
 
 
 def set_speed(
-    context: ServerContext, request: simulation_messages.SetSpeedRequest
+    pacing: Pacing, request: simulation_messages.SetSpeedRequest
 ) -> simulation_messages.SetSpeedResponse:
     """Choose the real-time factor to hold."""
     factor = request.real_time_factor
@@ -141,20 +145,22 @@ def set_speed(
             f"real_time_factor={factor:g} is out of range; use 0 (flat out) or {MIN_SPEED:g} "
             f"to {MAX_SPEED:g}",
         )
-    context.target_real_time_factor = factor
+    pacing.target_real_time_factor = factor
     return simulation_messages.SetSpeedResponse()
 
 
-def _add_goal(context: ServerContext, steps: int, goal_id: str = "", *, least: int = 1) -> StepGoal:
-    context.world.require_paused()
+def _add_goal(
+    world: World, pacing: Pacing, steps: int, goal_id: str = "", *, least: int = 1
+) -> StepGoal:
+    world.require_paused()
     if not least <= steps <= MAX_STEPS:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
             f"steps={steps} is out of range; use {least} to {MAX_STEPS}",
         )
-    if len(context.step_goals) >= MAX_GOALS:
+    if len(pacing.step_goals) >= MAX_GOALS:
         raise IncorrectState(f"{MAX_GOALS} goals wait already; try again when one is over")
-    return context.step_goals.add(steps, goal_id)
+    return pacing.step_goals.add(steps, goal_id)
 
 
 def _check_goal_id(goal_id: str) -> str:
@@ -186,50 +192,46 @@ def _make_goal_result(goal: StepGoal) -> Result:
     return Result()
 
 
-def reset_simulation(
-    context: ServerContext, request: ResetSimulationRequest
-) -> ResetSimulationResponse:
+def reset_simulation(world: World, request: ResetSimulationRequest) -> ResetSimulationResponse:
     """Go back to the start."""
     known = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
     if request.scope not in (ResetScope.ALL, request.scope & known):
         raise UnsupportedFeature(
             f"scope {request.scope} has unknown bits; use 0, 255 or a sum of 1, 2, 4"
         )
-    context.world.reset(request.scope)
+    world.reset(request.scope)
     return ResetSimulationResponse()
 
 
-def get_simulation_state(
-    context: ServerContext, _: GetSimulationStateRequest
-) -> GetSimulationStateResponse:
+def get_simulation_state(world: World, _: GetSimulationStateRequest) -> GetSimulationStateResponse:
     """Tell whether time runs."""
-    return GetSimulationStateResponse(SimulationState(context.world.state))
+    return GetSimulationStateResponse(SimulationState(world.state))
 
 
 def set_simulation_state(
-    context: ServerContext, request: SetSimulationStateRequest
+    world: World, pacing: Pacing, request: SetSimulationStateRequest
 ) -> SetSimulationStateResponse:
     """Play, pause, stop or quit."""
-    wanted, present = request.state.state, context.world.state
+    wanted, present = request.state.state, world.state
     if wanted == present:
         raise RequestRefused(
             SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
-            f"the simulation is {context.world.state_name} already",
+            f"the simulation is {world.state_name} already",
         )
     if wanted not in ALLOWED_TRANSITIONS[present]:
         raise RequestRefused(
             SetSimulationStateCode.INCORRECT_TRANSITION, explain_refused_transition(wanted, present)
         )
     if wanted in (State.STOPPED, State.QUITTING):
-        context.step_goals.abort(f"the simulation is {STATE_NAMES[State(wanted)]}")
+        pacing.step_goals.abort(f"the simulation is {STATE_NAMES[State(wanted)]}")
     if wanted == State.STOPPED:
-        _reset_to_start(context)
-    context.world.change_state(State(wanted))
+        _reset_to_start(world)
+    world.change_state(State(wanted))
     return SetSimulationStateResponse()
 
 
-def _reset_to_start(context: ServerContext) -> None:
+def _reset_to_start(world: World) -> None:
     try:
-        context.world.reset(ResetScope.ALL)
+        world.reset(ResetScope.ALL)
     except SimError as error:
         raise RequestRefused(SetSimulationStateCode.STATE_TRANSITION_ERROR, str(error)) from error

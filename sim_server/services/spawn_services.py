@@ -29,7 +29,7 @@ from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.queries.bounds_queries import find_link_poses_at_zero, make_bounds
 from zensim.sim_server.queries.frame_queries import pose_to_world
 from zensim.sim_server.scene.convex_shapes import place_collision_shapes
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import DeferredResponse, Descriptions, Spawning
 from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -38,32 +38,32 @@ UNDERGROUND_M = 0.001
 MAX_NAMED = 3
 
 
-def spawn_entity(context: ServerContext, order: SpawnEntityOrder) -> SpawnEntityReport:
+def spawn_entity(spawning: Spawning, order: SpawnEntityOrder) -> SpawnEntityReport:
     """Put an entity into the world, or say what that would do.
 
     Raises:
         SimError: It is refused; nothing has changed.
     """
-    return spawn_model(context, order, *context.descriptions.model(order))
+    return spawn_model(spawning, order, *spawning.descriptions.provider.model(order))
 
 
 def spawn_model(
-    context: ServerContext, order: SpawnEntityOrder, model: Model, description: str
+    spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> SpawnEntityReport:
     """Spawn a model that has been read, whatever the order's resource is; raises as `spawn`."""
-    _check_bond(context, order.bond)
-    birth, notes = _resolve_spawn(context, order, model, description)
+    spawning.bonds.require(order.bond)
+    birth, notes = _resolve_spawn(spawning, order, model, description)
     if order.strict or order.dry_run:
-        notes.extend(_make_overlap_notes(context.world.check_overlaps(birth)))
+        notes.extend(_make_overlap_notes(spawning.world.check_overlaps(birth)))
     if order.strict:
         _refuse_suspicious((*notes, *birth.model.report))
     if order.dry_run:
-        name, namespace = context.world.resolve_names_for(birth)
+        name, namespace = spawning.world.resolve_names_for(birth)
         return SpawnEntityReport(Result(), name, namespace, (*notes, *birth.model.report))
-    entity = context.world.spawn(birth)
+    entity = spawning.world.spawn(birth)
     if not order.strict:
-        notes.extend(_make_overlap_notes(context.world.find_overlaps(entity)))
-    _record_spawn(context, entity, order.bond, notes)
+        notes.extend(_make_overlap_notes(spawning.world.find_overlaps(entity)))
+    _record_spawn(spawning, entity, order.bond, notes)
     report = (*notes, *birth.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
 
@@ -80,62 +80,62 @@ class StagedSpawn:
 
 
 def stage_model(
-    context: ServerContext, order: SpawnEntityOrder, model: Model, description: str
+    spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> StagedSpawn:
     """Make what `spawn_model` spawns, but let it in later; raises as that does."""
-    _check_bond(context, order.bond)
-    birth, notes = _resolve_spawn(context, order, model, description)
-    entity, overlapped = context.world.stage_spawn(birth)
+    spawning.bonds.require(order.bond)
+    birth, notes = _resolve_spawn(spawning, order, model, description)
+    entity, overlapped = spawning.world.stage_spawn(birth)
     if order.strict:
         try:
             _refuse_suspicious((*notes, *_make_overlap_notes(overlapped()), *birth.model.report))
         except ModelError:
-            context.world.rollback_staged([entity])
+            spawning.world.rollback_staged([entity])
             raise
     return StagedSpawn(entity, order.bond, tuple(notes), overlapped)
 
 
-def commit_staged(context: ServerContext, expected: Sequence[StagedSpawn]) -> None:
+def commit_staged(spawning: Spawning, expected: Sequence[StagedSpawn]) -> None:
     """Let all that is expected be there between two steps.
 
     Raises:
         IncorrectState: A reset or another world has ended it, or what it hangs on is gone.
     """
     for bond in {one.bond for one in expected}:
-        _check_bond(context, bond)
-    if not all(context.world.is_staged(one.entity) for one in expected):
+        spawning.bonds.require(bond)
+    if not all(spawning.world.is_staged(one.entity) for one in expected):
         raise IncorrectState("the world was reset or replaced meanwhile; ask again")
     notes = [(*one.notes, *_make_overlap_notes(one.find_overlaps())) for one in expected]
-    context.world.commit_staged([one.entity for one in expected])
+    spawning.world.commit_staged([one.entity for one in expected])
     for one, told in zip(expected, notes, strict=True):
-        _record_spawn(context, one.entity, one.bond, told)
+        _record_spawn(spawning, one.entity, one.bond, told)
 
 
 def _record_spawn(
-    context: ServerContext, entity: Entity, bond: str, notes: Sequence[ReportEntry]
+    spawning: Spawning, entity: Entity, bond: str, notes: Sequence[ReportEntry]
 ) -> None:
     if bond:
-        context.bonded_entities.setdefault(bond, []).append((entity.name, entity.born_ns))
+        spawning.bonds.add(bond, entity)
     for note in notes:
-        context.world.warn(entity.name, f"{note.subject}: {note.reason}")
+        spawning.world.warn(entity.name, f"{note.subject}: {note.reason}")
 
 
 def spawn_entity_when_parsed(
-    context: ServerContext, order: SpawnEntityOrder
-) -> SpawnEntityReport | DeferredResponse:
+    spawning: Spawning, order: SpawnEntityOrder
+) -> SpawnEntityReport | DeferredResponse[SpawnEntityReport]:
     """Spawn now, or once the description has been read; raises as `spawn` does."""
-    if context.descriptions.is_read(order):
-        return spawn_entity(context, order)
+    if spawning.descriptions.provider.is_read(order):
+        return spawn_entity(spawning, order)
     return DeferredResponse(
-        lambda: context.has_new_descriptions and context.descriptions.is_read(order),
-        lambda: spawn_entity(context, order),
+        lambda: spawning.descriptions.has_new and spawning.descriptions.provider.is_read(order),
+        lambda: spawn_entity(spawning, order),
     )
 
 
 def _resolve_spawn(
-    context: ServerContext, order: SpawnEntityOrder, model: Model, description: str
+    spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> tuple[ValidatedSpawn, list[ReportEntry]]:
-    pose, notes = _resolve_pose(context, order, model)
+    pose, notes = _resolve_pose(spawning, order, model)
     birth = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
@@ -143,19 +143,10 @@ def _resolve_spawn(
         base=np.concatenate([pose, np.zeros(6)]),
         description=description,
         allow_renaming=order.allow_renaming,
-        born_ns=context.now_ns(),
+        born_ns=spawning.pacing.now_ns(),
         info=None if order.info is None else check_entity_info(order.info),
     )
     return birth, notes
-
-
-def _check_bond(context: ServerContext, bond: str) -> None:
-    if not bond:
-        return
-    if bond not in context.alive_bonds:
-        raise IncorrectState(
-            f"bond '{bond[:80]}' has no liveliness token; declare it before spawning"
-        )
 
 
 def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
@@ -171,7 +162,7 @@ def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
 
 
 def _resolve_pose(
-    context: ServerContext, request: SpawnEntityOrder, model: Model
+    spawning: Spawning, request: SpawnEntityOrder, model: Model
 ) -> tuple[FloatArray, list[ReportEntry]]:
     wish = request.initial_pose
     notes = []
@@ -179,10 +170,12 @@ def _resolve_pose(
         notes.append(
             ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
         )
-    pose = pose_to_world(context.world, wish.header.frame_id, pose_to_row(wish.pose))
+    pose = pose_to_world(spawning.world, wish.header.frame_id, pose_to_row(wish.pose))
     qx, qy, qz, qw = pose[3:7].tolist()
     # Not -clearance, which is -0 for a model without collisions.
-    standing = 0.0 - find_ground_clearance(model, (qx, qy, qz, qw), context.store.corners)
+    standing = 0.0 - find_ground_clearance(
+        model, (qx, qy, qz, qw), spawning.descriptions.store.corners
+    )
     if request.snap_to_ground:
         pose[2] = standing
     depth = standing - float(pose[2])
@@ -219,8 +212,8 @@ ParsedSpawnModel = tuple[Model, str] | SimError
 
 
 def spawn_entities(
-    context: ServerContext, request: SpawnEntitiesOrder
-) -> SpawnEntitiesResponse | DeferredResponse:
+    spawning: Spawning, request: SpawnEntitiesOrder
+) -> SpawnEntitiesResponse | DeferredResponse[SpawnEntitiesResponse]:
     """Put entities into the world: as many as can be, or all or none."""
     if len(request.spawn_requests) > MAX_SPAWNS:
         raise RequestRefused(
@@ -229,7 +222,7 @@ def spawn_entities(
         )
     orders = [_merge_order(request.common, one) for one in request.spawn_requests]
     fleet = (
-        _AtomicSpawns(context, orders) if request.atomic else _IndependentSpawns(context, orders)
+        _AtomicSpawns(spawning, orders) if request.atomic else _IndependentSpawns(spawning, orders)
     )
     return fleet.response() if fleet.go_on() else DeferredResponse(fleet.go_on, fleet.response)
 
@@ -249,8 +242,8 @@ def _merge_order(common: SpawnEntityOrder, one: SpawnEntity) -> SpawnEntityOrder
 class _SpawnBatch:
     """Orders, and what became of them so far."""
 
-    def __init__(self, context: ServerContext, orders: list[SpawnEntityOrder]) -> None:
-        self._context = context
+    def __init__(self, spawning: Spawning, orders: list[SpawnEntityOrder]) -> None:
+        self._spawning = spawning
         self._orders = orders
         self._results: list[SpawnResult] = []
         self._read: dict[int, ParsedSpawnModel] = {}
@@ -259,9 +252,9 @@ class _SpawnBatch:
         """Whether the description of an order is read; it is kept until all is over."""
         # Orders that share a resource share the object; to compare texts would take long.
         number = id(order.entity_resource)
-        if number not in self._read and self._context.descriptions.is_read(order):
+        if number not in self._read and self._spawning.descriptions.provider.is_read(order):
             try:
-                self._read[number] = self._context.descriptions.model(order)
+                self._read[number] = self._spawning.descriptions.provider.model(order)
             except SimError as error:
                 self._read[number] = error
         return number in self._read
@@ -269,7 +262,7 @@ class _SpawnBatch:
     def _is_ready_to_spawn(self, order: SpawnEntityOrder) -> bool:
         """Whether the engine would not hold steps up to add what was read; else it gets ready."""
         read = self._read[id(order.entity_resource)]
-        return isinstance(read, SimError) or self._context.world.prepare(read[0])
+        return isinstance(read, SimError) or self._spawning.world.prepare(read[0])
 
     def _model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
         read = self._read[id(order.entity_resource)]
@@ -291,15 +284,15 @@ class _SpawnBatch:
 class _IndependentSpawns(_SpawnBatch):
     """Each order for itself; steps are made meanwhile."""
 
-    def __init__(self, context: ServerContext, orders: list[SpawnEntityOrder]) -> None:
-        super().__init__(context, orders)
+    def __init__(self, spawning: Spawning, orders: list[SpawnEntityOrder]) -> None:
+        super().__init__(spawning, orders)
         self._work = self._spawn_each()
 
     def go_on(self) -> bool:
         """Spawn for a while; say whether that was the last."""
-        end_ns = _find_slice_end(self._context)
+        end_ns = _find_slice_end(self._spawning)
         for has_spawned in self._work:
-            if not has_spawned or self._context.now_ns() >= end_ns:
+            if not has_spawned or self._spawning.pacing.now_ns() >= end_ns:
                 return False
         return True
 
@@ -308,7 +301,7 @@ class _IndependentSpawns(_SpawnBatch):
             while not (self._is_read(order) and self._is_ready_to_spawn(order)):
                 yield False
             try:
-                report = spawn_model(self._context, order, *self._model(order))
+                report = spawn_model(self._spawning, order, *self._model(order))
                 self._results.append(SpawnResult(report.result, report.entity_name))
             except SimError as error:
                 self._results.append(_make_refused_result(error))
@@ -318,29 +311,29 @@ class _IndependentSpawns(_SpawnBatch):
 class _AtomicSpawns(_SpawnBatch):
     """All orders between two steps, or none; they are made before, out of sight."""
 
-    def __init__(self, context: ServerContext, orders: list[SpawnEntityOrder]) -> None:
+    def __init__(self, spawning: Spawning, orders: list[SpawnEntityOrder]) -> None:
         self._is_dry_run = any(order.dry_run for order in orders)
         replace = msgspec.structs.replace
-        super().__init__(context, [replace(order, dry_run=False) for order in orders])
+        super().__init__(spawning, [replace(order, dry_run=False) for order in orders])
         self._unparsed = list({id(one.entity_resource): one for one in self._orders}.values())
         self._has_begun = False
         self._staged: list[StagedSpawn] = []
 
     def go_on(self) -> bool:
         """Make some once all is read; let all in with the last; say whether that is over."""
-        if self._context.has_new_descriptions or not self._has_begun:
+        if self._spawning.descriptions.has_new or not self._has_begun:
             self._has_begun = True
             self._collect_parsed()
         if self._unparsed:
             return False
         try:
-            if not self._stage_some() or not self._context.world.is_idle:
+            if not self._stage_some() or not self._spawning.world.is_idle:
                 return False
             if not self._is_dry_run:
-                commit_staged(self._context, self._staged)
+                commit_staged(self._spawning, self._staged)
         except SimError as error:
             self._fail_all(error)
-        self._context.world.rollback_staged(one.entity for one in self._staged)
+        self._spawning.world.rollback_staged(one.entity for one in self._staged)
         return True
 
     def _collect_parsed(self) -> None:
@@ -355,14 +348,14 @@ class _AtomicSpawns(_SpawnBatch):
 
     def _stage_some(self) -> bool:
         """Make entities while there is time; say whether none is left to be made."""
-        end_ns = _find_slice_end(self._context)
+        end_ns = _find_slice_end(self._spawning)
         for order in self._orders[len(self._staged) :]:
             if not self._is_ready_to_spawn(order):
                 break
-            made = stage_model(self._context, order, *self._model(order))
+            made = stage_model(self._spawning, order, *self._model(order))
             self._staged.append(made)
             self._results.append(SpawnResult(Result(), made.entity.name))
-            if self._context.now_ns() >= end_ns:
+            if self._spawning.pacing.now_ns() >= end_ns:
                 break
         return len(self._staged) == len(self._orders)
 
@@ -378,12 +371,12 @@ class _AtomicSpawns(_SpawnBatch):
         self._results[failed] = _make_refused_result(error)
 
 
-def _find_slice_end(context: ServerContext) -> int:
+def _find_slice_end(spawning: Spawning) -> int:
     """Say until when spawning may hold the loop up: steps that can be in time are to be so."""
-    now_ns = context.now_ns()
-    if context.due_ns - now_ns > MIN_SPARE_NS:
-        return context.due_ns - MIN_SPARE_NS // 2
-    return now_ns + context.loop_stats.work_budget_ns(SPAWN_SLICE_NS)
+    now_ns = spawning.pacing.now_ns()
+    if spawning.pacing.due_ns - now_ns > MIN_SPARE_NS:
+        return spawning.pacing.due_ns - MIN_SPARE_NS // 2
+    return now_ns + spawning.pacing.loop_stats.work_budget_ns(SPAWN_SLICE_NS)
 
 
 def _make_refused_result(error: SimError) -> SpawnResult:
@@ -394,8 +387,8 @@ SHIPPED_SCHEME = "zensim://"
 
 
 def get_spawnables(
-    context: ServerContext, request: spawn_messages.GetSpawnablesRequest
-) -> spawn_messages.GetSpawnablesResponse | DeferredResponse:
+    descriptions: Descriptions, request: spawn_messages.GetSpawnablesRequest
+) -> spawn_messages.GetSpawnablesResponse | DeferredResponse[spawn_messages.GetSpawnablesResponse]:
     """List the robots that come with the server, once all of them are read."""
     if unknown := [source for source in request.sources if source != SHIPPED_SCHEME]:
         raise RequestRefused(
@@ -408,24 +401,26 @@ def get_spawnables(
     ]
 
     def answer() -> spawn_messages.GetSpawnablesResponse:
-        found = tuple(_make_spawnable(context, order) for order in orders)
+        found = tuple(_make_spawnable(descriptions, order) for order in orders)
         return spawn_messages.GetSpawnablesResponse(spawnables=found)
 
     def is_read() -> bool:
         # Not by all(): each has to be asked for, so that all are read meanwhile.
-        return sum(context.descriptions.is_read(order) for order in orders) == len(orders)
+        return sum(descriptions.provider.is_read(order) for order in orders) == len(orders)
 
     return (
         answer()
         if is_read()
-        else DeferredResponse(lambda: context.has_new_descriptions and is_read(), answer)
+        else DeferredResponse(lambda: descriptions.has_new and is_read(), answer)
     )
 
 
-def _make_spawnable(context: ServerContext, order: SpawnEntityOrder) -> spawn_messages.Spawnable:
-    model, _ = context.descriptions.model(order)
+def _make_spawnable(
+    descriptions: Descriptions, order: SpawnEntityOrder
+) -> spawn_messages.Spawnable:
+    model, _ = descriptions.provider.model(order)
     solids = list(
-        place_collision_shapes(model, find_link_poses_at_zero(model), context.store.corners)
+        place_collision_shapes(model, find_link_poses_at_zero(model), descriptions.store.corners)
     )
     bounds = make_bounds(solids, BoundsType.BOX)
     return spawn_messages.Spawnable(order.entity_resource, _describe_model(model), bounds)

@@ -19,7 +19,8 @@ from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.parser_process.parser_protocol import ParseResult
 from zensim.sim_server.queries.entity_filters import make_tags_test
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, WorldLoading
+from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world_loading.world_catalog import ONLINE_SCHEMES, WorldSearch
 from zensim.sim_server.world_loading.world_loader import BuiltWorld
 from zensim.sim_server.world_loading.world_resources import WorldParseJob
@@ -33,30 +34,35 @@ MISSING_TEXT = "is not on the server"
 
 
 def load_world(
-    context: ServerContext, request: world_messages.LoadWorldRequest
-) -> DeferredResponse:
+    loading: WorldLoading, request: world_messages.LoadWorldRequest
+) -> DeferredResponse[world_messages.LoadWorldReport]:
     """Read a world while time stands, then put it in the place of this one; or leave this one."""
-    former = context.world.state
+    world, descriptions = loading.world, loading.descriptions
+    former = world.state
     if former in (State.LOADING_WORLD, State.QUITTING):
-        raise IncorrectState(f"the simulation is {context.world.state_name}; try again later")
-    found = context.world_catalog.find(request.world_resource)
+        raise IncorrectState(f"the simulation is {world.state_name}; try again later")
+    found = loading.catalog.find(request.world_resource)
     is_lenient = request.ignore_missing_or_unsupported_assets
     reading = WorldParseJob(
-        found.text, found.folders, context.descriptions, context.store, allow_missing=is_lenient
+        found.text,
+        found.folders,
+        descriptions.provider,
+        descriptions.store,
+        allow_missing=is_lenient,
     )
-    context.step_goals.abort("another world is being loaded")
-    context.world.change_state(State.LOADING_WORLD)
-    building = _WorldBuild(context, lambda answer: _check_parsed_world(answer, request))
+    loading.pacing.step_goals.abort("another world is being loaded")
+    world.change_state(State.LOADING_WORLD)
+    building = _WorldBuild(loading, lambda answer: _check_parsed_world(answer, request))
 
     def put() -> world_messages.LoadWorldReport:
         try:
             model, founded = building.outcome()
         except SimError:
-            if context.world.state == State.LOADING_WORLD:
-                context.world.change_state(former)
+            if world.state == State.LOADING_WORLD:
+                world.change_state(former)
             raise
-        context.replace_world(founded, model, found.resource)
-        return world_messages.LoadWorldReport(Result(), context.resource, model.report)
+        loading.replace_world(founded, model, found.resource)
+        return world_messages.LoadWorldReport(Result(), found.resource, model.report)
 
     return DeferredResponse(lambda: building.go_on(reading.answer), put)
 
@@ -64,10 +70,8 @@ def load_world(
 class _WorldBuild:
     """A world that is made while requests are answered."""
 
-    def __init__(
-        self, context: ServerContext, checked: Callable[[ParseResult], WorldModel]
-    ) -> None:
-        self._context = context
+    def __init__(self, loading: WorldLoading, checked: Callable[[ParseResult], WorldModel]) -> None:
+        self._loading = loading
         self._check_parsed = checked
         self._model = EMPTY_WORLD
         self._parts: Iterator[BuiltWorld | None] | None = None
@@ -77,14 +81,14 @@ class _WorldBuild:
         """Make some parts once the world is read; say whether that was the last."""
         if answer is None:
             return False
-        end_ns = self._context.now_ns() + WORLD_BUILD_SLICE_NS
+        end_ns = self._loading.pacing.now_ns() + WORLD_BUILD_SLICE_NS
         try:
             if self._parts is None:
                 self._model = self._check_parsed(answer)
-                self._parts = self._context.world_factory(self._model)
+                self._parts = self._loading.factory(self._model)
             while self._outcome is None:
                 self._outcome = next(self._parts)
-                if self._context.now_ns() >= end_ns:
+                if self._loading.pacing.now_ns() >= end_ns:
                     break
         except SimError as error:
             self._outcome = error
@@ -99,36 +103,37 @@ class _WorldBuild:
 
 
 def unload_world(
-    context: ServerContext, _: world_messages.UnloadWorldRequest
+    loading: WorldLoading, _: world_messages.UnloadWorldRequest
 ) -> world_messages.UnloadWorldResponse:
     """Leave nothing: no entities, no ground, no time."""
-    if context.world.state == State.NO_WORLD:
+    world = loading.world
+    if world.state == State.NO_WORLD:
         raise RequestRefused(
             UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to do"
         )
-    if context.world.state in (State.LOADING_WORLD, State.QUITTING):
-        raise IncorrectState(f"the simulation is {context.world.state_name}; try again later")
-    context.step_goals.abort("the world was unloaded")
-    nothing = list(context.world_factory(EMPTY_WORLD))[-1]
+    if world.state in (State.LOADING_WORLD, State.QUITTING):
+        raise IncorrectState(f"the simulation is {world.state_name}; try again later")
+    loading.pacing.step_goals.abort("the world was unloaded")
+    nothing = list(loading.factory(EMPTY_WORLD))[-1]
     assert nothing is not None
-    context.replace_world(nothing, EMPTY_WORLD, world_messages.WorldResource())
+    loading.replace_world(nothing, EMPTY_WORLD, world_messages.WorldResource())
     return world_messages.UnloadWorldResponse()
 
 
 def get_current_world(
-    context: ServerContext, _: world_messages.GetCurrentWorldRequest
+    world: World, current: CurrentWorld, _: world_messages.GetCurrentWorldRequest
 ) -> world_messages.GetCurrentWorldResponse:
     """Tell which world is there."""
-    if context.world.state == State.NO_WORLD:
+    if world.state == State.NO_WORLD:
         raise RequestRefused(
             GetCurrentWorldCode.NO_WORLD_LOADED, "no world is loaded; load one with load_world"
         )
-    return world_messages.GetCurrentWorldResponse(world=context.resource)
+    return world_messages.GetCurrentWorldResponse(world=current.resource)
 
 
 def get_available_worlds(
-    context: ServerContext, request: world_messages.GetAvailableWorldsRequest
-) -> DeferredResponse:
+    loading: WorldLoading, request: world_messages.GetAvailableWorldsRequest
+) -> DeferredResponse[world_messages.GetAvailableWorldsResponse]:
     """List the worlds that can be loaded, those of the server first; a few files at each turn."""
     sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
     if len(sources) > MAX_SOURCES:
@@ -136,7 +141,7 @@ def get_available_worlds(
             ResultCode.OPERATION_FAILED,
             f"{len(sources)} sources are too many; use {MAX_SOURCES} or less",
         )
-    search = context.world_catalog.search(sources)
+    search = loading.catalog.search(sources)
     return DeferredResponse(
         lambda: search.is_over or search.go_on(), lambda: _make_worlds_response(search, request)
     )
@@ -205,19 +210,19 @@ def _to_load_code(code: int) -> int:
 
 
 def get_named_poses(
-    context: ServerContext, request: spawn_messages.GetNamedPosesRequest
+    current: CurrentWorld, request: spawn_messages.GetNamedPosesRequest
 ) -> spawn_messages.GetNamedPosesResponse:
     """List the named poses of the world whose tags pass."""
     passes = make_tags_test(request.tags)
-    found = (place.pose for place in context.source.places if passes(place.pose.tags))
+    found = (place.pose for place in current.model.places if passes(place.pose.tags))
     return spawn_messages.GetNamedPosesResponse(poses=tuple(found))
 
 
 def get_named_pose_bounds(
-    context: ServerContext, request: spawn_messages.GetNamedPoseBoundsRequest
+    current: CurrentWorld, request: spawn_messages.GetNamedPoseBoundsRequest
 ) -> spawn_messages.GetNamedPoseBoundsResponse:
     """Tell how much room a named pose has."""
-    for place in context.source.places:
+    for place in current.model.places:
         if place.pose.name == request.name:
             return spawn_messages.GetNamedPoseBoundsResponse(bounds=place.bounds)
     raise RequestRefused(

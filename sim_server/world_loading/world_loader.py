@@ -39,13 +39,6 @@ Raises SimError. Who does not go on to the end closes it.
 """
 
 
-def refuse_new_world(model: WorldModel) -> Iterator[BuiltWorld | None]:
-    """Refuse: this desk has one world only."""
-    raise RequestRefused(
-        ResultCode.FEATURE_UNSUPPORTED, f"world {model.name[:80]!r} cannot be made here; start anew"
-    )
-
-
 COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_process")
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,6 +19,8 @@ from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.topic_catalog import DRIVE_COMMAND, TopicSpec
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.parser_process.description_cache import ParseKey
@@ -28,9 +31,18 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.runtime.inbox import IncomingCall
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.server_config import ServerConfig
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import (
+    CurrentWorld,
+    DeferredResponse,
+    Descriptions,
+    Pacing,
+    ServerParts,
+    make_server_parts,
+)
+from zensim.sim_server.services.service_registry import ServiceHandlers
 from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
+from zensim.sim_server.world_loading.world_catalog import WorldCatalog
 from zensim.sim_server.world_loading.world_loader import make_world_factory
 
 CONTROL_STEPS = 3
@@ -173,7 +185,7 @@ class ServerFixture:
     wall: WallTime
     engine: TimedEngine
     world: World
-    parts: ServerContext
+    parts: ServerParts
     inbox: ScriptedInbox
     publisher: RecordingPublisher
     loop: ServerLoop
@@ -212,37 +224,41 @@ class ServerFixture:
         return [(event.kind, event.entity) for event in told]
 
 
-def a_server(*names: str, factor: float = 1.0, cost_ns: int = 0) -> ServerFixture:
+def a_server(
+    *names: str, factor: float = 1.0, cost_ns: int = 0, journal: ChangeJournal | None = None
+) -> ServerFixture:
     """Make a loop over a world of carts."""
     wall = WallTime()
     engine = TimedEngine(wall, cost_ns)
     world = a_world(*names, engine=engine)
     parts = make_parts(world, wall, factor=factor)
     inbox, publisher = ScriptedInbox(), RecordingPublisher()
-    return ServerFixture(
-        wall, engine, world, parts, inbox, publisher, ServerLoop(parts, inbox, publisher, wall)
-    )
+    loop = ServerLoop(parts, inbox, publisher, wall, journal)
+    return ServerFixture(wall, engine, world, parts, inbox, publisher, loop)
 
 
-def make_parts(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> ServerContext:
+def make_parts(world: World, wall: WallTime | None = None, *, factor: float = 1.0) -> ServerParts:
+    """Make the parts of a server for a world."""
     clock = wall or WallTime()
     store = AssetStore()
-    return ServerContext(
-        *(
-            world,
-            LoopStats(clock.now_ns()),
-            clock.now_ns,
-            InlineParser(store),
-            store,
-            "empty",
-            factor,
-            7,
-        ),
-        world_factory=make_world_factory(
+    return make_server_parts(
+        world,
+        CurrentWorld(WorldModel("empty"), seed=7),
+        Pacing(clock.now_ns, LoopStats(clock.now_ns()), factor),
+        Descriptions(InlineParser(store), store),
+        catalog=WorldCatalog(()),
+        factory=make_world_factory(
             ServerConfig(bus=BusConfig()),
             lambda config, _: ObedientEngine(EngineConfig(config.step_ns)),
         ),
     )
+
+
+def handle_request(
+    parts: ServerParts, request: msgspec.Struct
+) -> msgspec.Struct | DeferredResponse[Any]:
+    """Handle a request with the handlers of one server."""
+    return ServiceHandlers(parts).handle(request)
 
 
 def a_world(*names: str, engine: ObedientEngine | None = None) -> World:

@@ -2,10 +2,10 @@
 
 import math
 
+from tests.sim_server.fakes import handle_request
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder, SpawnEntityReport
 from zensim.proto.messages.standard_messages import Header, Point, Pose, PoseStamped, Quaternion
-from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.service_parts import ServerParts
 
 BOX_BOT = Resource(uri="box_bot")
 LYING = Quaternion(math.sin(math.pi / 4.0), 0.0, 0.0, math.cos(math.pi / 4.0))
@@ -30,8 +30,8 @@ def an_order(
     )
 
 
-def spawned(context: ServerContext, order: SpawnEntityOrder) -> SpawnEntityReport:
-    report = handle_request(context, order)
+def spawned(parts: ServerParts, order: SpawnEntityOrder) -> SpawnEntityReport:
+    report = handle_request(parts, order)
     assert isinstance(report, SpawnEntityReport)
     return report
 

@@ -19,7 +19,7 @@ CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
 @pytest.fixture
 def journal(tmp_path: Path) -> Journal:
     kept = Journalled(tmp_path, "r0")
-    kept.parts.target_real_time_factor = 2.0
+    kept.parts.pacing.target_real_time_factor = 2.0
     kept.recorder.note()
     kept.crash()
     return open_journal(str(tmp_path))
@@ -28,7 +28,7 @@ def journal(tmp_path: Path) -> Journal:
 def test_server_goes_on_with_the_world_of_its_journal(journal: Journal) -> None:
     loaded, config = load_initial_world(CONFIG, journal)
 
-    assert loaded.model.name == "default"
+    assert loaded.model.name == "empty"
     assert (config.step_ns, config.real_time_factor, config.seed) == (STEP_NS, 2.0, 7)
 
 

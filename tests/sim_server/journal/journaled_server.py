@@ -89,12 +89,12 @@ class Journalled:
             self.disk,
             position=self.ledger.position,
             known=journal.kept,
+            earlier_responses=journal.recent_responses(wall.now_ns() * 1e-9),
             wall_s=lambda: wall.now_ns() * 1e-9,
         )
-        self.parts.journal = self.recorder
-        journal.prepare(self.parts, now_s=wall.now_ns() * 1e-9)
+        journal.prepare(self.parts)
         inbox, publisher = ScriptedInbox(), RecordingPublisher()
-        loop = ServerLoop(self.parts, inbox, publisher, wall)
+        loop = ServerLoop(self.parts, inbox, publisher, wall, self.recorder)
         self.server = ServerFixture(wall, None, world, self.parts, inbox, publisher, loop)  # type: ignore[arg-type]
 
     @property

@@ -87,11 +87,11 @@ def test_delete_is_kept_however_it_came(kept: Journalled, how: str) -> None:
         ask(kept, "delete_entity", DeleteEntityRequest("r0"))
     elif how == "bond":
         born_ns = kept.world.entity("r0").born_ns
-        kept.parts.alive_bonds.add("b")
-        kept.parts.bonded_entities["b"] = [("r0", born_ns)]
+        kept.parts.bonds.alive.add("b")
+        kept.parts.bonds.entities["b"] = [("r0", born_ns)]
         kept.server.inbox.bonds.append(("b", False))
     else:
-        kept.parts.alive_agents.add("a")
+        kept.parts.agents.alive.add("a")
         kept.world.claim("a", ("r0",), "delete")
         kept.server.inbox.agents.append(("a", False))
     turn(kept)
@@ -233,7 +233,7 @@ def test_pause_stands_and_is_kept_once_the_disk_has_room(kept: Journalled) -> No
 
 
 def test_bond_that_ended_while_the_disk_was_full_ends_for_good(kept: Journalled) -> None:
-    kept.parts.alive_bonds.add("b")
+    kept.parts.bonds.alive.add("b")
     spawn(kept, "r2", bond="b")
     turn(kept)
     kept.disk.is_full = True
@@ -264,7 +264,7 @@ def test_retry_gets_the_same_answer_and_no_second_robot_after_a_restart(kept: Jo
 
 
 def test_bond_whose_holder_did_not_come_back_ends(kept: Journalled) -> None:
-    kept.parts.alive_bonds.update({"gone", "there"})
+    kept.parts.bonds.alive.update({"gone", "there"})
     spawn(kept, "g", bond="gone")
     spawn(kept, "t", bond="there")
     turn(kept)

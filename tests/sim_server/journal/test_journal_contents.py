@@ -105,13 +105,13 @@ def test_description_that_was_read_need_not_be_read_again(tmp_path: Path) -> Non
     kept.recorder.note()
     entity = kept.world.spawn(a_spawn("r0"))
     reading = ParseKey("<robot/>", "gazebo11", allow_missing=True, assets=())
-    kept.parts.descriptions.remember(reading, entity.model)
+    kept.parts.descriptions.provider.remember(reading, entity.model)
     kept.recorder.note()
 
     again = restart(kept)
 
     model = again.world.entity("r0").model
-    assert again.parts.descriptions.find_parse_key(model) == reading
+    assert again.parts.descriptions.provider.find_parse_key(model) == reading
 
 
 def test_robot_stands_and_what_nobody_drives_moves_on(tmp_path: Path) -> None:
@@ -300,7 +300,7 @@ def test_export_holds_descriptions_and_is_json(tmp_path: Path) -> None:
 
     assert found["descriptions"] == {"r0": "<robot/>"}
     assert found["entities"][0]["joints"] == {"right_joint": 0.0, "left_joint": 0.0}
-    assert found["world_source"]["name"] == "default"
+    assert found["world_source"]["name"] == "empty"
 
 
 def test_journal_that_was_just_begun_is_shown_as_empty(tmp_path: Path) -> None:

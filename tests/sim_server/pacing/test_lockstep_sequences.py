@@ -56,7 +56,7 @@ def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
     for what, whom in acts:
         act(server, what, whom)
         moments.append((server.world.epoch, server.world.steps))
-        assert set(server.parts.lockstep.awaited) <= set(server.world.claims.agents)
+        assert set(server.parts.pacing.lockstep.awaited) <= set(server.world.claims.agents)
 
     assert moments == sorted(moments)
     if server.world.state == State.PAUSED:

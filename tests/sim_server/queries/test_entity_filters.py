@@ -4,7 +4,7 @@ import msgspec
 import pytest
 
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import WallTime, a_spawn, a_world, make_parts
+from tests.sim_server.fakes import WallTime, a_spawn, a_world, handle_request, make_parts
 from zensim.proto.messages import entity_messages
 from zensim.proto.messages.entity_messages import (
     Bounds,
@@ -19,8 +19,7 @@ from zensim.proto.messages.entity_messages import (
 from zensim.proto.messages.standard_messages import Vector3
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.queries.entity_filters import MAX_SEARCH_NS, SEARCH_SLICE_NS, SearchTooLong
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
-from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.world.simulated_world import World
 
 
@@ -36,8 +35,8 @@ def a_tagged_world() -> World:
     return world
 
 
-def found(context: ServerContext, filters: EntityFilters) -> tuple[str, ...]:
-    response = handle_request(context, entity_messages.GetEntitiesRequest(filters))
+def found(parts: ServerParts, filters: EntityFilters) -> tuple[str, ...]:
+    response = handle_request(parts, entity_messages.GetEntitiesRequest(filters))
     if isinstance(response, DeferredResponse):
         while not response.is_ready():
             pass

@@ -68,7 +68,7 @@ def test_loop_keeps_its_deadlines_when_a_step_takes_most_of_its_time() -> None:
     server.turn_for(2.0)
 
     assert server.world.steps == pytest.approx(480, abs=1)
-    assert server.parts.loop_stats.slipped_ns == 0
+    assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
 def test_loop_waits_for_the_deadline_and_no_longer() -> None:
@@ -88,7 +88,7 @@ def test_loop_catches_up_when_it_was_held_up_a_little() -> None:
     server.turn_for(1.0)
 
     assert server.world.time_ns == pytest.approx(2_045 * MILLISECOND, abs=2 * STEP_NS)
-    assert server.parts.loop_stats.slipped_ns == 0
+    assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
 def test_loop_lets_the_deadline_slip_and_says_so_when_it_was_held_up_for_long() -> None:
@@ -98,7 +98,7 @@ def test_loop_lets_the_deadline_slip_and_says_so_when_it_was_held_up_for_long() 
     server.wall.ns += 700 * MILLISECOND
     server.turn_for(1.0)
 
-    slipped_ns = server.parts.loop_stats.slipped_ns
+    slipped_ns = server.parts.pacing.loop_stats.slipped_ns
     assert slipped_ns == pytest.approx(700 * MILLISECOND, abs=2 * STEP_NS)
     assert server.world.time_ns == pytest.approx(2_000 * MILLISECOND, abs=2 * STEP_NS)
     stats = server.publisher.on("stats")[-1]
@@ -123,8 +123,8 @@ def test_loop_is_as_fast_as_the_engine_when_that_is_too_slow() -> None:
     server.turn_for(3.0)
 
     assert server.world.steps == pytest.approx(3.0 * 120, abs=2)
-    assert server.parts.loop_stats.real_time_factor == pytest.approx(0.5, abs=0.01)
-    assert server.parts.loop_stats.slipped_ns == pytest.approx(1_500 * MILLISECOND, rel=0.1)
+    assert server.parts.pacing.loop_stats.real_time_factor == pytest.approx(0.5, abs=0.01)
+    assert server.parts.pacing.loop_stats.slipped_ns == pytest.approx(1_500 * MILLISECOND, rel=0.1)
 
 
 def test_loop_steps_at_every_turn_when_flat_out() -> None:
@@ -150,7 +150,7 @@ def test_loop_neither_steps_nor_catches_up_when_paused() -> None:
 
     assert steps_while_paused == 0
     assert server.world.steps - before == pytest.approx(120, abs=2)
-    assert server.parts.loop_stats.slipped_ns == 0
+    assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
 def test_loop_answers_at_once_when_paused() -> None:
@@ -308,4 +308,4 @@ def test_loop_tells_the_cpu_time_that_held_a_step_up() -> None:
     server.engine.cost_ns = 0
     server.turn_for(1.1)
 
-    assert server.parts.loop_stats.busy_max_s == pytest.approx(0.007, abs=1e-3)
+    assert server.parts.pacing.loop_stats.busy_max_s == pytest.approx(0.007, abs=1e-3)

@@ -30,7 +30,7 @@ def a_locked_server(
 ) -> ServerFixture:
     """A server whose carts have an agent each, of their names, that does not answer by itself."""
     server = a_server(*names, factor=factor, cost_ns=1_000_000)
-    server.parts.lockstep = Lockstep(LockstepSettings(is_on, TIMEOUT_S, on_miss))
+    server.parts.pacing.lockstep = Lockstep(LockstepSettings(is_on, TIMEOUT_S, on_miss))
     server.loop = ServerLoop(server.parts, server.inbox, server.publisher, server.wall)
     for name in names:
         server.inbox.agents.append((name, True))
@@ -74,7 +74,7 @@ def turn(server: ServerFixture, turns: int, *, silent: tuple[str, ...] = ()) -> 
 def test_locked_loop_stands_until_every_agent_has_answered() -> None:
     server = a_locked_server("r0", "r1")
     turn(server, 5, silent=("r1",))
-    stuck = (server.world.steps, server.parts.lockstep.awaited)
+    stuck = (server.world.steps, server.parts.pacing.lockstep.awaited)
 
     server.world.release("r1")
     server.inbox.agents.append(("r1", False))
@@ -166,7 +166,7 @@ def test_holding_loop_goes_on_with_the_old_targets_after_the_timeout() -> None:
 
     assert server.world.steps > steps
     assert wheel_speeds(server.world) == rolling == [1.0, 1.0]
-    assert server.parts.lockstep.misses["r0"] >= 1
+    assert server.parts.pacing.lockstep.misses["r0"] >= 1
     assert ("missed", "") in server.events()
 
 
@@ -186,7 +186,7 @@ def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
     server = a_locked_server("r0", on_miss="wait")
     turn(server, 10)
     server.loop.turn()
-    while not server.parts.lockstep.is_waiting:
+    while not server.parts.pacing.lockstep.is_waiting:
         server.loop.turn()
     server.publisher.drive_states.clear()
     steps = server.world.steps
@@ -254,7 +254,7 @@ def test_answer_of_an_old_epoch_is_dropped_after_a_reset() -> None:
     server.loop.turn()
 
     assert server.world.claims.dropped == 1
-    assert server.parts.lockstep.awaited == ("r0",)
+    assert server.parts.pacing.lockstep.awaited == ("r0",)
 
 
 def test_agent_that_claims_more_while_it_is_awaited_is_told_and_awaited_anew() -> None:

@@ -13,6 +13,7 @@ QUIT = SetSimulationStateRequest(SimulationState(State.QUITTING))
 class SlowDisk:
     """A journal that keeps everything, the third time it is looked at."""
 
+    earlier_responses = ()
     position = 1
     is_failing = False
 
@@ -49,8 +50,8 @@ def test_loop_ends_after_the_answer_when_it_is_asked_to_quit() -> None:
 
 
 def test_loop_waits_for_the_disk_before_it_ends() -> None:
-    server = a_server("r0")
-    disk = server.parts.journal = SlowDisk()
+    disk = SlowDisk()
+    server = a_server("r0", journal=disk)
     call = server.ask("set_simulation_state", QUIT)
 
     server.loop.run(lambda: False)

@@ -168,7 +168,7 @@ def test_loop_counts_requests() -> None:
 
     server.loop.turn()
 
-    assert server.parts.loop_stats.requests == 4
+    assert server.parts.pacing.loop_stats.requests == 4
 
 
 def test_loop_answers_in_the_order_of_asking() -> None:

@@ -18,8 +18,8 @@ def a_slow_server(*names: str) -> ServerFixture:
 
 
 def descriptions_of(server: ServerFixture) -> InlineParser:
-    assert isinstance(server.parts.descriptions, InlineParser)
-    return server.parts.descriptions
+    assert isinstance(server.parts.descriptions.provider, InlineParser)
+    return server.parts.descriptions.provider
 
 
 def ask_to_spawn(

@@ -1,7 +1,6 @@
 """Telemetry: what is due when, at which rates, and what it says."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 
@@ -13,6 +12,7 @@ from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
 from zensim.proto.topic_catalog import CLOCK, SNAPSHOT, STATS, TopicSpec
 from zensim.sim_server.pacing.loop_stats import LoopStats
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
+from zensim.sim_server.service_parts import Pacing
 from zensim.sim_server.world.simulated_world import World
 
 SECOND = 1_000_000_000
@@ -95,7 +95,7 @@ def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
 
 def test_telemetry_tells_clock_and_where_everything_is_when_something_has_changed() -> None:
     world = a_world("r0")
-    telemetry = WorldTelemetry(make_parts(world))
+    telemetry = WorldTelemetry(world, make_parts(world).pacing)
     for i in range(5):
         due(telemetry, SECOND + i * 100 * MILLISECOND)
     nothing = due(telemetry, SECOND + 500 * MILLISECOND)
@@ -121,7 +121,7 @@ def test_clock_tells_time_step_and_epoch() -> None:
     for _ in range(240):
         world.step()
 
-    clock = WorldTelemetry(make_parts(world)).message(CLOCK)
+    clock = WorldTelemetry(world, make_parts(world).pacing).message(CLOCK)
 
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
@@ -134,7 +134,7 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
     meter.slipped_ns = SECOND
     meter.close_window(SECOND)
 
-    stats = WorldTelemetry(replace(make_parts(world), loop_stats=meter)).message(STATS)
+    stats = WorldTelemetry(world, Pacing(lambda: 0, meter)).message(STATS)
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -149,7 +149,7 @@ def test_real_time_factor_is_zero_while_time_stands(topic: TopicSpec) -> None:
     meter.real_time_factor = 1.0
     world.pause()
 
-    message = WorldTelemetry(replace(make_parts(world), loop_stats=meter)).message(topic)
+    message = WorldTelemetry(world, Pacing(lambda: 0, meter)).message(topic)
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0

@@ -7,7 +7,7 @@ import msgspec
 import pytest
 
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck, an_arm, on_ground
-from tests.sim_server.fakes import a_spawn, a_world, make_parts
+from tests.sim_server.fakes import a_spawn, a_world, handle_request, make_parts
 from tests.sim_server.orders import an_order, spawned
 from zensim.proto.messages import entity_messages
 from zensim.proto.messages.entity_messages import (
@@ -23,20 +23,19 @@ from zensim.proto.messages.simulation_messages import ResetScope, ResetSimulatio
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.service_parts import ServerParts
 
 HUMAN = EntityInfo(EntityCategory(Category.HUMAN), "walks about", ("slow", "tall"))
 
 
-def info_of(context: ServerContext, name: str) -> EntityInfo:
-    response = handle_request(context, entity_messages.GetEntityInfoRequest(name))
+def info_of(parts: ServerParts, name: str) -> EntityInfo:
+    response = handle_request(parts, entity_messages.GetEntityInfoRequest(name))
     assert isinstance(response, entity_messages.GetEntityInfoResponse)
     return response.info
 
 
-def bounds_of(context: ServerContext, name: str, kind: int = entity_messages.ANY_BOUNDS) -> Bounds:
-    response = handle_request(context, entity_messages.GetEntityBoundsOrder(name, kind))
+def bounds_of(parts: ServerParts, name: str, kind: int = entity_messages.ANY_BOUNDS) -> Bounds:
+    response = handle_request(parts, entity_messages.GetEntityBoundsOrder(name, kind))
     assert isinstance(response, entity_messages.GetEntityBoundsResponse)
     return response.bounds
 

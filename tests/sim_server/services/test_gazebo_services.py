@@ -8,7 +8,7 @@ import pytest
 
 from tests.engines import STEP_NS
 from tests.models import a_body, a_box, a_state, an_arm
-from tests.sim_server.fakes import a_spawn, a_world, make_parts, names_in
+from tests.sim_server.fakes import a_spawn, a_world, handle_request, make_parts, names_in
 from zensim.proto.messages import gazebo_messages
 from zensim.proto.messages.gazebo_messages import GazeboEntityState, JointType, ODEJointProperties
 from zensim.proto.messages.model_messages import Inertial
@@ -27,8 +27,8 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.service_catalog import SERVICES
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.runtime.world_telemetry import make_link_states, make_model_states
-from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.services.service_registry import handle_request, make_refusal
+from zensim.sim_server.service_parts import ServerParts
+from zensim.sim_server.services.service_registry import make_refusal
 
 DT_S = STEP_NS * 1e-9
 HALF = math.sqrt(0.5)
@@ -38,7 +38,7 @@ FOR_EVER = Duration(-1)
 
 
 @pytest.fixture
-def context() -> ServerContext:
+def parts() -> ServerParts:
     """A box that looks along y, and an arm."""
     world = a_world()
     world.spawn(a_spawn("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))
@@ -53,42 +53,42 @@ def a_push(link: str = "box::base", **changes: object) -> gazebo_messages.ApplyL
     return msgspec.structs.replace(plain, **changes)
 
 
-def gained(context: ServerContext, request: gazebo_messages.ApplyLinkWrenchRequest) -> list[float]:
+def gained(parts: ServerParts, request: gazebo_messages.ApplyLinkWrenchRequest) -> list[float]:
     """Push for a step, and find by how much each velocity grew for each newton [m/s^2]."""
-    report = handle_request(context, request)
+    report = handle_request(parts, request)
     assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
     assert report.success
-    before = context.world.state_of("box").copy()
-    context.world.step()
-    change: list[float] = ((context.world.state_of("box") - before)[7:] / DT_S).tolist()
+    before = parts.world.state_of("box").copy()
+    parts.world.step()
+    change: list[float] = ((parts.world.state_of("box") - before)[7:] / DT_S).tolist()
     return change
 
 
-def test_time_is_paused_and_played_however_often(context: ServerContext) -> None:
+def test_time_is_paused_and_played_however_often(parts: ServerParts) -> None:
     for request, state in (
         (gazebo_messages.PausePhysicsRequest(), State.PAUSED),
         (gazebo_messages.UnpausePhysicsRequest(), State.PLAYING),
     ):
-        assert handle_request(context, request) == gazebo_messages.EmptyReport()
-        assert handle_request(context, request) == gazebo_messages.EmptyReport()
-        assert context.world.state == state
+        assert handle_request(parts, request) == gazebo_messages.EmptyReport()
+        assert handle_request(parts, request) == gazebo_messages.EmptyReport()
+        assert parts.world.state == state
 
 
-def test_world_is_reset_without_its_time(context: ServerContext) -> None:
-    context.world.place("box", a_state((9.0, 9.0, 9.0)))
-    context.world.step()
+def test_world_is_reset_without_its_time(parts: ServerParts) -> None:
+    parts.world.place("box", a_state((9.0, 9.0, 9.0)))
+    parts.world.step()
 
-    handle_request(context, gazebo_messages.ResetWorldRequest())
+    handle_request(parts, gazebo_messages.ResetWorldRequest())
 
-    assert context.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
-    assert (context.world.steps, names_in(context.world)) == (1, ["box", "arm"])
+    assert parts.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
+    assert (parts.world.steps, names_in(parts.world)) == (1, ["box", "arm"])
 
 
-def test_state_is_told_in_the_frame_of_another_entity(context: ServerContext) -> None:
-    context.world.place("box", a_state((1.0, 2.0, 0.5), turn=LEFT, linear=(1.0, 0.0, 0.0)))
-    context.world.place("arm", a_state((1.0, 3.0, 0.5), linear=(1.0, 1.0, 0.0)))
+def test_state_is_told_in_the_frame_of_another_entity(parts: ServerParts) -> None:
+    parts.world.place("box", a_state((1.0, 2.0, 0.5), turn=LEFT, linear=(1.0, 0.0, 0.0)))
+    parts.world.place("arm", a_state((1.0, 3.0, 0.5), linear=(1.0, 1.0, 0.0)))
 
-    report = handle_request(context, gazebo_messages.GazeboGetEntityStateRequest("arm", "box"))
+    report = handle_request(parts, gazebo_messages.GazeboGetEntityStateRequest("arm", "box"))
 
     assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
     assert report.success
@@ -98,111 +98,111 @@ def test_state_is_told_in_the_frame_of_another_entity(context: ServerContext) ->
     assert (go.x, go.y, go.z) == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
 
 
-def test_state_of_a_link_is_told_in_the_world(context: ServerContext) -> None:
-    report = handle_request(context, gazebo_messages.GazeboGetEntityStateRequest("arm::arm"))
+def test_state_of_a_link_is_told_in_the_world(parts: ServerParts) -> None:
+    report = handle_request(parts, gazebo_messages.GazeboGetEntityStateRequest("arm::arm"))
 
     assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
-    states = make_link_states(context.world)
+    states = make_link_states(parts.world)
     place = states.name.index("arm::arm")
     assert (report.state.pose, report.state.twist) == (states.pose[place], states.twist[place])
     assert report.header.frame_id == "world"
 
 
-def test_entity_is_put_beside_another(context: ServerContext) -> None:
+def test_entity_is_put_beside_another(parts: ServerParts) -> None:
     pose = Pose(Point(1.0, 0.0, 0.0), Quaternion())
     state = GazeboEntityState("arm", pose, Twist(Vector3(1.0)), "box")
 
-    assert handle_request(context, gazebo_messages.GazeboSetEntityStateRequest(state)) == (
+    assert handle_request(parts, gazebo_messages.GazeboSetEntityStateRequest(state)) == (
         gazebo_messages.GazeboSetEntityStateReport(success=True)
     )
 
-    row = context.world.state_of("arm")
+    row = parts.world.state_of("arm")
     assert row[:3] == pytest.approx([1.0, 3.0, 0.5])
     assert row[7:10] == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
 
 
 def test_wrench_without_a_frame_acts_at_the_centre_of_mass_in_the_world(
-    context: ServerContext,
+    parts: ServerParts,
 ) -> None:
-    assert gained(context, a_push())[:3] == pytest.approx([2.0, 0.0, 0.0])
+    assert gained(parts, a_push())[:3] == pytest.approx([2.0, 0.0, 0.0])
 
 
-def test_wrench_is_turned_with_its_frame_and_keeps_its_direction(context: ServerContext) -> None:
-    assert gained(context, a_push(reference_frame="box"))[:3] == pytest.approx([0.0, 2.0, 0.0])
-    context.world.place("box", a_state((1.0, 2.0, 0.5)))
-    context.world.step()
-    context.world.step()
-    assert context.world.state_of("box")[8] == pytest.approx(4.0 * DT_S)
+def test_wrench_is_turned_with_its_frame_and_keeps_its_direction(parts: ServerParts) -> None:
+    assert gained(parts, a_push(reference_frame="box"))[:3] == pytest.approx([0.0, 2.0, 0.0])
+    parts.world.place("box", a_state((1.0, 2.0, 0.5)))
+    parts.world.step()
+    parts.world.step()
+    assert parts.world.state_of("box")[8] == pytest.approx(4.0 * DT_S)
 
 
-def test_wrench_beside_the_centre_of_mass_turns_the_link(context: ServerContext) -> None:
+def test_wrench_beside_the_centre_of_mass_turns_the_link(parts: ServerParts) -> None:
     moment = a_body().inertia[5]
 
-    change = gained(context, a_push(reference_point=Point(0.0, 0.5, 0.0)))
+    change = gained(parts, a_push(reference_point=Point(0.0, 0.5, 0.0)))
 
     assert change[3:] == pytest.approx([0.0, 0.0, -1.0 / moment])
 
 
-def test_wrench_at_a_point_of_a_frame_turns_the_link_by_its_arm(context: ServerContext) -> None:
+def test_wrench_at_a_point_of_a_frame_turns_the_link_by_its_arm(parts: ServerParts) -> None:
     moment = a_body().inertia[5]
     at_origin = a_push(reference_frame="box::base")
 
-    assert gained(context, at_origin)[3:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
-    context.world.applied_forces.forget_all()
+    assert gained(parts, at_origin)[3:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    parts.world.applied_forces.forget_all()
     aside = a_push(reference_frame="box::base", reference_point=Point(0.0, 0.5, 0.0))
-    assert gained(context, aside)[5] == pytest.approx(-1.0 / moment)
+    assert gained(parts, aside)[5] == pytest.approx(-1.0 / moment)
 
 
-def test_wrench_of_no_duration_does_nothing(context: ServerContext) -> None:
-    report = handle_request(context, a_push(duration=Duration()))
+def test_wrench_of_no_duration_does_nothing(parts: ServerParts) -> None:
+    report = handle_request(parts, a_push(duration=Duration()))
 
     assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
-    assert (report.success, len(context.world.applied_forces)) == (True, 0)
+    assert (report.success, len(parts.world.applied_forces)) == (True, 0)
 
 
-def test_wrench_begins_and_ends_in_simulation_time(context: ServerContext) -> None:
+def test_wrench_begins_and_ends_in_simulation_time(parts: ServerParts) -> None:
     begin = Time(0, 10 * STEP_NS)
-    handle_request(context, a_push(start_time=begin, duration=Duration(0, 5 * STEP_NS)))
+    handle_request(parts, a_push(start_time=begin, duration=Duration(0, 5 * STEP_NS)))
 
     speeds = []
     for _ in range(20):
-        context.world.step()
-        speeds.append(float(context.world.state_of("box")[7]))
+        parts.world.step()
+        speeds.append(float(parts.world.state_of("box")[7]))
 
     assert speeds[9] == 0.0
     assert speeds[-1] == speeds[14] == pytest.approx(10.0 * DT_S)
 
 
-def test_wrenches_are_cleared_by_link(context: ServerContext) -> None:
-    handle_request(context, a_push())
+def test_wrenches_are_cleared_by_link(parts: ServerParts) -> None:
+    handle_request(parts, a_push())
 
-    handle_request(context, gazebo_messages.ClearLinkWrenchesRequest("arm::arm"))
-    assert len(context.world.applied_forces) == 1
-    handle_request(context, gazebo_messages.ClearLinkWrenchesRequest("box::base"))
-    assert len(context.world.applied_forces) == 0
+    handle_request(parts, gazebo_messages.ClearLinkWrenchesRequest("arm::arm"))
+    assert len(parts.world.applied_forces) == 1
+    handle_request(parts, gazebo_messages.ClearLinkWrenchesRequest("box::base"))
+    assert len(parts.world.applied_forces) == 0
 
 
-def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(context: ServerContext) -> None:
+def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(parts: ServerParts) -> None:
     for name in ("swing", "arm::swing"):
         request = gazebo_messages.ApplyJointEffortRequest(name, 0.5, duration=FOR_EVER)
-        report = handle_request(context, request)
+        report = handle_request(parts, request)
         assert isinstance(report, gazebo_messages.ApplyJointEffortReport)
         assert report.success
         assert report.status_message.endswith("for ever of simulation time")
-    context.world.step()
+    parts.world.step()
 
-    assert context.world.reading().joint_velocities[0] == pytest.approx(DT_S)
-    handle_request(context, gazebo_messages.ClearJointEffortsRequest("swing"))
-    assert len(context.world.applied_forces) == 0
+    assert parts.world.reading().joint_velocities[0] == pytest.approx(DT_S)
+    handle_request(parts, gazebo_messages.ClearJointEffortsRequest("swing"))
+    assert len(parts.world.applied_forces) == 0
 
 
-def test_joint_is_changed_and_tells_so(context: ServerContext) -> None:
+def test_joint_is_changed_and_tells_so(parts: ServerParts) -> None:
     wanted = ODEJointProperties(damping=(0.3,), lo_stop=(-0.1,), hi_stop=(0.2,), fmax=(0.05,))
-    number = context.world.roster_number
+    number = parts.world.roster_number
 
-    handle_request(context, gazebo_messages.SetJointPropertiesRequest("swing", wanted))
+    handle_request(parts, gazebo_messages.SetJointPropertiesRequest("swing", wanted))
 
-    report = handle_request(context, gazebo_messages.GetJointPropertiesRequest("arm::swing"))
+    report = handle_request(parts, gazebo_messages.GetJointPropertiesRequest("arm::swing"))
     assert report == gazebo_messages.GetJointPropertiesReport(
         JointType.REVOLUTE,
         damping=(0.3,),
@@ -213,26 +213,26 @@ def test_joint_is_changed_and_tells_so(context: ServerContext) -> None:
         upper=(0.2,),
         friction=(0.05,),
     )
-    assert context.world.roster_number > number
+    assert parts.world.roster_number > number
 
 
-def test_entity_goes_on_where_it_was_when_it_is_changed(context: ServerContext) -> None:
-    context.world.claim("a", ("arm",), "stop")
-    context.world.place("arm", a_state((3.0, 0.0, 0.0), linear=(1.0, 0.0, 0.0)), np.array([0.3]))
-    before = context.world.state_of("arm").copy()
+def test_entity_goes_on_where_it_was_when_it_is_changed(parts: ServerParts) -> None:
+    parts.world.claim("a", ("arm",), "stop")
+    parts.world.place("arm", a_state((3.0, 0.0, 0.0), linear=(1.0, 0.0, 0.0)), np.array([0.3]))
+    before = parts.world.state_of("arm").copy()
 
     handle_request(
-        context,
+        parts,
         gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.3,))),
     )
 
-    assert context.world.state_of("arm") == pytest.approx(before)
-    assert context.world.reading().joint_positions[-1] == pytest.approx(0.3)
-    assert context.world.claims.agent_of("arm") == "a"
+    assert parts.world.state_of("arm") == pytest.approx(before)
+    assert parts.world.reading().joint_positions[-1] == pytest.approx(0.3)
+    assert parts.world.claims.agent_of("arm") == "a"
 
 
-def test_link_is_weighed_and_weighed_anew(context: ServerContext) -> None:
-    found = handle_request(context, gazebo_messages.GetLinkPropertiesRequest("box::base"))
+def test_link_is_weighed_and_weighed_anew(parts: ServerParts) -> None:
+    found = handle_request(parts, gazebo_messages.GetLinkPropertiesRequest("box::base"))
     assert isinstance(found, gazebo_messages.GetLinkPropertiesReport)
     assert (found.mass, found.izz, found.gravity_mode) == (1.0, 0.01, True)
 
@@ -240,18 +240,18 @@ def test_link_is_weighed_and_weighed_anew(context: ServerContext) -> None:
     request = gazebo_messages.SetLinkPropertiesRequest(
         "box::base", com, gravity_mode=False, mass=4.0, ixx=0.1, iyy=0.2, izz=0.25
     )
-    handle_request(context, request)
+    handle_request(parts, request)
 
-    again = handle_request(context, gazebo_messages.GetLinkPropertiesRequest("box::base"))
+    again = handle_request(parts, gazebo_messages.GetLinkPropertiesRequest("box::base"))
     assert isinstance(again, gazebo_messages.GetLinkPropertiesReport)
     assert (again.mass, again.gravity_mode, again.com.position.x) == (4.0, False, 0.1)
     assert (again.ixx, again.iyy, again.izz) == pytest.approx((0.2, 0.1, 0.25))
-    link = context.world.entity("box").model.links[0]
+    link = parts.world.entity("box").model.links[0]
     assert link.weightless == link.inertial != Inertial()
 
 
-def test_topics_tell_every_entity_and_every_link(context: ServerContext) -> None:
-    models, links = make_model_states(context.world), make_link_states(context.world)
+def test_topics_tell_every_entity_and_every_link(parts: ServerParts) -> None:
+    models, links = make_model_states(parts.world), make_link_states(parts.world)
 
     assert models.name == ("box", "arm")
     assert links.name == ("box::base", "arm::post", "arm::arm")
@@ -350,23 +350,23 @@ REFUSED = {
 
 @pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
 def test_request_is_refused(
-    context: ServerContext, request_: msgspec.Struct, code: int, message: str
+    parts: ServerParts, request_: msgspec.Struct, code: int, message: str
 ) -> None:
-    before = context.world.reading().base.tobytes()
+    before = parts.world.reading().base.tobytes()
 
     with pytest.raises(SimError, match=message) as refused:
-        handle_request(context, request_)
+        handle_request(parts, request_)
 
     assert refused.value.code == code
-    assert context.world.reading().base.tobytes() == before
-    assert len(context.world.applied_forces) == 0
+    assert parts.world.reading().base.tobytes() == before
+    assert len(parts.world.applied_forces) == 0
 
 
-def test_joint_that_several_entities_have_is_named_in_full(context: ServerContext) -> None:
-    context.world.spawn(a_spawn("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
+def test_joint_that_several_entities_have_is_named_in_full(parts: ServerParts) -> None:
+    parts.world.spawn(a_spawn("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
 
     with pytest.raises(SimError, match="use 'arm::swing', 'other::swing'"):
-        handle_request(context, gazebo_messages.ApplyJointEffortRequest("swing", 1.0))
+        handle_request(parts, gazebo_messages.ApplyJointEffortRequest("swing", 1.0))
 
 
 GAZEBO = [

@@ -1,6 +1,7 @@
 """Handlers: what each service does; all but spawning and refusals."""
 
 import math
+from typing import get_type_hints
 
 import msgspec
 import numpy as np
@@ -10,7 +11,14 @@ from hypothesis import strategies as st
 
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.proto.strategies import messages_of
-from tests.sim_server.fakes import a_command, a_world, make_parts, names_in, wheel_speeds
+from tests.sim_server.fakes import (
+    a_command,
+    a_world,
+    handle_request,
+    make_parts,
+    names_in,
+    wheel_speeds,
+)
 from tests.sim_server.orders import an_order, spawned
 from zensim.proto.codec.message_codec import Format, encode, supports_format
 from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
@@ -30,11 +38,11 @@ from zensim.proto.messages.spawn_messages import DeleteEntityRequest
 from zensim.proto.messages.standard_messages import Header, Point, Pose, Time, Twist, Vector3
 from zensim.proto.service_catalog import SERVICES, Service
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.server_context import DeferredResponse
+from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services.service_registry import (
     FEATURES,
-    HANDLERS,
-    handle_request,
+    SERVICE_TABLE,
+    ServiceEntry,
     make_refusal,
 )
 
@@ -50,13 +58,24 @@ def state_at(
     )
 
 
-@pytest.mark.parametrize("service", SERVICES.values(), ids=SERVICES)
-def test_service_has_a_handler(service: Service[msgspec.Struct, msgspec.Struct]) -> None:
-    assert service.request in HANDLERS
+@pytest.mark.parametrize("name", SERVICES)
+def test_service_has_one_handler(name: str) -> None:
+    assert [entry.service.name for entry in SERVICE_TABLE].count(name) == 1
+
+
+@pytest.mark.parametrize("entry", SERVICE_TABLE, ids=lambda entry: entry.service.name)
+def test_handler_takes_parts_that_a_server_provides(entry: ServiceEntry) -> None:
+    provided = set(get_type_hints(ServerParts).values())
+
+    assert [part for part in entry.parts if part not in provided] == []
 
 
 def test_handlers_are_of_services_only() -> None:
-    assert set(HANDLERS) == {service.request for service in SERVICES.values()}
+    assert {entry.service.name for entry in SERVICE_TABLE} == set(SERVICES)
+
+
+def test_services_have_different_requests() -> None:
+    assert len({service.request for service in SERVICES.values()}) == len(SERVICES)
 
 
 def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
@@ -175,7 +194,7 @@ def test_reset_takes_every_sum_of_known_bits(scope: int) -> None:
 
 def test_claim_tells_model_and_clock() -> None:
     parts = make_parts(a_world("r0"))
-    parts.alive_agents.add("a")
+    parts.agents.alive.add("a")
 
     response = handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r0",)))
 
@@ -186,7 +205,7 @@ def test_claim_tells_model_and_clock() -> None:
 
 def test_claim_ends_as_it_was_asked_to() -> None:
     parts = make_parts(a_world("r0"))
-    parts.alive_agents.add("a")
+    parts.agents.alive.add("a")
 
     handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r0",), "delete"))
     parts.world.release("a")
@@ -226,7 +245,7 @@ def test_info_tells_who_is_there() -> None:
     parts = make_parts(a_world("r0", "r1"), factor=2.0)
     parts.world.claim("a", ("r0", "r1"), "stop")
     parts.world.step()
-    parts.loop_stats.real_time_factor = 0.9
+    parts.pacing.loop_stats.real_time_factor = 0.9
 
     info = handle_request(parts, telemetry_messages.InfoRequest())
 
@@ -239,7 +258,7 @@ def test_info_tells_who_is_there() -> None:
 
 def test_info_tells_a_real_time_factor_of_zero_when_paused() -> None:
     parts = make_parts(a_world())
-    parts.loop_stats.real_time_factor = 0.9
+    parts.pacing.loop_stats.real_time_factor = 0.9
     parts.world.pause()
 
     info = handle_request(parts, telemetry_messages.InfoRequest())
@@ -262,14 +281,14 @@ def test_service_answers_any_request_or_refuses_it(
     service: Service[msgspec.Struct, msgspec.Struct], data: st.DataObject
 ) -> None:
     parts = make_parts(a_world("r0"))
-    parts.alive_agents.add("a")
+    parts.agents.alive.add("a")
     request = data.draw(messages_of(service.request))
 
     try:
         response = handle_request(parts, request)
         if isinstance(response, DeferredResponse):
             while not response.is_ready():
-                parts.descriptions.poll()
+                parts.descriptions.provider.poll()
             response = response.outcome()
     except SimError as error:
         response = make_refusal(service.name, error.code, str(error))

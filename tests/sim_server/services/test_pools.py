@@ -4,31 +4,30 @@ import msgspec
 import pytest
 
 from tests.models import a_box, on_ground
-from tests.sim_server.fakes import a_spawn, a_world, make_parts
+from tests.sim_server.fakes import a_spawn, a_world, handle_request, make_parts
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages import agent_messages
 from zensim.sim_server.errors import IncorrectState, RequestRefused
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services import claim_services
-from zensim.sim_server.services.service_registry import handle_request
 
 CRATE = a_box()
 
 
-def share(context: ServerContext, pool: str, limit: int = 0) -> agent_messages.ClaimShareResponse:
-    context.alive_agents.add(pool)
-    response = handle_request(context, agent_messages.ClaimShareRequest(pool, limit))
+def share(parts: ServerParts, pool: str, limit: int = 0) -> agent_messages.ClaimShareResponse:
+    parts.agents.alive.add(pool)
+    response = handle_request(parts, agent_messages.ClaimShareRequest(pool, limit))
     assert isinstance(response, agent_messages.ClaimShareResponse)
     return response
 
 
-def driven_by(context: ServerContext, pool: str) -> list[str]:
-    return [name for name, _ in context.world.claims.list_claims(pool)]
+def driven_by(parts: ServerParts, pool: str) -> list[str]:
+    return [name for name, _ in parts.world.claims.list_claims(pool)]
 
 
 def test_first_pool_gets_all_robots_that_nobody_drives_by_name() -> None:
     parts = make_parts(a_world("r0", "r1", "r2"))
-    parts.alive_agents.add("a")
+    parts.agents.alive.add("a")
     handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r1",)))
 
     response = share(parts, "p")
@@ -99,7 +98,7 @@ def test_robots_of_a_pool_that_died_go_to_the_other() -> None:
     share(parts, "q")
 
     parts.world.release("p")
-    parts.pools.pop("p")
+    parts.agents.pool_limits.pop("p")
 
     assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
 

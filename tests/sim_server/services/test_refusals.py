@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from tests.sim_server.description.robots import a_joint, a_link, a_robot
-from tests.sim_server.fakes import a_world, make_parts, names_in
+from tests.sim_server.fakes import a_world, handle_request, make_parts, names_in
 from tests.sim_server.orders import BOX_BOT, an_order
 from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
 from zensim.proto.messages.entity_messages import EntityState
@@ -35,8 +35,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
 )
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services.simulation_services import MAX_STEPS
 
 HEDGEHOG = a_robot(
@@ -228,66 +227,64 @@ REFUSED = {
 
 
 @pytest.fixture
-def context() -> ServerContext:
+def parts() -> ServerParts:
     """Two entities, of which agent b drives the second."""
     made = make_parts(a_world("r0", "r1"))
-    made.alive_agents |= {"a", "b"}
+    made.agents.alive |= {"a", "b"}
     made.world.claim("b", ("r1",), "stop")
     return made
 
 
 @pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
 def test_request_is_refused_with_code_and_reason(
-    context: ServerContext, request_: msgspec.Struct, code: int, message: str
+    parts: ServerParts, request_: msgspec.Struct, code: int, message: str
 ) -> None:
-    before = context.world.reading().base.tobytes()
+    before = parts.world.reading().base.tobytes()
 
     with pytest.raises(SimError, match=message) as refused:
-        handle_request(context, request_)
+        handle_request(parts, request_)
 
     assert refused.value.code == code
     assert "\n" not in str(refused.value)
-    assert names_in(context.world) == ["r0", "r1"]
-    assert context.world.reading().base.tobytes() == before
-    assert context.world.claims.agent_of("r0") == ""
+    assert names_in(parts.world) == ["r0", "r1"]
+    assert parts.world.reading().base.tobytes() == before
+    assert parts.world.claims.agent_of("r0") == ""
 
 
 @pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
-def test_steps_are_refused_when_they_are_none_or_too_many(
-    context: ServerContext, steps: int
-) -> None:
-    context.world.pause()
+def test_steps_are_refused_when_they_are_none_or_too_many(parts: ServerParts, steps: int) -> None:
+    parts.world.pause()
 
     with pytest.raises(SimError, match=f"steps={steps} is out of range; use 1 to") as refused:
-        handle_request(context, StepSimulationRequest(steps))
+        handle_request(parts, StepSimulationRequest(steps))
 
     assert refused.value.code == ResultCode.OPERATION_FAILED
 
 
-def test_world_is_paused_once(context: ServerContext) -> None:
-    context.world.pause()
+def test_world_is_paused_once(parts: ServerParts) -> None:
+    parts.world.pause()
 
     with pytest.raises(SimError, match="is paused already") as refused:
-        handle_request(context, in_state(State.PAUSED))
+        handle_request(parts, in_state(State.PAUSED))
 
     assert refused.value.code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
 
 
 def test_spawn_is_refused_when_the_model_has_no_name_that_could_be_one(
-    context: ServerContext,
+    parts: ServerParts,
 ) -> None:
     nameless = a_spawn(
         name="", entity_resource=Resource("", '<robot name="my robot"><link name="a"/></robot>')
     )
 
     with pytest.raises(SimError, match="'my robot' is not valid; use a letter") as refused:
-        handle_request(context, nameless)
+        handle_request(parts, nameless)
 
     assert refused.value.code == SpawnCode.NAME_INVALID
 
 
-def test_spawn_refuses_a_long_name_in_a_short_line(context: ServerContext) -> None:
+def test_spawn_refuses_a_long_name_in_a_short_line(parts: ServerParts) -> None:
     with pytest.raises(SimError) as refused:
-        handle_request(context, a_spawn(name="x" * 100_000, entity_resource=BOX_BOT))
+        handle_request(parts, a_spawn(name="x" * 100_000, entity_resource=BOX_BOT))
 
     assert len(str(refused.value)) < 300

@@ -332,4 +332,4 @@ def test_speed_out_of_range_is_refused(factor: float) -> None:
     turn(server, 1)
 
     assert read(call, SetSpeedResponse).result.result == ResultCode.OPERATION_FAILED
-    assert server.parts.target_real_time_factor == 1.0
+    assert server.parts.pacing.target_real_time_factor == 1.0

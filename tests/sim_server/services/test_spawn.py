@@ -9,11 +9,11 @@ from tests.sim_server.fakes import WallTime, a_world, kinds_of_events, make_part
 from tests.sim_server.orders import LYING, an_order, spawned, suspicions
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Quaternion
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import ServerParts
 
 
-def height_of(context: ServerContext, name: str = "r") -> float:
-    return float(context.world.state_of(name)[2])
+def height_of(parts: ServerParts, name: str = "r") -> float:
+    return float(parts.world.state_of(name)[2])
 
 
 def test_spawn_puts_a_shipped_model_where_it_was_asked_for() -> None:

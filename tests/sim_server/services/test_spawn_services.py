@@ -10,6 +10,7 @@ from tests.sim_server.fakes import (
     InlineParser,
     WallTime,
     a_world,
+    handle_request,
     kinds_of_events,
     make_parts,
     names_in,
@@ -29,9 +30,8 @@ from zensim.proto.messages.spawn_messages import (
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
+from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services import spawn_services
-from zensim.sim_server.services.service_registry import handle_request
 
 COMMON = SpawnEntityOrder(entity_resource=BOX_BOT, snap_to_ground=True)
 
@@ -46,8 +46,8 @@ def an_order(
     return SpawnEntitiesOrder(requests, atomic, common)
 
 
-def answer(context: ServerContext, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
-    response = handle_request(context, order)
+def answer(parts: ServerParts, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
+    response = handle_request(parts, order)
     if isinstance(response, DeferredResponse):
         while not response.is_ready():
             pass
@@ -114,12 +114,12 @@ def test_names_are_free_again_at_once_after_a_fleet_was_taken_back() -> None:
 
 def test_a_fleet_that_was_taken_back_hangs_on_no_bond() -> None:
     parts = make_parts(a_world("b"))
-    parts.alive_bonds.add("bond")
+    parts.bonds.alive.add("bond")
     common = msgspec.structs.replace(COMMON, bond="bond")
 
     answer(parts, an_order("a", "b", atomic=True, common=common))
 
-    assert parts.bonded_entities == {}
+    assert parts.bonds.entities == {}
 
 
 @pytest.mark.parametrize("atomic", [False, True])
@@ -183,7 +183,7 @@ def test_an_unreadable_description_fails_its_own_order(*, atomic: bool) -> None:
 @pytest.mark.parametrize("atomic", [False, True])
 def test_orders_wait_until_descriptions_are_read(*, atomic: bool) -> None:
     parts = make_parts(a_world())
-    reader = parts.descriptions
+    reader = parts.descriptions.provider
     assert isinstance(reader, InlineParser)
     reader.is_slow = True
 
@@ -192,7 +192,7 @@ def test_orders_wait_until_descriptions_are_read(*, atomic: bool) -> None:
     assert isinstance(response, DeferredResponse)
     assert not response.is_ready()
     assert names_in(parts.world) == []
-    reader.is_slow, parts.has_new_descriptions = False, True
+    reader.is_slow, parts.descriptions.has_new = False, True
     assert response.is_ready()
     assert names_in(parts.world) == ["a", "b"]
 
@@ -269,12 +269,12 @@ def test_a_fleet_that_is_being_made_is_given_up_when_the_world_is_reset() -> Non
 
 def test_a_fleet_whose_bond_has_gone_meanwhile_is_given_up() -> None:
     parts = make_parts(a_world("x"), SlowWall())
-    parts.alive_bonds.add("bond")
+    parts.bonds.alive.add("bond")
     common = msgspec.structs.replace(COMMON, bond="bond")
     response = handle_request(parts, an_order("a", "b", atomic=True, common=common))
     assert isinstance(response, DeferredResponse)
 
-    parts.delete_bonded_entities("bond")
+    parts.bonds.end("bond")
 
     assert response.is_ready()
     assert names_in(parts.world) == ["x"]
@@ -295,7 +295,7 @@ def test_spawning_uses_the_time_that_is_left_before_the_next_step(
 ) -> None:
     wall = TickingWall()
     parts = make_parts(a_world(), wall)
-    parts.due_ns = wall.ns + spare * spawn_services.MIN_SPARE_NS
+    parts.pacing.due_ns = wall.ns + spare * spawn_services.MIN_SPARE_NS
 
     response = handle_request(parts, an_order(*"abcdef", atomic=True))
 

@@ -3,15 +3,21 @@
 import numpy as np
 import pytest
 
-from tests.sim_server.fakes import InlineParser, a_server, a_world, make_parts, names_in
+from tests.sim_server.fakes import (
+    InlineParser,
+    a_server,
+    a_world,
+    handle_request,
+    make_parts,
+    names_in,
+)
 from tests.sim_server.orders import BOX_BOT
 from zensim.proto.messages.model_messages import Inertial, Link, Model, Shape
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityReport
 from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped
 from zensim.proto.stl import write_corners
 from zensim.sim_server.errors import IncorrectState, ModelError, NameNotUnique
-from zensim.sim_server.server_context import ServerContext
-from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.service_parts import ServerParts
 
 FAR = PoseStamped(pose=Pose(Point(50.0, 0.0, 0.06)))
 AT_R1 = PoseStamped(pose=Pose(Point(0.0, 0.0, 0.06)))
@@ -27,9 +33,9 @@ def suspicions(report: SpawnEntityReport) -> list[str]:
     return [entry.reason for entry in report.report if entry.status == "suspicious"]
 
 
-def descriptions_of(context: ServerContext) -> InlineParser:
-    assert isinstance(context.descriptions, InlineParser)
-    return context.descriptions
+def descriptions_of(parts: ServerParts) -> InlineParser:
+    assert isinstance(parts.descriptions.provider, InlineParser)
+    return parts.descriptions.provider
 
 
 def spawned(world_names: list[str], order: SpawnEntityOrder) -> tuple[SpawnEntityReport, list[str]]:
@@ -141,7 +147,7 @@ def test_spawns_wait_for_reading_and_are_made_in_order_of_asking() -> None:
     server = a_server()
     reader = InlineParser()
     reader.is_slow = True
-    server.parts.descriptions = reader
+    server.parts.descriptions.provider = reader
     calls = [server.ask("spawn_entity", an_order(name)) for name in ("a", "b")]
     server.loop.serve()
     before = [call.is_over for call in calls]
@@ -158,7 +164,7 @@ def test_retry_takes_the_place_of_a_spawn_that_waits() -> None:
     server = a_server()
     reader = InlineParser()
     reader.is_slow = True
-    server.parts.descriptions = reader
+    server.parts.descriptions.provider = reader
     first = server.ask("spawn_entity", an_order("a"))
     first.request_id = b"1"
     server.loop.serve()
@@ -177,7 +183,7 @@ def test_world_steps_on_while_a_spawn_waits() -> None:
     server = a_server("r1")
     reader = InlineParser()
     reader.is_slow = True
-    server.parts.descriptions = reader
+    server.parts.descriptions.provider = reader
     server.ask("spawn_entity", an_order("a"))
     steps = server.world.steps
     server.turn_for(0.1)

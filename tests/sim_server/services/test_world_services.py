@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.sim_server.fakes import WallTime, a_world, kinds_of_events, make_parts, names_in
+from tests.sim_server.fakes import (
+    WallTime,
+    a_world,
+    handle_request,
+    kinds_of_events,
+    make_parts,
+    names_in,
+)
 from tests.sim_server.orders import an_order
 from zensim.proto.messages import entity_messages, world_messages
 from zensim.proto.messages.entity_messages import TagsFilter
@@ -24,8 +31,7 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.proto.messages.spawn_messages import Resource
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.server_context import DeferredResponse, ServerContext
-from zensim.sim_server.services.service_registry import handle_request
+from zensim.sim_server.service_parts import DeferredResponse, ServerParts
 from zensim.sim_server.services.world_services import WORLD_BUILD_SLICE_NS
 from zensim.sim_server.world_loading.world_catalog import (
     FILES_PER_TURN,
@@ -51,25 +57,25 @@ def loading(uri: str = "", text: str = "", **wishes: bool) -> world_messages.Loa
 
 
 def loaded(
-    context: ServerContext, request: world_messages.LoadWorldRequest
+    parts: ServerParts, request: world_messages.LoadWorldRequest
 ) -> world_messages.LoadWorldReport:
-    later = handle_request(context, request)
+    later = handle_request(parts, request)
     assert isinstance(later, DeferredResponse)
     while not later.is_ready():
-        context.descriptions.poll()
+        parts.descriptions.provider.poll()
     report = later.outcome()
     assert isinstance(report, world_messages.LoadWorldReport)
     return report
 
 
-def listed(context: ServerContext, request: world_messages.GetAvailableWorldsRequest) -> list[str]:
-    return [world.world_resource.uri for world in available(context, request)]
+def listed(parts: ServerParts, request: world_messages.GetAvailableWorldsRequest) -> list[str]:
+    return [world.world_resource.uri for world in available(parts, request)]
 
 
 def available(
-    context: ServerContext, request: world_messages.GetAvailableWorldsRequest
+    parts: ServerParts, request: world_messages.GetAvailableWorldsRequest
 ) -> tuple[world_messages.WorldResource, ...]:
-    later = handle_request(context, request)
+    later = handle_request(parts, request)
     assert isinstance(later, DeferredResponse)
     while not later.is_ready():
         pass
@@ -79,62 +85,62 @@ def available(
 
 
 @pytest.fixture
-def context() -> ServerContext:
+def parts() -> ServerParts:
     return make_parts(a_world("r0", "r1"))
 
 
 @pytest.fixture
-def folder(tmp_path: Path, context: ServerContext) -> Path:
+def folder(tmp_path: Path, parts: ServerParts) -> Path:
     (tmp_path / "outside.world").write_text(sdf())
     folder = tmp_path / "given"
     folder.mkdir()
-    context.world_catalog = WorldCatalog([folder])
+    parts.loading.catalog = WorldCatalog([folder])
     return folder
 
 
-def test_world_takes_the_place_of_another(context: ServerContext) -> None:
-    context.world.step()
-    context.world.claim("a", ("r0",), "stop")
-    context.world.take_events()
+def test_world_takes_the_place_of_another(parts: ServerParts) -> None:
+    parts.world.step()
+    parts.world.claim("a", ("r0",), "stop")
+    parts.world.take_events()
 
-    report = loaded(context, loading("walls"))
+    report = loaded(parts, loading("walls"))
 
     assert (report.world.name, report.world.world_resource.uri) == ("walls", "walls")
-    assert names_in(context.world) == ["outer_walls", "inner_walls"]
-    assert (context.world.state, context.world.steps, context.world.epoch) == (State.STOPPED, 0, 1)
-    assert len(context.world.claims) == 0
-    assert (context.world_model, context.source.name) == ("walls", "walls")
-    kinds = kinds_of_events(context.world)
+    assert names_in(parts.world) == ["outer_walls", "inner_walls"]
+    assert (parts.world.state, parts.world.steps, parts.world.epoch) == (State.STOPPED, 0, 1)
+    assert len(parts.world.claims) == 0
+    assert parts.current_world.model.name == "walls"
+    kinds = kinds_of_events(parts.world)
     assert kinds == ["loading", "deleted", "deleted", "loaded", "spawned", "spawned"]
 
 
-def test_world_stands_while_another_is_read(context: ServerContext) -> None:
-    handle_request(context, loading("walls"))
+def test_world_stands_while_another_is_read(parts: ServerParts) -> None:
+    handle_request(parts, loading("walls"))
 
-    assert context.world.state == State.LOADING_WORLD
-    assert names_in(context.world) == ["r0", "r1"]
+    assert parts.world.state == State.LOADING_WORLD
+    assert names_in(parts.world) == ["r0", "r1"]
     for request in (an_order("r9"), loading("empty"), world_messages.UnloadWorldRequest()):
         with pytest.raises(SimError) as refused:
-            handle_request(context, request)
+            handle_request(parts, request)
         assert refused.value.code == ResultCode.INCORRECT_STATE
 
 
 def test_world_is_made_over_some_turns_and_is_there_at_once() -> None:
     wall = WallTime()
     parts = make_parts(a_world("r0"), wall)
-    made = parts.world_factory
+    made = parts.loading.factory
 
     def slowly(model: WorldModel) -> Iterator[BuiltWorld | None]:
         for part in made(model):
             wall.ns += WORLD_BUILD_SLICE_NS
             yield part
 
-    parts.world_factory = slowly
+    parts.loading.factory = slowly
     later = handle_request(parts, loading("walls"))
     assert isinstance(later, DeferredResponse)
     seen = []
     while not later.is_ready():
-        parts.descriptions.poll()
+        parts.descriptions.provider.poll()
         seen.append(names_in(parts.world))
     later.outcome()
 
@@ -150,23 +156,23 @@ def test_world_keeps_its_own_pace() -> None:
 
     loaded(parts, loading(text=sdf(pace)))
 
-    assert (parts.world.step_ns, parts.target_real_time_factor) == (2_000_000, 0.5)
+    assert (parts.world.step_ns, parts.pacing.target_real_time_factor) == (2_000_000, 0.5)
     assert parts.world.control_steps == 5
 
 
 @pytest.mark.parametrize("state", [State.PLAYING, State.PAUSED, State.STOPPED, State.NO_WORLD])
 def test_world_stays_as_it_was_when_another_cannot_be_loaded(
-    context: ServerContext, state: State
+    parts: ServerParts, state: State
 ) -> None:
-    context.world.step()
-    context.world.state = state
-    before = (context.world.steps, context.world.epoch, names_in(context.world))
+    parts.world.step()
+    parts.world.state = state
+    before = (parts.world.steps, parts.world.epoch, names_in(parts.world))
 
     with pytest.raises(SimError, match=r"xml\.syntax"):
-        loaded(context, loading(text="<sdf"))
+        loaded(parts, loading(text="<sdf"))
 
-    assert context.world.state == state
-    assert (context.world.steps, context.world.epoch, names_in(context.world)) == before
+    assert parts.world.state == state
+    assert (parts.world.steps, parts.world.epoch, names_in(parts.world)) == before
 
 
 REFUSED = {
@@ -214,7 +220,7 @@ REFUSED = {
 
 @pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
 def test_world_is_refused(
-    context: ServerContext,
+    parts: ServerParts,
     folder: Path,
     request_: world_messages.LoadWorldRequest,
     code: int,
@@ -226,13 +232,13 @@ def test_world_is_refused(
     (folder / "link.world").symlink_to(folder.parent / "outside.world")
 
     with pytest.raises(SimError, match=message) as refused:
-        loaded(context, request_)
+        loaded(parts, request_)
 
     assert refused.value.code == code
-    assert names_in(context.world) == ["r0", "r1"]
+    assert names_in(parts.world) == ["r0", "r1"]
 
 
-def test_world_does_without_what_may_be_missing(context: ServerContext, folder: Path) -> None:
+def test_world_does_without_what_may_be_missing(parts: ServerParts, folder: Path) -> None:
     (folder / "bad.stl").write_bytes(b"no mesh")
     lacking = sdf(
         "<include><uri>model://tree</uri></include>"
@@ -240,16 +246,16 @@ def test_world_does_without_what_may_be_missing(context: ServerContext, folder: 
         + CRATE.format(MESH.format("model://a/a.stl")).replace("'crate'", "'other'")
     )
 
-    report = loaded(context, loading(text=lacking, ignore_missing_or_unsupported_assets=True))
+    report = loaded(parts, loading(text=lacking, ignore_missing_or_unsupported_assets=True))
 
-    assert names_in(context.world) == ["other"]
+    assert names_in(parts.world) == ["other"]
     reasons = " ".join(f"{entry.subject}: {entry.reason}" for entry in report.report)
     assert "include 'model://tree': left out: it is not here" in reasons
     assert "model 'crate': left out" in reasons
 
 
 def test_world_includes_what_lies_in_the_operators_folders(
-    context: ServerContext, folder: Path
+    parts: ServerParts, folder: Path
 ) -> None:
     inner = "<include><uri>model://inner</uri></include><joint name='j' type='fixed'>"
     inner += "<parent>box</parent><child>crate::box</child></joint>"
@@ -261,17 +267,17 @@ def test_world_includes_what_lies_in_the_operators_folders(
         sdf("<include><uri>model://outer</uri><name>big</name></include>", "yard")
     )
 
-    report = loaded(context, loading("yard"))
+    report = loaded(parts, loading("yard"))
 
     assert report.world.name == "yard"
-    assert names_in(context.world) == ["big"]
-    assert context.world.entity("big").model.mass_kg == 2.0
+    assert names_in(parts.world) == ["big"]
+    assert parts.world.entity("big").model.mass_kg == 2.0
 
 
-def test_world_is_unloaded_with_everything_in_it(context: ServerContext) -> None:
-    handle_request(context, world_messages.UnloadWorldRequest())
+def test_world_is_unloaded_with_everything_in_it(parts: ServerParts) -> None:
+    handle_request(parts, world_messages.UnloadWorldRequest())
 
-    assert (context.world.state, names_in(context.world)) == (State.NO_WORLD, [])
+    assert (parts.world.state, names_in(parts.world)) == (State.NO_WORLD, [])
     for request, code in (
         (world_messages.UnloadWorldRequest(), UnloadWorldCode.NO_WORLD_LOADED),
         (world_messages.GetCurrentWorldRequest(), GetCurrentWorldCode.NO_WORLD_LOADED),
@@ -280,23 +286,23 @@ def test_world_is_unloaded_with_everything_in_it(context: ServerContext) -> None
         (ResetSimulationRequest(), ResultCode.INCORRECT_STATE),
     ):
         with pytest.raises(SimError) as refused:
-            handle_request(context, request)
+            handle_request(parts, request)
         assert refused.value.code == code
     assert (
-        handle_request(context, entity_messages.GetEntitiesRequest())
+        handle_request(parts, entity_messages.GetEntitiesRequest())
         == entity_messages.GetEntitiesResponse()
     )
 
-    loaded(context, loading("empty"))
+    loaded(parts, loading("empty"))
 
-    assert context.world.state == State.STOPPED
+    assert parts.world.state == State.STOPPED
 
 
-def test_current_world_is_told_as_it_is_asked_for(context: ServerContext) -> None:
+def test_current_world_is_told_as_it_is_asked_for(parts: ServerParts) -> None:
     text = sdf("<zensim:tags> a b </zensim:tags>", "yard")
-    loaded(context, loading(text=text))
+    loaded(parts, loading(text=text))
 
-    response = handle_request(context, world_messages.GetCurrentWorldRequest())
+    response = handle_request(parts, world_messages.GetCurrentWorldRequest())
 
     assert isinstance(response, world_messages.GetCurrentWorldResponse)
     assert response.world == world_messages.WorldResource(
@@ -304,7 +310,7 @@ def test_current_world_is_told_as_it_is_asked_for(context: ServerContext) -> Non
     )
 
 
-def test_worlds_are_listed_by_folder_and_tag(context: ServerContext, folder: Path) -> None:
+def test_worlds_are_listed_by_folder_and_tag(parts: ServerParts, folder: Path) -> None:
     (folder / "deep").mkdir()
     (folder / "deep" / "a.world").write_text(sdf("<zensim:tags>indoor cold</zensim:tags>"))
     (folder / "b.sdf").write_text(sdf("<zensim:tags>cold</zensim:tags>"))
@@ -312,16 +318,16 @@ def test_worlds_are_listed_by_folder_and_tag(context: ServerContext, folder: Pat
     (folder / "link.world").symlink_to(folder.parent / "outside.world")
     ask = world_messages.GetAvailableWorldsRequest
 
-    assert listed(context, ask()) == ["empty", "walls", "warehouse", "b.sdf", "deep/a.world"]
-    assert listed(context, ask(filter=TagsFilter(("cold", "no")))) == ["b.sdf", "deep/a.world"]
-    assert listed(context, ask(filter=TagsFilter(("cold", "indoor"), 1))) == ["deep/a.world"]
-    assert "deep/a.world" in listed(context, ask(additional_sources=("deep",)))
+    assert listed(parts, ask()) == ["empty", "walls", "warehouse", "b.sdf", "deep/a.world"]
+    assert listed(parts, ask(filter=TagsFilter(("cold", "no")))) == ["b.sdf", "deep/a.world"]
+    assert listed(parts, ask(filter=TagsFilter(("cold", "indoor"), 1))) == ["deep/a.world"]
+    assert "deep/a.world" in listed(parts, ask(additional_sources=("deep",)))
 
 
 def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(
-    context: ServerContext,
+    parts: ServerParts,
 ) -> None:
-    found = available(context, world_messages.GetAvailableWorldsRequest())
+    found = available(parts, world_messages.GetAvailableWorldsRequest())
 
     empty = next(world for world in found if world.world_resource.uri == "empty")
     assert (empty.description, empty.tags) == (
@@ -329,7 +335,7 @@ def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(
         ("outdoor", "small"),
     )
     nameless = sdf("<frame name='f'><zensim:tags>parking</zensim:tags></frame>")
-    assert loaded(context, loading(text=nameless)).world.tags == ()
+    assert loaded(parts, loading(text=nameless)).world.tags == ()
 
 
 def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
@@ -339,10 +345,10 @@ def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
     assert read_world_metadata(Resource(), text).tags == ("a", "b")
 
 
-def test_many_files_are_looked_at_a_few_at_a_turn(context: ServerContext, folder: Path) -> None:
+def test_many_files_are_looked_at_a_few_at_a_turn(parts: ServerParts, folder: Path) -> None:
     for number in range(3 * FILES_PER_TURN):
         (folder / f"{number:03}.world").write_text(sdf())
-    later = handle_request(context, world_messages.GetAvailableWorldsRequest())
+    later = handle_request(parts, world_messages.GetAvailableWorldsRequest())
     assert isinstance(later, DeferredResponse)
 
     turns = 1
@@ -350,41 +356,39 @@ def test_many_files_are_looked_at_a_few_at_a_turn(context: ServerContext, folder
         turns += 1
 
     assert turns > 3
-    assert len(later.outcome().worlds) == 3 + 3 * FILES_PER_TURN  # type: ignore[attr-defined]
+    assert len(later.outcome().worlds) == 3 + 3 * FILES_PER_TURN
 
 
 @pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])
 def test_source_outside_the_operators_folders_is_not_looked_into(
-    context: ServerContext, folder: Path, source: str
+    parts: ServerParts, folder: Path, source: str
 ) -> None:
     with pytest.raises(SimError, match="is no folder below those of --model-path") as refused:
-        listed(context, world_messages.GetAvailableWorldsRequest(additional_sources=(source,)))
+        listed(parts, world_messages.GetAvailableWorldsRequest(additional_sources=(source,)))
 
     assert refused.value.code == ResultCode.NOT_FOUND
     lenient = world_messages.GetAvailableWorldsRequest(
         additional_sources=(source,), continue_on_error=True
     )
-    assert listed(context, lenient) == ["empty", "walls", "warehouse"]
+    assert listed(parts, lenient) == ["empty", "walls", "warehouse"]
     assert folder.is_dir()
 
 
 def test_online_source_is_passed_over_when_only_offline_ones_are_wanted(
-    context: ServerContext,
+    parts: ServerParts,
 ) -> None:
     request = world_messages.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
 
-    assert listed(context, request) == ["empty", "walls", "warehouse"]
+    assert listed(parts, request) == ["empty", "walls", "warehouse"]
 
 
 def test_worlds_are_not_listed_when_an_operators_folder_has_gone(
-    context: ServerContext, folder: Path
+    parts: ServerParts, folder: Path
 ) -> None:
     folder.rmdir()
 
     with pytest.raises(SimError, match="cannot be looked into") as refused:
-        listed(context, world_messages.GetAvailableWorldsRequest())
+        listed(parts, world_messages.GetAvailableWorldsRequest())
 
     assert refused.value.code == GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED
-    assert (
-        len(listed(context, world_messages.GetAvailableWorldsRequest(continue_on_error=True))) == 3
-    )
+    assert len(listed(parts, world_messages.GetAvailableWorldsRequest(continue_on_error=True))) == 3

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.sim_server.fakes import a_world, kinds_of_events, make_parts, names_in
+from tests.sim_server.fakes import a_world, handle_request, kinds_of_events, make_parts, names_in
 from zensim.proto.messages.result_messages import SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
     SetSimulationStateRequest,
@@ -10,7 +10,6 @@ from zensim.proto.messages.simulation_messages import (
     State,
 )
 from zensim.sim_server.errors import RequestRefused
-from zensim.sim_server.services.service_registry import handle_request
 from zensim.sim_server.world.simulation_clock import ALLOWED_TRANSITIONS, STATE_EVENTS, STATE_NAMES
 
 STANDING = {State.STOPPED, State.PAUSED}
@@ -65,7 +64,7 @@ def test_world_is_never_asked_for_as_a_state() -> None:
 def test_stop_goes_back_to_the_start() -> None:
     parts = make_parts(a_world("r0"))
     parts.world.step()
-    goal = parts.step_goals.add(5)
+    goal = parts.pacing.step_goals.add(5)
 
     handle_request(parts, asked(State.STOPPED))
 

@@ -2,14 +2,14 @@
 
 from tests.sim_server.fakes import WallTime, a_spawn, a_world, make_parts, names_in
 from tests.sim_server.orders import an_order, spawned
-from zensim.sim_server.server_context import ServerContext
+from zensim.sim_server.service_parts import ServerParts
 
 
-def make_bonded_parts(*names: str, bond: str = "b1") -> ServerContext:
+def make_bonded_parts(*names: str, bond: str = "b1") -> ServerParts:
     """Make a server whose world has entities that hang on a bond, 5 m apart."""
     wall = WallTime()
     parts = make_parts(a_world("free"), wall)
-    parts.alive_bonds.add(bond)
+    parts.bonds.alive.add(bond)
     for i, name in enumerate(names, start=1):
         wall.ns += 1
         spawned(parts, an_order(name, place=(5.0 * i, 0.0, 0.06), bond=bond))
@@ -19,26 +19,26 @@ def make_bonded_parts(*names: str, bond: str = "b1") -> ServerContext:
 def test_bond_takes_its_entities_out_when_it_ends() -> None:
     parts = make_bonded_parts("r1", "r2")
 
-    parts.delete_bonded_entities("b1")
+    parts.bonds.end("b1")
 
     assert names_in(parts.world) == ["free"]
-    assert parts.alive_bonds == set()
+    assert parts.bonds.alive == set()
 
 
 def test_bond_leaves_everything_when_it_is_unknown() -> None:
     parts = make_bonded_parts("r1")
 
-    parts.delete_bonded_entities("b2")
+    parts.bonds.end("b2")
 
     assert names_in(parts.world) == ["free", "r1"]
-    assert parts.alive_bonds == {"b1"}
+    assert parts.bonds.alive == {"b1"}
 
 
 def test_bond_ends_when_its_entity_was_deleted_before() -> None:
     parts = make_bonded_parts("r1", "r2")
     parts.world.delete("r1")
 
-    parts.delete_bonded_entities("b1")
+    parts.bonds.end("b1")
 
     assert names_in(parts.world) == ["free"]
 
@@ -48,16 +48,16 @@ def test_bond_leaves_another_entity_that_got_the_name_since() -> None:
     parts.world.delete("r1")
     parts.world.spawn(a_spawn("r1"))
 
-    parts.delete_bonded_entities("b1")
+    parts.bonds.end("b1")
 
     assert names_in(parts.world) == ["free", "r1"]
 
 
 def test_bond_ends_once() -> None:
     parts = make_bonded_parts("r1")
-    parts.delete_bonded_entities("b1")
+    parts.bonds.end("b1")
     parts.world.spawn(a_spawn("r1"))
 
-    parts.delete_bonded_entities("b1")
+    parts.bonds.end("b1")
 
     assert "r1" in names_in(parts.world)

@@ -1,0 +1,186 @@
+"""Parts of a server that service handlers take as parameters, and deferred responses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Generic
+
+from zensim.proto.messages.simulation_messages import State
+from zensim.proto.messages.world_messages import WorldResource
+from zensim.proto.service_catalog import Response
+from zensim.sim_server.description.sdf.sdf_world import WorldModel
+from zensim.sim_server.errors import IncorrectState
+from zensim.sim_server.pacing.lockstep import Lockstep
+from zensim.sim_server.pacing.loop_stats import LoopStats
+from zensim.sim_server.pacing.step_goals import StepGoals
+from zensim.sim_server.parser_process.asset_store import AssetStore
+from zensim.sim_server.parser_process.description_cache import DescriptionProvider, list_meshes
+from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world_loading.world_catalog import WorldCatalog
+from zensim.sim_server.world_loading.world_loader import BuiltWorld, WorldFactory
+
+
+@dataclass(frozen=True)
+class DeferredResponse(Generic[Response]):
+    """A response that a handler finishes in a later turn of the loop.
+
+    Attributes:
+        is_ready: Called at every turn of the loop, so it must be cheap.
+        outcome: Called once, when ready; raises as a handler does.
+    """
+
+    is_ready: Callable[[], bool]
+    outcome: Callable[[], Response]
+
+
+@dataclass
+class Pacing:
+    """When steps are made: requested steps, lockstep, speed and timing of the loop."""
+
+    now_ns: Callable[[], int]
+    """Wall time."""
+    loop_stats: LoopStats
+    target_real_time_factor: float = 1.0
+    """0 = as fast as possible."""
+    step_goals: StepGoals = field(default_factory=StepGoals)
+    lockstep: Lockstep = field(default_factory=Lockstep)
+    due_ns: int = 0
+    """Wall time at which the next step is due."""
+
+
+@dataclass
+class Agents:
+    """Agents that have a liveliness token."""
+
+    alive: set[str] = field(default_factory=set)
+    pool_limits: dict[str, int] = field(default_factory=dict)
+    """Most robots of each pool, in the order of their first request."""
+
+
+@dataclass
+class Bonds:
+    """Entities that are deleted when the liveliness token of their bond disappears."""
+
+    world: World
+    alive: set[str] = field(default_factory=set)
+    entities: dict[str, list[tuple[str, int]]] = field(default_factory=dict)
+    """By bond: names of entities, and `Entity.born_ns`."""
+
+    def require(self, bond: str) -> None:
+        """Refuse a bond without a token; an empty name is no bond.
+
+        Raises:
+            IncorrectState: The bond has no token.
+        """
+        if bond and bond not in self.alive:
+            raise IncorrectState(
+                f"bond '{bond[:80]}' has no liveliness token; declare it before spawning"
+            )
+
+    def add(self, bond: str, entity: Entity) -> None:
+        """Delete the entity when the bond ends."""
+        self.entities.setdefault(bond, []).append((entity.name, entity.born_ns))
+
+    def end(self, bond: str) -> None:
+        """Delete the entities of a bond whose token has disappeared."""
+        self.alive.discard(bond)
+        born = {entity.name: entity.born_ns for entity in self.world.entities}
+        for name, born_ns in self.entities.pop(bond, []):
+            # Another entity may have got the name since.
+            if born.get(name) == born_ns:
+                self.world.delete(name)
+
+
+@dataclass
+class Descriptions:
+    """Parsed models, and the mesh files that they name."""
+
+    provider: DescriptionProvider
+    store: AssetStore
+    has_new: bool = False
+    """Whether descriptions have been parsed since the last turn of the loop."""
+
+
+@dataclass
+class CurrentWorld:
+    """Description of the world that is loaded, and how to request it."""
+
+    model: WorldModel
+    resource: WorldResource = field(default_factory=WorldResource)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Spawning:
+    """What a spawn reads and changes."""
+
+    world: World
+    descriptions: Descriptions
+    bonds: Bonds
+    pacing: Pacing
+
+
+@dataclass
+class WorldLoading:
+    """What loading a world reads and replaces."""
+
+    world: World
+    current: CurrentWorld
+    pacing: Pacing
+    bonds: Bonds
+    descriptions: Descriptions
+    catalog: WorldCatalog
+    factory: WorldFactory
+
+    def replace_world(self, built: BuiltWorld, model: WorldModel, resource: WorldResource) -> None:
+        """Replace the loaded world; a model without a name means that no world is loaded."""
+        self.bonds.entities.clear()
+        self._pin_meshes(model)
+        state = State.STOPPED if model.name else State.NO_WORLD
+        self.world.replace_with(built.world, state)
+        self.pacing.target_real_time_factor = built.real_time_factor
+        self.current.model, self.current.resource = model, resource
+
+    def _pin_meshes(self, model: WorldModel) -> None:
+        """Keep the meshes of a world: its models are made again by a reset."""
+        for name in {mesh for placed in model.models for mesh in list_meshes(placed.model)}:
+            self.descriptions.store.pin_kept(name)
+
+
+@dataclass(frozen=True)
+class ServerParts:
+    """All parts of one server: a handler gets those that its parameters name by type."""
+
+    world: World
+    current_world: CurrentWorld
+    pacing: Pacing
+    agents: Agents
+    bonds: Bonds
+    descriptions: Descriptions
+    store: AssetStore
+    spawning: Spawning
+    loading: WorldLoading
+
+
+def make_server_parts(
+    world: World,
+    current: CurrentWorld,
+    pacing: Pacing,
+    descriptions: Descriptions,
+    *,
+    catalog: WorldCatalog,
+    factory: WorldFactory,
+) -> ServerParts:
+    """Make the parts that depend on others."""
+    bonds = Bonds(world)
+    return ServerParts(
+        world,
+        current,
+        pacing,
+        Agents(),
+        bonds,
+        descriptions,
+        descriptions.store,
+        Spawning(world, descriptions, bonds, pacing),
+        WorldLoading(world, current, pacing, bonds, descriptions, catalog, factory),
+    )
