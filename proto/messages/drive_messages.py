@@ -98,6 +98,11 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
         return self.wheel_joints
 
     @property
+    def steering_joints(self) -> tuple[str, ...]:
+        """Joints that steer wheels."""
+        return ()
+
+    @property
     def encoder(self) -> WheelPair | None:
         """Wheels whose turns give odometry; None when the world gives it."""
         return None
@@ -192,7 +197,7 @@ class AckermannDrive(DriveSettings, frozen=True, tag="ackermann_drive", tag_fiel
     @property
     def joints(self) -> tuple[str, ...]:
         """Wheels and steering."""
-        return (*self.wheel_joints, *self._steering_joints)
+        return (*self.wheel_joints, *self._turned_joints)
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
@@ -200,13 +205,18 @@ class AckermannDrive(DriveSettings, frozen=True, tag="ackermann_drive", tag_fiel
         return (
             Actuator("velocity", self.rear_left_joint, self.wheel_effort_nm),
             Actuator("velocity", self.rear_right_joint, self.wheel_effort_nm),
-            *(Actuator("position", j, self.steering_effort_nm) for j in self._steering_joints),
+            *(Actuator("position", j, self.steering_effort_nm) for j in self._turned_joints),
         )
 
     @property
-    def _steering_joints(self) -> tuple[str, ...]:
+    def steering_joints(self) -> tuple[str, ...]:
+        """Joints that steer the front wheels, left before right."""
+        return (self.left_steering_joint, self.right_steering_joint)
+
+    @property
+    def _turned_joints(self) -> tuple[str, ...]:
         wheel = (self.steering_wheel_joint,) if self.steering_wheel_joint else ()
-        return (self.left_steering_joint, self.right_steering_joint, *wheel)
+        return (*self.steering_joints, *wheel)
 
 
 class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field="kind"):
@@ -246,6 +256,11 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
             self.encoder_wheel_left_joint,
             self.encoder_wheel_right_joint,
         )
+
+    @property
+    def steering_joints(self) -> tuple[str, ...]:
+        """Joint that steers the wheel that drives."""
+        return (self.steering_joint,)
 
     @property
     def joints(self) -> tuple[str, ...]:

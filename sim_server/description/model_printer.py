@@ -4,7 +4,13 @@ from typing import Any
 
 import msgspec
 
-from zensim.proto.messages.drive_messages import AckermannDrive, DiffDrive, Drive, TricycleDrive
+from zensim.proto.messages.drive_messages import (
+    AckermannDrive,
+    DiffDrive,
+    Drive,
+    PlanarMove,
+    TricycleDrive,
+)
 from zensim.proto.messages.model_messages import Joint, Model
 
 
@@ -21,7 +27,7 @@ def summarize_drive(drive: Drive) -> str:
             )
         case TricycleDrive():
             return f"actuated wheel {drive.actuated_wheel_diameter_m:g} m across"
-        case _:
+        case PlanarMove():
             return "the body takes the twist, sideways too"
 
 

@@ -9,13 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.messages.drive_messages import (
-    AckermannDrive,
-    DiffDrive,
-    PlanarMove,
-    TricycleDrive,
-    WheelPair,
-)
+from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.model_geometry import (
@@ -142,7 +136,7 @@ def make_planar_vehicle(
     if model.is_static or drive is None:
         raise NotPlanar("it has no drive" if drive is None else "it never moves")
     index = {joint.name: i for i, joint in enumerate(model.joints)}
-    steering = _steering_joints(model, index)
+    steering = tuple(index[name] for name in drive.steering_joints)
     wheels = [_make_wheel(model, index[name], steering) for name in _list_wheel_joints(model)]
     matrix, axle = _find_drive_matrix(wheels, model)
     planned = _VehicleGeometry(model, index, steering, tuple(wheels), matrix, axle)
@@ -205,17 +199,10 @@ def _make_motors(pairs: list[tuple[int, int]]) -> VehicleMotors:
 def _list_wheel_joints(model: Model) -> tuple[str, ...]:
     """Name the wheels: first those that are driven, in the order of the actuators."""
     drive = model.drive
-    if drive is None or isinstance(drive, PlanarMove):
+    if drive is None:
         return ()
     driven = [a.joint for a in model.actuators if a.joint in drive.wheel_joints]
     return (*driven, *(name for name in drive.wheel_joints if name not in driven))
-
-
-def _steering_joints(model: Model, index: dict[str, int]) -> tuple[int, ...]:
-    drive = model.drive
-    if isinstance(drive, AckermannDrive):
-        return (index[drive.left_steering_joint], index[drive.right_steering_joint])
-    return (index[drive.steering_joint],) if isinstance(drive, TricycleDrive) else ()
 
 
 def _make_wheel(model: Model, joint: int, steering: tuple[int, ...]) -> VehicleWheel:
@@ -273,7 +260,7 @@ def _find_drive_matrix(
     wheels: list[VehicleWheel], model: Model
 ) -> tuple[tuple[float, ...], tuple[float, float]]:
     """Find the root twist by wheel speeds, and the point that does not slide sideways."""
-    if isinstance(model.drive, PlanarMove):
+    if any(actuator.mode == "twist" for actuator in model.actuators):
         return (), (0.0, 0.0)
     fixed = [wheel for wheel in wheels if wheel.steering < 0]
     if len(fixed) == len(wheels):

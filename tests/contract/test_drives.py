@@ -1,0 +1,96 @@
+"""Every drive is read from a plug-in, documented, and moves robots as the kinematic tier does."""
+
+import math
+from typing import get_args
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.contract.repository import ROOT
+from tests.proto.drives.single_drive import SingleDrive
+from zensim.proto.messages.drive_messages import AckermannDrive, Drive, TricycleDrive
+from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.description.builtin_models import read_builtin_model
+from zensim.sim_server.description.plugins.plugin_registry import (
+    DRIVE_READERS,
+    DrivePluginReader,
+)
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
+from zensim.sim_server.physics.actuation import make_actuation
+from zensim.sim_server.physics.kinematic.kinematic_robots import compute_steered_twists
+from zensim.sim_server.physics.kinematic.planar_vehicle import (
+    make_mesh_reader,
+    make_planar_vehicle,
+)
+
+
+def read_model(name: str) -> Model:
+    """Read a model; a tricycle gets the steering angle as target, not its rate."""
+    model = read_urdf(read_builtin_model(name))
+    if not isinstance(model.drive, TricycleDrive):
+        return model
+    drive = msgspec.structs.replace(model.drive, max_steering_speed=0.0)
+    return msgspec.structs.replace(model, drive=drive)
+
+
+# A skid-steered robot turns less than commanded, and a planar one takes the twist itself.
+MODELS = {name: read_model(name) for name in ("box_bot", "car_bot", "trike_bot")}
+TRIKE_WHEELBASE_M = 0.3
+
+
+@pytest.mark.parametrize("drive", get_args(Drive), ids=lambda drive: drive.__name__)
+def test_drive_is_read_from_a_plugin(drive: type[Drive]) -> None:
+    made = {reader.read.__annotations__["return"].split(" | ")[0] for reader in DRIVE_READERS}
+
+    assert drive.__name__ in made
+
+
+@pytest.mark.parametrize("reader", DRIVE_READERS, ids=lambda reader: reader.filenames[0])
+def test_drive_plugin_is_documented(reader: DrivePluginReader) -> None:
+    page = (ROOT / "docs" / "drives.md").read_text(encoding="utf-8")
+
+    assert any(name in page for name in reader.filenames)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
+@given(speed=st.floats(-0.5, 0.5), turn=st.floats(-0.5, 0.5))
+def test_targets_of_a_drive_move_its_vehicle_as_commanded(
+    model: Model, speed: float, turn: float
+) -> None:
+    ahead, spin = find_axle_twist(model, find_targets(model, speed, turn))
+
+    assert (ahead, spin) == pytest.approx(find_commanded_twist(model, speed, turn), abs=1e-6)
+
+
+def find_targets(model: Model, speed: float, turn: float) -> np.ndarray:
+    assert model.drive is not None
+    measured = (0.0,) * len(model.actuators)
+    drive = SingleDrive(model.drive)
+    # Long enough for every limit of acceleration.
+    return np.array(drive.update(speed, turn, positions=measured, velocities=measured, dt_s=1.0))
+
+
+def find_axle_twist(model: Model, targets: np.ndarray) -> tuple[float, float]:
+    """Find the speed of the unsteered axle and the turn rate by the vehicle's geometry."""
+    vehicle = make_planar_vehicle(model, make_mesh_reader(""), 9.81)[0]
+    plan = make_actuation(model)
+    speeds = targets[list(plan.speeds.columns)]
+    if vehicle.matrix:
+        ahead, _, spin = np.array(vehicle.matrix).reshape(3, -1) @ speeds
+    else:
+        angles = targets[list(plan.angles.columns)]
+        ahead, _, spin = compute_steered_twists(vehicle, speeds[None], angles[None])[:, 0]
+    return float(ahead - spin * vehicle.axle[1]), float(spin)
+
+
+def find_commanded_twist(model: Model, speed: float, turn: float) -> tuple[float, float]:
+    drive = model.drive
+    if isinstance(drive, AckermannDrive):
+        angle = turn * math.copysign(1.0, speed)
+        return speed, speed * math.tan(angle) / drive.wheelbase_m
+    if isinstance(drive, TricycleDrive):
+        return speed * math.cos(turn), speed * math.sin(turn) / TRIKE_WHEELBASE_M
+    return speed, turn
