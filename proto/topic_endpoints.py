@@ -7,7 +7,7 @@ from typing import Final, Protocol, TypeAlias
 import msgspec
 
 from zensim.proto.bus import Sample, Stamp
-from zensim.proto.codec.message_codec import Format, encode, make_encoding
+from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
@@ -261,7 +261,7 @@ class TopicFactory:
 
     def publisher(self, topic: Topic) -> TopicPublisher:
         """Declare a topic that is told; its messages are CDR."""
-        encoding = make_encoding(topic.kind, Format.CDR)
+        encoding = topic.encoding
         faces = [KeyPublisher(self._network.advertise(topic.key, encoding))]
         if (node := self._node) is None:
             return TopicPublisher(faces, ())
@@ -320,7 +320,7 @@ class LazyTopicPublisher:
             is_shared: Whether others tell this topic too, so that who asks has to ask all.
         """
         self._key = topic.key
-        self._encoding = make_encoding(topic.kind, Format.CDR)
+        self._encoding = topic.encoding
         self._value = value
         self._publisher = faces.publisher(topic)
         self._queries = faces.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)

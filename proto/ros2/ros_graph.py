@@ -5,6 +5,7 @@ from typing import Final, Protocol
 
 import msgspec
 
+from zensim.proto.codec.message_codec import Format, make_encoding
 from zensim.proto.ros2 import liveliness_tokens, rmw_keys
 from zensim.proto.ros2.liveliness_tokens import (
     RELIABLE_10,
@@ -139,6 +140,11 @@ class Topic(msgspec.Struct, frozen=True):
     def is_latched(self) -> bool:
         """Whether late subscribers get the last message."""
         return self.qos.durability == "transient_local"
+
+    @property
+    def encoding(self) -> str:
+        """Zenoh Encoding of the messages, which are CDR."""
+        return make_encoding(self.kind, Format.CDR)
 
     @property
     def ros_type(self) -> str:

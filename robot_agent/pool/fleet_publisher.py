@@ -145,7 +145,7 @@ class RosFleetPublisher:
         """
         self._network = network
         self._topic = topic
-        self._encoding = make_encoding(topic.kind, Format.CDR)
+        self._encoding = topic.encoding
         self._unjoined: list[RosTopicMember] = []
         self._joined: dict[RosTopicMember, GraphEndpoint] = {}
         self._faces: dict[RosTopicMember, KeyPublisher] = {}
