@@ -20,7 +20,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input
 STAMP := .venv/.setup-done
 
-.PHONY: help setup demo test lint fmt types imports schemas docs bench chaos fuzz pins ci clean \
+.PHONY: help setup demo test lint fmt types imports schemas docs bench house chaos fuzz pins ci clean \
 	packages
 
 help: ## list the targets
@@ -83,6 +83,9 @@ docs: setup ## links, commands and change log of the documents
 
 bench: setup ## measure and rewrite docs/benchmarks.md
 	$(BIN)/python -m benchmarks
+
+house: setup ## figures of the source tree: files, lines, repeated names, files of a flow
+	$(BIN)/python -m benchmarks.house
 
 chaos: setup packages ## kill, stop and starve, at full length, and rewrite docs/chaos.md
 	$(BIN)/python -m tests.chaos

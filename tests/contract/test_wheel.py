@@ -1,0 +1,139 @@
+"""The wheel, installed outside the checkout and beside PyPI's proto-plus."""
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.contract.repository import ROOT
+from tests.integration.processes import free_endpoint
+
+DATA = {
+    "zensim/py.typed",
+    "zensim/proto/schemas/messages.json",
+    "zensim/sim_server/models/box_bot.urdf",
+    "zensim/sim_server/worlds/empty.sdf",
+}
+BARE_NAMES = ("deploy", "proto", "robot_agent", "sim_server", "spawner")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel from what git would commit: the build leaves files beside its sources."""
+    folder = tmp_path_factory.mktemp("wheel")
+    listing = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    for name in listing.stdout.splitlines():
+        source, copy = ROOT / name, folder / "source" / name
+        if source.is_file() or source.is_symlink():
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(source, copy, follow_symlinks=False)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--no-input", "wheel", "-q"]
+    options = ["--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), "."]
+    subprocess.run([*pip, *options], cwd=folder / "source", check=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def python(wheel: Path) -> Path:
+    """Install the wheel; its dependencies are those of the running environment."""
+    home = wheel.parent / "environment"
+    venv.create(home, with_pip=False)
+    (packages,) = home.glob("lib/python3.*/site-packages")
+    # A path in a .pth file is not searched for further .pth files: the checkout stays out.
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(packages)
+    return home / "bin" / "python"
+
+
+def run(python: Path, *words: str, **more: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [python, *words],
+        cwd=python.parent,
+        env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | more,
+        capture_output=True,
+        text=True,
+        timeout=200,
+        check=False,
+    )
+
+
+def test_wheel_holds_one_top_level_name_and_its_data(wheel: Path) -> None:
+    names = set(zipfile.ZipFile(wheel).namelist())
+
+    top = {name.split("/")[0] for name in names}
+
+    assert {name for name in top if not name.endswith(".dist-info")} == {"zensim"}
+    assert names >= DATA
+
+
+def test_wheel_and_proto_plus_are_both_whole(python: Path) -> None:
+    code = (
+        "import proto, zensim.proto.bus\n"
+        "class Point(proto.Message):\n"
+        "    x = proto.Field(proto.DOUBLE, number=1)\n"
+        "print(Point(x=2.0).x, zensim.proto.bus.Bus.__name__, zensim.__file__)"
+    )
+
+    done = run(python, "-c", code)
+
+    assert done.stderr == ""
+    number, name, path = done.stdout.split()
+    assert (number, name) == ("2.0", "Bus")
+    assert Path(path).is_relative_to(python.parent.parent)
+
+
+def test_programs_of_the_wheel_import_no_bare_name(python: Path) -> None:
+    code = (
+        "import pkgutil, importlib, sys, zensim\n"
+        "for module in pkgutil.walk_packages(zensim.__path__, 'zensim.'):\n"
+        "    if not module.name.endswith(('__main__', '_worker', '_process')):\n"
+        "        importlib.import_module(module.name)\n"
+        f"print(sorted(set({BARE_NAMES!r}) & set(sys.modules)))"
+    )
+
+    done = run(python, "-c", code)
+
+    assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_world_of_the_wheel_runs_robots(python: Path) -> None:
+    up = ("up", "--robots", "2", "--duration", "1", "--no-viewer", "--listen", free_endpoint())
+
+    done = run(python, "-m", "zensim", *up)
+
+    assert done.returncode == 0, done.stderr
+
+
+def test_tests_pass_on_the_wheel(python: Path, wheel: Path) -> None:
+    outside = wheel.parent / "outside"
+    shutil.copytree(ROOT / "tests", outside / "tests")
+    shutil.copy(ROOT / "pyproject.toml", outside)
+    some = ("tests/proto", "tests/contract/test_golden.py", "tests/robot_agent/drives")
+    pytest_words = (
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "-c",
+        str(outside / "pyproject.toml"),
+    )
+
+    done = run(python, *pytest_words, *(str(outside / name) for name in some))
+
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert " passed" in done.stdout
