@@ -220,7 +220,7 @@ def main(arguments: list[str], folder: Path = SCHEMAS) -> int:
         return 2
     stale = find_stale(folder)
     for name in stale:
-        sys.stdout.write(f"{name} is stale; run 'python -m proto.schema'\n")
+        sys.stdout.write(f"{name} is stale; run 'python -m zensim.proto.schema'\n")
     return 1 if stale else 0
 
 

@@ -42,6 +42,6 @@ def test_example_says_when_it_cannot_fill_a_field() -> None:
         when: timedelta
 
     with pytest.raises(
-        TypeError, match=r"field 'when' is a TimeDeltaType; say in zensim.proto.sample_messages"
+        TypeError, match=r"field 'when' is a TimeDeltaType; say in proto.sample_messages"
     ):
         make_sample_message(Odd)
