@@ -21,7 +21,7 @@ from zensim.proto.messages.standard_messages import (
     TwistWithCovariance,
     Vector3,
 )
-from zensim.robot_agent.rigid_transforms import (
+from zensim.proto.rigid_transforms import (
     Rotation,
     Vector,
     add,

@@ -13,9 +13,7 @@ from zensim.proto.messages.standard_messages import (
     TransformStamped,
     Vector3,
 )
-from zensim.proto.topic_catalog import JOINT_STATES
-from zensim.robot_agent.odometry import BaseMotion
-from zensim.robot_agent.rigid_transforms import (
+from zensim.proto.rigid_transforms import (
     add,
     compose,
     from_axis_angle,
@@ -24,6 +22,8 @@ from zensim.robot_agent.rigid_transforms import (
     normalize,
     rotate,
 )
+from zensim.proto.topic_catalog import JOINT_STATES
+from zensim.robot_agent.odometry import BaseMotion
 
 MOVABLE_KINDS = frozenset({"revolute", "continuous", "prismatic"})
 """Kinds of joints with one position; the others stand as if fixed."""

@@ -17,6 +17,7 @@ from zensim.proto.messages.standard_messages import (
     TransformStamped,
 )
 from zensim.proto.rate_limiter import RateLimiter
+from zensim.proto.rigid_transforms import find_yaw, from_axis_angle
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.topic_catalog import JOINT_STATES, ODOM, ROBOT_DESCRIPTION, TF, TF_STATIC
 from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicFactory
@@ -24,7 +25,6 @@ from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates, get_drive, make_rate_limiter
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.odometry import Z_AXIS, BaseMotion, find_world_motion
-from zensim.robot_agent.rigid_transforms import find_yaw, from_axis_angle
 from zensim.robot_agent.robot_frames import (
     DEFAULT_JOINT_STATE_PUBLISHER,
     FrameEdge,

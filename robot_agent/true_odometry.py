@@ -28,10 +28,7 @@ from zensim.proto.messages.standard_messages import (
     time_from_ns,
 )
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.proto.ros2.ros_graph import Topic
-from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
-from zensim.robot_agent.drive_state_decoder import RobotState
-from zensim.robot_agent.rigid_transforms import (
+from zensim.proto.rigid_transforms import (
     add,
     compose,
     conjugate,
@@ -42,6 +39,9 @@ from zensim.robot_agent.rigid_transforms import (
     rotate,
     scale,
 )
+from zensim.proto.ros2.ros_graph import Topic
+from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory
+from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.topic_remapping import resolve_topic_key
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from tests.engines import STEP_NS
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist, Vector3
-from zensim.proto.rotation import to_yaw
+from zensim.proto.se3 import to_yaw
 from zensim.robot_agent.base_controller import BaseController
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.odometry import BaseMotion

@@ -10,7 +10,7 @@ import numpy as np
 
 from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.rotation import multiply, to_yaw
+from zensim.proto.se3 import multiply, to_yaw
 from zensim.sim_server.physics.actuation import impose_planar_twists, make_actuation
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.sim_server.physics.cells.cell_executor import InProcessCellExecutor

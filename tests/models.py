@@ -15,7 +15,7 @@ from zensim.proto.messages.model_messages import (
     Origin,
     Shape,
 )
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine import FloatArray

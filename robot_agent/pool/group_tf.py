@@ -11,6 +11,7 @@ from zensim.proto.codec.cdr_layout import HEADER_BYTES
 from zensim.proto.drives.array_math import ARRAY_MATH
 from zensim.proto.messages.model_messages import Joint
 from zensim.proto.messages.standard_messages import TFMessage, TransformStamped
+from zensim.proto.rigid_transforms import multiply, normalize, rotate, rotate_about
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.proto.topic_catalog import TF
 from zensim.robot_agent import message_templates
@@ -28,7 +29,6 @@ from zensim.robot_agent.pool.robot_rows import (
     remap_floats,
     remap_ints,
 )
-from zensim.robot_agent.rigid_transforms import multiply, normalize, rotate, rotate_about
 
 POSE_COLUMNS = 7
 

@@ -23,12 +23,8 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.sim_server.description.model_geometry import (
-    compose_poses,
-    rotate_vector,
-    to_rotation_matrix,
-    transform_point,
-)
+from zensim.proto.rigid_transforms import compose, rotate, transform_point
+from zensim.proto.se3 import to_matrix
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import quote
 
@@ -102,7 +98,7 @@ def lump_fixed_joints(
     frames: list[Frame] = []
     for joint, link in zip(joints, links[1:], strict=True):
         holder, above = places[joint.parent]
-        origin = compose_poses(above, joint.origin)
+        origin = compose(above, joint.origin)
         if joint.kind == "fixed" and joint.name not in kept:
             places[link.name] = (holder, origin)
             groups[holder].append((link, origin))
@@ -131,7 +127,7 @@ def combine_inertials(parts: Iterable[tuple[Inertial, Origin]]) -> Inertial:
     com = weights @ centres / mass if mass > 0.0 else np.zeros(3)
     total = np.zeros((3, 3))
     for (part, origin), centre in zip(heavy, centres, strict=True):
-        turn, offset = to_rotation_matrix(origin), centre - com
+        turn, offset = to_matrix(np.array(origin.orientation)), centre - com
         total += turn @ _inertia_matrix(part) @ turn.T
         total += part.mass_kg * (offset @ offset * np.eye(3) - np.outer(offset, offset))
     x, y, z = com.tolist()
@@ -173,11 +169,9 @@ def _transform_shapes(shapes: Iterable[Shape], origin: Origin) -> Iterable[Shape
     for shape in shapes:
         contact = shape.contact
         if contact.direction != ZERO:
-            along = rotate_vector(origin, contact.direction)
+            along = rotate(origin.orientation, contact.direction)
             contact = msgspec.structs.replace(contact, direction=along)
-        yield msgspec.structs.replace(
-            shape, origin=compose_poses(origin, shape.origin), contact=contact
-        )
+        yield msgspec.structs.replace(shape, origin=compose(origin, shape.origin), contact=contact)
 
 
 SLIDE_LIMIT_M = 1e5

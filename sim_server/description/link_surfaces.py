@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from zensim.proto.messages.model_messages import ZERO, Contact, Decay, Inertial, Shape, Vec3
-from zensim.sim_server.description.model_geometry import rotate_vector
+from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.strict_parsing import read_numbers
 from zensim.sim_server.errors import ModelError
 
@@ -154,7 +154,7 @@ class SurfaceParameters(msgspec.Struct, frozen=True):
     def apply_to_shape(self, shape: Shape) -> Shape:
         """Give a collision this surface."""
         friction = shape.friction if self.friction is None else self.friction
-        along = rotate_vector(shape.origin, self.contact.direction)
+        along = rotate(shape.origin.orientation, self.contact.direction)
         contact = msgspec.structs.replace(self.contact, direction=along)
         return msgspec.structs.replace(shape, friction=friction, contact=contact)
 

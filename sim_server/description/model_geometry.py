@@ -1,4 +1,4 @@
-"""Geometry of a model: composed poses, link poses, ground clearance, wheel contact shapes.
+"""Geometry of a model: link poses, ground clearance, wheel contact shapes.
 
 A cylinder touches along a line, and an engine that solves a few points of it in turn lets the robot
 wander as it turns on the spot. A sphere of the same radius about the same centre rolls the same way
@@ -25,47 +25,14 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rotation import FloatArray, multiply, rotate
-
-
-def compose_poses(outer: Origin, inner: Origin) -> Origin:
-    """Find the pose in the frame of `outer` of what `inner` places in the frame that it makes."""
-    if outer == Origin():
-        return inner
-    x, y, z = transform_point(outer, inner.position)
-    if outer.orientation == IDENTITY:
-        return Origin((x, y, z), inner.orientation)
-    turn = multiply(np.array(outer.orientation), np.array(inner.orientation))
-    qx, qy, qz, qw = (turn / np.linalg.norm(turn)).tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
-
-
-def transform_point(origin: Origin, point: Vec3) -> Vec3:
-    """Find a point of a frame in the frame that `origin` is given in."""
-    ox, oy, oz = origin.position
-    x, y, z = rotate_vector(origin, point)
-    return (ox + x, oy + y, oz + z)
-
-
-def rotate_vector(origin: Origin, vector: Vec3) -> Vec3:
-    """Find a direction of a frame in the frame that `origin` is given in."""
-    if origin.orientation == IDENTITY:
-        return vector
-    x, y, z = rotate(np.array(origin.orientation), np.array(vector)).tolist()
-    return (x, y, z)
-
-
-def to_rotation_matrix(origin: Origin) -> FloatArray:
-    """Find the rotation matrix (3, 3) of a pose."""
-    columns = rotate(np.array(origin.orientation), np.eye(3))
-    return np.asarray(columns.T)
+from zensim.proto.rigid_transforms import compose, conjugate, rotate
 
 
 def find_link_poses(root: str, joints: tuple[Joint, ...]) -> dict[str, Origin]:
     """Find every link's pose in the root link, all joints at zero; parents come before children."""
     poses = {root: Origin()}
     for joint in joints:
-        poses[joint.child] = compose_poses(poses[joint.parent], joint.origin)
+        poses[joint.child] = compose(poses[joint.parent], joint.origin)
     return poses
 
 
@@ -89,7 +56,7 @@ def find_ground_clearance(
         corners: Finds those of a mesh; needed when the robot has any.
     """
     poses = find_link_poses(model.links[0].name, model.joints)
-    root = _TiltedFrame(0.0, _rotate_inverse(turn, (0.0, 0.0, 1.0)))
+    root = _TiltedFrame(0.0, rotate(conjugate(turn), (0.0, 0.0, 1.0)))
     frames = [(link, root.inner(poses[link.name])) for link in model.links]
     return min(
         (
@@ -111,7 +78,7 @@ class _TiltedFrame(NamedTuple):
     def inner(self, origin: Origin) -> "_TiltedFrame":
         """Find the frame at an origin in this one."""
         height = self.height + sum(a * b for a, b in zip(self.up, origin.position, strict=True))
-        return _TiltedFrame(height, _rotate_inverse(origin.orientation, self.up))
+        return _TiltedFrame(height, rotate(conjugate(origin.orientation), self.up))
 
 
 def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> float:
@@ -129,20 +96,6 @@ def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> f
         radius, length, _ = shape.size
         reach = radius * math.hypot(down[0], down[1]) + down[2] * length / 2.0
     return frame.height - reach
-
-
-def _rotate_inverse(turn: Quat, vector: Vec3) -> Vec3:
-    """Find in a turned frame a direction that is given outside of it."""
-    if turn == IDENTITY:
-        return vector
-    x, y, z, w = turn
-    vx, vy, vz = vector
-    tx, ty, tz = 2.0 * (z * vy - y * vz), 2.0 * (x * vz - z * vx), 2.0 * (y * vx - x * vy)
-    return (
-        vx + w * tx + z * ty - y * tz,
-        vy + w * ty + x * tz - z * tx,
-        vz + w * tz + y * tx - x * ty,
-    )
 
 
 MAX_AXLE_OFFSET = 0.01
@@ -188,7 +141,10 @@ def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
     if shape.kind != "cylinder" or not 0.0 < length <= MAX_WHEEL_WIDTH * radius:
         return False
     axis = np.array(axle.axis) / np.linalg.norm(axle.axis)
-    if abs(float(to_rotation_matrix(shape.origin)[:, 2] @ axis)) < MIN_AXLE_COS:
+    if (
+        abs(float(np.array(rotate(shape.origin.orientation, (0.0, 0.0, 1.0))) @ axis))
+        < MIN_AXLE_COS
+    ):
         return False
     centre = np.array(shape.origin.position)
     return float(np.linalg.norm(centre - axis * (centre @ axis))) <= MAX_AXLE_OFFSET * radius

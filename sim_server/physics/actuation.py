@@ -7,7 +7,7 @@ import numpy as np
 
 from zensim.proto.messages.drive_messages import Actuator
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.rotation import to_yaw
+from zensim.proto.se3 import to_yaw
 from zensim.sim_server.physics.engine import FloatArray
 
 

@@ -19,12 +19,13 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rotation import from_matrix
+from zensim.proto.rigid_transforms import from_directions
+from zensim.proto.se3 import from_matrix
 from zensim.sim_server.description.model_geometry import links_in_contact
 from zensim.sim_server.physics.engine import EngineRefused
 
 DEFAULT_FRICTION = 1.0
-ANTIPARALLEL_COSINE = 1.0 - 1e-12
+X_AXIS: Vec3 = (1.0, 0.0, 0.0)
 MAX_SHAPES_PER_PART = 16
 """Of one part: Bullet passes over all further ones without a word."""
 
@@ -128,17 +129,9 @@ def _make_part(
 def _make_surface_part(shapes: tuple[Shape, ...], link: int) -> RigidPart:
     skin = _make_part(Inertial(), shapes, link, link=link, joint=None)
     direction = skin.contact.direction
-    return skin if direction == ZERO else replace(skin, principal=_rotation_from_x_axis(direction))
-
-
-def _rotation_from_x_axis(direction: Vec3) -> Quat:
-    """Find a turn that takes x to a unit vector."""
-    x, y, z = direction
-    if x < -ANTIPARALLEL_COSINE:
-        return (0.0, 0.0, 1.0, 0.0)
-    turn = np.array([0.0, -z, y, 1.0 + x])
-    qx, qy, qz, qw = (turn / np.linalg.norm(turn)).tolist()
-    return (qx, qy, qz, qw)
+    return (
+        skin if direction == ZERO else replace(skin, principal=from_directions(X_AXIS, direction))
+    )
 
 
 def find_principal_axes(inertia: tuple[float, ...]) -> tuple[Vec3, Quat]:

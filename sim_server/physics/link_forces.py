@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zensim.proto.messages.model_messages import Decay, Inertial, Link, Vec3
-from zensim.proto.rotation import conjugate, rotate
+from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.blueprint import Blueprint
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
 

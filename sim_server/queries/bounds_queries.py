@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.entity_messages import Bounds, BoundsType
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.standard_messages import Vector3
-from zensim.proto.rotation import FloatArray
+from zensim.proto.se3 import IDENTITY_POSE, FloatArray
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.physics.engine import BodyStates
 from zensim.sim_server.scene.convex_shapes import (
@@ -22,7 +23,6 @@ from zensim.sim_server.scene.convex_shapes import (
     find_extreme_points,
     place_collision_shapes,
 )
-from zensim.sim_server.scene.forward_kinematics import compute_link_poses
 from zensim.sim_server.world.entity import Entity, EntityIndex
 
 BoolArray = npt.NDArray[np.bool_]
@@ -34,8 +34,6 @@ COLLINEAR_RATIO = 1e-9
 """Second singular value over the first, below which points are on one line."""
 ENTITIES_PER_TURN = 32
 """Entities of one model that are looked at at once."""
-
-ROOT_AT_ORIGIN = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
 
 
 class BoundsRefused(SimError):
@@ -127,12 +125,12 @@ class PoseSnapshot:
     def links_in_base(self, model: Model, name: str) -> dict[str, FloatArray]:
         """Find where the links of an entity are in its root link; poses (1, 7) by name."""
         positions = self.reading.joint_positions[self.roster.joints_of(name)]
-        return compute_link_poses(model, ROOT_AT_ORIGIN, positions[None])
+        return compute_link_poses(model, IDENTITY_POSE[None], positions[None])
 
 
 def find_link_poses_at_zero(model: Model) -> dict[str, FloatArray]:
     """Find where links are in the root link, all joints at zero; poses (1, 7) by name."""
-    return compute_link_poses(model, ROOT_AT_ORIGIN, np.zeros((1, len(model.joints))))
+    return compute_link_poses(model, IDENTITY_POSE[None], np.zeros((1, len(model.joints))))
 
 
 def find_overlapping(

@@ -4,18 +4,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from zensim.proto.forward_kinematics import compute_link_poses, compute_link_states
 from zensim.proto.messages.model_messages import Joint, Link
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.rotation import FloatArray, conjugate, multiply, rotate
+from zensim.proto.se3 import IDENTITY_POSE, FloatArray, compose, conjugate, multiply, rotate
 from zensim.sim_server.errors import RequestRefused, SimError
-from zensim.sim_server.scene.forward_kinematics import compute_link_poses, compute_link_states
 from zensim.sim_server.world.entity import Entity
-from zensim.sim_server.world.pose_conversion import WORLD_FRAMES, compose_poses, rotate_twist
+from zensim.sim_server.world.pose_conversion import WORLD_FRAMES, rotate_twist
 from zensim.sim_server.world.simulated_world import World
 
 SCOPE_SEPARATOR = "::"
 MAX_SHOWN_CHARACTERS = 80
-IDENTITY_POSE = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 class FrameNotFound(SimError):
@@ -71,7 +70,7 @@ def pose_to_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
     """Turn a pose (7,) given in a frame into the world's; raises as `frame_pose` does."""
     if frame_id in WORLD_FRAMES:
         return pose
-    return compose_poses(find_frame_pose(world, frame_id), pose)
+    return compose(find_frame_pose(world, frame_id), pose)
 
 
 def twist_to_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:

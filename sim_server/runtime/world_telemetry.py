@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 import msgspec
 import numpy as np
 
+from zensim.proto.forward_kinematics import compute_link_states as motion_of
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (
@@ -17,7 +18,7 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.messages.telemetry_messages import Stats, WorldClock
 from zensim.proto.rate_limiter import RateLimiter
-from zensim.proto.rotation import FloatArray
+from zensim.proto.se3 import FloatArray
 from zensim.proto.topic_catalog import (
     CLOCK,
     LINK_STATES,
@@ -28,7 +29,6 @@ from zensim.proto.topic_catalog import (
     TopicSpec,
 )
 from zensim.sim_server.queries.frame_queries import SCOPE_SEPARATOR
-from zensim.sim_server.scene.forward_kinematics import compute_link_states as motion_of
 from zensim.sim_server.service_parts import Pacing
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import World

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.rotation import FloatArray
+from zensim.proto.se3 import FloatArray
 
 IntArray = npt.NDArray[np.intp]
 

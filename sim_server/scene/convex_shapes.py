@@ -9,8 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.proto.messages.model_messages import Model, Shape
-from zensim.proto.rotation import FloatArray, rotate
-from zensim.sim_server.scene.forward_kinematics import origin_to_pose
+from zensim.proto.se3 import FloatArray, from_origin, rotate, transform_points
 
 MeshVertices = Callable[[str], npt.NDArray[np.floating]]
 """Corners (n, 3) of the mesh of a `Shape.mesh`, unscaled."""
@@ -42,7 +41,7 @@ class ConvexShape:
 
     def transformed_by(self, pose: FloatArray) -> "ConvexShape":
         """Move it by a pose (7,)."""
-        points = pose[:3] + rotate(pose[3:], self.points)
+        points = transform_points(pose, self.points)
         return replace(self, points=points, axis=rotate(pose[3:], self.axis))
 
     @property
@@ -66,7 +65,7 @@ class ConvexShape:
 
     def bounds_at(self, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Find the lowest and the highest coordinates (n, 3) when moved by poses (n, 7)."""
-        points = poses[:, None, :3] + rotate(poses[:, None, 3:], self.points)
+        points = transform_points(poses[:, None], self.points)
         reach = np.full((len(poses), 3), self.sphere_radius_m)
         if self.disc_radius_m:
             along = rotate(poses[:, 3:], self.axis)
@@ -93,7 +92,7 @@ def list_collision_shapes(model: Model, corners: MeshVertices) -> Iterator[tuple
             if shape.kind != "plane":
                 yield (
                     link.name,
-                    _to_convex_shape(shape, corners).transformed_by(origin_to_pose(shape.origin)),
+                    _to_convex_shape(shape, corners).transformed_by(from_origin(shape.origin)),
                 )
 
 

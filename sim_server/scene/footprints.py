@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model, Origin, Shape
-from zensim.proto.rotation import FloatArray, rotate
+from zensim.proto.rigid_transforms import compose
+from zensim.proto.se3 import FloatArray, from_origin, transform_points
 from zensim.sim_server.description.model_geometry import (
-    compose_poses,
     find_link_poses,
     links_in_contact,
 )
@@ -74,9 +74,8 @@ def make_rounded_hull(shape: Shape, pose: Origin, corners: MeshTriangles) -> Rou
         corners: Finds those of a mesh.
     """
     points, ball_m = _shape_points(shape, corners)
-    place = compose_poses(pose, shape.origin)
-    turned = rotate(np.array(place.orientation), points)
-    return RoundedHull(turned + np.array(place.position), ball_m)
+    place = from_origin(compose(pose, shape.origin))
+    return RoundedHull(transform_points(place, points), ball_m)
 
 
 def list_rounded_hulls(model: Model, corners: MeshTriangles) -> Iterator[RoundedHull]:
@@ -215,7 +214,7 @@ def find_outline(model: Model, base: FloatArray, corners: MeshTriangles) -> Stat
             if shape.kind == "plane":
                 continue
             piece = make_rounded_hull(shape, poses[link.name], corners)
-            points = base[:3] + rotate(base[3:7], piece.points)
+            points = transform_points(base[:7], piece.points)
             moved = RoundedHull(points, piece.sphere_radius_m)
             found.append(_triangle_edges(moved) if shape.kind == "mesh" else _convex_edges(moved))
     return concatenate_edges(found)

@@ -9,7 +9,7 @@ from zensim.proto.messages.entity_messages import BoundsType
 from zensim.proto.messages.result_messages import Result, SetEntityStateCode
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.standard_messages import Header, time_from_ns
-from zensim.proto.rotation import FloatArray
+from zensim.proto.se3 import FloatArray
 from zensim.sim_server.errors import PoseRefused, RequestRefused, UnsupportedFeature
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.queries.bounds_queries import BoundsUnsupported, PoseSnapshot, make_bounds

@@ -26,7 +26,7 @@ from zensim.proto.messages.standard_messages import (
     ns_from_time,
     time_from_ns,
 )
-from zensim.proto.rotation import FloatArray, conjugate, rotate
+from zensim.proto.se3 import FloatArray, conjugate, rotate, transform_points
 from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.queries.frame_queries import (
     SCOPE_SEPARATOR,
@@ -126,8 +126,8 @@ def _wrench_at_com(
     frame = find_frame_pose(world, request.reference_frame)
     force, torque = rotate(frame[3:], force), rotate(frame[3:], torque)
     link = find_state(world, f"{target.entity.name}::{target.link.name}")
-    mass = link[:3] + rotate(link[3:7], np.array(target.link.inertial.com_in_link))
-    arm = frame[:3] + rotate(frame[3:], point) - mass
+    mass = transform_points(link[:7], np.array(target.link.inertial.com_in_link))
+    arm = transform_points(frame, point) - mass
     return np.concatenate([force, torque + np.cross(arm, force)])
 
 

@@ -6,14 +6,11 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from zensim.proto.forward_kinematics import compute_joint_poses
 from zensim.proto.messages.model_messages import Joint, Model, Origin
+from zensim.proto.se3 import to_origin
 from zensim.sim_server.errors import IncorrectState
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
-from zensim.sim_server.scene.forward_kinematics import (
-    compose_poses,
-    compute_joint_poses,
-    origin_to_pose,
-)
 from zensim.sim_server.world.entity import Entity, EntityIndex
 
 MAX_COORDINATE_M = 1e6
@@ -175,8 +172,4 @@ def _fix_joint(joint: Joint, position: float) -> Joint:
 
 
 def _find_moved_origin(joint: Joint, position: float) -> Origin:
-    moved = compose_poses(
-        origin_to_pose(joint.origin), compute_joint_poses(joint, np.array([position]))
-    )[0]
-    x, y, z, qx, qy, qz, qw = moved.tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
+    return to_origin(compute_joint_poses(joint, np.array([position]))[0])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Twist, Vector3
-from zensim.proto.rotation import multiply, rotate
+from zensim.proto.se3 import rotate
 from zensim.sim_server.errors import PoseRefused
 from zensim.sim_server.physics.engine import FloatArray
 
@@ -61,12 +61,6 @@ def twist_to_row(twist: Twist) -> FloatArray:
             f"twist has a number that is not finite or above {MAX_SPEED:g}; use m/s and rad/s"
         )
     return row
-
-
-def compose_poses(frame: FloatArray, pose: FloatArray) -> FloatArray:
-    """Express a pose (7,) given in a frame whose pose in the world is `frame` (7,) in the world."""
-    place = frame[:3] + rotate(frame[3:7], pose[:3])
-    return np.concatenate([place, multiply(frame[3:7], pose[3:7])])
 
 
 def rotate_twist(frame: FloatArray, twist: FloatArray) -> FloatArray:

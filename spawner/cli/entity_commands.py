@@ -6,10 +6,13 @@ from typing import Annotated, Any
 
 import msgspec
 import typer
+from msgspec.structs import astuple
 
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.exit_codes import ExitCode, choose_exit_code, exit_on_failure, format_failure
 from zensim.proto.messages.entity_messages import Bounds, BoundsType, EntityFilters
 from zensim.proto.messages.result_messages import ResultCode, ServiceError
+from zensim.proto.rigid_transforms import find_yaw
 from zensim.spawner.cli.command_session import (
     AsJson,
     Connect,
@@ -23,7 +26,6 @@ from zensim.spawner.cli.command_session import (
 from zensim.spawner.cli.info_commands import format_category
 from zensim.spawner.cli.terminal_output import print_report
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.spawn.spawn_poses import find_yaw
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -162,7 +164,7 @@ def _find_pose(client: SimClient, name: str) -> dict[str, Any]:
         "x": place.x,
         "y": place.y,
         "z": place.z,
-        "yaw": find_yaw(state.pose.orientation),
+        "yaw": find_yaw(astuple(state.pose.orientation), FLOAT_MATH),
         "twist": msgspec.to_builtins(state.twist),
     }
 

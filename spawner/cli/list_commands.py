@@ -7,15 +7,18 @@ from typing import Annotated
 
 import msgspec
 import typer
+from msgspec.structs import astuple
 from rich.console import Group
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from zensim.proto.bus import NoServer
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import EntityFilters
 from zensim.proto.messages.standard_messages import NANOSECONDS, ns_from_time
+from zensim.proto.rigid_transforms import find_yaw
 from zensim.spawner.cli.command_session import (
     AsJson,
     Connect,
@@ -27,7 +30,6 @@ from zensim.spawner.cli.command_session import (
 )
 from zensim.spawner.cli.info_commands import make_filters
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.spawn.spawn_poses import find_yaw
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
 
@@ -108,7 +110,7 @@ def fetch_listing(client: SimClient, filters: EntityFilters) -> EntityListing:
             (place := state.pose.position).x,
             place.y,
             place.z,
-            find_yaw(state.pose.orientation),
+            find_yaw(astuple(state.pose.orientation), FLOAT_MATH),
         )
         for name, state in states.items()
         if name in models

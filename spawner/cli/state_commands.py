@@ -4,6 +4,7 @@ from typing import Annotated, TypeVar
 
 import msgspec
 import typer
+from msgspec.structs import astuple
 
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import EntityState
@@ -16,6 +17,7 @@ from zensim.proto.messages.standard_messages import (
     Vector3,
     ns_from_time,
 )
+from zensim.proto.rigid_transforms import to_rpy
 from zensim.spawner.cli.command_session import (
     AsJson,
     Connect,
@@ -25,7 +27,6 @@ from zensim.spawner.cli.command_session import (
     open_client,
 )
 from zensim.spawner.spawn.spawn_client import make_pose
-from zensim.spawner.spawn.spawn_poses import to_roll_pitch_yaw
 
 app = typer.Typer(
     name="state", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -105,7 +106,7 @@ def _merge_pose(
     if turn == (None, None, None):
         # As it came: angles there and back would move it by a rounding.
         return Pose(Point(x, y, z), now.orientation)
-    roll, pitch, yaw = map(_or_current, turn, to_roll_pitch_yaw(now.orientation))
+    roll, pitch, yaw = map(_or_current, turn, to_rpy(astuple(now.orientation)))
     return make_pose((x, y, z), (roll, pitch, yaw))
 
 
@@ -125,7 +126,7 @@ def _format_state(name: str, state: EntityState) -> list[str]:
     when_s = ns_from_time(state.header.stamp) / NANOSECONDS
     figures = {
         "position [m]": (place.x, place.y, place.z),
-        "roll pitch yaw [rad]": to_roll_pitch_yaw(state.pose.orientation),
+        "roll pitch yaw [rad]": to_rpy(astuple(state.pose.orientation)),
         "linear [m/s]": (twist.linear.x, twist.linear.y, twist.linear.z),
         "angular [rad/s]": (twist.angular.x, twist.angular.y, twist.angular.z),
     }

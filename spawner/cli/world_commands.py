@@ -7,11 +7,14 @@ from typing import Annotated
 
 import msgspec
 import typer
+from msgspec.structs import astuple
 from rich.table import Table
 
+from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
+from zensim.proto.rigid_transforms import find_yaw
 from zensim.spawner.cli.command_session import (
     AsJson,
     Connect,
@@ -23,7 +26,6 @@ from zensim.spawner.cli.command_session import (
     print_table,
 )
 from zensim.spawner.cli.terminal_output import print_report
-from zensim.spawner.spawn.spawn_poses import find_yaw
 
 app = typer.Typer(
     name="world", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
@@ -138,7 +140,7 @@ def named_poses(
         return
     table = Table("name", "tags", "x [m]", "y [m]", "z [m]", "yaw [rad]", "what it is", box=None)
     for one in found:
-        place, yaw = one.pose.position, find_yaw(one.pose.orientation)
+        place, yaw = one.pose.position, find_yaw(astuple(one.pose.orientation), FLOAT_MATH)
         numbers = (f"{number:.3f}" for number in (place.x, place.y, place.z, yaw))
         table.add_row(one.name, ", ".join(one.tags) or "-", *numbers, one.description)
     print_table(table)

@@ -1,4 +1,4 @@
-"""What a model looks like: visual templates, link poses by forward kinematics, and triangle meshes. NumPy only."""
+"""What a model looks like: visual templates, and triangle meshes. NumPy only."""
 
 from collections.abc import Container, Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -8,8 +8,10 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from zensim.proto.forward_kinematics import compute_chain_poses
 from zensim.proto.messages.model_messages import JointKind, Link, Model, Origin, Quat, Shape, Vec3
-from zensim.proto.rotation import multiply, rotate
+from zensim.proto.rigid_transforms import normalize
+from zensim.proto.se3 import from_origin, transform_points
 
 Vertices = NDArray[np.float64]
 Faces = NDArray[np.uint32]
@@ -42,12 +44,9 @@ def weld_triangles(corners: NDArray[np.float32]) -> TriangleMesh:
 
 Array = NDArray[np.float64]
 
-REVOLUTE_KINDS: Final = frozenset({"revolute", "continuous"})
-PRISMATIC_KINDS: Final = frozenset({"prismatic"})
-
 
 class VisualJoint(msgspec.Struct, frozen=True):
-    """How one link moves in another; the axis is in the child's frame."""
+    """How one link moves in another; the axis is a unit vector in the child's frame."""
 
     kind: JointKind
     parent: int
@@ -56,67 +55,18 @@ class VisualJoint(msgspec.Struct, frozen=True):
     axis: Vec3
 
 
-class LinkPoses(msgspec.Struct, frozen=True, eq=False):
-    """Where one link of k entities is, in the world frame."""
-
-    positions: Array
-    """(k, 3) [m]."""
-    quaternions: Array
-    """(k, 4), x y z w."""
-
-    @property
-    def wxyzs(self) -> Array:
-        """The quaternions as (k, 4), w x y z."""
-        return self.quaternions[:, [3, 0, 1, 2]]
-
-
 def find_link_poses(
     visual_joints: Sequence[VisualJoint], base: Array, joint_positions: Array
-) -> list[LinkPoses]:
-    """Find the pose of every link of k entities: the base, then what each hinge moves.
+) -> list[Array]:
+    """Find the poses (k, 7) of every link of k entities in the world frame.
 
     Args:
         visual_joints: Parents before children.
-        base: (k, 7), position and quaternion x y z w of the base in the world frame.
+        base: (k, 7) of the root links.
         joint_positions: (k, joints) [rad or m].
     """
-    placed = [LinkPoses(base[:, :3], base[:, 3:7])]
-    for hinge, moved in zip(visual_joints, joint_positions.T, strict=True):
-        placed.append(_find_child_poses(placed[hinge.parent], hinge, moved))
-    return placed
-
-
-def _find_child_poses(parent: LinkPoses, hinge: VisualJoint, moved: Array) -> LinkPoses:
-    offset, turn = _find_joint_motion(hinge, moved)
-    origin_position, origin_turn = _to_arrays(hinge.origin)
-    in_parent = origin_position + rotate(origin_turn, offset)
-    return LinkPoses(
-        parent.positions + rotate(parent.quaternions, in_parent),
-        multiply(parent.quaternions, multiply(origin_turn, turn)),
-    )
-
-
-def _find_joint_motion(hinge: VisualJoint, moved: Array) -> tuple[Array, Array]:
-    """Translation (k, 3) and rotation (k, 4) of the child in the joint's frame."""
-    offset, turn = np.zeros((len(moved), 3)), np.tile((0.0, 0.0, 0.0, 1.0), (len(moved), 1))
-    axis = normalize(hinge.axis)
-    if hinge.kind in PRISMATIC_KINDS:
-        offset = moved[:, None] * axis
-    if hinge.kind in REVOLUTE_KINDS:
-        half = moved[:, None] / 2.0
-        turn = np.concatenate((np.sin(half) * axis, np.cos(half)), axis=1)
-    return offset, turn
-
-
-def normalize(vector: Vec3 | Quat) -> Array:
-    """Scale to length one; what has no length stays as it is."""
-    array = np.asarray(vector, dtype=np.float64)
-    length = float(np.linalg.norm(array))
-    return array / length if length > 0.0 else array
-
-
-def _to_arrays(origin: Origin) -> tuple[Array, Array]:
-    return np.asarray(origin.position, dtype=np.float64), normalize(origin.orientation)
+    joints = ((joint.parent, joint) for joint in visual_joints)
+    return compute_chain_poses(joints, base, joint_positions)
 
 
 class NotATree(Exception):
@@ -151,7 +101,7 @@ def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
         parent = index.get(joint.parent, len(index))
         if parent > number:
             raise NotATree(f"joint '{joint.name}' of '{model.name}' has no parent before it")
-        hinges.append(VisualJoint(joint.kind, parent, joint.origin, joint.axis))
+        hinges.append(VisualJoint(joint.kind, parent, joint.origin, normalize(joint.axis)))
     return VisualTemplate(
         tuple(_visible_shapes(link, meshes) for link in model.links), tuple(hinges)
     )
@@ -281,7 +231,7 @@ def find_top(form: VisualTemplate, meshes: TriangleMeshes = NO_MESHES) -> float:
     base = np.array([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)])
     links = find_link_poses(form.visual_joints, base, np.zeros((1, len(form.visual_joints))))
     heights = [
-        float(np.max(rotate(pose.quaternions, part.mesh.vertices)[:, 2] + pose.positions[0, 2]))
+        float(np.max(transform_points(pose, part.mesh.vertices)[:, 2]))
         for shapes, pose in zip(form.links, links, strict=True)
         for part in make_link_meshes(shapes, meshes)
     ]
@@ -294,8 +244,7 @@ def _transform_shape(shape: Shape, meshes: TriangleMeshes) -> TriangleMesh:
         if shape.kind == "mesh"
         else make_shape_mesh(shape)
     )
-    turned = rotate(normalize(shape.origin.orientation), mesh.vertices)
-    return TriangleMesh(turned + np.asarray(shape.origin.position), mesh.faces)
+    return TriangleMesh(transform_points(from_origin(shape.origin), mesh.vertices), mesh.faces)
 
 
 def _make_circle() -> Vertices:

@@ -8,11 +8,10 @@ import numpy as np
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.telemetry_messages import EntityModel, GetModelsResponse, Snapshot
 from zensim.proto.messages.world_messages import Scene
-from zensim.proto.rotation import to_yaw
+from zensim.proto.se3 import FloatArray, to_yaw
 from zensim.spawner.page.model_visuals import (
     NO_MESHES,
     Array,
-    LinkPoses,
     NotATree,
     TriangleMeshes,
     VisualTemplate,
@@ -69,7 +68,7 @@ class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
 
     base: Array = msgspec.field(default_factory=lambda: np.zeros((0, STATE_COLUMNS)))
     """(n, STATE_COLUMNS), in the order of `RenderedFleet.names`."""
-    links: tuple[tuple[LinkPoses, ...], ...] = ()
+    links: tuple[tuple[FloatArray, ...], ...] = ()
     """Poses of every link of every cohort."""
 
 

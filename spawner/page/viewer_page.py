@@ -14,12 +14,12 @@ import viser
 
 from zensim.proto.messages.telemetry_messages import EntityModel
 from zensim.proto.messages.world_messages import Scene
+from zensim.proto.se3 import FloatArray
 from zensim.spawner.page import scene_setup
 from zensim.spawner.page.http_server import close_server, open_server
 from zensim.spawner.page.model_visuals import (
     Array,
     ColouredMesh,
-    LinkPoses,
     TriangleMeshes,
     VisualTemplate,
     find_top,
@@ -36,6 +36,8 @@ from zensim.spawner.page.render_state import (
 from zensim.spawner.page.scene_setup import FOV_RAD, MUTED_BUTTON, START_CAMERA, SceneLighting
 from zensim.spawner.page.side_panel import BUTTONS, Button, make_robot_html, make_status_html
 
+WXYZ_COLUMNS: Final = [6, 3, 4, 5]
+"""Of a pose: viser's order of a quaternion."""
 MAX_LABELS: Final = 100
 LABEL_GAP_M: Final = 0.03
 LOD_MIN_FACES: Final = 2000
@@ -59,13 +61,13 @@ class ModelNodes:
         self._parts = [make_link_meshes(shapes, meshes) for shapes in form.links]
         self._batches: list[list[viser.BatchedMeshHandle]] = []
 
-    def show(self, links: Sequence[LinkPoses]) -> bool:
+    def show(self, links: Sequence[FloatArray]) -> bool:
         """Move all instances; return whether the nodes are new."""
         if self._batches:
             for batches, poses in zip(self._batches, links, strict=True):
                 for batch in batches:
-                    batch.batched_positions = poses.positions.astype(np.float32)
-                    batch.batched_wxyzs = poses.wxyzs.astype(np.float32)
+                    batch.batched_positions = poses[:, :3].astype(np.float32)
+                    batch.batched_wxyzs = poses[:, WXYZ_COLUMNS].astype(np.float32)
             return False
         self._batches = [
             [self._add(f"{self.path}/{i}/{j}", part, poses) for j, part in enumerate(parts)]
@@ -83,15 +85,15 @@ class ModelNodes:
         for batch in itertools.chain.from_iterable(self._batches):
             batch.remove()
 
-    def _add(self, path: str, part: ColouredMesh, poses: LinkPoses) -> viser.BatchedMeshHandle:
+    def _add(self, path: str, part: ColouredMesh, poses: FloatArray) -> viser.BatchedMeshHandle:
         red, green, blue = (round(255 * channel) for channel in part.rgba[:3])
         alpha = part.rgba[3]
         return self._scene.add_batched_meshes_simple(
             path,
             part.mesh.vertices,
             part.mesh.faces,
-            poses.wxyzs,
-            poses.positions,
+            poses[:, WXYZ_COLUMNS],
+            poses[:, :3],
             batched_colors=(red, green, blue),
             opacity=alpha if alpha < 1.0 else None,
             flat_shading=not part.is_smooth,
@@ -141,7 +143,7 @@ class FleetNodes:
         return msgspec.json.encode(dict(self._names))
 
     def _show_group(
-        self, cohort: InstanceGroup, links: Sequence[LinkPoses], meshes: TriangleMeshes
+        self, cohort: InstanceGroup, links: Sequence[FloatArray], meshes: TriangleMeshes
     ) -> None:
         drawn = self._forms.get(cohort.form)
         if drawn is None:

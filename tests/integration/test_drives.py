@@ -10,7 +10,7 @@ import pytest
 from tests.course import Track
 from tests.models import TRACK_M, WHEEL_RADIUS_M, a_cart, a_state
 from zensim.proto.messages.model_messages import Model, Origin, Shape
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 

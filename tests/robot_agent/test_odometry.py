@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from zensim.proto.drives.column_math import FLOAT_MATH
 from zensim.proto.messages.model_messages import IDENTITY, DiffDrive, Origin, WheelPair
 from zensim.proto.messages.standard_messages import Header, Time
+from zensim.proto.rigid_transforms import find_yaw, from_axis_angle
 from zensim.robot_agent.odometry import (
     BaseMotion,
     EncoderOdometry,
@@ -16,7 +17,6 @@ from zensim.robot_agent.odometry import (
     find_world_motion,
     make_covariance,
 )
-from zensim.robot_agent.rigid_transforms import find_yaw, from_axis_angle
 
 PAIR = WheelPair("left", "right", separation_m=0.4, diameter_m=0.2)
 SECOND = 1_000_000_000

@@ -23,8 +23,8 @@ from zensim.proto.messages.standard_messages import (
     TransformStamped,
     Vector3,
 )
+from zensim.proto.rigid_transforms import compose, from_axis_angle, invert
 from zensim.robot_agent.odometry import BaseMotion
-from zensim.robot_agent.rigid_transforms import compose, from_axis_angle, invert
 from zensim.robot_agent.robot_frames import (
     BaseFrame,
     FrameEdge,

@@ -23,7 +23,7 @@ from zensim.proto.messages.model_messages import (
     RosBlock,
 )
 from zensim.proto.messages.standard_messages import Odometry
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.proto.topic_endpoints import TopicFactory
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.robots import Robot

@@ -15,10 +15,9 @@ from zensim.proto.messages.drive_messages import (
 )
 from zensim.proto.messages.model_messages import Joint, Link, Origin, Shape, Vec3
 from zensim.proto.names import InvalidName, check_frame, check_namespace
+from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.sim_server.description.model_geometry import (
     find_link_poses,
-    rotate_vector,
-    transform_point,
 )
 from zensim.sim_server.errors import ModelError
 
@@ -78,7 +77,7 @@ def _measure_wheel(
     return MeasuredWheel(
         joint=joint.name,
         centre=transform_point(pose, tyre.origin.position),
-        axis=rotate_vector(pose, joint.axis),
+        axis=rotate(pose.orientation, joint.axis),
         radius_m=tyre.size[0],
     )
 

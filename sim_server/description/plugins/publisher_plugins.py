@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Origin
-from zensim.proto.rotation import from_rpy
+from zensim.proto.rigid_transforms import from_rpy
 from zensim.sim_server.description.plugins.drive_plugin import read_frame, read_topic
 
 if TYPE_CHECKING:
@@ -89,13 +89,12 @@ def read_ground_truth(tags: PluginTags, lumped: LumpedModel) -> GroundTruth | No
     frame = read_frame(tags, "frame_name", WORLD_FRAMES[0])
     x, y, z = tags.vector("xyz_offset")
     roll, pitch, yaw = tags.vector("rpy_offset")
-    qx, qy, qz, qw = from_rpy(roll, pitch, yaw).tolist()
     truth = GroundTruth(
         body=body,
         frame_id=frame,
         update_rate_hz=tags.number("update_rate", 0.0),
         topic=read_topic(tags, "topic_name", "odom", is_new=False) or "odom",
-        offset=Origin((x, y, z), (qx, qy, qz, qw)),
+        offset=Origin((x, y, z), from_rpy(roll, pitch, yaw)),
         noise=tags.number("gaussian_noise", 0.0),
         ros=tags.ros(),
     )

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.model_messages import Origin, Parameter, RosBlock, Sensor
-from zensim.proto.rotation import from_rpy
-from zensim.sim_server.description.model_geometry import compose_poses
+from zensim.proto.rigid_transforms import compose, from_rpy
 from zensim.sim_server.description.plugins.plugin_tags import read_ros_block
 from zensim.sim_server.description.strict_parsing import quote, read_numbers
 
@@ -69,7 +68,7 @@ def _read_sensor(tag: SensorElement, link: str, place: Origin, report: ParseRepo
         kind=kind[:MAX_VALUE_LENGTH],
         link=link,
         frame=tag.link,
-        origin=compose_poses(place, _read_pose(element, subject)),
+        origin=compose(place, _read_pose(element, subject)),
         update_rate_hz=max(rate, 0.0),
         plugin=((plugin.get("filename") or "") if plugin is not None else "")[:MAX_VALUE_LENGTH],
         ros=_read_ros(plugin, subject, report),
@@ -90,8 +89,7 @@ def _read_pose(element: Element, subject: str) -> Origin:
     )
     if not any((roll, pitch, yaw)):
         return Origin((x, y, z))
-    qx, qy, qz, qw = from_rpy(roll, pitch, yaw).tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
+    return Origin((x, y, z), from_rpy(roll, pitch, yaw))
 
 
 def _read_ros(plugin: Element | None, subject: str, report: ParseReport) -> RosBlock:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from zensim.proto.messages.model_messages import Origin
-from zensim.proto.rotation import conjugate, rotate
-from zensim.sim_server.description.model_geometry import compose_poses
+from zensim.proto.rigid_transforms import compose, invert
 from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
@@ -22,14 +19,6 @@ SCOPE_SEPARATOR = "::"
 def to_scoped_name(scope: str, name: str) -> str:
     """Write a name of a scope as the top model knows it."""
     return f"{scope}{SCOPE_SEPARATOR}{name}" if scope else name
-
-
-def invert_pose(origin: Origin) -> Origin:
-    """Find the pose of the outer frame in the inner one."""
-    turn = conjugate(np.array(origin.orientation))
-    x, y, z = rotate(turn, -np.array(origin.position)).tolist()
-    qx, qy, qz, qw = turn.tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
 
 
 class PoseGraph:
@@ -81,7 +70,7 @@ class PoseGraph:
         chain = self._chain_to(name, stop=MODEL_FRAME)
         for link in reversed(chain):
             parent, _ = self._parents[link]
-            self._poses[link] = compose_poses(self._poses[parent], self._pose_in_parent(link))
+            self._poses[link] = compose(self._poses[parent], self._pose_in_parent(link))
         return self._poses[name]
 
     def _pose_in_parent(self, name: str) -> Origin:
@@ -90,8 +79,8 @@ class PoseGraph:
             return origin
         inner = Origin()
         for link in reversed(self._chain_to(self._placements[name], stop=name)):
-            inner = compose_poses(inner, self._pose_in_parent(link))
-        return compose_poses(origin, invert_pose(inner))
+            inner = compose(inner, self._pose_in_parent(link))
+        return compose(origin, invert(inner))
 
     def _chain_to(self, name: str, *, stop: str) -> list[str]:
         chain: dict[str, None] = {}

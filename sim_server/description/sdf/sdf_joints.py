@@ -16,8 +16,8 @@ import numpy as np
 
 from zensim.proto.messages.model_messages import Joint, JointKind, Link, Mimic, Origin, Vec3
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.sim_server.description.model_geometry import compose_poses, rotate_vector
-from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph, invert_pose
+from zensim.proto.rigid_transforms import compose, conjugate, invert, rotate
+from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph
 from zensim.sim_server.description.sdf.sdf_includes import VERSION_ATTRIBUTE
 from zensim.sim_server.description.sdf.sdf_values import (
     read_bound,
@@ -91,11 +91,11 @@ class SdfJointReader:
             )
         parent = Origin() if tag.parent == "world" else self.frames.pose(tag.parent)
         child, joint = self.frames.pose(tag.child), self.frames.pose(tag.frame)
-        start = compose_poses(invert_pose(parent), child)
+        start = compose(invert(parent), child)
         if kind == "fixed":
             return [Joint(tag.name, "fixed", tag.parent, tag.child, start)]
         steps = self._read_steps(tag, kind, child)
-        offset = compose_poses(invert_pose(child), joint).position
+        offset = compose(invert(child), joint).position
         if not _needs_pivot(steps, offset):
             offset = (0.0, 0.0, 0.0)
         if len(steps) > 1:
@@ -108,7 +108,7 @@ class SdfJointReader:
         self, tag: JointElement, steps: Sequence[Joint], start: Origin, offset: Vec3
     ) -> list[Joint]:
         chain: list[Joint] = []
-        parent, origin = tag.parent, compose_poses(start, Origin(offset))
+        parent, origin = tag.parent, compose(start, Origin(offset))
         is_offset = any(offset)
         for number, step in enumerate(steps, start=1):
             is_last = number == len(steps)
@@ -163,8 +163,8 @@ class SdfJointReader:
         if not frame and self._is_axis_in_model_frame(tag, axis, where):
             frame = MODEL_FRAME
         name = self.frames.full_name(tag.scope, frame) if frame else tag.frame
-        in_model = rotate_vector(self.frames.pose(name), direction)
-        x, y, z = rotate_vector(Origin(orientation=invert_pose(child).orientation), in_model)
+        in_model = rotate(self.frames.pose(name).orientation, direction)
+        x, y, z = rotate(conjugate(child.orientation), in_model)
         # The joint turns the other body by as much the other way.
         return (-x, -y, -z) if tag.is_turned else (x, y, z)
 

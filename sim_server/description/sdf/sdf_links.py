@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 
 from zensim.proto.messages.model_messages import (
-    IDENTITY,
     Decay,
     Inertial,
     Link,
@@ -19,14 +18,14 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.rigid_transforms import compose, from_directions, invert, normalize
+from zensim.proto.se3 import to_matrix
 from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
     SurfaceTagReader,
     find_gazebo_colour,
     to_decay_rate,
 )
-from zensim.sim_server.description.model_geometry import compose_poses, to_rotation_matrix
-from zensim.sim_server.description.sdf.sdf_frames import PoseGraph, invert_pose
 from zensim.sim_server.description.sdf.sdf_values import (
     read_flag,
     read_pose,
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Quat
     from zensim.sim_server.description.meshes.mesh_lookup import MeshPolicy
     from zensim.sim_server.description.report import ParseReport
+    from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 
 GEOMETRY_TAGS = ("box", "sphere", "cylinder", "capsule", "plane", "mesh")
 _NO_SUCH_SHAPE = "no engine here has it"
@@ -172,7 +172,7 @@ def has_usable_mesh(
 
 def transform_shape(shape: Shape, origin: Origin) -> Shape:
     """Put a shape, placed in its own frame, where that frame is."""
-    return msgspec.structs.replace(shape, origin=compose_poses(origin, shape.origin))
+    return msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
 
 
 def make_ground_slab(plane: Shape) -> Shape:
@@ -181,7 +181,7 @@ def make_ground_slab(plane: Shape) -> Shape:
         plane,
         kind="box",
         size=GROUND_SLAB_M,
-        origin=compose_poses(plane.origin, GROUND_SLAB_ORIGIN),
+        origin=compose(plane.origin, GROUND_SLAB_ORIGIN),
     )
 
 
@@ -225,20 +225,13 @@ def _check_size(shape: Shape, count: int, where: str) -> Shape:
 
 def _rotation_to_normal(plane: Element, where: str) -> Quat:
     """Find the shortest turn that takes z to the plane's normal."""
-    x, y, z = normal = read_vector(plane, "normal", UP, where)
+    normal = read_vector(plane, "normal", UP, where)
     length = math.hypot(*normal)
     if length == 0.0 or not math.isfinite(length):
         raise ModelError(
             f"{where}: a plane's normal is {normal}; write one such as 0 0 1", slug="sdf.size"
         )
-    if normal == UP:
-        return IDENTITY
-    w = length + z
-    if w < 1e-9 * length:
-        return (1.0, 0.0, 0.0, 0.0)
-    turn = np.array([-y, x, 0.0, w])
-    qx, qy, qz, qw = (turn / np.linalg.norm(turn)).tolist()
-    return (qx, qy, qz, qw)
+    return from_directions(UP, normalize(normal))
 
 
 def _read_rgba(text: str, where: str, report: ParseReport) -> Quat:
@@ -313,7 +306,7 @@ class SdfLinkReader:
         else:
             moments = tuple(read_scalar(matrix, n, d, where) for n, d in DEFAULT_MOMENTS.items())
         ixx, ixy, ixz, iyy, iyz, izz = moments
-        turn = to_rotation_matrix(origin)
+        turn = to_matrix(np.array(origin.orientation))
         turned = turn @ np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]]) @ turn.T
         ixx, ixy, ixz, _, iyy, iyz, _, _, izz = turned.ravel().tolist()
         return Inertial(
@@ -363,9 +356,7 @@ class SdfLinkReader:
         if not pose.frame:
             return pose.origin
         outer = self.frames.pose(self.frames.full_name(tag.scope, pose.frame))
-        return compose_poses(
-            invert_pose(self.frames.pose(tag.name)), compose_poses(outer, pose.origin)
-        )
+        return compose(invert(self.frames.pose(tag.name)), compose(outer, pose.origin))
 
 
 def _describe_place(tag: LinkElement, element: Element) -> str:

@@ -20,6 +20,7 @@ import msgspec
 
 from zensim.proto.messages.model_messages import Dynamics, Inertial, Joint, Link, Model, Origin
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.rigid_transforms import compose, invert
 from zensim.sim_server.description.joint_reduction import (
     LumpedModel,
     check_mimics,
@@ -27,7 +28,6 @@ from zensim.sim_server.description.joint_reduction import (
     lump_fixed_joints,
 )
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
-from zensim.sim_server.description.model_geometry import compose_poses
 from zensim.sim_server.description.parsed_model import (
     ParsedModel,
     check_links,
@@ -41,7 +41,6 @@ from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.sdf.sdf_frames import (
     MODEL_FRAME,
     PoseGraph,
-    invert_pose,
     to_scoped_name,
 )
 from zensim.sim_server.description.sdf.sdf_includes import (
@@ -462,4 +461,4 @@ def find_placement(element: Element, pose: Origin) -> Origin:
     if not frame:
         return pose
     frames = flatten_model(element, ParseReport()).frames
-    return compose_poses(pose, invert_pose(frames.pose(frames.full_name("", frame))))
+    return compose(pose, invert(frames.pose(frames.full_name("", frame))))

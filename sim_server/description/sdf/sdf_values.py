@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from zensim.proto.messages.model_messages import Origin, Vec3
-from zensim.proto.rotation import from_rpy
+from zensim.proto.rigid_transforms import from_rpy
 from zensim.sim_server.description.strict_parsing import quote, read_numbers
 from zensim.sim_server.errors import ModelError
 
@@ -156,8 +156,7 @@ def _make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
     if not any(rpy):
         return Origin(position)
     roll, pitch, yaw = rpy
-    qx, qy, qz, qw = from_rpy(roll, pitch, yaw).tolist()
-    return Origin(position, (qx, qy, qz, qw))
+    return Origin(position, from_rpy(roll, pitch, yaw))
 
 
 def _normalize_quaternion(turn: tuple[float, ...], where: str) -> tuple[float, float, float, float]:

@@ -25,7 +25,8 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.proto.rotation import FloatArray, from_matrix, from_rpy
+from zensim.proto.rigid_transforms import from_rpy
+from zensim.proto.se3 import FloatArray, from_matrix
 from zensim.sim_server.description.joint_reduction import (
     LumpedModel,
     check_mimics,
@@ -130,8 +131,7 @@ def read_origin(part: Element) -> Origin:
     rpy = _read_attribute(origin, "rpy", 3)
     if not any(rpy):
         return Origin((x, y, z))
-    qx, qy, qz, qw = from_rpy(*rpy).tolist()
-    return Origin((x, y, z), (qx, qy, qz, qw))
+    return Origin((x, y, z), from_rpy(*rpy))
 
 
 def _read_shape(part: Element) -> Shape:

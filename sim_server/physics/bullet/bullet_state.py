@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.rotation import conjugate, multiply, rotate
+from zensim.proto.se3 import conjugate, multiply, rotate
 from zensim.sim_server.physics.blueprint import RigidPart
 from zensim.sim_server.physics.engine import FloatArray
 

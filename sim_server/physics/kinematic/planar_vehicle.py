@@ -11,11 +11,10 @@ import numpy as np
 
 from zensim.proto.messages.drive_messages import DiffDrive, WheelPair
 from zensim.proto.messages.model_messages import Joint, Link, Model, Origin, Shape
+from zensim.proto.rigid_transforms import rotate, transform_point
 from zensim.proto.stl import read_corners
 from zensim.sim_server.description.model_geometry import (
     find_link_poses,
-    rotate_vector,
-    transform_point,
 )
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import EngineRefused, FloatArray
@@ -210,7 +209,7 @@ def _make_wheel(model: Model, joint: int, steering: tuple[int, ...]) -> VehicleW
     pose = find_link_poses(model.links[0].name, model.joints)[axle.child]
     tyre = _find_tyre(link)
     radius = tyre.size[0] if tyre else _declared_radius(model, axle.name)
-    ax, ay, _ = rotate_vector(pose, axle.axis)
+    ax, ay, _ = rotate(pose.orientation, axle.axis)
     length = math.hypot(ax, ay)
     if radius < MIN_LENGTH_M or length < DRIVEN_WEIGHT_SHARE:
         fault = "has no round collision" if radius < MIN_LENGTH_M else "does not lie level"

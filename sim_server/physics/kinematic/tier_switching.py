@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zensim.proto.rotation import to_yaw
+from zensim.proto.se3 import to_yaw
 from zensim.sim_server.physics.kinematic.kinematic_robots import KinematicRobots
 from zensim.sim_server.physics.kinematic.proximity import (
     MOVING_M_S,

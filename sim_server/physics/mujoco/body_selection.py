@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.rotation import rotate
+from zensim.proto.se3 import rotate
 from zensim.sim_server.physics.actuation import Actuation
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.link_forces import LinkForce

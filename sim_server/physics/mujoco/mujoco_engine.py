@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from zensim.proto.messages.model_messages import Model
-from zensim.proto.rotation import conjugate, rotate
+from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.blueprint import BlueprintCache, check_mesh_files
 from zensim.sim_server.physics.engine import (

@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.rotation import conjugate, rotate
+from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.actuation import impose_planar_twists
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.link_forces import LinkForce

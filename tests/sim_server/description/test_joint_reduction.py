@@ -25,8 +25,8 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
+from zensim.proto.rigid_transforms import compose, transform_point
 from zensim.sim_server.description.joint_reduction import combine_inertials, lump_fixed_joints
-from zensim.sim_server.description.model_geometry import compose_poses, transform_point
 from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
 from zensim.sim_server.errors import ModelError
 
@@ -81,7 +81,7 @@ def test_chain_of_fixed_joints_weighs_as_its_points_do(
     ]
     poses = [Origin()]
     for joint in joints:
-        poses.append(compose_poses(poses[-1], joint.origin))
+        poses.append(compose(poses[-1], joint.origin))
     points = [
         transform_point(pose, (p[0], p[1], p[2]))
         for ((_, cloud), _), pose in zip(parts, poses, strict=True)

@@ -8,9 +8,9 @@ import pytest
 
 from tests.models import WHEEL_RADIUS_M, a_box, a_cart, a_puck
 from zensim.proto.messages.model_messages import IDENTITY, Joint, Link, Model, Origin, Quat, Shape
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.sim_server.description import model_geometry
-from zensim.sim_server.description.model_geometry import links_in_contact
+from zensim.sim_server.description.model_geometry import find_link_poses, links_in_contact
 
 HALF = math.sqrt(0.5)
 ON_ITS_SIDE = (HALF, 0.0, 0.0, HALF)
@@ -123,3 +123,16 @@ def test_body_that_is_moved_itself_slides() -> None:
     links = links_in_contact(a_puck())
 
     assert [shape.friction for link in links for shape in link.collisions] == [0.0]
+
+
+def test_links_are_placed_along_their_joints() -> None:
+    quarter_left = Origin((1.0, 0.0, 0.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
+    joints = (
+        Joint("j", "continuous", "a", "b", quarter_left),
+        Joint("k", "continuous", "b", "c", quarter_left),
+    )
+
+    poses = find_link_poses("a", joints)
+
+    assert poses["a"] == Origin()
+    assert poses["c"].position == pytest.approx((1.0, 1.0, 0.0))

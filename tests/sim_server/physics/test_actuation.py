@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.models import a_box, a_cart, a_fork, a_puck
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.sim_server.physics.actuation import (
     impose_planar_twists,
     make_actuation,

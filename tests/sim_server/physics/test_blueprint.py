@@ -20,7 +20,7 @@ from zensim.proto.messages.model_messages import (
     Origin,
     Shape,
 )
-from zensim.proto.rotation import from_rpy, rotate
+from zensim.proto.se3 import from_rpy, rotate
 from zensim.sim_server.physics.blueprint import (
     DEFAULT_FRICTION,
     BlueprintCache,

@@ -10,7 +10,7 @@ import pytest
 from tests.engines import PHYSICAL, STEP_NS, running
 from tests.models import a_box_bot, box_bot_at
 from tests.sim_server.fakes import a_command, a_spawn
-from zensim.proto.rotation import to_yaw
+from zensim.proto.se3 import to_yaw
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.simulated_world import World
 

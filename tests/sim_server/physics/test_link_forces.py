@@ -7,7 +7,7 @@ import pytest
 
 from tests.models import a_body
 from zensim.proto.messages.model_messages import Decay, Inertial, Joint, Link, Model, Shape, Vec3
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.link_forces import LinkForce, explicit_decay_rate, make_link_forces
 

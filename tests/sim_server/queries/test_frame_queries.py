@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.models import TRACK_M, WHEEL_RADIUS_M, on_ground
 from tests.sim_server.fakes import a_spawn, a_world
 from zensim.proto.messages.model_messages import Frame, Link, Model, Origin
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.sim_server.queries.frame_queries import (
     FrameAmbiguous,
     FrameNotFound,

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.models import an_arm
+from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.model_messages import JointKind, Link, Model, Origin, Shape
-from zensim.proto.rotation import FloatArray, from_rpy
+from zensim.proto.se3 import FloatArray, from_rpy
 from zensim.sim_server.description.model_geometry import NO_MESHES
 from zensim.sim_server.scene.convex_shapes import (
     UNIT_CUBE,
@@ -21,7 +22,6 @@ from zensim.sim_server.scene.convex_shapes import (
     list_collision_shapes,
     place_collision_shapes,
 )
-from zensim.sim_server.scene.forward_kinematics import compute_link_poses
 
 numbers = st.floats(-2.0, 2.0)
 points = st.tuples(numbers, numbers, numbers)

@@ -9,12 +9,10 @@ from hypothesis import strategies as st
 
 from tests.models import a_state
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Twist, Vector3
-from zensim.proto.rotation import FloatArray, from_rpy, rotate
 from zensim.sim_server.errors import PoseRefused
 from zensim.sim_server.world.pose_conversion import (
     MAX_POSITION_M,
     MAX_SPEED,
-    compose_poses,
     is_zero_quaternion,
     pose_from_row,
     pose_to_row,
@@ -91,24 +89,3 @@ def test_row_and_messages_are_turned_into_each_other() -> None:
 
     assert pose_to_row(pose_from_row(row)) == pytest.approx(row[:7])
     assert twist_to_row(twist_from_row(row)).tolist() == row[7:].tolist()
-
-
-def test_compose_puts_a_pose_of_a_frame_into_the_world() -> None:
-    frame = a_state((10.0, 0.0, 1.0), turn=(0.0, 0.0, math.pi / 2.0))[:7]
-    ahead = a_state((2.0, 0.0, 0.5), turn=(0.0, 0.0, math.pi / 4.0))[:7]
-
-    row = compose_poses(frame, ahead)
-
-    assert row[:3] == pytest.approx([10.0, 2.0, 1.5])
-    assert row[3:] == pytest.approx(from_rpy(0.0, 0.0, 0.75 * math.pi))
-
-
-@given(states, states)
-def test_compose_agrees_with_turning_a_point_twice(frame: FloatArray, pose: FloatArray) -> None:
-    point = np.array([0.3, -0.2, 0.1])
-
-    row = compose_poses(frame[:7], pose[:7])
-
-    inner = pose[:3] + rotate(pose[3:7], point)
-    outer = frame[:3] + rotate(frame[3:7], inner)
-    assert row[:3] + rotate(row[3:7], point) == pytest.approx(outer, rel=1e-9, abs=1e-9)

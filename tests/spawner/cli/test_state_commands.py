@@ -1,12 +1,13 @@
 """`zensim state get` and `set` against a real server."""
 
 import pytest
+from msgspec.structs import astuple
 
 from tests.integration.processes import Server
 from tests.spawner.cli.commands import assert_failed, run_at
 from zensim.proto.exit_codes import ExitCode
+from zensim.proto.rigid_transforms import to_rpy
 from zensim.spawner.cli.state_commands import app
-from zensim.spawner.spawn.spawn_poses import to_roll_pitch_yaw
 
 
 def test_state_is_told_to_people(two: Server) -> None:
@@ -33,7 +34,7 @@ def test_state_that_is_not_given_stays(two: Server) -> None:
     place, moving = state.pose.position, state.twist.linear
     assert done.status == ExitCode.OK
     assert (place.x, place.y, place.z) == pytest.approx((1.0, -2.0, 0.06))
-    assert to_roll_pitch_yaw(state.pose.orientation) == pytest.approx((0.0, 0.0, 0.5))
+    assert to_rpy(astuple(state.pose.orientation)) == pytest.approx((0.0, 0.0, 0.5))
     assert (moving.x, moving.y, moving.z) == pytest.approx((0.1, 0.0, -0.2))
 
 
@@ -43,7 +44,7 @@ def test_state_is_set_in_the_frame_of_another(two: Server) -> None:
     state = two.client.entity_state("r1")
     place = state.pose.position
     assert (place.x, place.y) == pytest.approx((1.0, -3.0))
-    assert to_roll_pitch_yaw(state.pose.orientation)[2] == pytest.approx(-1.5)
+    assert to_rpy(astuple(state.pose.orientation))[2] == pytest.approx(-1.5)
 
 
 def test_turning_is_set_without_the_velocity(two: Server) -> None:

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from tests.spawner.page.builders import BLUE, CUBE, a_robot
 from zensim.proto.messages.model_messages import Joint, JointKind, Link, Model, Origin, Shape
-from zensim.proto.rotation import from_rpy
+from zensim.proto.rigid_transforms import normalize
+from zensim.proto.se3 import from_rpy
 from zensim.spawner.page.model_visuals import (
     DEFAULT_RGBA,
     NotATree,
@@ -67,7 +68,7 @@ def trees(draw: st.DrawFn) -> tuple[VisualJoint, ...]:
             draw(KINDS),
             draw(st.integers(0, number)),
             Origin(draw(VECTORS), tuple(from_rpy(*draw(TURNS)))),
-            draw(AXES),
+            normalize(draw(AXES)),
         )
         for number in range(draw(st.integers(1, 5)))
     )
@@ -121,23 +122,23 @@ def test_links_of_all_entities_are_where_matrices_put_each(
     for entity in range(count):
         expected = matrices_of(visual_joints, base[entity], joints[entity])
         for pose, matrix in zip(links, expected, strict=True):
-            found = matrix_of(pose.positions[entity], pose.quaternions[entity])
+            found = matrix_of(pose[entity, :3], pose[entity, 3:])
             np.testing.assert_allclose(found, matrix, atol=1e-9)
 
 
 def test_wheel_turns_about_its_axis_when_its_joint_moves() -> None:
-    hinge = VisualJoint("continuous", 0, Origin((0.0, 0.05, 0.0)), (0.0, 2.0, 0.0))
+    hinge = VisualJoint("continuous", 0, Origin((0.0, 0.05, 0.0)), (0.0, 1.0, 0.0))
 
     _, wheel = find_link_poses((hinge,), REST[None], np.array([[np.pi / 2.0]]))
 
-    assert wheel.positions[0] == pytest.approx((0.0, 0.05, 0.0))
-    assert wheel.wxyzs[0] == pytest.approx((np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0))
+    assert wheel[0, :3] == pytest.approx((0.0, 0.05, 0.0))
+    assert wheel[0, 3:] == pytest.approx((0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)))
 
 
 def test_base_alone_is_where_it_is_when_nothing_is_hinged() -> None:
     (base,) = find_link_poses((), REST[None] + 1.0, np.zeros((1, 0)))
 
-    assert base.positions.tolist() == [[1.0, 1.0, 1.0]]
+    assert base[:, :3].tolist() == [[1.0, 1.0, 1.0]]
 
 
 def test_robots_have_one_form_when_only_their_names_differ() -> None:

@@ -22,7 +22,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnResult,
 )
 from zensim.proto.messages.standard_messages import Pose, Quaternion
-from zensim.proto.rotation import from_rpy
+from zensim.proto.se3 import from_rpy
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn import spawn_client
 from zensim.spawner.spawn.description_xml import DescriptionError

@@ -6,17 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.messages.standard_messages import Quaternion
 from zensim.proto.names import InvalidName
-from zensim.spawner.spawn.spawn_client import make_pose
 from zensim.spawner.spawn.spawn_poses import (
     LAYOUTS,
     FleetLayout,
     RobotPlacement,
     derive_prefix,
-    find_yaw,
     make_fleet_layout,
-    to_roll_pitch_yaw,
 )
 
 layouts = st.sampled_from(LAYOUTS)
@@ -88,30 +84,3 @@ def test_name_stem_is_the_file_without_folder_and_ending(model: str, stem: str) 
 def test_name_stem_is_refused_when_it_is_no_name(model: str) -> None:
     with pytest.raises(InvalidName, match=r"prefix .* is not valid; use a letter"):
         derive_prefix(model)
-
-
-TURN = st.floats(-3.1, 3.1)
-
-
-@given(roll=TURN, pitch=st.floats(-1.5, 1.5), yaw=TURN)
-def test_angles_are_those_that_a_rotation_was_made_of(
-    roll: float, pitch: float, yaw: float
-) -> None:
-    turn = make_pose((0.0, 0.0, 0.0), (roll, pitch, yaw)).orientation
-
-    assert to_roll_pitch_yaw(turn) == pytest.approx((roll, pitch, yaw), abs=1e-6)
-    assert find_yaw(turn) == pytest.approx(yaw, abs=1e-6)
-
-
-@pytest.mark.parametrize("pitch", [math.pi / 2.0, -math.pi / 2.0])
-def test_upright_rotation_has_one_of_its_many_angles(pitch: float) -> None:
-    turn = make_pose((0.0, 0.0, 0.0), (0.3, pitch, 0.5)).orientation
-
-    again = make_pose((0.0, 0.0, 0.0), to_roll_pitch_yaw(turn)).orientation
-
-    same = turn.x * again.x + turn.y * again.y + turn.z * again.z + turn.w * again.w
-    assert abs(same) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_rotation_of_no_length_has_no_angles() -> None:
-    assert to_roll_pitch_yaw(Quaternion(0.0, 0.0, 0.0, 0.0)) == (0.0, 0.0, 0.0)

@@ -5,7 +5,7 @@ from lxml import etree
 
 from tests.sim_server.description.robots import reasons
 from zensim.proto.messages.model_messages import Contact, Origin, Shape
-from zensim.sim_server.description.model_geometry import rotate_vector
+from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.sdf.sdf_links import (
     apply_transparency,
@@ -53,7 +53,7 @@ def test_plane_is_turned_to_its_normal(normal: str) -> None:
     plane = solid(f"<plane><normal>{normal}</normal></plane>")
 
     assert plane is not None
-    up = rotate_vector(plane.origin, (0.0, 0.0, 1.0))
+    up = rotate(plane.origin.orientation, (0.0, 0.0, 1.0))
     length = sum(float(n) ** 2 for n in normal.split()) ** 0.5
     assert up == pytest.approx([float(n) / length for n in normal.split()], abs=1e-9)
 

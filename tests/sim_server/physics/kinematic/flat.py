@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 
 from zensim.proto.messages.model_messages import Dynamics, Model
-from zensim.proto.rotation import to_yaw
+from zensim.proto.se3 import to_yaw
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine

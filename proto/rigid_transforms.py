@@ -1,4 +1,8 @@
-"""Rigid transforms in columns: of one body in floats, or of many in arrays."""
+"""Rigid transforms in columns: of one body in floats, or of many in arrays.
+
+`se3` applies these formulas to arrays of whole poses. They are here because agents must start
+without numpy (0.1 s), and because floats are ten times faster than arrays of one.
+"""
 
 import math
 from typing import TypeAlias
@@ -9,6 +13,10 @@ from zensim.proto.messages.model_messages import Origin, Quat, Vec3
 Vector: TypeAlias = tuple[Column, Column, Column]
 Rotation: TypeAlias = tuple[Column, Column, Column, Column]
 """Unit quaternion x y z w."""
+
+MIN_HALF_COSINE = 1e-9
+"""1 + cosine of the angle between directions that count as opposite."""
+GIMBAL_LOCK_SINE = 1.0 - 1e-12
 
 
 def rotate(
@@ -59,8 +67,14 @@ def cross(first: Vector[Column], second: Vector[Column]) -> Vector[Column]:
 
 def compose(outer: Origin, inner: Origin) -> Origin:
     """Express `inner`, given in the frame at `outer`, where `outer` is given."""
-    position = add(outer.position, rotate(outer.orientation, inner.position))
-    return Origin(position, multiply(outer.orientation, inner.orientation))
+    return Origin(
+        transform_point(outer, inner.position), multiply(outer.orientation, inner.orientation)
+    )
+
+
+def transform_point(origin: Origin, point: Vec3) -> Vec3:
+    """Express a point, given in the frame at `origin`, where `origin` is given."""
+    return add(origin.position, rotate(origin.orientation, point))
 
 
 def conjugate(orientation: Quat) -> Quat:
@@ -90,6 +104,40 @@ def rotate_about(
     half = angle_rad / 2.0
     sine = xp.sin(half)
     return (axis[0] * sine, axis[1] * sine, axis[2] * sine, xp.cos(half))
+
+
+def from_directions(start: Vec3, end: Vec3) -> Quat:
+    """Make the shortest rotation from one unit vector to another."""
+    x, y, z = cross(start, end)
+    w = 1.0 + start[0] * end[0] + start[1] * end[1] + start[2] * end[2]
+    if w < MIN_HALF_COSINE:
+        x, y, z = normalize((-start[1], start[0], 0.0))
+        return (x, y, z, 0.0)
+    length = math.hypot(x, y, z, w)
+    return (x / length, y / length, z / length, w / length)
+
+
+def from_rpy(roll: float, pitch: float, yaw: float) -> Quat:
+    """Make the rotation of fixed-axis roll, pitch, yaw [rad]. Source: URDF, REP-103."""
+    sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
+    sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
+    sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def to_rpy(orientation: Quat) -> Vec3:
+    """Find fixed-axis roll, pitch, yaw [rad] of any quaternion; roll is 0 at pitch +-pi/2."""
+    x, y, z, w = orientation
+    sine = 2.0 * (w * y - z * x) / max(x * x + y * y + z * z + w * w, 1e-300)
+    if abs(sine) >= GIMBAL_LOCK_SINE:
+        return 0.0, math.copysign(math.pi / 2.0, sine), 2.0 * math.atan2(z, w)
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
+    return roll, math.asin(sine), find_yaw(orientation, FLOAT_MATH)
 
 
 def normalize(vector: Vec3) -> Vec3:

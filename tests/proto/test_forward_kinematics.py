@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from tests.models import a_body, a_cart, a_state, an_arm
-from zensim.proto.messages.model_messages import Frame, Joint, JointKind, Link, Model, Origin
-from zensim.proto.rotation import FloatArray, from_rpy, multiply, rotate
-from zensim.sim_server.scene.forward_kinematics import (
-    compose_poses,
+from zensim.proto.forward_kinematics import (
     compute_link_poses,
     compute_link_states,
 )
+from zensim.proto.messages.model_messages import Frame, Joint, JointKind, Link, Model, Origin
+from zensim.proto.se3 import FloatArray, compose, from_rpy, multiply, rotate
 
 HERE = a_state()[:7]
 
@@ -35,7 +34,7 @@ def test_joint_moves_its_child(
 ) -> None:
     poses = compute_link_poses(an_arm(kind), HERE[None], np.array([[position]]))
 
-    found = compose_poses(poses["arm"], pose(0.2, 0.0, 0.0))
+    found = compose(poses["arm"], pose(0.2, 0.0, 0.0))
 
     assert found[0, :3] == pytest.approx(tip)
 

@@ -1,4 +1,4 @@
-"""Quaternion arithmetic agrees with rotation matrices, and broadcasts."""
+"""Rigid transforms on arrays agree with matrices and floats, and broadcast."""
 
 import math
 
@@ -7,23 +7,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zensim.proto.rotation import (
+from zensim.proto import rigid_transforms
+from zensim.proto.se3 import (
     FloatArray,
+    compose,
     conjugate,
+    cross,
+    from_axis_angle,
     from_matrix,
+    from_origin,
     from_rpy,
+    invert,
     multiply,
     rotate,
+    to_matrix,
+    to_origin,
     to_yaw,
+    transform_points,
 )
 
 angles = st.floats(-math.pi, math.pi)
 turns = st.builds(from_rpy, angles, angles, angles)
 vectors = st.tuples(*[st.floats(-10.0, 10.0)] * 3).map(np.array)
-
-
-def matrix_of(turn: FloatArray) -> FloatArray:
-    return np.asarray(rotate(turn, np.eye(3)).T)
 
 
 def assert_same_turn(found: FloatArray, expected: FloatArray) -> None:
@@ -76,7 +81,7 @@ def test_conjugate_turns_back(turn: FloatArray, vector: FloatArray) -> None:
 
 @given(turns)
 def test_from_matrix_gives_the_turn_back(turn: FloatArray) -> None:
-    found = from_matrix(matrix_of(turn))
+    found = from_matrix(to_matrix(turn))
 
     assert_same_turn(found, turn)
     assert found[3] >= 0.0
@@ -110,3 +115,53 @@ def test_arithmetic_broadcasts_over_leading_axes() -> None:
     assert products[1, 2] == pytest.approx(multiply(many[1, 2], one))
     assert turned[0, 1] == pytest.approx(rotate(many[0, 1], vector))
     assert conjugate(many).shape == many.shape
+
+
+poses = st.builds(lambda position, turn: np.concatenate([position, turn]), vectors, turns)
+
+
+@given(poses, poses, vectors)
+def test_compose_transforms_by_the_inner_pose_first(
+    outer: FloatArray, inner: FloatArray, point: FloatArray
+) -> None:
+    one_by_one = transform_points(outer, transform_points(inner, point))
+
+    assert transform_points(compose(outer, inner), point) == pytest.approx(one_by_one, abs=1e-9)
+
+
+@given(poses)
+def test_invert_undoes_a_pose(pose: FloatArray) -> None:
+    there_and_back = compose(invert(pose), pose)
+
+    assert there_and_back == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0], abs=1e-9)
+
+
+@given(poses, poses)
+def test_arrays_and_floats_give_the_same_numbers(outer: FloatArray, inner: FloatArray) -> None:
+    found = compose(np.stack([outer, inner]), np.stack([inner, outer]))
+
+    for row, pair in zip(found, [(outer, inner), (inner, outer)], strict=True):
+        expected = rigid_transforms.compose(*map(to_origin, pair))
+        assert row == pytest.approx(from_origin(expected), abs=1e-12)
+
+
+def test_matrices_of_many_rotations_are_stacked() -> None:
+    many = np.array([from_rpy(0.1 * i, 0.2, 0.3) for i in range(6)]).reshape(2, 3, 4)
+
+    matrices = to_matrix(many)
+
+    assert matrices.shape == (2, 3, 3, 3)
+    assert matrices[1, 2] @ [1.0, 2.0, 3.0] == pytest.approx(
+        rotate(many[1, 2], np.array([1.0, 2.0, 3.0]))
+    )
+
+
+def test_from_axis_angle_broadcasts_over_angles() -> None:
+    found = from_axis_angle(np.array([0.0, 0.0, 1.0]), np.array([0.0, math.pi]))
+
+    assert found == pytest.approx(np.array([[0.0, 0.0, 0.0, 1.0], [0.0, 0.0, 1.0, 0.0]]))
+
+
+@given(vectors, vectors)
+def test_cross_is_that_of_numpy(left: FloatArray, right: FloatArray) -> None:
+    assert cross(left, right).tolist() == np.cross(left, right).tolist()
