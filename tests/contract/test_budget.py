@@ -1,4 +1,4 @@
-"""How long a file and a function may be, and what no tracked file may hold."""
+"""How long a function may be, and what no tracked file may hold."""
 
 import ast
 import re
@@ -7,7 +7,6 @@ from pathlib import Path
 
 from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
 
-MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 40
 MAX_FILE_BYTES = 1_000_000
 # Written apart, so that this file does not hold what it looks for.
@@ -40,14 +39,6 @@ def lines_that_match(pattern: re.Pattern[str]) -> list[str]:
         for number, line in enumerate(text_of(path).splitlines(), start=1)
         if (match := pattern.search(line))
     ]
-
-
-def test_python_file_is_at_most_400_lines() -> None:
-    lengths = {shown(path): text_of(path).count("\n") for path in python_files()}
-
-    too_long = {name: lines for name, lines in lengths.items() if lines > MAX_FILE_LINES}
-
-    assert too_long == {}
 
 
 def test_function_is_at_most_40_lines() -> None:

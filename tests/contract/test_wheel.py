@@ -122,7 +122,7 @@ def test_tests_pass_on_the_wheel(python: Path, wheel: Path) -> None:
     outside = wheel.parent / "outside"
     shutil.copytree(ROOT / "tests", outside / "tests")
     shutil.copy(ROOT / "pyproject.toml", outside)
-    some = ("tests/proto", "tests/contract/test_golden.py", "tests/robot_agent/drives")
+    some = ("tests/proto/ros2", "tests/contract/test_golden.py", "tests/robot_agent")
     pytest_words = (
         "-m",
         "pytest",
