@@ -9,7 +9,7 @@ import numpy as np
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.physics.body_reach import BodyReach
 from zensim.sim_server.physics.engine import BodyStates, FloatArray
-from zensim.sim_server.scene.broad_phase import IntArray
+from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 
 ALL_CELLS = -1
 """Cell of what never moves: it has a copy in each."""
@@ -223,7 +223,7 @@ def make_body_order(members: CellBodyTable) -> CellBodyOrder:
         numbers,
         row,
         joint_start,
-        _concatenate_ranges(starts, widths),
+        expand_ranges(starts, widths)[1],
         (np.cumsum(widths) - widths)[widths > 0].astype(np.intp),
         np.flatnonzero(widths > 0),
         np.concatenate([[0], np.cumsum(widths)])[[*firsts, len(numbers)]].astype(np.intp),
@@ -291,21 +291,15 @@ def make_index_map(
         rows[into],
         into,
         base,
-        _concatenate_ranges(lineup.joint_start[rows[into]], counts[into]),
-        _concatenate_ranges(starts[into], counts[into]),
+        expand_ranges(lineup.joint_start[rows[into]], counts[into])[1],
+        expand_ranges(starts[into], counts[into])[1],
         int(starts[-1]),
         numbers,
-        _concatenate_ranges(slices, widths),
+        expand_ranges(slices, widths)[1],
         (ends - widths)[is_driven].astype(np.intp),
         numbers[is_driven],
         tuple(m.copies.get(0, int(members.inner[n])) for n, m in zip(bodies, found, strict=True)),
     )
-
-
-def _concatenate_ranges(starts: IntArray, counts: IntArray) -> IntArray:
-    """Chain ranges."""
-    before = np.repeat(np.cumsum(counts) - counts, counts)
-    return (np.arange(int(counts.sum())) - before + np.repeat(starts, counts)).astype(np.intp)
 
 
 def concatenate_readings(readings: Sequence[BodyStates]) -> BodyStates:

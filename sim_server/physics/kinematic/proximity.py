@@ -22,8 +22,8 @@ from zensim.sim_server.physics.kinematic.tier_body_table import (
 from zensim.sim_server.scene.broad_phase import (
     IntArray,
     PointGrid,
-    find_close_pairs,
     find_near_points,
+    find_touching_discs,
     make_point_grid,
 )
 from zensim.sim_server.scene.footprints import NO_EDGES, StaticEdges, concatenate_edges
@@ -171,7 +171,7 @@ class NeighbourLists:
         self._centres = centres.copy()
         self._allowed = np.maximum(MIN_TRAVEL_M, LOOKAHEAD_CHECKS * way)
         reach = radius + self._allowed + self._margin_m / 2.0
-        self.one, self.other = find_close_pairs(centres, reach)
+        self.one, self.other = find_touching_discs(centres, reach)
         self.disc, self.edge = self._near_edges(centres, reach + self._margin_m / 2.0)
         self._is_valid = True
 

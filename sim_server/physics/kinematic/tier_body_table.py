@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.scene.broad_phase import IntArray
+from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 
 IntColumn = npt.NDArray[np.intp]
 BoolColumn = npt.NDArray[np.bool_]
@@ -172,13 +172,6 @@ class ArrayPool:
         heapq.heappush(self._free.setdefault(count, []), start)
 
 
-def expand_spans(starts: IntColumn, counts: IntColumn) -> IntColumn:
-    """List the numbers of spans, one after another."""
-    total = int(counts.sum())
-    shifts = np.repeat(starts - (np.cumsum(counts) - counts), counts)
-    return np.asarray(np.arange(total) + shifts)
-
-
 MAX_CACHED_INDEX_MAPS_BY_TIER = 4096
 
 
@@ -235,8 +228,8 @@ def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
         return TierSlice(
             numbers[places],
             places,
-            expand_spans(joint_at[places], joints[places]),
-            expand_spans(target_at[places], widths[places]),
+            expand_ranges(joint_at[places], joints[places])[1],
+            expand_ranges(target_at[places], widths[places])[1],
         )
 
     kinematic, full = half(np.flatnonzero(is_kinematic)), half(np.flatnonzero(~is_kinematic))
@@ -249,12 +242,12 @@ def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
         full=full,
         at=select_rows(kinematic.rows),
         bodies=tuple(rows.full[full.rows].tolist()),
-        pooled_joints=expand_spans(
+        pooled_joints=expand_ranges(
             rows.joint_start[kinematic.rows], rows.joint_count[kinematic.rows]
-        ),
+        )[1],
         held=tuple(held.tolist()),
-        pooled_targets=expand_spans(rows.target_start[held], rows.width[held]),
-        held_targets=expand_spans(target_at[is_held], widths[is_held]),
+        pooled_targets=expand_ranges(rows.target_start[held], rows.width[held])[1],
+        held_targets=expand_ranges(target_at[is_held], widths[is_held])[1],
     )
 
 

@@ -18,9 +18,9 @@ from zensim.sim_server.physics.kinematic.tier_body_table import (
     Tier,
     TierBodyTable,
     TierIndexMapCache,
-    expand_spans,
     rotate_by_heading,
 )
+from zensim.sim_server.scene.broad_phase import expand_ranges
 from zensim.sim_server.scene.footprints import MeshTriangles, find_max_reach, find_outline
 
 if TYPE_CHECKING:
@@ -308,8 +308,8 @@ class TierSwitcher:
         counts = rows.joint_count[moving]
         is_held = rows.is_held[moving]
         at = np.cumsum(counts) - counts
-        mine = expand_spans(at[is_held], counts[is_held])
-        pooled = expand_spans(rows.joint_start[moving[is_held]], counts[is_held])
+        mine = expand_ranges(at[is_held], counts[is_held])[1]
+        pooled = expand_ranges(rows.joint_start[moving[is_held]], counts[is_held])[1]
         bodies.kinematic.positions.numbers[pooled] = reading.joint_positions[mine]
         bodies.kinematic.velocities[pooled] = reading.joint_velocities[mine]
 

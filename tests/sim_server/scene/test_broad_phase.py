@@ -1,12 +1,19 @@
-"""Discs that touch, and what hangs together by it."""
+"""Touching discs, near points and connected components are those found by brute force."""
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.scene.broad_phase import find_touching_discs, label_components
+from zensim.sim_server.scene.broad_phase import (
+    expand_ranges,
+    find_near_points,
+    find_touching_discs,
+    label_components,
+    make_point_grid,
+)
 
 places = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0))
 discs = st.lists(
@@ -29,11 +36,12 @@ def test_touching_finds_every_pair_and_no_other(
 
     one, other = find_touching_discs(centres, radii)
 
-    found = {(min(i, j), max(i, j)) for i, j in zip(one.tolist(), other.tolist(), strict=True)}
-    assert found == pairs_by_hand(centres, radii)
+    assert list(zip(one.tolist(), other.tolist(), strict=True)) == sorted(
+        pairs_by_hand(centres, radii)
+    )
 
 
-def test_touching_bears_a_world_as_wide_as_can_be() -> None:
+def test_touching_discs_are_found_in_the_widest_world() -> None:
     centres = np.array([[-1e6, -1e6], [1e6, 1e6], [1e6, 1e6 - 0.1]])
 
     one, other = find_touching_discs(centres, np.array([0.1, 0.1, 0.1]))
@@ -42,9 +50,7 @@ def test_touching_bears_a_world_as_wide_as_can_be() -> None:
 
 
 @given(st.integers(1, 30), st.lists(st.tuples(st.integers(0, 29), st.integers(0, 29)), max_size=60))
-def test_labels_join_what_is_paired_and_nothing_else(
-    count: int, given_pairs: list[tuple[int, int]]
-) -> None:
+def test_labels_join_pairs_and_nothing_else(count: int, given_pairs: list[tuple[int, int]]) -> None:
     pairs = [(i % count, j % count) for i, j in given_pairs]
 
     labels = label_components(
@@ -65,7 +71,7 @@ def groups_by_hand(count: int, pairs: list[tuple[int, int]]) -> list[int]:
     return [names.index(one) for one in least]
 
 
-def test_touching_finds_nothing_among_no_discs() -> None:
+def test_touching_finds_no_pair_without_discs() -> None:
     one, other = find_touching_discs(np.zeros((0, 2)), np.zeros(0))
 
     assert len(one) == len(other) == 0
@@ -79,3 +85,25 @@ def test_labels_join_a_chain_however_long_it_is(count: int) -> None:
     labels = label_components(count, order[links], order[links + 1])
 
     assert not labels.any()
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    points=arrays(np.float64, (12, 2), elements=st.floats(-9.0, 9.0)),
+    queries=arrays(np.float64, (9, 2), elements=st.floats(-9.0, 9.0)),
+)
+def test_near_points_are_those_found_by_brute_force(
+    points: FloatArray, queries: FloatArray
+) -> None:
+    apart = np.linalg.norm(queries[:, None] - points[None], axis=2)
+
+    found = find_near_points(make_point_grid(points, 0.7), points, queries, 0.7)
+
+    expected = np.argwhere(apart <= 0.7).tolist()
+    assert sorted(map(list, zip(*(part.tolist() for part in found), strict=True))) == expected
+
+
+def test_ranges_are_expanded_with_their_owners() -> None:
+    owners, numbers = expand_ranges(np.array([5, 0, 9]), np.array([2, 0, 1]))
+
+    assert (owners.tolist(), numbers.tolist()) == ([0, 0, 2], [5, 6, 9])

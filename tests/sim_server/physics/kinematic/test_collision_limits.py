@@ -13,7 +13,6 @@ from zensim.sim_server.physics.kinematic.collision_limits import (
     limit_by_edges,
     limit_by_other_discs,
 )
-from zensim.sim_server.scene.broad_phase import find_close_pairs, find_near_points, make_point_grid
 
 MANY = 30
 places = arrays(np.float64, (MANY, 2), elements=st.floats(-3.0, 3.0))
@@ -122,33 +121,3 @@ def test_disc_goes_along_a_wall_that_it_touches() -> None:
     shares = limit_by_edges(moves, np.array([0]), np.array([[-5.0, 0.0, 5.0, 0.0]]), np.zeros(1))
 
     assert shares[0] == 1.0
-
-
-@settings(max_examples=60, deadline=None)
-@given(start=places, radius=radii, big=st.integers(0, MANY - 1))
-def test_grid_finds_the_pairs_that_looking_at_all_finds(
-    start: FloatArray, radius: FloatArray, big: int
-) -> None:
-    radius = radius.copy()
-    radius[big] *= 20.0
-    one, other = all_pairs(MANY)
-    touch = np.linalg.norm(start[one] - start[other], axis=1) <= radius[one] + radius[other]
-
-    found = find_close_pairs(start, radius)
-
-    assert set(zip(*(part.tolist() for part in found), strict=True)) == set(
-        zip(one[touch].tolist(), other[touch].tolist(), strict=True)
-    )
-
-
-@settings(max_examples=60, deadline=None)
-@given(points=places, queries=arrays(np.float64, (9, 2), elements=st.floats(-9.0, 9.0)))
-def test_cells_find_the_points_that_looking_at_all_finds(
-    points: FloatArray, queries: FloatArray
-) -> None:
-    apart = np.linalg.norm(queries[:, None] - points[None], axis=2)
-
-    found = find_near_points(make_point_grid(points, 0.7), points, queries, 0.7)
-
-    expected = np.argwhere(apart <= 0.7).tolist()
-    assert sorted(map(list, zip(*(part.tolist() for part in found), strict=True))) == expected
