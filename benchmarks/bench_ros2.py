@@ -23,11 +23,12 @@ from benchmarks.fleet import CIRCLE, MILLISECONDS, SPACING_M
 from benchmarks.machine import thread_used_s, used_s
 from benchmarks.motion import MOVES
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
-from zensim.proto.bus import Bus, Sample
+from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import STATE_COLUMNS
 from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.messages.telemetry_messages import Snapshot
+from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
 from zensim.spawner.spawn.spawn_client import spawn_fleet
 from zensim.spawner.spawn.spawn_poses import make_fleet_layout

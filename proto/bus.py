@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from itertools import cycle
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, TypeVar, cast
 
 import msgspec
 import zenoh
@@ -17,6 +17,7 @@ from zenoh.handlers import FifoChannel, RingChannel
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.network_protocols import Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service
 
 if TYPE_CHECKING:
@@ -66,18 +67,7 @@ MAX_TAKEN_BYTES: Final = 1 << 20
 """Of requests at once, so that who takes them can do something else in between."""
 QUERY_OVERHEAD_BYTES: Final = MAX_TAKEN_BYTES // 32
 """What a request counts for beside its payload."""
-Stamp: TypeAlias = zenoh.Timestamp
-"""When a sample was made, by the clock of its session."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
-
-
-class Sample(msgspec.Struct, frozen=True):
-    """One message as it came."""
-
-    key: str
-    payload: bytes
-    encoding: str
-    attachment: bytes = b""
 
 
 class BusPublisher:
@@ -105,7 +95,9 @@ class BusPublisher:
         """Put one message; who hears two of one stamp takes them for one."""
         # Each argument costs as much as a tenth of the put.
         if stamp is not None:
-            self._put(payload, attachment=attachment or None, timestamp=stamp)
+            self._put(
+                payload, attachment=attachment or None, timestamp=cast("zenoh.Timestamp", stamp)
+            )
         elif attachment:
             self._put(payload, attachment=attachment)
         else:
@@ -194,7 +186,11 @@ class BusQuery:
         """
         with suppress(zenoh.ZError):
             self._query.reply(
-                key, payload, encoding=encoding, attachment=attachment, timestamp=stamp
+                key,
+                payload,
+                encoding=encoding,
+                attachment=attachment,
+                timestamp=cast("zenoh.Timestamp", stamp),
             )
 
     def drop(self) -> None:
@@ -276,8 +272,6 @@ __all__ = [
     "LivelinessToken",
     "LivelinessWatch",
     "NoServer",
-    "Sample",
-    "Stamp",
     "Unreachable",
     "open_bus",
     "to_zenoh_json",
@@ -347,7 +341,7 @@ class Bus:
 
     def stamp(self) -> Stamp:
         """Make a stamp of now."""
-        return self._session.new_timestamp()
+        return Stamp(self._session.new_timestamp())
 
     def open_session(self) -> "Bus":
         """Open another session to the same network; close it too.

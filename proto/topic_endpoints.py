@@ -2,12 +2,20 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol, TypeAlias
+from typing import Final, TypeAlias
 
 import msgspec
 
-from zensim.proto.bus import Sample, Stamp
 from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.network_protocols import (
+    Publisher,
+    Query,
+    QueryQueue,
+    Sample,
+    Stamp,
+    Subscription,
+    TopicNetwork,
+)
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import Attachment, write_attachment
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key, parse_data_key
@@ -24,79 +32,12 @@ MakePayload: TypeAlias = Callable[[], msgspec.Struct | bytes | None]
 """Makes the last value, as a message or as its CDR bytes; None while there is none."""
 
 
-class TransportPublisher(Protocol):
-    """One key to put on."""
-
-    @property
-    def is_matched(self) -> bool:
-        """Whether anybody listens."""
-
-    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
-        """Put one message."""
-
-    def close(self) -> None:
-        """Withdraw the publisher."""
-
-
-class TransportSubscription(Protocol):
-    """Messages on a key expression."""
-
-    def take(self) -> list[Sample]:
-        """Take all that have come, oldest first."""
-
-    def close(self) -> None:
-        """Stop listening."""
-
-
-class TransportQuery(Protocol):
-    """A request that waits for its answer."""
-
-    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """Answer."""
-
-    def add_reply(
-        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
-    ) -> None:
-        """Answer with one sample of several."""
-
-    def drop(self) -> None:
-        """Let the caller go."""
-
-
-class TransportQueryQueue(Protocol):
-    """Requests on a key expression."""
-
-    def take(self) -> Sequence[TransportQuery]:
-        """Take all that have come, oldest first."""
-
-    def close(self) -> None:
-        """Stop serving."""
-
-
-class TopicTransport(Protocol):
-    """Where faces are."""
-
-    def stamp(self) -> Stamp:
-        """Make a stamp of now."""
-
-    def advertise(self, key: str, encoding: str) -> TransportPublisher:
-        """Declare a publisher."""
-
-    def subscribe(self, key: str, depth: int = 1) -> TransportSubscription:
-        """Listen to a key expression."""
-
-    def serve(
-        self, key: str, depth: int = 4096, *, is_complete: bool = True
-    ) -> TransportQueryQueue:
-        """Answer requests on a key expression, alone unless it is said that others do too."""
-
-
 class KeyPublisher:
     """One form of a topic: a publisher, and what ROS 2 attaches to its messages."""
 
     def __init__(
         self,
-        publisher: TransportPublisher,
+        publisher: Publisher,
         endpoint: GraphEndpoint | None = None,
         stamp: Callable[[], Stamp] | None = None,
     ) -> None:
@@ -131,7 +72,7 @@ class KeyPublisher:
         number = max(self._sent, 1)
         return write_attachment(Attachment(number, time.time_ns(), self._gid))
 
-    def add_reply(self, call: TransportQuery, key: str, payload: bytes, encoding: str) -> None:
+    def add_reply(self, call: Query, key: str, payload: bytes, encoding: str) -> None:
         """Tell the value to somebody who came late; who hears it twice takes it for one."""
         if (stamp := self._find_stamp(payload)) is not None:
             call.add_reply(key, payload, encoding, self.attachment(), stamp)
@@ -159,9 +100,7 @@ class KeyPublisher:
 class LatchedCache:
     """Tells the last value on ROS 2's face to those who come late."""
 
-    def __init__(
-        self, queue: TransportQueryQueue, face: KeyPublisher, key: str, encoding: str
-    ) -> None:
+    def __init__(self, queue: QueryQueue, face: KeyPublisher, key: str, encoding: str) -> None:
         self._queue = queue
         self._publisher = face
         self._key = key
@@ -227,7 +166,7 @@ class TopicPublisher:
 class TopicSubscription:
     """Messages of one topic, whichever face they come by."""
 
-    def __init__(self, plain: TransportSubscription, ros: Sequence[TransportSubscription]) -> None:
+    def __init__(self, plain: Subscription, ros: Sequence[Subscription]) -> None:
         self._plain = plain
         self._ros = tuple(ros)
 
@@ -253,7 +192,7 @@ class TopicFactory:
     """Declares topics for one node of ROS 2, or for nobody there."""
 
     def __init__(
-        self, network: TopicTransport, node: RosNode | None = None, settings: RosSettings = NO_ROS
+        self, network: TopicNetwork, node: RosNode | None = None, settings: RosSettings = NO_ROS
     ) -> None:
         self.settings = settings
         self._network = network
@@ -290,7 +229,7 @@ class TopicFactory:
             heard.append(self._network.subscribe(ros_key, depth))
         return TopicSubscription(plain, heard)
 
-    def serve(self, key: str, depth: int, *, is_complete: bool = True) -> TransportQueryQueue:
+    def serve(self, key: str, depth: int, *, is_complete: bool = True) -> QueryQueue:
         """Answer requests for a topic's value, on its bare key."""
         return self._network.serve(key, depth, is_complete=is_complete)
 
@@ -354,7 +293,7 @@ class LazyTopicPublisher:
 
 
 def make_topic_factory(
-    network: TopicTransport, graph: RosGraph | None, namespace: str, name: str
+    network: TopicNetwork, graph: RosGraph | None, namespace: str, name: str
 ) -> TopicFactory:
     """Make faces for a node that is new in the graph, if there is one."""
     if graph is None:

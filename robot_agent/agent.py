@@ -17,12 +17,12 @@ from zensim.proto.bus import BusConfig, open_bus_with_retry
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.process_limits import set_niceness
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE
 from zensim.robot_agent.agent_config import AgentConfig, AgentProcessConfig, override_rates
-from zensim.robot_agent.agent_network import AgentNetwork
 from zensim.robot_agent.agent_timing import (
     MAX_COMMAND_PAUSE_S,
     MAX_PAUSE_S,

@@ -17,9 +17,9 @@ from zensim.proto.messages.agent_messages import (
 )
 from zensim.proto.messages.result_messages import ClaimCode, ResultCode, ServiceError
 from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
 from zensim.proto.topic_catalog import EVENTS
-from zensim.robot_agent.agent_network import AgentNetwork, AgentSubscription
 
 
 def raise_with_wait(error: Exception, wait_s: float) -> NoReturn:
@@ -72,7 +72,7 @@ class NamedClaimClient:
         self._give_up_s: float | None = None
         self._retry_s, self._next_s = MIN_RETRY_S, -math.inf
         self._reason = ""
-        self._events: AgentSubscription | None = None
+        self._events: Subscription | None = None
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
         """Ask at once for entities that were lost."""

@@ -4,15 +4,14 @@ import logging
 import struct
 from collections.abc import Sequence
 
-from zensim.proto.bus import Sample
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.standard_messages import Twist
+from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
-from zensim.robot_agent.agent_network import AgentNetwork, AgentSubscription
 from zensim.robot_agent.base_controller import BaseController, get_drive
 from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState
 from zensim.robot_agent.robot_telemetry import (
@@ -31,7 +30,7 @@ ZERO_TWIST = Twist()
 class CmdVelSubscriber:
     """The twist that holds now; a standing robot until a first one has come."""
 
-    def __init__(self, subscription: AgentSubscription, timeout_ns: int) -> None:
+    def __init__(self, subscription: Subscription, timeout_ns: int) -> None:
         """Take the channel.
 
         Args:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, TypeVar, cast
 import msgspec
 
 from zensim.proto import keys
-from zensim.proto.bus import LATEST, NoServer, Sample, Stamp
+from zensim.proto.bus import LATEST, NoServer
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
+from zensim.proto.network_protocols import Sample, Stamp
 from zensim.proto.service_catalog import Request, Response, Service
 
 if TYPE_CHECKING:

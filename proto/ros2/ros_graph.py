@@ -1,11 +1,12 @@
 """The ROS 2 graph of one process: nodes and their endpoints, announced by liveliness tokens."""
 
 from itertools import count
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 
 from zensim.proto.codec.message_codec import Format, make_encoding
+from zensim.proto.network_protocols import TokenSession
 from zensim.proto.ros2 import liveliness_tokens, rmw_keys
 from zensim.proto.ros2.liveliness_tokens import (
     RELIABLE_10,
@@ -25,30 +26,6 @@ MAX_NODES_PER_SESSION: Final = 100
 
 ACTION_INFIX: Final = "/_action/"
 """In the names of an action's services and topics, of which a bridge is not told one by one."""
-
-
-class ClosableToken(Protocol):
-    """Says that something is there."""
-
-    def close(self) -> None:
-        """Withdraw it."""
-
-
-class TokenSession(Protocol):
-    """Where tokens are declared."""
-
-    @property
-    def zid(self) -> str:
-        """The session's id."""
-
-    def token(self, key: str) -> ClosableToken:
-        """Declare a token."""
-
-    def open_session(self) -> "TokenSession":
-        """Open another session."""
-
-    def close(self) -> None:
-        """End the session."""
 
 
 class GraphSession:

@@ -5,13 +5,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.bus import Sample
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import Format, MalformedPayload, make_encoding
 from zensim.proto.messages.standard_messages import Twist, TwistStamped
+from zensim.proto.network_protocols import AgentNetwork, Sample
 from zensim.proto.ros2.rmw_keys import ANY_HASH, make_data_key
 from zensim.proto.topic_endpoints import TopicSubscription
-from zensim.robot_agent.agent_network import AgentNetwork
 from zensim.robot_agent.pool.robot_rows import FloatArray, IntArray, remap_floats, remap_ints
 
 FLEET_CMD_VEL_DEPTH = 8192

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 
 from zensim.proto.codec.message_codec import Format, make_encoding
+from zensim.proto.network_protocols import AgentNetwork, Publisher, Query
 from zensim.proto.ros2.liveliness_tokens import GraphEndpoint
 from zensim.proto.ros2.rmw_attachment import ATTACHMENT_STRUCT, GID_BYTES
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic, gid_from_endpoint
-from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher, TransportPublisher
-from zensim.robot_agent.agent_network import AgentCall, AgentNetwork
+from zensim.proto.topic_endpoints import CACHE_SUFFIX, KeyPublisher
 
 ATTACHMENT_DTYPE: Final = np.dtype(
     [
@@ -68,12 +68,12 @@ class MatchedPublishers(Generic[OwnerT]):
     """Publishers by whose they are."""
 
     def __init__(self) -> None:
-        self.heard: dict[OwnerT, TransportPublisher] = {}
+        self.heard: dict[OwnerT, Publisher] = {}
         """Those to put on."""
-        self._all: dict[OwnerT, TransportPublisher] = {}
+        self._all: dict[OwnerT, Publisher] = {}
         self._unchecked: list[OwnerT] = []
 
-    def add(self, whose: OwnerT, publisher: TransportPublisher) -> None:
+    def add(self, whose: OwnerT, publisher: Publisher) -> None:
         """Take a publisher in."""
         self._all[whose] = self.heard[whose] = publisher
 
@@ -250,13 +250,13 @@ class RosFleetPublisher:
         if publisher.is_matched and (payload := line.values.payload(line.row)) is not None:
             face.send(payload)
 
-    def _reply_with_last(self, line: RosTopicMember, call: AgentCall) -> None:
+    def _reply_with_last(self, line: RosTopicMember, call: Query) -> None:
         self._declare(line)
         payload, face = line.values.payload(line.row), self._faces.get(line)
         if payload is not None and face is not None:
             face.add_reply(call, self._ros_keys[line], payload, self._encoding)
 
-    def _asked(self, call: AgentCall) -> Iterator[RosTopicMember]:
+    def _asked(self, call: Query) -> Iterator[RosTopicMember]:
         wanted, is_cached, _ = call.key.partition("/@adv/")
         for line, key in tuple(self._ros_keys.items()):
             if (
@@ -282,7 +282,7 @@ class TopicMember:
     values: LastValues
     row: int = 0
     node: RosNode | None = None
-    publisher: TransportPublisher | None = None
+    publisher: Publisher | None = None
     was_matched: bool = False
 
 
@@ -420,7 +420,7 @@ class FleetTopicPublisher:
         if self._ros is not None:
             self._ros.close()
 
-    def _asked(self, call: AgentCall) -> Iterator[TopicMember]:
+    def _asked(self, call: Query) -> Iterator[TopicMember]:
         if call.key in self._lines:
             yield from self._lines[call.key]
         elif "*" in call.key:

@@ -8,11 +8,11 @@ from itertools import count
 import numpy as np
 
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import make_topic_factory
-from zensim.robot_agent.agent_network import AgentNetwork
 from zensim.robot_agent.drive_state_decoder import RobotState
 from zensim.robot_agent.pool.fleet_cmd_vel import FleetCmdVel
 from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, RosFleetPublisher

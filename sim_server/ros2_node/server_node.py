@@ -2,17 +2,24 @@
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeVar
+from typing import Final, TypeVar
 
 import msgspec
 
-from zensim.proto import bus as network
-from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.network_protocols import (
+    Query,
+    QueryQueue,
+    QuerySource,
+    ServerNetwork,
+    ServiceCall,
+    ServiceCallSource,
+    ServingNetwork,
+)
 from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.liveliness_tokens import LATCHED, RELIABLE_10
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
@@ -29,8 +36,7 @@ from zensim.proto.ros2.ros_service_catalog import (
 from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import find_service_type, hash_service
 from zensim.proto.topic_endpoints import TopicFactory, TopicPublisher
-from zensim.sim_server.ros2_node.simulate_steps_action import ActionQuery, SimulateStepsAction
-from zensim.sim_server.runtime.inbox import CallSource, IncomingCall
+from zensim.sim_server.ros2_node.simulate_steps_action import SimulateStepsAction
 
 LOG = logging.getLogger(__name__)
 Message = TypeVar("Message", bound=msgspec.Struct)
@@ -38,10 +44,10 @@ NO_REQUEST_ID: Final = b""
 
 
 class Ros2Call:
-    """A request that came on a key of rmw_zenoh or of a bridge; see `IncomingCall`."""
+    """A request that came on a key of rmw_zenoh or of a bridge; see `ServiceCall`."""
 
     def __init__(
-        self, call: network.BusQuery, forms: tuple[RosService, ...], attachment: Attachment | None
+        self, call: Query, forms: tuple[RosService, ...], attachment: Attachment | None
     ) -> None:
         self._call = call
         self._forms = forms
@@ -52,21 +58,21 @@ class Ros2Call:
         self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
 
     def read(self, kind: type[Message]) -> Message:
-        """See `IncomingCall`: the first form that fits."""
+        """See `ServiceCall`: the first form that fits."""
         for form in self._forms[:-1]:
             with suppress(MalformedPayload):
                 return self._read(form, kind)
         return self._read(self._forms[-1], kind)
 
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """See `IncomingCall`: with the attachment by which ROS finds who asked."""
+        """See `ServiceCall`: with the attachment by which ROS finds who asked."""
         del key
         answer = self._form.encode_response(payload, encoding)
         back = b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
         self._call.reply(answer, CDR_ENCODING_NAME, attachment=back)
 
     def drop(self) -> None:
-        """See `IncomingCall`."""
+        """See `ServiceCall`."""
         self._call.drop()
 
     def _read(self, form: RosService, kind: type[Message]) -> Message:
@@ -79,14 +85,14 @@ class Ros2CallQueues:
     """All requests that come in forms of ROS 2."""
 
     def __init__(
-        self, queues: tuple[network.BusQueryQueue, ...], forms: Mapping[str, tuple[RosService, ...]]
+        self, queues: tuple[QueryQueue, ...], forms: Mapping[str, tuple[RosService, ...]]
     ) -> None:
         self._queues = queues
         self._forms = forms
 
-    def take(self) -> list[IncomingCall]:
+    def take(self) -> list[ServiceCall]:
         """Take what has come; what no form fits is let go, since nobody serves it."""
-        found: list[IncomingCall] = []
+        found: list[ServiceCall] = []
         for queue in self._queues:
             for call in queue.take():
                 forms = self._forms.get(call.key)
@@ -98,14 +104,14 @@ class Ros2CallQueues:
         return found
 
 
-def serve_rmw_calls(bus: network.Bus, domain: int) -> Ros2CallQueues:
+def serve_rmw_calls(bus: ServingNetwork, domain: int) -> Ros2CallQueues:
     """Serve what rmw_zenoh asks for in a domain."""
     return Ros2CallQueues(
         tuple(bus.serve(key) for key in find_served_keys(domain)), index_by_key(domain)
     )
 
 
-def serve_bridge_calls(bus: network.Bus) -> Ros2CallQueues:
+def serve_bridge_calls(bus: ServingNetwork) -> Ros2CallQueues:
     """Serve what zenoh-bridge-ros2dds asks for."""
     forms = index_by_bridge_key()
     return Ros2CallQueues(tuple(bus.serve(key) for key in forms), forms)
@@ -141,20 +147,13 @@ NODE_NAME: Final = "zensim"
 """What the server is called in ROS 2."""
 
 
-class QuerySource(Protocol):
-    """Requests on a key expression."""
-
-    def take(self) -> Sequence[ActionQuery]:
-        """Take what has come."""
-
-
 @dataclass(frozen=True)
 class MergedQueries:
     """Requests on several keys, as if on one."""
 
     queues: tuple[QuerySource, ...]
 
-    def take(self) -> list[ActionQuery]:
+    def take(self) -> list[Query]:
         """Take what has come, queue by queue."""
         return [query for queue in self.queues for query in queue.take()]
 
@@ -168,13 +167,13 @@ class ServerNode:
         close: Withdraws everything.
     """
 
-    sources: tuple[CallSource, ...]
+    sources: tuple[ServiceCallSource, ...]
     faces: TopicFactory
     on_progress: Callable[[StepsProgress], None]
     close: Callable[[], None]
 
 
-def start_server_node(bus: Bus, settings: RosSettings) -> ServerNode:
+def start_server_node(bus: ServerNetwork, settings: RosSettings) -> ServerNode:
     """Show the server to ROS 2, as far as the settings want it."""
     graph = RosGraph(bus, settings)
     node = graph.add_node("", NODE_NAME)
@@ -183,13 +182,15 @@ def start_server_node(bus: Bus, settings: RosSettings) -> ServerNode:
         return ServerNode((), faces, lambda _: None, graph.close)
     announce_services(node)
     steps = _make_steps_action(bus, node, faces)
-    sources: tuple[CallSource, ...] = (serve_rmw_calls(bus, node.domain), steps)
+    sources: tuple[ServiceCallSource, ...] = (serve_rmw_calls(bus, node.domain), steps)
     if settings.is_bridged:
         sources = (*sources, serve_bridge_calls(bus))
     return ServerNode(sources, faces, steps.on_progress, graph.close)
 
 
-def _make_steps_action(bus: Bus, node: RosNode, faces: TopicFactory) -> SimulateStepsAction:
+def _make_steps_action(
+    bus: ServerNetwork, node: RosNode, faces: TopicFactory
+) -> SimulateStepsAction:
     settings = node.graph.settings
     node.announce_action(action.ACTION_NAME, action.ACTION_TYPE)
     queues = {}

@@ -19,10 +19,10 @@ from zensim.proto.messages.simulation_messages import (
     StepsProgress,
 )
 from zensim.proto.messages.standard_messages import Time, ns_from_time, time_from_ns
+from zensim.proto.network_protocols import Query, QuerySource, ServiceCall
 from zensim.proto.ros2 import action_messages as action
 from zensim.proto.ros2.rmw_attachment import Attachment, read_attachment, write_attachment
 from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
-from zensim.sim_server.runtime.inbox import IncomingCall
 
 CDR_ENCODING: Final = str(Format.CDR.value)
 MSGPACK_ENCODING: Final = str(Format.MSGPACK.value)
@@ -41,23 +41,6 @@ CANCEL_CODES: Final = {
     int(ResultCode.INCORRECT_STATE): action.CancelCode.GOAL_TERMINATED,
 }
 Message = TypeVar("Message", bound=msgspec.Struct)
-
-
-class ActionQuery(Protocol):
-    """A request as the network hands it out."""
-
-    payload: bytes
-    request_id: bytes
-
-    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
-        """Answer."""
-
-
-class ActionQueries(Protocol):
-    """Requests that have come."""
-
-    def take(self) -> Sequence[ActionQuery]:
-        """Take them."""
 
 
 class ActionTopic(Protocol):
@@ -80,11 +63,11 @@ class ActionGoal:
 
     goal_id: action.GoalId
     stamp: Time
-    goal_query: ActionQuery | None
+    goal_query: Query | None
     """Who waits to hear whether it is accepted."""
     status: action.GoalStatusCode = action.GoalStatusCode.ACCEPTED
     result: Result = field(default_factory=Result)
-    result_queries: list[ActionQuery] = field(default_factory=list)
+    result_queries: list[Query] = field(default_factory=list)
     """Who waits for its result."""
 
     @property
@@ -108,7 +91,7 @@ class CancelBatch:
 
 
 class ActionCall:
-    """A request that this action makes of the server; see `IncomingCall`."""
+    """A request that this action makes of the server; see `ServiceCall`."""
 
     payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
 
@@ -120,24 +103,24 @@ class ActionCall:
         self._on_reply = on_reply
 
     def read(self, kind: type[Message]) -> Message:
-        """See `IncomingCall`."""
+        """See `ServiceCall`."""
         assert isinstance(self._request, kind)
         return self._request
 
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """See `IncomingCall`: there is nobody on the network who could have asked otherwise."""
+        """See `ServiceCall`: there is nobody on the network who could have asked otherwise."""
         del key
         self._on_reply(payload, encoding)
 
     def drop(self) -> None:
-        """See `IncomingCall`."""
+        """See `ServiceCall`."""
 
 
 class SimulateStepsAction:
     """All goals that ROS 2 sent."""
 
     def __init__(
-        self, queues: Mapping[str, ActionQueries], tellers: Mapping[str, ActionTopic]
+        self, queues: Mapping[str, QuerySource], tellers: Mapping[str, ActionTopic]
     ) -> None:
         """Take the channels.
 
@@ -150,12 +133,12 @@ class SimulateStepsAction:
         self._goals: OrderedDict[str, ActionGoal] = OrderedDict()
         self._new: list[ActionGoal] = []
 
-    def take(self) -> list[IncomingCall]:
+    def take(self) -> list[ServiceCall]:
         """Take what has come, as requests of the server's own; results are told at once."""
         self._publishers[action.STATUS_TOPIC].reply_to_late_joiners(self.statuses)
         while self._new:
             self._accept(self._new.pop())  # what was refused was so before this turn
-        calls: list[IncomingCall] = []
+        calls: list[ServiceCall] = []
         for query in self._queues[action.SEND_GOAL_SERVICE].take():
             calls += self._on_send_goal(query)
         for query in self._queues[action.CANCEL_GOAL_SERVICE].take():
@@ -191,7 +174,7 @@ class SimulateStepsAction:
         self._forget_oldest()
         self._publish_status()
 
-    def _reply_canceled(self, asked: ActionQuery, payload: bytes, encoding: str) -> None:
+    def _reply_canceled(self, asked: Query, payload: bytes, encoding: str) -> None:
         told = decode(CancelStepsResponse, payload, encoding)
         code = CANCEL_CODES.get(told.result.result, action.CancelCode.REJECTED)
         self._answer(asked, action.CancelGoalResponse(code, self._infos(told.goal_ids)))
@@ -199,7 +182,7 @@ class SimulateStepsAction:
     def _infos(self, names: Sequence[str]) -> tuple[action.GoalInfo, ...]:
         return tuple(self._goals[name].info for name in names if name in self._goals)
 
-    def _on_send_goal(self, query: ActionQuery) -> list[IncomingCall]:
+    def _on_send_goal(self, query: Query) -> list[ServiceCall]:
         request = _decode_query(action.SendGoalRequest, query)
         name = "" if request is None else goal_id_to_hex(request.goal_id)
         if request is None or not name or name in self._goals:
@@ -211,7 +194,7 @@ class SimulateStepsAction:
         asked = SimulateStepsRequest(request.goal.steps, name)
         return [ActionCall(SIMULATE_STEPS.name, asked, partial(self._end, goal))]
 
-    def _on_cancel_goal(self, query: ActionQuery) -> list[IncomingCall]:
+    def _on_cancel_goal(self, query: Query) -> list[ServiceCall]:
         """End the goal of an id, those begun until a time, both, or when neither is told all."""
         request = _decode_query(action.CancelGoalRequest, query)
         if request is None:
@@ -227,7 +210,7 @@ class SimulateStepsAction:
             return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(name), tell)]
         return self._cancel_many(query, name, until_ns)
 
-    def _cancel_many(self, query: ActionQuery, name: str, until_ns: int) -> list[IncomingCall]:
+    def _cancel_many(self, query: Query, name: str, until_ns: int) -> list[ServiceCall]:
         wanted = [
             one
             for one, goal in self._goals.items()
@@ -240,7 +223,7 @@ class SimulateStepsAction:
         return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(one), gather) for one in wanted]
 
     def _collect_canceled(
-        self, asked: ActionQuery, gathered: "CancelBatch", payload: bytes, encoding: str
+        self, asked: Query, gathered: "CancelBatch", payload: bytes, encoding: str
     ) -> None:
         gathered.ended += decode(CancelStepsResponse, payload, encoding).goal_ids
         gathered.awaited -= 1
@@ -248,7 +231,7 @@ class SimulateStepsAction:
             ended = self._infos(gathered.ended)
             self._answer(asked, action.CancelGoalResponse(action.CancelCode.NONE, ended))
 
-    def _on_get_result(self, query: ActionQuery) -> None:
+    def _on_get_result(self, query: Query) -> None:
         request = _decode_query(action.GetResultRequest, query)
         goal = None if request is None else self._goals.get(goal_id_to_hex(request.goal_id))
         if goal is None or len(goal.result_queries) >= MAX_RESULT_QUERIES:
@@ -265,7 +248,7 @@ class SimulateStepsAction:
         self._answer(asked, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
         self._publish_status()
 
-    def _reply_result(self, query: ActionQuery, goal: ActionGoal) -> None:
+    def _reply_result(self, query: Query, goal: ActionGoal) -> None:
         result = action.StepsResult(goal.result)
         self._answer(query, action.GetResultResponse(goal.status, result))
 
@@ -279,7 +262,7 @@ class SimulateStepsAction:
         told = tuple(action.GoalStatusMessage(goal.info, goal.status) for goal in goals)
         return encode(action.GoalStatusArray(told), Format.CDR)
 
-    def _answer(self, query: ActionQuery, response: msgspec.Struct) -> None:
+    def _answer(self, query: Query, response: msgspec.Struct) -> None:
         attachment = read_attachment(query.request_id)
         back = b"" if attachment is None else write_attachment(_restamp(attachment))
         query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=back)
@@ -295,7 +278,7 @@ def goal_id_to_hex(goal_id: action.GoalId) -> str:
     return "" if goal_id.uuid == action.NO_GOAL_ID else bytes(goal_id.uuid).hex()
 
 
-def _decode_query(kind: type[Message], query: ActionQuery) -> Message | None:
+def _decode_query(kind: type[Message], query: Query) -> Message | None:
     try:
         return decode(kind, query.payload, CDR_ENCODING)
     except MalformedPayload:

@@ -4,12 +4,12 @@ import logging
 
 import msgspec
 
-from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.keys import parse_agent
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import EVENTS
 from zensim.sim_server.runtime.inbox import Inbox
 from zensim.sim_server.runtime.world_publisher import WorldPublisher

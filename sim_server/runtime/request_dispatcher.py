@@ -16,11 +16,11 @@ from zensim.proto.codec.message_codec import (
     make_encoding,
 )
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
+from zensim.proto.network_protocols import ServiceCall
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE, SERVICES, SPAWN_ENTITY
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.journal_protocol import ChangeJournal, JournaledResponse
 from zensim.sim_server.pacing.loop_stats import LoopStats
-from zensim.sim_server.runtime.inbox import IncomingCall
 from zensim.sim_server.runtime.world_telemetry import GETTABLE_TOPICS, WorldTelemetry
 from zensim.sim_server.service_parts import DeferredResponse
 from zensim.sim_server.services.service_registry import ServiceHandlers, make_refusal
@@ -46,11 +46,11 @@ class ResponseCache:
         self._responses: OrderedDict[tuple[str, bytes], CachedResponse] = OrderedDict()
         self._bytes = 0
 
-    def find(self, call: IncomingCall) -> CachedResponse | None:
+    def find(self, call: ServiceCall) -> CachedResponse | None:
         """Find the answer that this very request has had."""
         return self._responses.get((call.name, call.request_id)) if call.request_id else None
 
-    def keep(self, call: IncomingCall, answer: CachedResponse) -> tuple[tuple[str, bytes], ...]:
+    def keep(self, call: ServiceCall, answer: CachedResponse) -> tuple[tuple[str, bytes], ...]:
         """Remember an answer; forget the oldest when there are many, and say which."""
         if not call.request_id or not is_mutating(call.name):
             return ()
@@ -64,7 +64,7 @@ class ResponseCache:
             forgotten.append(oldest)
         return tuple(forgotten)
 
-    def forget(self, call: IncomingCall) -> None:
+    def forget(self, call: ServiceCall) -> None:
         """Forget an answer: what it told of has been taken back."""
         if (call.name, call.request_id) in self._responses:
             self._remove((call.name, call.request_id))
@@ -90,7 +90,7 @@ def is_mutating(name: str) -> bool:
     return service is not None and service.is_mutating
 
 
-def make_journaled_response(call: IncomingCall, answer: CachedResponse) -> JournaledResponse | None:
+def make_journaled_response(call: ServiceCall, answer: CachedResponse) -> JournaledResponse | None:
     """Say what a journal keeps of an answer; nothing when no retry could ask for it."""
     if not call.request_id or not is_mutating(call.name) or call.name in NOT_JOURNALED:
         return None
@@ -101,7 +101,7 @@ def make_journaled_response(call: IncomingCall, answer: CachedResponse) -> Journ
 class QueuedReply:
     """A reply, and how far the journal must have come for it."""
 
-    call: IncomingCall
+    call: ServiceCall
     answer: CachedResponse
     position: int
 
@@ -154,7 +154,7 @@ JOURNALED_SERVICES = frozenset(
 class _PendingRequest:
     """A request that has begun and cannot be answered yet."""
 
-    call: IncomingCall
+    call: ServiceCall
     deferred: DeferredResponse[Any]
 
 
@@ -177,7 +177,7 @@ class RequestDispatcher:
         if journal is not None:
             self._responses.load(journal.earlier_responses)
         self._pending: list[_PendingRequest] = []
-        self._parked: list[tuple[IncomingCall, int]] = []
+        self._parked: list[tuple[ServiceCall, int]] = []
         self._reply_queue = ReplyQueue(key_of)
         self._reason = ""
 
@@ -186,7 +186,7 @@ class RequestDispatcher:
         """Whether a reply has not gone out yet."""
         return len(self._reply_queue) > 0
 
-    def take(self, call: IncomingCall) -> None:
+    def take(self, call: ServiceCall) -> None:
         """Carry a request out and answer it, or begin to."""
         self._loop_stats.requests += 1
         self._take(call)
@@ -199,7 +199,7 @@ class RequestDispatcher:
                 self._reply(pending.call, self._outcome(pending))
         self._settle()
 
-    def _take(self, call: IncomingCall) -> None:
+    def _take(self, call: ServiceCall) -> None:
         if (topic := GETTABLE_TOPICS.get(call.name)) is not None:
             self._reply(call, self._telemetry.message(topic))
         elif (answer := self._responses.find(call)) is not None:
@@ -207,7 +207,7 @@ class RequestDispatcher:
         elif not (self._attach_to_pending(call) or self._defer_until_writable(call)):
             self._execute(call)
 
-    def _attach_to_pending(self, call: IncomingCall) -> bool:
+    def _attach_to_pending(self, call: ServiceCall) -> bool:
         """Let a retry take the place of a request that is still being carried out."""
         this = (call.name, call.request_id)
         for pending in self._pending:
@@ -216,7 +216,7 @@ class RequestDispatcher:
                 return True
         return False
 
-    def _defer_until_writable(self, call: IncomingCall) -> bool:
+    def _defer_until_writable(self, call: ServiceCall) -> bool:
         """Put a request off while the disk takes nothing, and see whether it does again."""
         journal = self._journal
         if journal is None or call.name not in JOURNALED_SERVICES or not journal.is_failing:
@@ -224,7 +224,7 @@ class RequestDispatcher:
         self._parked.append((call, journal.retry()))
         return True
 
-    def _execute(self, call: IncomingCall) -> None:
+    def _execute(self, call: ServiceCall) -> None:
         self._flush_unrelated_changes()
         try:
             _check_size(call)
@@ -254,7 +254,7 @@ class RequestDispatcher:
         if self._journal is not None:
             self._journal.note()
 
-    def _reply(self, call: IncomingCall, response: msgspec.Struct) -> None:
+    def _reply(self, call: ServiceCall, response: msgspec.Struct) -> None:
         answer = _encode_response(call, response)
         forgotten = self._responses.keep(call, answer)
         if self._journal is not None:
@@ -262,7 +262,7 @@ class RequestDispatcher:
             self._journal.note(make_journaled_response(call, answer), forgotten, is_asked=is_asked)
         self._send(call, answer)
 
-    def _send(self, call: IncomingCall, answer: CachedResponse) -> None:
+    def _send(self, call: ServiceCall, answer: CachedResponse) -> None:
         journal = self._journal
         position = 0 if journal is None else journal.position
         self._reply_queue.add(QueuedReply(call, answer, position))
@@ -295,7 +295,7 @@ class RequestDispatcher:
         else:
             self._take(call)
 
-    def _refuse(self, call: IncomingCall) -> None:
+    def _refuse(self, call: ServiceCall) -> None:
         response = make_refusal(
             call.name,
             ResultCode.OPERATION_FAILED,
@@ -307,7 +307,7 @@ class RequestDispatcher:
         self._reply_queue.add(QueuedReply(call, _encode_response(call, response), position))
 
 
-def _encode_response(call: IncomingCall, response: msgspec.Struct) -> CachedResponse:
+def _encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedResponse:
     wanted = _reply_format(call)
     try:
         payload = encode(response, wanted)
@@ -324,7 +324,7 @@ def _request_type(name: str) -> type[msgspec.Struct]:
     return service.request
 
 
-def _check_size(call: IncomingCall) -> None:
+def _check_size(call: ServiceCall) -> None:
     if call.size > MAX_REQUEST_BYTES:
         raise RequestTooLarge(call.name, call.size)
 
@@ -351,7 +351,7 @@ class UnknownService(SimError):
         super().__init__(f"service {name[:80]!r} is unknown; there are {', '.join(SERVICES)}")
 
 
-def _reply_format(call: IncomingCall) -> Format:
+def _reply_format(call: ServiceCall) -> Format:
     try:
         return detect_format(call.payload, call.encoding)
     except MalformedPayload:

@@ -5,10 +5,10 @@ from typing import Protocol
 
 import msgspec
 
-from zensim.proto.bus import Bus, BusPublisher
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.network_protocols import Publisher, PublishingNetwork
 from zensim.proto.topic_catalog import DRIVE_STATE, WORLD_TOPICS, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory
 
@@ -34,7 +34,7 @@ class BusWorldPublisher:
 
     def __init__(
         self,
-        bus: Bus,
+        bus: PublishingNetwork,
         world: str,
         faces: TopicFactory | None = None,
         on_progress: Callable[[StepsProgress], None] | None = None,
@@ -58,7 +58,7 @@ class BusWorldPublisher:
             for topic in WORLD_TOPICS
             if faces and topic.root_message
         }
-        self._agents: dict[str, BusPublisher] = {}
+        self._agents: dict[str, Publisher] = {}
 
     def is_wanted(self, topic: TopicSpec) -> bool:
         """See `WorldPublisher`."""

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import typer
 
-from zensim.proto.bus import BusError, BusPublisher, BusSubscription, Sample
+from zensim.proto.bus import BusError, BusPublisher, BusSubscription
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -22,6 +22,7 @@ from zensim.proto.codec.message_codec import (
 )
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.standard_messages import Twist, Vector3
+from zensim.proto.network_protocols import Sample
 from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
 from zensim.spawner.cli.command_session import AsJson, Connect, WorldName, open_client

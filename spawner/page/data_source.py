@@ -2,20 +2,21 @@
 
 from collections.abc import Callable, Iterable
 from hashlib import sha256
-from typing import Final, Protocol
+from typing import Final
 
 import msgspec
 import numpy as np
 
 from zensim.proto import keys
-from zensim.proto.bus import BusError, Sample
+from zensim.proto.bus import BusError
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.asset_messages import GetAssetRequest
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ServiceError
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse, Snapshot
-from zensim.proto.service_catalog import GET_ASSET, GET_MODELS, Request, Response, Service
+from zensim.proto.network_protocols import CallingNetwork, Sample, Subscription, ViewerNetwork
+from zensim.proto.service_catalog import GET_ASSET, GET_MODELS
 from zensim.proto.stl import read_corners, stl_size
 from zensim.proto.topic_catalog import CMD_VEL, SNAPSHOT
 from zensim.spawner.page.model_visuals import (
@@ -43,20 +44,6 @@ MESH_BUDGET_BYTES: Final = 128 << 20
 """Of all that are drawn; beyond, robots look like their collisions."""
 
 
-class ServiceCaller(Protocol):
-    """Calls services."""
-
-    def call(
-        self,
-        service: Service[Request, Response],
-        request: Request,
-        *,
-        world: str,
-        timeout_s: float,
-    ) -> Response:
-        """Call a service."""
-
-
 class MeshFetcher:
     """Keeps the meshes that models name; call `fetch` over and over.
 
@@ -66,7 +53,7 @@ class MeshFetcher:
 
     def __init__(
         self,
-        network: ServiceCaller,
+        network: CallingNetwork,
         world: str,
         clock: Callable[[], float],
         budget_bytes: int = MESH_BUDGET_BYTES,
@@ -159,46 +146,6 @@ _FleetInputs = tuple[tuple[str, ...], GetModelsResponse, TriangleMeshes]
 """What a fleet is arranged from."""
 
 
-class SampleSource(Protocol):
-    """A subscription."""
-
-    def newest(self) -> Sample | None:
-        """Take all and keep the last."""
-
-    def close(self) -> None:
-        """Stop listening."""
-
-
-class TokenSource(Protocol):
-    """Comings and goings of tokens."""
-
-    def take(self) -> list[tuple[str, bool]]:
-        """Take all changes."""
-
-    def close(self) -> None:
-        """Stop watching."""
-
-
-class ViewerBus(Protocol):
-    """What the viewer needs of a bus."""
-
-    def subscribe(self, key: str) -> SampleSource:
-        """Listen to a key, keeping the newest message."""
-
-    def watch_tokens(self, key: str) -> TokenSource:
-        """Watch tokens."""
-
-    def call(
-        self,
-        service: Service[Request, Response],
-        request: Request,
-        *,
-        world: str,
-        timeout_s: float,
-    ) -> Response:
-        """Call a service."""
-
-
 class ViewState(msgspec.Struct, frozen=True, eq=False):
     """Everything to be shown at one step."""
 
@@ -210,7 +157,7 @@ class ViewState(msgspec.Struct, frozen=True, eq=False):
 class CommandMonitor:
     """Hears what one robot is told."""
 
-    def __init__(self, samples: SampleSource) -> None:
+    def __init__(self, samples: Subscription) -> None:
         self._samples = samples
         self._told: tuple[float, float] | None = None
         self._told_at = 0.0
@@ -238,7 +185,7 @@ class ViewerDataSource:
     """One subscription to a world, from the moment when somebody looks until nobody does."""
 
     def __init__(
-        self, network: ViewerBus, world: str, clock: MonotonicClock, fetcher: MeshFetcher
+        self, network: ViewerNetwork, world: str, clock: MonotonicClock, fetcher: MeshFetcher
     ) -> None:
         self._network, self._world, self._clock = network, world, clock
         self._fetcher = fetcher

@@ -15,6 +15,7 @@ from zensim.proto.messages.simulation_messages import (
     State,
     StepSimulationRequest,
 )
+from zensim.proto.network_protocols import ViewerNetwork
 from zensim.proto.service_catalog import (
     RESET_SIMULATION,
     SET_SIMULATION_STATE,
@@ -27,7 +28,6 @@ from zensim.spawner.page.data_source import (
     CALL_TIMEOUT_S,
     MeshFetcher,
     MonotonicClock,
-    ViewerBus,
     ViewerDataSource,
 )
 from zensim.spawner.page.render_state import (
@@ -81,7 +81,7 @@ class Viewer:
 
     def __init__(
         self,
-        network: ViewerBus,
+        network: ViewerNetwork,
         page: PageProtocol,
         world: str,
         *,

@@ -9,12 +9,13 @@ from typing import BinaryIO
 
 import msgspec
 
-from zensim.proto.bus import Bus, Sample
+from zensim.proto.bus import Bus
 from zensim.proto.child_process import make_module_command, run_process
 from zensim.proto.codec.message_codec import MalformedPayload, decode
 from zensim.proto.messages.result_messages import ServiceError, SpawnCode
 from zensim.proto.messages.standard_messages import String
 from zensim.proto.names import NAME_PATTERN
+from zensim.proto.network_protocols import Sample
 from zensim.spawner.spawn.description_xml import (
     MAX_TEXT_BYTES,
     DescriptionError,

@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 import zenoh
@@ -13,7 +14,6 @@ from zensim.proto.bus import (
     BusConfig,
     EndpointTaken,
     NoServer,
-    Sample,
     Unreachable,
     check_endpoint,
     open_bus,
@@ -24,6 +24,9 @@ from zensim.proto.messages.result_messages import Result, ResultCode, ServiceErr
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.telemetry_messages import Info, InfoRequest
 from zensim.proto.service_catalog import DELETE_ENTITY, INFO
+
+if TYPE_CHECKING:
+    from zensim.proto.network_protocols import Sample
 
 
 @pytest.fixture

@@ -1,13 +1,17 @@
 """What ROS 2 needs of the bus: attachments, stamped replies on other keys, sessions beside."""
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import pytest
 import zenoh
 import zenoh.ext
 
 from tests.integration.processes import eventually, free_endpoint
-from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, Sample, open_bus
+from zensim.proto.bus import Bus, BusConfig, BusQuery, BusQueryQueue, open_bus
+
+if TYPE_CHECKING:
+    from zensim.proto.network_protocols import Sample
 
 KEY = "0/r1/tf_static/tf2_msgs::msg::dds_::TFMessage_/RIHS01_e369"
 ATTACHMENT = b"a" * 33

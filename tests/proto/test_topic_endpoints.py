@@ -4,8 +4,8 @@ from collections.abc import Callable
 from typing import cast
 
 from tests.fakes import MemoryBus
-from zensim.proto.bus import Stamp
 from zensim.proto.messages.standard_messages import String, Twist, TwistStamped
+from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2.liveliness_tokens import LATCHED, gid_from_token
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, Topic

@@ -10,12 +10,13 @@ import numpy as np
 from tests.engines import STEP_NS, ObedientEngine
 from tests.fakes import MemoryCall
 from tests.models import a_cart, on_ground
-from zensim.proto.bus import BusConfig, Sample
+from zensim.proto.bus import BusConfig
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.agent_messages import DriveCommand, DriveState
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.telemetry_messages import Event
+from zensim.proto.network_protocols import Sample, ServiceCall
 from zensim.proto.topic_catalog import DRIVE_COMMAND, TopicSpec
 from zensim.sim_server.description.builtin_models import resolve_resource
 from zensim.sim_server.description.pipeline import parse_description
@@ -28,7 +29,6 @@ from zensim.sim_server.parser_process.parser_protocol import ParseRequest, Parse
 from zensim.sim_server.parser_process.parser_worker import parse_request
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
-from zensim.sim_server.runtime.inbox import IncomingCall
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.server_config import ServerConfig
 from zensim.sim_server.service_parts import (
@@ -136,7 +136,7 @@ class ScriptedInbox:
     agents: list[tuple[str, bool]] = field(default_factory=list)
     bonds: list[tuple[str, bool]] = field(default_factory=list)
 
-    def take_calls(self) -> list[IncomingCall]:
+    def take_calls(self) -> list[ServiceCall]:
         taken, self.calls = self.calls, []
         return taken  # type: ignore[return-value]
 

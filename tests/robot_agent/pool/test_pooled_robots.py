@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from tests.fakes import MemoryBus
 from tests.proto.drives.robots_of_each_drive import DRIVES, robot_of
 from tests.robot_agent.models import DRIVE, two_wheeler
-from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import Format, MalformedPayload, decode
 from zensim.proto.keys import last_chunk
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
 from zensim.proto.messages.drive_messages import Drive, RosBlock
 from zensim.proto.messages.model_messages import GroundTruth, Model
 from zensim.proto.messages.standard_messages import JointState, Odometry, TFMessage, Twist, Vector3
+from zensim.proto.network_protocols import Sample
 from zensim.robot_agent.pool.pooled_robots import PooledRobots
 from zensim.robot_agent.robots import IndividualRobots
 

@@ -1,14 +1,10 @@
 """BusInbox: requests, commands and agents as they come, each taken once."""
 
-from typing import TYPE_CHECKING, cast
-
 from tests.fakes import MemoryBus, MemoryCall
 from zensim.proto import keys
+from zensim.proto.network_protocols import ServiceCall
 from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE
-from zensim.sim_server.runtime.inbox import COMMAND_DEPTH, BusInbox, IncomingCall
-
-if TYPE_CHECKING:
-    from zensim.proto.bus import Bus
+from zensim.sim_server.runtime.inbox import COMMAND_DEPTH, BusInbox
 
 
 class AskingBus(MemoryBus):
@@ -20,10 +16,10 @@ class AskingBus(MemoryBus):
 
 
 def an_inbox(bus: MemoryBus) -> BusInbox:
-    return BusInbox(cast("Bus", bus), "w")
+    return BusInbox(bus, "w")
 
 
-def names_of(calls: list[IncomingCall]) -> list[str]:
+def names_of(calls: list[ServiceCall]) -> list[str]:
     return [call.name for call in calls]
 
 

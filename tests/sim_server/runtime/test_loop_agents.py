@@ -14,11 +14,11 @@ from tests.sim_server.fakes import (
     names_in,
     wheel_speeds,
 )
-from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, ClaimEntityResponse, OnRelease
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, Stats
+from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import DRIVE_COMMAND
 
 

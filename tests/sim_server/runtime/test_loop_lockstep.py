@@ -7,7 +7,6 @@ import pytest
 from tests.fakes import MemoryCall
 from tests.models import on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, ServerFixture, a_server, a_spawn, wheel_speeds
-from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.agent_messages import ClaimEntityRequest, DriveCommand
 from zensim.proto.messages.result_messages import Result, ResultCode
@@ -18,6 +17,7 @@ from zensim.proto.messages.simulation_messages import (
     StepSimulationResponse,
 )
 from zensim.proto.messages.telemetry_messages import Event, InfoRequest, Stats
+from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import DRIVE_COMMAND
 from zensim.sim_server.pacing.lockstep import Lockstep, LockstepSettings, OnMiss
 from zensim.sim_server.runtime.loop import POLL_S, ServerLoop

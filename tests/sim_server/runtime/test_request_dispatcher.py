@@ -5,7 +5,7 @@ from typing import cast
 import pytest
 
 from tests.fakes import MemoryCall
-from zensim.sim_server.runtime.inbox import IncomingCall
+from zensim.proto.network_protocols import ServiceCall
 from zensim.sim_server.runtime.request_dispatcher import (
     MAX_CACHED_RESPONSES,
     CachedResponse,
@@ -16,8 +16,8 @@ from zensim.sim_server.runtime.request_dispatcher import (
 )
 
 
-def a_call(request_id: bytes, service: str = "delete_entity") -> IncomingCall:
-    return cast("IncomingCall", MemoryCall(f"sim/default/{service}", b"", "", request_id))
+def a_call(request_id: bytes, service: str = "delete_entity") -> ServiceCall:
+    return cast("ServiceCall", MemoryCall(f"sim/default/{service}", b"", "", request_id))
 
 
 def an_answer(text: str) -> CachedResponse:
@@ -100,7 +100,7 @@ def test_answer_that_was_taken_back_is_forgotten() -> None:
 def a_reply(number: int, position: int) -> tuple[MemoryCall, QueuedReply]:
     call = MemoryCall(f"sim/default/s{number}", b"", "", b"")
     answer = CachedResponse(str(number).encode(), "text/plain")
-    return call, QueuedReply(cast("IncomingCall", call), answer, position)
+    return call, QueuedReply(cast("ServiceCall", call), answer, position)
 
 
 def some_replies(*positions: int) -> tuple[ReplyQueue, list[MemoryCall]]:

@@ -1,11 +1,9 @@
 """BusOutlet: telemetry on its keys, in MessagePack, only when it is wanted."""
 
-from typing import cast
-
 import pytest
 
 from tests.fakes import MemoryBus, MemoryPublisher
-from zensim.proto.bus import Bus, BusPublisher
+from zensim.proto.bus import BusPublisher
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.sample_messages import make_sample_message
@@ -31,7 +29,7 @@ class CountingBus(MemoryBus):
 
 
 def an_outlet(bus: MemoryBus) -> BusWorldPublisher:
-    return BusWorldPublisher(cast("Bus", bus), "w")
+    return BusWorldPublisher(bus, "w")
 
 
 @pytest.mark.parametrize("topic", WORLD_TOPICS, ids=TOPIC_NAMES)

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from tests.integration.processes import Server, eventually, running
 from tests.sim_server.fakes import floats
 from tests.spawner.cli.commands import NOWHERE, assert_failed, run, run_at
-from zensim.proto.bus import Sample
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.agent_messages import DriveCommand
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import Odometry, String, Twist, Vector3
 from zensim.proto.messages.telemetry_messages import Event, Snapshot, Stats, WorldClock
+from zensim.proto.network_protocols import Sample
 from zensim.spawner.cli.topic_commands import app, to_plain, to_yaml_lines
 
 FORWARD = Twist(Vector3(x=0.2), Vector3(z=-0.5))

@@ -36,8 +36,10 @@ class Store:
         request: Request,
         *,
         world: str,
-        timeout_s: float,
+        timeout_s: float = 5.0,
+        request_id: str = "",
     ) -> Response:
+        del request_id
         assert isinstance(request, GetAssetRequest)
         assert (world, timeout_s < 1.0) == ("w", True)
         self.asked.append((request.sha256, request.offset))

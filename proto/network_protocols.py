@@ -1,0 +1,204 @@
+"""Protocols of a network session and of what it declares; `bus.Bus` implements them all.
+
+Each consumer names the smallest protocol that it needs; the last ones combine others.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NewType, Protocol, TypeVar
+
+import msgspec
+
+from zensim.proto.service_catalog import Request, Response, Service
+
+Message = TypeVar("Message", bound=msgspec.Struct)
+Stamp = NewType("Stamp", object)
+"""Time stamp of a sample, by the clock of its session."""
+
+
+class Sample(msgspec.Struct, frozen=True):
+    """A message as received."""
+
+    key: str
+    payload: bytes
+    encoding: str
+    attachment: bytes = b""
+
+
+class Closable(Protocol):
+    """Anything declared on the network until it is closed, such as a liveliness token."""
+
+    def close(self) -> None:
+        """Undeclare it."""
+
+
+class Publisher(Closable, Protocol):
+    """Publisher on one key."""
+
+    @property
+    def is_matched(self) -> bool:
+        """Whether the key has a subscriber."""
+
+    def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
+        """Publish one message; subscribers drop a second one with the same stamp."""
+
+
+class Subscription(Closable, Protocol):
+    """Messages on a key expression."""
+
+    def take(self) -> list[Sample]:
+        """Take all messages received, oldest first."""
+
+    def newest(self) -> Sample | None:
+        """Take all messages and return the last."""
+
+
+class ServiceCall(Protocol):
+    """A request that must be replied to or dropped, once."""
+
+    payload: bytes
+    encoding: str
+    request_id: bytes
+    """The same for a retry; empty when the caller does not retry."""
+    size: int
+    """Bytes of the request as received; `payload` is empty where that is too many."""
+
+    @property
+    def name(self) -> str:
+        """The service, as the caller wrote it."""
+
+    def read(self, kind: type[Message]) -> Message:
+        """Decode the request.
+
+        Raises:
+            MalformedPayload: The bytes are not that message.
+        """
+
+    def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
+        """Reply once; `key` when the request's is an expression."""
+
+    def drop(self) -> None:
+        """End the request without a reply."""
+
+
+class Query(ServiceCall, Protocol):
+    """A request on a key expression."""
+
+    key: str
+
+    def covers(self, key: str) -> bool:
+        """Whether the key expression includes a key."""
+
+    def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
+        """Reply once; `key` when the request's is an expression."""
+
+    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        """Reply with several values, each on its own key."""
+
+    def add_reply(
+        self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
+    ) -> None:
+        """Reply with one sample of several; `drop` ends the reply."""
+
+
+class QuerySource(Protocol):
+    """Requests received on one or more keys."""
+
+    def take(self) -> Sequence[Query]:
+        """Take all requests received, oldest first."""
+
+
+class QueryQueue(QuerySource, Closable, Protocol):
+    """Requests on a key expression that is served until closed."""
+
+
+class ServiceCallSource(Protocol):
+    """Service requests received."""
+
+    def take(self) -> Sequence[ServiceCall]:
+        """Take all requests received, oldest first."""
+
+
+class TokenWatch(Closable, Protocol):
+    """Appearing and disappearing liveliness tokens."""
+
+    def take(self) -> list[tuple[str, bool]]:
+        """Take all changes: key, and whether the token is alive."""
+
+
+class PublishingNetwork(Protocol):
+    """Declares publishers."""
+
+    def stamp(self) -> Stamp:
+        """Make a time stamp."""
+
+    def advertise(self, key: str, encoding: str) -> Publisher:
+        """Declare a publisher."""
+
+
+class SubscribingNetwork(Protocol):
+    """Declares subscriptions."""
+
+    def subscribe(self, key: str, depth: int = 1) -> Subscription:
+        """Subscribe to a key expression, keeping the newest `depth` messages."""
+
+
+class ServingNetwork(Protocol):
+    """Declares queues of requests."""
+
+    def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> QueryQueue:
+        """Receive requests on a key expression; not complete if others have parts of the reply."""
+
+
+class CallingNetwork(Protocol):
+    """Calls services."""
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+        request_id: str = "",
+    ) -> Response:
+        """Call a service and return its response."""
+
+
+class WatchingNetwork(Protocol):
+    """Watches liveliness tokens."""
+
+    def watch_tokens(self, key: str, depth: int = 16384) -> TokenWatch:
+        """Watch tokens, present ones first."""
+
+
+class TokenSession(Closable, Protocol):
+    """A session that declares liveliness tokens."""
+
+    @property
+    def zid(self) -> str:
+        """The session's id, in hexadecimal digits."""
+
+    def token(self, key: str) -> Closable:
+        """Declare this process alive under a key."""
+
+    def open_session(self) -> "TokenSession":
+        """Open another session to the same network."""
+
+
+class TopicNetwork(PublishingNetwork, SubscribingNetwork, ServingNetwork, Protocol):
+    """Network for topics: publishers, subscriptions, and requests for last values."""
+
+
+class ViewerNetwork(SubscribingNetwork, WatchingNetwork, CallingNetwork, Protocol):
+    """Network for the viewer."""
+
+
+class ServerNetwork(TopicNetwork, WatchingNetwork, TokenSession, Protocol):
+    """Network for the server."""
+
+
+class AgentNetwork(TopicNetwork, WatchingNetwork, CallingNetwork, TokenSession, Protocol):
+    """Network for agents."""
+
+    def open_session(self) -> "AgentNetwork":
+        """Open another session to the same network."""
