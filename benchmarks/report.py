@@ -25,6 +25,7 @@ NAMES = (
     "fleet_traffic",
     "fleet_physics",
     "pools",
+    "containers",
     "ros2",
     "ros2_fleet",
     "clusters",
