@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import time
+from typing import Any
 
 import msgspec
 
@@ -16,9 +17,11 @@ from zensim.deploy.cli import main
 from zensim.proto.bus import BusPublisher
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.process_limits import die_with_supervisor
+from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.runtime import world_publisher
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
 from zensim.sim_server.world.simulated_world import World
+from zensim.sim_server.world.simulation_clock import SimulationClock
 
 ENGINE_PARTS = {"step": "engine", "command": "command", "read": "read-back"}
 
@@ -46,25 +49,32 @@ class Watch:
     def __init__(self) -> None:
         self._stopwatch = Stopwatch()
         self._is_asked = self._is_in = False
-        self._enter = World.change_state
+        self._enter = SimulationClock.change_state
+        self._make_world = World.__init__
+        self._worlds: list[World] = []
 
     def install(self) -> None:
         """Hear of every change of state."""
         signal.signal(signal.SIGUSR1, lambda *_: setattr(self, "_is_asked", True))
         watch = self
 
-        def enter(world: World, state: State) -> None:
+        def make_world(world: World, engine: Engine, **options: Any) -> None:  # noqa: ANN401
+            watch._make_world(world, engine, **options)
+            watch._worlds.append(world)
+
+        def enter(clock: SimulationClock, state: State) -> None:
             if watch._is_asked and not watch._is_in:
-                watch._look_inside(world)
-            watch._enter(world, state)
-            watch._say(world, state)
+                watch._look_inside(watch._worlds[0])
+            watch._enter(clock, state)
+            watch._say(clock, state)
 
-        World.change_state = enter  # type: ignore[method-assign, assignment]
+        World.__init__ = make_world  # type: ignore[method-assign, assignment]
+        SimulationClock.change_state = enter  # type: ignore[method-assign, assignment]
 
-    def _say(self, world: World, state: State) -> None:
+    def _say(self, clock: SimulationClock, state: State) -> None:
         parts_s = {name: ns * 1e-9 for name, ns in self._stopwatch.spent_ns.items()}
         used = Used(
-            world.steps,
+            clock.steps,
             time.thread_time(),
             time.process_time(),
             time.perf_counter(),
@@ -75,11 +85,11 @@ class Watch:
 
     def _look_inside(self, world: World) -> None:
         self._is_in = True
-        watch, engine = self._stopwatch, world._engine  # noqa: SLF001  it is looked into
+        watch, engine = self._stopwatch, world.engine
         for name, part in ENGINE_PARTS.items():
             setattr(engine, name, watch.timed(part, getattr(engine, name)))
         for owner, name, part in (
-            (World, "reading", "read-back"),
+            (World, "states", "read-back"),
             (World, "snapshot", "messages"),
             (world_publisher, "encode", "encode"),
             (BusPublisher, "send", "put"),

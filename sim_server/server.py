@@ -261,7 +261,7 @@ def _make_world(
     else:
         spawn_models(world, loaded.model)
     if config.is_paused:
-        world.pause()
+        world.clock.pause()
     return world
 
 

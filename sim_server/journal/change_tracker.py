@@ -209,16 +209,16 @@ class ChangeTracker:
         world = self._parts.world
         factor = self._parts.pacing.target_real_time_factor
         return (
-            world.roster_number,
-            world.epoch,
-            world.state,
+            world.entities.roster_number,
+            world.clock.epoch,
+            world.clock.state,
             factor,
             id(self._parts.current_world.model),
         )
 
     def _places(self) -> tuple[int, ...]:
         world = self._parts.world
-        return (world.placed, world.epoch)
+        return (world.placement_count, world.clock.epoch)
 
     def _changes(self) -> tuple[EntityChange, ...]:
         self._seen = self._fingerprint()
@@ -253,7 +253,7 @@ class ChangeTracker:
         return self._next_ordinal - 1
 
     def _bond_of(self, name: str) -> str:
-        born_ns = self._parts.world.entity(name).born_ns
+        born_ns = self._parts.world.entities.find(name).born_ns
         for bond, held in self._parts.bonds.entities.items():
             if (name, born_ns) in held:
                 return bond
@@ -266,7 +266,7 @@ class ChangeTracker:
         self._world = WorldRow(
             name=world.name,
             source=current.model,
-            step_hz=NANOSECONDS / world.step_ns,
+            step_hz=NANOSECONDS / world.clock.step_ns,
             seed=current.seed,
             resource=current.resource,
         )
@@ -275,14 +275,14 @@ class ChangeTracker:
     def _new_clock(self) -> ClockRow | None:
         world, last = self._parts.world, self._clock
         factor = self._parts.pacing.target_real_time_factor
-        state = int(world.state)
-        if last is not None and world.state in TRANSIENT_STATES:
+        state = int(world.clock.state)
+        if last is not None and world.clock.state in TRANSIENT_STATES:
             state = last.state
-        now = (world.epoch, state, factor)
+        now = (world.clock.epoch, state, factor)
         if last is not None and (last.epoch, last.state, last.real_time_factor) == now:
             return None
         self._clock = ClockRow(
-            epoch=world.epoch, steps=world.steps, state=state, real_time_factor=factor
+            epoch=world.clock.epoch, steps=world.clock.steps, state=state, real_time_factor=factor
         )
         return self._clock
 
@@ -297,17 +297,17 @@ class ChangeTracker:
             self._seen = ()  # what stands although it could not be kept is handed over again
             self.note()
         world, last = self._parts.world, self._motion
-        is_old = last is None or (last.epoch, last.steps) != (world.epoch, world.steps)
-        is_old = is_old or last is None or last.names != world.roster().names
+        is_old = last is None or (last.epoch, last.steps) != (world.clock.epoch, world.clock.steps)
+        is_old = is_old or last is None or last.names != world.entities.index.names
         if is_old or self._places() != self._motion_seen or self._is_failing:
             self._submit(JournalRecord(self._generation, self.position, motion=self._take_motion()))
 
     def _take_motion(self) -> RecordedMotion:
         world = self._parts.world
-        roster, reading = world.roster(), world.reading()
+        roster, reading = world.entities.index, world.states()
         self._motion_seen = self._places()
         self._motion = RecordedMotion(
-            world.epoch, world.steps, roster.names, roster.joint_count, reading
+            world.clock.epoch, world.clock.steps, roster.names, roster.joint_count, reading
         )
         return self._motion
 
@@ -344,7 +344,7 @@ class ChangeTracker:
 
     def _undo(self, change: EntityChange, former: RecordedMotion | None) -> None:
         name, world, before, after = change.name, self._parts.world, change.before, change.after
-        is_there = any(entity.name == name for entity in world.entities)
+        is_there = name in world.entities
         if before is not None and after is not None and before.ordinal == after.ordinal:
             if is_there:
                 world.set_info(name, before.entity.info)

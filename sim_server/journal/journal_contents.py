@@ -170,8 +170,8 @@ def restore_world(
     # What would end the process with its first step does so here, while the mark is up.
     world.step()
     _set_states(contents, world, restored)
-    world.steps, world.epoch = contents.steps, contents.clock.epoch + 1
-    world.state = State(contents.clock.state)
+    world.clock.steps, world.clock.epoch = contents.steps, contents.clock.epoch + 1
+    world.clock.state = State(contents.clock.state)
     return restored
 
 

@@ -134,7 +134,9 @@ class Journal:
         sync_folder(self.ledger.folder)
         restored = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
         self.kept = tuple(restored.kept)
-        clock = msgspec.structs.replace(contents.clock, epoch=world.epoch, steps=world.steps)
+        clock = msgspec.structs.replace(
+            contents.clock, epoch=world.clock.epoch, steps=world.clock.steps
+        )
         commit_restore(self.ledger, restored.refused, clock)
         self._mark.unlink()
         return tuple(row.entity.name for row in restored.refused)

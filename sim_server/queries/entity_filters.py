@@ -1,6 +1,6 @@
 """Filters entities by category, tags, regular expression and bounds, in time slices."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TypeVar
 
 import msgspec
@@ -122,7 +122,7 @@ def filter_entities(
     found = _filter_by_info(world.entities, filters)
     if region is None and pattern is None:
         return answer(tuple(entity.name for entity in found))
-    sight = PoseSnapshot(world.roster(), world.reading(), store.corners)
+    sight = PoseSnapshot(world.entities.index, world.states(), store.corners)
     search = _EntitySearch(
         sight, found, pacing.now_ns, pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS)
     )
@@ -182,7 +182,7 @@ class _EntitySearch:
         self._entities = {name: one for name, one in self._entities.items() if name in kept}
 
 
-def _filter_by_info(entities: Sequence[Entity], filters: EntityFilters) -> list[Entity]:
+def _filter_by_info(entities: Iterable[Entity], filters: EntityFilters) -> list[Entity]:
     categories = {wanted.category for wanted in filters.categories}
     passes = make_tags_test(filters.tags)
     return [

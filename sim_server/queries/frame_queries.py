@@ -52,7 +52,7 @@ def find_frame_pose(world: World, frame_id: str) -> FloatArray:
     if frame_id in WORLD_FRAMES:
         return IDENTITY_POSE
     bare = frame_id.removeprefix("/")
-    if any(entity.name == bare for entity in world.entities):
+    if bare in world.entities:
         return world.state_of(bare)[:7]
     found = [
         pose
@@ -108,7 +108,7 @@ def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:
 
 
 def _find_link_pose(world: World, entity: Entity, link: str) -> FloatArray | None:
-    reading, roster = world.reading(), world.roster()
+    reading, roster = world.states(), world.entities.index
     base = reading.base[roster.row[entity.name], :7]
     positions = reading.joint_positions[roster.joints_of(entity.name)]
     pose = compute_link_poses(entity.model, base[None], positions[None]).get(link)
@@ -160,7 +160,7 @@ def find_link(world: World, name: str) -> ScopedLink:
         Refused: There is no such link, or it was merged into another.
     """
     owner, _, inner = name.partition(SCOPE_SEPARATOR)
-    entity = world.entity(owner)
+    entity = world.entities.find(owner)
     names = [link.name for link in entity.model.links]
     if inner in names:
         return ScopedLink(entity, names.index(inner))
@@ -184,7 +184,7 @@ def find_joint(world: World, name: str) -> ScopedJoint:
         Refused: There is no such joint, or more than one.
     """
     owner, scope, inner = name.partition(SCOPE_SEPARATOR)
-    entities = (world.entity(owner),) if scope else world.entities
+    entities = (world.entities.find(owner),) if scope else tuple(world.entities)
     wanted = inner if scope else name
     found = [
         ScopedJoint(entity, number)
@@ -222,10 +222,10 @@ def find_state(world: World, name: str) -> FloatArray:
         FrameNotFound: There is no such link.
     """
     owner, scope, inner = name.partition(SCOPE_SEPARATOR)
-    entity = world.entity(owner)
+    entity = world.entities.find(owner)
     if not scope:
         return world.state_of(name)
-    reading, roster = world.reading(), world.roster()
+    reading, roster = world.states(), world.entities.index
     joints = roster.joints_of(owner)
     states = compute_link_states(
         entity.model,

@@ -77,7 +77,7 @@ class AgentSessions:
 
     def publish_changed_claims(self) -> None:
         """Tell those whose claims or whose epoch are others than when they were told last."""
-        if self._has_unsent_states and self._world.state != State.PLAYING:
+        if self._has_unsent_states and self._world.clock.state != State.PLAYING:
             self.publish_states()
         if self._published_version == self._version:
             return
@@ -107,11 +107,11 @@ class AgentSessions:
     @property
     def _is_unpaced(self) -> bool:
         is_paced = 0.0 < self._pacing.target_real_time_factor <= 1.0
-        return not (is_paced or self._is_awaited) and self._world.state == State.PLAYING
+        return not (is_paced or self._is_awaited) and self._world.clock.state == State.PLAYING
 
     @property
     def _version(self) -> tuple[int, int]:
-        return self._world.epoch, self._world.claims.changes
+        return self._world.clock.epoch, self._world.claims.changes
 
     def _find_busy_agents(self, now_ns: int) -> frozenset[str]:
         """Find who has a state to answer yet: another would only take its place."""
@@ -138,11 +138,11 @@ class AgentSessions:
                 self._publish_state(agent, state)
 
     def _miss(self, late: tuple[str, ...]) -> None:
-        settings, step = self._lockstep.settings, self._world.steps
+        settings, step = self._lockstep.settings, self._world.clock.steps
         for agent in late:
             text = f"agent '{agent}' did not answer step {step} within {settings.timeout_s:g} s"
             LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
-            event = Event("missed", "", agent, step, self._world.epoch, text)
+            event = Event("missed", "", agent, step, self._world.clock.epoch, text)
             self._publisher.publish(EVENTS, event)
         if settings.on_miss == "fail":
             self._abort_and_pause(f"{text}; see that it runs, and go on")
@@ -151,8 +151,8 @@ class AgentSessions:
 
     def _abort_and_pause(self, reason: str) -> None:
         self._pacing.step_goals.abort(reason)
-        if self._world.state == State.PLAYING:
-            self._world.pause()
+        if self._world.clock.state == State.PLAYING:
+            self._world.clock.pause()
 
     def _on_agent_liveliness(self, agent: str, *, is_alive: bool) -> None:
         if is_alive:

@@ -79,7 +79,7 @@ class ServerLoop:
 
     @property
     def _has_quit(self) -> bool:
-        return self._world.state == State.QUITTING and not self._dispatcher.has_unsent_replies
+        return self._world.clock.state == State.QUITTING and not self._dispatcher.has_unsent_replies
 
     def turn(self) -> None:
         """Serve what has come, then step if it is time, else wait a little."""
@@ -111,7 +111,7 @@ class ServerLoop:
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
         self._loop_stats.note_step(
-            simulated_ns=self._world.step_ns,
+            simulated_ns=self._world.clock.step_ns,
             took_ns=took_ns,
             late_ns=max(0, now_ns - self._deadline_ns),
         )
@@ -120,7 +120,7 @@ class ServerLoop:
 
     def publish(self) -> None:
         """Tell everybody what is due."""
-        for event in self._world.take_events(MAX_EVENTS_PER_TURN):
+        for event in self._world.clock.take_events(MAX_EVENTS_PER_TURN):
             LOG.info(
                 "event kind=%s entity=%s agent=%s message=%s",
                 event.kind,
@@ -141,7 +141,7 @@ class ServerLoop:
         self._apply_speed_change(now_ns)
         if self._pacing.step_goals.has_steps_left:
             self._make_requested_step(now_ns)
-        elif self._world.state != State.PLAYING:
+        elif self._world.clock.state != State.PLAYING:
             self._deadline_ns = now_ns
             self._clock.sleep(IDLE_POLL_S)
         elif now_ns >= self._deadline_ns:
@@ -161,7 +161,7 @@ class ServerLoop:
         if self._factor <= 0.0:
             self._deadline_ns = now_ns
             return
-        self._paced_ns = round(self._world.step_ns / self._factor)
+        self._paced_ns = round(self._world.clock.step_ns / self._factor)
         self._deadline_ns += self._paced_ns
         if (lag_ns := now_ns - self._deadline_ns) > MAX_LAG_NS:
             self._loop_stats.slipped_ns += lag_ns
@@ -178,8 +178,8 @@ class ServerLoop:
         """End the goals whose steps are made and whose agents have answered; answer for them."""
         if not self._pacing.step_goals:
             return
-        if self._world.state not in (State.PAUSED, State.PLAYING):
-            self._pacing.step_goals.abort(f"the simulation is {self._world.state_name}")
+        if self._world.clock.state not in (State.PAUSED, State.PLAYING):
+            self._pacing.step_goals.abort(f"the simulation is {self._world.clock.state_name}")
         self._pacing.step_goals.finish_completed()
         # Progress first: who hears of the end may then be sure that nothing more comes.
         self._publish_progress(self._clock.now_ns())

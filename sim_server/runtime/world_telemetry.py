@@ -1,6 +1,6 @@
 """Messages of a world's topics and when each is due; Gazebo's model_states and link_states among them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import msgspec
 import numpy as np
@@ -36,7 +36,7 @@ from zensim.sim_server.world.simulated_world import World
 
 def make_model_states(world: World) -> ModelStates:
     """Tell of entities in the order of spawning."""
-    return ModelStates(world.roster().names, *_to_poses_and_twists(world.reading().base))
+    return ModelStates(world.entities.index.names, *_to_poses_and_twists(world.states().base))
 
 
 def make_link_states(world: World) -> LinkStates:
@@ -55,7 +55,7 @@ def make_link_states(world: World) -> LinkStates:
     return LinkStates(tuple(names), *_to_poses_and_twists(rows))
 
 
-def _group_by_model(entities: Sequence[Entity]) -> list[list[Entity]]:
+def _group_by_model(entities: Iterable[Entity]) -> list[list[Entity]]:
     # By identity: entities that were spawned alike share one model, and hashing one is slow.
     groups: dict[int, list[Entity]] = {}
     for entity in entities:
@@ -64,7 +64,7 @@ def _group_by_model(entities: Sequence[Entity]) -> list[list[Entity]]:
 
 
 def _compute_link_states(world: World, alike: Sequence[Entity]) -> dict[str, FloatArray]:
-    reading, roster = world.reading(), world.roster()
+    reading, roster = world.states(), world.entities.index
     rows = [roster.row[entity.name] for entity in alike]
     first = roster.joint_start[rows]
     joints = first[:, None] + np.arange(len(alike[0].model.joints), dtype=np.intp)
@@ -113,13 +113,18 @@ class WorldTelemetry:
     def due(self, now_ns: int) -> Iterator[TopicSpec]:
         """List the topics of motion that are due at a wall time."""
         world = self._world
-        seen = (world.epoch, world.steps, world.roster_number, world.placed)
+        seen = (
+            world.clock.epoch,
+            world.clock.steps,
+            world.entities.roster_number,
+            world.placement_count,
+        )
         if seen == self._shown and not self._idle_limiter.is_due(now_ns):
             return
         if self._limiters[CLOCK].is_due(now_ns):
             yield CLOCK
         # A reading of all bodies is made for agents at the next control step anyway.
-        if world.state == State.PLAYING and not world.is_control_step:
+        if world.clock.state == State.PLAYING and not world.is_control_step:
             return
         for topic in (MODEL_STATES, LINK_STATES):
             if self._limiters[topic].is_due(now_ns):
@@ -135,17 +140,17 @@ class WorldTelemetry:
     def clock(self) -> WorldClock:
         """Simulation time."""
         world = self._world
-        return WorldClock(time_from_ns(world.time_ns), world.steps, world.epoch)
+        return WorldClock(time_from_ns(world.clock.time_ns), world.clock.steps, world.clock.epoch)
 
     def stats(self) -> Stats:
         """How the loop is doing."""
         world, meter, engine = self._world, self._loop_stats, self._world.engine
         return Stats(
             world=world.name,
-            sim_time_s=world.time_ns * 1e-9,
-            steps=world.steps,
+            sim_time_s=world.clock.time_ns * 1e-9,
+            steps=world.clock.steps,
             real_time_factor=self._real_time_factor(),
-            state=world.state_name,
+            state=world.clock.state_name,
             entities=len(world.entities),
             agents=len(world.claims.agents),
             claimed=len(world.claims),
@@ -165,5 +170,5 @@ class WorldTelemetry:
         )
 
     def _real_time_factor(self) -> float:
-        is_playing = self._world.state == State.PLAYING
+        is_playing = self._world.clock.state == State.PLAYING
         return self._loop_stats.real_time_factor if is_playing else 0.0

@@ -67,7 +67,7 @@ def claim_entity(
     return agent_messages.ClaimEntityResponse(
         Result(),
         *agent_messages.make_grants(granted),
-        world.step_ns,
+        world.clock.step_ns,
         world.control_steps,
     )
 
@@ -87,7 +87,7 @@ def claim_share(
     return agent_messages.ClaimShareResponse(
         Result(),
         *agent_messages.make_grants(granted),
-        world.step_ns,
+        world.clock.step_ns,
         world.control_steps,
         len(names) < len(moved),
     )
@@ -107,7 +107,7 @@ def _find_share(world: World, limits: Mapping[str, int], agent: str) -> tuple[En
     robots = {
         entity.name: entity
         for entity in world.entities
-        if entity.model.drive is not None and not world.watch.is_frozen(entity.name)
+        if entity.model.drive is not None and not world.divergence_guard.is_frozen(entity.name)
     }
     held = {
         pool: [name for name, _ in world.claims.list_claims(pool) if name in robots]

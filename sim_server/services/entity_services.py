@@ -37,14 +37,14 @@ def get_entity_bounds(
     world: World, store: AssetStore, request: entity_messages.GetEntityBoundsOrder
 ) -> entity_messages.GetEntityBoundsResponse:
     """Tell the bounds of an entity's collisions, in the frame of its base link."""
-    entity = world.entity(request.entity)
+    entity = world.entities.find(request.entity)
     wanted = BoundsType.BOX if request.type == entity_messages.ANY_BOUNDS else request.type
     if wanted not in set(BoundsType) or wanted == BoundsType.EMPTY:
         raise BoundsUnsupported(
             f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
             f"or {entity_messages.ANY_BOUNDS} (any)"
         )
-    sight = PoseSnapshot(world.roster(), world.reading(), store.corners)
+    sight = PoseSnapshot(world.entities.index, world.states(), store.corners)
     links = sight.links_in_base(entity.model, entity.name)
     solids = list(place_collision_shapes(entity.model, links, store.corners))
     return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(solids, BoundsType(wanted)))
@@ -54,7 +54,7 @@ def get_entity_info(
     world: World, request: entity_messages.GetEntityInfoRequest
 ) -> entity_messages.GetEntityInfoReport:
     """Tell what an entity is."""
-    entity, engine = world.entity(request.entity), world.engine
+    entity, engine = world.entities.find(request.entity), world.engine
     tier = engine.tier_of(entity.body)
     return entity_messages.GetEntityInfoReport(info=entity.info, dynamics=tier)
 
@@ -63,7 +63,7 @@ def set_entity_info(
     world: World, request: entity_messages.SetEntityInfoRequest
 ) -> entity_messages.SetEntityInfoResponse:
     """Say what an entity is."""
-    world.entity(request.entity)
+    world.entities.find(request.entity)
     world.set_info(request.entity, check_entity_info(request.info))
     return entity_messages.SetEntityInfoResponse()
 
@@ -91,12 +91,12 @@ def get_models(
     world: World, current: CurrentWorld, request: telemetry_messages.GetModelsRequest
 ) -> telemetry_messages.GetModelsResponse:
     """Tell how entities look."""
-    wanted = request.entities or world.roster().names
-    entities = [world.entity(name) for name in wanted]
+    wanted = request.entities or world.entities.index.names
+    entities = [world.entities.find(name) for name in wanted]
     number = {model: i for i, model in enumerate(dict.fromkeys(e.model for e in entities))}
     return telemetry_messages.GetModelsResponse(
         Result(),
-        world.roster_number,
+        world.entities.roster_number,
         tuple(
             telemetry_messages.EntityModel(
                 entity.name,
@@ -136,7 +136,7 @@ def get_entities_states(
 ):
     """Tell where the entities are that pass the filters, all at one step."""
     view = _FrameView(world, request.reference_frame)
-    base, row = world.reading().base, world.roster().row
+    base, row = world.states().base, world.entities.index.row
 
     def answer(names: tuple[str, ...]) -> entity_messages.GetEntitiesStatesResponse:
         states = view.states(base[[row[name] for name in names]]) if names else []
@@ -151,7 +151,7 @@ class _FrameView:
     def __init__(self, world: World, frame_id: str) -> None:
         self._frame = None if frame_id in WORLD_FRAMES else find_frame_pose(world, frame_id)
         name = "world" if self._frame is None else frame_id
-        self._header = Header(time_from_ns(world.time_ns), name)
+        self._header = Header(time_from_ns(world.clock.time_ns), name)
 
     def states(self, rows: FloatArray) -> Sequence[entity_messages.EntityState]:
         """Write state rows (n, 13) of the world down."""

@@ -133,10 +133,10 @@ def _wrench_at_com(
 
 def _make_span(world: World, start: Time, duration: Duration) -> TimeSpan | None:
     return make_time_span(
-        now_ns=world.time_ns,
+        now_ns=world.clock.time_ns,
         start_ns=ns_from_time(start),
         duration_ns=ns_from_time(duration),
-        step_ns=world.step_ns,
+        step_ns=world.clock.step_ns,
     )
 
 
@@ -181,8 +181,8 @@ def get_joint_properties(
     joint = target.joint
     if joint.kind == "fixed":
         return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
-    reading = world.reading()
-    place = world.roster().joints_of(target.entity.name).start + target.number
+    reading = world.states()
+    place = world.entities.index.joints_of(target.entity.name).start + target.number
     is_limited = joint.kind in LIMITED_JOINTS
     return gazebo_messages.GetJointPropertiesReport(
         type=JOINT_TYPES[joint.kind],
@@ -374,7 +374,7 @@ def get_gazebo_state(
         row = states_to_frame(frame[:7], row[None])[0]
     frame_id = frame_id or "world"
     return gazebo_messages.GazeboGetEntityStateReport(
-        Header(time_from_ns(world.time_ns), frame_id),
+        Header(time_from_ns(world.clock.time_ns), frame_id),
         gazebo_messages.GazeboEntityState(
             request.name, pose_from_row(row), twist_from_row(row), frame_id
         ),
@@ -404,6 +404,6 @@ def set_gazebo_state(
 
 
 def _change_state(world: World, pacing: Pacing, state: State) -> gazebo_messages.EmptyReport:
-    if world.state != state:
+    if world.clock.state != state:
         set_simulation_state(world, pacing, SetSimulationStateRequest(SimulationState(state)))
     return gazebo_messages.EmptyReport(Result())

@@ -214,7 +214,7 @@ class ServiceHandlers:
         Raises:
             SimError: The request is refused.
         """
-        state = self._world.state
+        state = self._world.clock.state
         if state in STATES_WITHOUT_WORLD and type(request) in REQUESTS_NEEDING_WORLD:
             raise IncorrectState(f"there is no world now: {NO_WORLD_HINTS[state]}")
         return self._handlers[type(request)](request)

@@ -35,20 +35,20 @@ def get_server_info(
     world: World, current: CurrentWorld, pacing: Pacing, _: telemetry_messages.InfoRequest
 ) -> telemetry_messages.Info:
     """Say who this is, and how it goes."""
-    is_playing = world.state == State.PLAYING
+    is_playing = world.clock.state == State.PLAYING
     return telemetry_messages.Info(
         world=world.name,
         version=VERSION,
-        sim_time_s=world.time_ns * 1e-9,
-        steps=world.steps,
-        epoch=world.epoch,
-        step_ns=world.step_ns,
+        sim_time_s=world.clock.time_ns * 1e-9,
+        steps=world.clock.steps,
+        epoch=world.clock.epoch,
+        step_ns=world.clock.step_ns,
         real_time_factor=pacing.loop_stats.real_time_factor if is_playing else 0.0,
         target_real_time_factor=pacing.target_real_time_factor,
         entities=len(world.entities),
         agents=len(world.claims.agents),
         claimed=len(world.claims),
-        state=world.state_name,
+        state=world.clock.state_name,
         engine=world.engine.name,
         world_model=current.model.name,
         seed=current.seed,
@@ -111,25 +111,25 @@ def run_to(
     """Make steps of a paused world until a time is reached; a reset meanwhile ends the run."""
     if pacing.step_goals:
         raise IncorrectState("steps that were asked for before wait; try again when they are made")
-    wanted_ns, epoch = ns_from_time(request.time), world.epoch
-    if wanted_ns < world.time_ns:
+    wanted_ns, epoch = ns_from_time(request.time), world.clock.epoch
+    if wanted_ns < world.clock.time_ns:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"{wanted_ns / NANOSECONDS:g} s is past: it is {world.time_ns / NANOSECONDS:g} s; "
+            f"{wanted_ns / NANOSECONDS:g} s is past: it is {world.clock.time_ns / NANOSECONDS:g} s; "
             "reset to go back",
         )
-    steps = -((world.time_ns - wanted_ns) // world.step_ns)
+    steps = -((world.clock.time_ns - wanted_ns) // world.clock.step_ns)
     goal = _add_goal(world, pacing, steps, least=0)
 
     def is_over() -> bool:
-        if world.epoch != epoch:
+        if world.clock.epoch != epoch:
             pacing.step_goals.abort_goal(goal, "the simulation was reset, and time went back")
         return goal.is_over
 
     return DeferredResponse(
         is_over,
         lambda: simulation_messages.RunToResponse(
-            _make_goal_result(goal), time_from_ns(world.time_ns), goal.completed
+            _make_goal_result(goal), time_from_ns(world.clock.time_ns), goal.completed
         ),
     )
 
@@ -152,7 +152,7 @@ def set_speed(
 def _add_goal(
     world: World, pacing: Pacing, steps: int, goal_id: str = "", *, least: int = 1
 ) -> StepGoal:
-    world.require_paused()
+    world.clock.require_paused()
     if not least <= steps <= MAX_STEPS:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -205,18 +205,18 @@ def reset_simulation(world: World, request: ResetSimulationRequest) -> ResetSimu
 
 def get_simulation_state(world: World, _: GetSimulationStateRequest) -> GetSimulationStateResponse:
     """Tell whether time runs."""
-    return GetSimulationStateResponse(SimulationState(world.state))
+    return GetSimulationStateResponse(SimulationState(world.clock.state))
 
 
 def set_simulation_state(
     world: World, pacing: Pacing, request: SetSimulationStateRequest
 ) -> SetSimulationStateResponse:
     """Play, pause, stop or quit."""
-    wanted, present = request.state.state, world.state
+    wanted, present = request.state.state, world.clock.state
     if wanted == present:
         raise RequestRefused(
             SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
-            f"the simulation is {world.state_name} already",
+            f"the simulation is {world.clock.state_name} already",
         )
     if wanted not in ALLOWED_TRANSITIONS[present]:
         raise RequestRefused(
@@ -226,7 +226,7 @@ def set_simulation_state(
         pacing.step_goals.abort(f"the simulation is {STATE_NAMES[State(wanted)]}")
     if wanted == State.STOPPED:
         _reset_to_start(world)
-    world.change_state(State(wanted))
+    world.clock.change_state(State(wanted))
     return SetSimulationStateResponse()
 
 

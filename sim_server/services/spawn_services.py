@@ -103,7 +103,7 @@ def commit_staged(spawning: Spawning, expected: Sequence[StagedSpawn]) -> None:
     """
     for bond in {one.bond for one in expected}:
         spawning.bonds.require(bond)
-    if not all(spawning.world.is_staged(one.entity) for one in expected):
+    if not all(spawning.world.entities.is_staged(one.entity) for one in expected):
         raise IncorrectState("the world was reset or replaced meanwhile; ask again")
     notes = [(*one.notes, *_make_overlap_notes(one.find_overlaps())) for one in expected]
     spawning.world.commit_staged([one.entity for one in expected])
@@ -117,7 +117,7 @@ def _record_spawn(
     if bond:
         spawning.bonds.add(bond, entity)
     for note in notes:
-        spawning.world.warn(entity.name, f"{note.subject}: {note.reason}")
+        spawning.world.clock.warn(entity.name, f"{note.subject}: {note.reason}")
 
 
 def spawn_entity_when_parsed(

@@ -38,9 +38,9 @@ def load_world(
 ) -> DeferredResponse[world_messages.LoadWorldReport]:
     """Read a world while time stands, then put it in the place of this one; or leave this one."""
     world, descriptions = loading.world, loading.descriptions
-    former = world.state
+    former = world.clock.state
     if former in (State.LOADING_WORLD, State.QUITTING):
-        raise IncorrectState(f"the simulation is {world.state_name}; try again later")
+        raise IncorrectState(f"the simulation is {world.clock.state_name}; try again later")
     found = loading.catalog.find(request.world_resource)
     is_lenient = request.ignore_missing_or_unsupported_assets
     reading = WorldParseJob(
@@ -51,15 +51,15 @@ def load_world(
         allow_missing=is_lenient,
     )
     loading.pacing.step_goals.abort("another world is being loaded")
-    world.change_state(State.LOADING_WORLD)
+    world.clock.change_state(State.LOADING_WORLD)
     building = _WorldBuild(loading, lambda answer: _check_parsed_world(answer, request))
 
     def put() -> world_messages.LoadWorldReport:
         try:
             model, founded = building.outcome()
         except SimError:
-            if world.state == State.LOADING_WORLD:
-                world.change_state(former)
+            if world.clock.state == State.LOADING_WORLD:
+                world.clock.change_state(former)
             raise
         loading.replace_world(founded, model, found.resource)
         return world_messages.LoadWorldReport(Result(), found.resource, model.report)
@@ -107,12 +107,12 @@ def unload_world(
 ) -> world_messages.UnloadWorldResponse:
     """Leave nothing: no entities, no ground, no time."""
     world = loading.world
-    if world.state == State.NO_WORLD:
+    if world.clock.state == State.NO_WORLD:
         raise RequestRefused(
             UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to do"
         )
-    if world.state in (State.LOADING_WORLD, State.QUITTING):
-        raise IncorrectState(f"the simulation is {world.state_name}; try again later")
+    if world.clock.state in (State.LOADING_WORLD, State.QUITTING):
+        raise IncorrectState(f"the simulation is {world.clock.state_name}; try again later")
     loading.pacing.step_goals.abort("the world was unloaded")
     nothing = list(loading.factory(EMPTY_WORLD))[-1]
     assert nothing is not None
@@ -124,7 +124,7 @@ def get_current_world(
     world: World, current: CurrentWorld, _: world_messages.GetCurrentWorldRequest
 ) -> world_messages.GetCurrentWorldResponse:
     """Tell which world is there."""
-    if world.state == State.NO_WORLD:
+    if world.clock.state == State.NO_WORLD:
         raise RequestRefused(
             GetCurrentWorldCode.NO_WORLD_LOADED, "no world is loaded; load one with load_world"
         )

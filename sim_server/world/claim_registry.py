@@ -1,62 +1,87 @@
-"""Which agent drives which entity, and the newest targets of each agent."""
+"""Claims of agents on entities, and the newest targets of each agent."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.messages.agent_messages import DriveCommand, OnRelease
+from zensim.proto.messages.agent_messages import DriveCommand, DriveState, OnRelease
 from zensim.proto.messages.result_messages import ClaimCode
 from zensim.sim_server.errors import RequestRefused
-from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.world.entity import (
-    ClaimedEntities,
-    ClaimRecord,
-    Entity,
-    EntityIndex,
-    select_claimed,
-)
+from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.world.entity import Entity, EntityIndex, IntArray
+
+
+@dataclass(frozen=True)
+class ClaimRecord:
+    """The agent that drives an entity, and the number of its claim."""
+
+    claim: int
+    agent: str
+    on_release: OnRelease
+
+
+@dataclass(frozen=True)
+class ClaimedEntities:
+    """The entities that one agent drives: rows in the state arrays, and bodies to command."""
+
+    claims: bytes
+    rows: IntArray
+    joints: IntArray
+    bodies: tuple[int, ...]
+    target_count: int
+
+    def to_drive_state(self, epoch: int, step: int, time_ns: int, states: BodyStates) -> DriveState:
+        """Select the states of these entities."""
+        return DriveState(
+            *(epoch, step, time_ns, self.claims),
+            states.base[self.rows].tobytes(),
+            states.joint_positions[self.joints].tobytes(),
+            states.joint_velocities[self.joints].tobytes(),
+        )
 
 
 class ClaimRegistry:
-    """The holds on entities; each entity has one driver at most."""
+    """Claims by entity; each entity has at most one driver."""
 
     def __init__(self) -> None:
         self.dropped = 0
-        """Commands that did not fit."""
+        """Counts commands that did not match the claims of their agent."""
         self.taken = 0
+        """Counts commands that did."""
         self.changes = 0
         """Counts claims that were granted or ended."""
-        self._holds: dict[str, ClaimRecord] = {}
+        self._claims: dict[str, ClaimRecord] = {}
         self._counts: Counter[str] = Counter()
         self._next_claim = 1
         self._targets: dict[str, FloatArray] = {}
-        self._emptied: set[str] = set()
-        self._fleets: dict[str, ClaimedEntities] | None = None
+        self._without_claims: set[str] = set()
+        self._claimed: dict[str, ClaimedEntities] | None = None
 
     def __len__(self) -> int:
-        return len(self._holds)
+        return len(self._claims)
 
     @property
     def newest(self) -> int:
-        """The claim that was granted last; 0 before the first."""
+        """Number of the last claim granted; 0 before the first."""
         return self._next_claim - 1
 
     @property
     def agents(self) -> tuple[str, ...]:
-        """Agents that hold something."""
-        return tuple(dict.fromkeys(hold.agent for hold in self._holds.values()))
+        """Agents that have a claim."""
+        return tuple(dict.fromkeys(record.agent for record in self._claims.values()))
 
     def agent_of(self, name: str) -> str:
-        """Who drives an entity; empty when nobody does."""
-        hold = self._holds.get(name)
-        return hold.agent if hold else ""
+        """Find the agent that drives an entity; empty if none does."""
+        record = self._claims.get(name)
+        return record.agent if record else ""
 
     def require_free(self, name: str, agent: str) -> None:
-        """Refuse what another agent drives.
+        """Check that no other agent drives an entity.
 
         Raises:
-            Refused: Another agent drives the entity.
+            RequestRefused: Another agent drives the entity.
         """
         if (holder := self.agent_of(name)) not in ("", agent):
             raise RequestRefused(
@@ -65,62 +90,64 @@ class ClaimRegistry:
             )
 
     def list_claims(self, agent: str) -> list[tuple[str, ClaimRecord]]:
-        """What an agent drives, in the order of claiming."""
-        return [(name, hold) for name, hold in self._holds.items() if hold.agent == agent]
+        """List the claims of an agent with the names of entities, in the order of claiming."""
+        return [(name, record) for name, record in self._claims.items() if record.agent == agent]
 
     def grant(self, agent: str, name: str, on_release: OnRelease) -> ClaimRecord:
-        """Make an agent the driver of an entity, under a new claim."""
-        hold = ClaimRecord(self._next_claim, agent, on_release)
+        """Make an agent the driver of an entity."""
+        record = ClaimRecord(self._next_claim, agent, on_release)
         self._next_claim += 1
-        if (before := self._holds.get(name)) is not None:
+        if (before := self._claims.get(name)) is not None:
             self._counts[before.agent] -= 1
-        self._holds[name] = hold
+        self._claims[name] = record
         self._counts[agent] += 1
         self.changes += 1
         self.invalidate_rows()
         self._targets.pop(agent, None)
-        self._emptied.discard(agent)
-        return hold
+        self._without_claims.discard(agent)
+        return record
 
     def drop(self, name: str) -> None:
-        """End the claim on an entity, if there is one; an agent left with nothing is told so."""
-        if (hold := self._holds.pop(name, None)) is None:
+        """End the claim on an entity, if there is one."""
+        if (record := self._claims.pop(name, None)) is None:
             return
-        self._counts[hold.agent] -= 1
+        self._counts[record.agent] -= 1
         self.changes += 1
         self.invalidate_rows()
-        self._targets.pop(hold.agent, None)
-        if not self._counts[hold.agent]:
-            del self._counts[hold.agent]
-            self._emptied.add(hold.agent)
+        self._targets.pop(record.agent, None)
+        if not self._counts[record.agent]:
+            del self._counts[record.agent]
+            self._without_claims.add(record.agent)
 
     def forget_agent(self, agent: str) -> None:
-        """Leave nobody to be told: the agent has gone."""
-        self._emptied.discard(agent)
+        """Send no further state to an agent: it has ended."""
+        self._without_claims.discard(agent)
 
     def take_agents_without_claims(self) -> list[str]:
-        """Take the agents that have lost their last entity and still are to be told."""
-        emptied, self._emptied = sorted(self._emptied), set()
-        return emptied
+        """Take the agents that lost their last claim since the previous call."""
+        agents, self._without_claims = sorted(self._without_claims), set()
+        return agents
 
     def invalidate_rows(self) -> None:
-        """Cut the fleets anew: entities or claims have changed."""
-        self._fleets = None
+        """Drop cached rows: entities, bodies or claims have changed."""
+        self._claimed = None
 
-    def fleets(
-        self, roster: EntityIndex, entities: Mapping[str, Entity]
+    def claimed_by_agent(
+        self, index: EntityIndex, entities: Mapping[str, Entity]
     ) -> dict[str, ClaimedEntities]:
-        """What each agent drives, cut out of a roster."""
-        if self._fleets is None:
+        """Find what each agent drives."""
+        if self._claimed is None:
             members: dict[str, list[tuple[Entity, ClaimRecord]]] = {}
-            for name, hold in self._holds.items():
-                members.setdefault(hold.agent, []).append((entities[name], hold))
-            self._fleets = {agent: select_claimed(roster, held) for agent, held in members.items()}
-        return self._fleets
+            for name, record in self._claims.items():
+                members.setdefault(record.agent, []).append((entities[name], record))
+            self._claimed = {
+                agent: _select_claimed(index, claimed) for agent, claimed in members.items()
+            }
+        return self._claimed
 
-    def command(self, agent: str, fleet: ClaimedEntities | None, command: DriveCommand) -> bool:
-        """Keep an agent's targets until they are taken; drop and count those that do not fit."""
-        targets = None if fleet is None else _decode_targets(fleet, command)
+    def command(self, agent: str, claimed: ClaimedEntities | None, command: DriveCommand) -> bool:
+        """Keep the targets of an agent until they are taken; drop those that do not match its claims."""
+        targets = None if claimed is None else _decode_targets(claimed, command)
         if targets is None:
             self.dropped += 1
             return False
@@ -129,17 +156,35 @@ class ClaimRegistry:
         return True
 
     def take_targets(self) -> Iterator[tuple[str, FloatArray]]:
-        """Take what the agents want of the next step."""
+        """Take the targets of each agent for the next step."""
         targets, self._targets = self._targets, {}
         yield from targets.items()
 
     def forget_targets(self) -> None:
-        """Drop what the agents wanted: it was meant for another time."""
+        """Drop all targets."""
         self._targets = {}
 
 
-def _decode_targets(fleet: ClaimedEntities, command: DriveCommand) -> FloatArray | None:
-    if command.claims != fleet.claims or len(command.targets) != 8 * fleet.target_count:
+def _select_claimed(
+    index: EntityIndex, members: Sequence[tuple[Entity, ClaimRecord]]
+) -> ClaimedEntities:
+    """Find the rows of an agent's entities, in the order of claiming."""
+    rows = np.array([index.row[entity.name] for entity, _ in members], dtype=np.intp)
+    joints = [
+        np.arange(index.joint_start[row], index.joint_start[row] + index.joint_count[row])
+        for row in rows
+    ]
+    return ClaimedEntities(
+        claims=np.array([record.claim for _, record in members], dtype="<u4").tobytes(),
+        rows=rows,
+        joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),
+        bodies=tuple(entity.body for entity, _ in members),
+        target_count=sum(entity.model.target_count for entity, _ in members),
+    )
+
+
+def _decode_targets(claimed: ClaimedEntities, command: DriveCommand) -> FloatArray | None:
+    if command.claims != claimed.claims or len(command.targets) != 8 * claimed.target_count:
         return None
     targets = np.frombuffer(command.targets, dtype="<f8")
     return targets if np.isfinite(targets).all() else None

@@ -60,7 +60,7 @@ class DivergenceGuard:
         if self.is_frozen(name):
             raise IncorrectState(f"entity '{name}' is {FROZEN_MESSAGE}")
 
-    def bad(self, roster: EntityIndex, reading: BodyStates) -> list[str]:
+    def find_diverged(self, roster: EntityIndex, reading: BodyStates) -> list[str]:
         """Name the entities that have gone bad, but for those that are frozen already."""
         if is_valid_state(reading):
             return []

@@ -1,4 +1,4 @@
-"""Entities, their checked info, and the index that locates each entity in the state arrays."""
+"""Entities, validation of their info, and the index of their rows in the state arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from zensim.proto.messages.agent_messages import DriveState, OnRelease
 from zensim.proto.messages.entity_messages import (
     MAX_DESCRIPTION_LENGTH,
     MAX_TAG_LENGTH,
@@ -17,17 +16,17 @@ from zensim.proto.messages.entity_messages import (
 )
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.errors import SimError
-from zensim.sim_server.physics.engine import BodyStates, FloatArray
+from zensim.sim_server.physics.engine import FloatArray
 
 
 class InfoRefused(SimError):
-    """A category, a description or tags that no entity can have."""
+    """A category, description or tags that are not valid."""
 
     slug = "info.refused"
 
 
 def check_entity_info(info: EntityInfo) -> EntityInfo:
-    """Return what is said of an entity, each tag once.
+    """Validate info and remove repeated tags.
 
     Raises:
         InfoRefused: The category is not known, or there is too much text.
@@ -58,8 +57,8 @@ class Entity:
     """Anything spawned.
 
     Attributes:
-        initial: State row (13,) that a reset goes back to.
-        description: The text it was made from, as its agent publishes it.
+        initial: State row (13,) that a reset restores.
+        description: URDF or SDF text, published by its agent.
     """
 
     name: str
@@ -71,12 +70,12 @@ class Entity:
     born_ns: int
     """Wall time at spawn, for time-to-ready."""
     belongs_to_world: bool = False
-    """Came with the world: a reset puts it back, and does not take it out."""
+    """Whether it is part of the world file: a reset restores it instead of deleting it."""
     info: EntityInfo = field(default_factory=EntityInfo)
 
 
 def default_info(model: Model) -> EntityInfo:
-    """Say what an entity is of which nobody said it: a robot, when it has a drive."""
+    """Derive info from a model: a robot if it has a drive."""
     category = Category.STATIC_OBJECT if model.is_static else Category.OBJECT
     if model.drive is not None:
         category = Category.ROBOT
@@ -84,17 +83,8 @@ def default_info(model: Model) -> EntityInfo:
 
 
 @dataclass(frozen=True)
-class ClaimRecord:
-    """Who drives an entity, and under which claim."""
-
-    claim: int
-    agent: str
-    on_release: OnRelease
-
-
-@dataclass(frozen=True)
 class EntityIndex:
-    """All entities in the order of spawning, and where their joints start in the joint arrays."""
+    """Rows of the entities in the state arrays, in the order of spawning, and of their joints."""
 
     names: tuple[str, ...]
     bodies: tuple[int, ...]
@@ -103,33 +93,13 @@ class EntityIndex:
     joint_count: IntArray
 
     def joints_of(self, name: str) -> slice:
-        """Where the joints of an entity stand."""
+        """Find the rows of the joints of an entity."""
         start = int(self.joint_start[self.row[name]])
         return slice(start, start + int(self.joint_count[self.row[name]]))
 
 
-@dataclass(frozen=True)
-class ClaimedEntities:
-    """What one agent drives, ready to be cut out of the arrays and to be commanded."""
-
-    claims: bytes
-    rows: IntArray
-    joints: IntArray
-    bodies: tuple[int, ...]
-    target_count: int
-
-    def told(self, epoch: int, step: int, time_ns: int, reading: BodyStates) -> DriveState:
-        """Tell its agent where all are."""
-        return DriveState(
-            *(epoch, step, time_ns, self.claims),
-            reading.base[self.rows].tobytes(),
-            reading.joint_positions[self.joints].tobytes(),
-            reading.joint_velocities[self.joints].tobytes(),
-        )
-
-
 def make_entity_index(entities: Sequence[Entity]) -> EntityIndex:
-    """Line up entities."""
+    """Index entities in this order."""
     counts = np.array([len(entity.model.joints) for entity in entities], dtype=np.intp)
     return EntityIndex(
         names=tuple(entity.name for entity in entities),
@@ -137,22 +107,4 @@ def make_entity_index(entities: Sequence[Entity]) -> EntityIndex:
         row={entity.name: i for i, entity in enumerate(entities)},
         joint_start=np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)[:-1],
         joint_count=counts,
-    )
-
-
-def select_claimed(
-    roster: EntityIndex, members: Sequence[tuple[Entity, ClaimRecord]]
-) -> ClaimedEntities:
-    """Cut an agent's members out of the roster, in the order of claiming."""
-    rows = np.array([roster.row[entity.name] for entity, _ in members], dtype=np.intp)
-    joints = [
-        np.arange(roster.joint_start[row], roster.joint_start[row] + roster.joint_count[row])
-        for row in rows
-    ]
-    return ClaimedEntities(
-        claims=np.array([hold.claim for _, hold in members], dtype="<u4").tobytes(),
-        rows=rows,
-        joints=np.concatenate(joints).astype(np.intp) if joints else np.zeros(0, dtype=np.intp),
-        bodies=tuple(entity.body for entity, _ in members),
-        target_count=sum(entity.model.target_count for entity, _ in members),
     )

@@ -20,7 +20,7 @@ STATE_EVENTS: dict[State, EventKind] = {
     State.NO_WORLD: "unloaded",
     State.LOADING_WORLD: "loading",
 }
-"""What everybody is told."""
+"""The event of each change of state."""
 ALLOWED_TRANSITIONS: dict[State, frozenset[State]] = {
     State.STOPPED: frozenset({State.PLAYING, State.PAUSED, State.QUITTING}),
     State.PLAYING: frozenset({State.STOPPED, State.PAUSED, State.QUITTING}),
@@ -29,11 +29,11 @@ ALLOWED_TRANSITIONS: dict[State, frozenset[State]] = {
     State.NO_WORLD: frozenset({State.QUITTING}),
     State.LOADING_WORLD: frozenset({State.QUITTING}),
 }
-"""What may be asked for, by state. Source: simulation_interfaces/msg/SimulationState."""
+"""States that may be requested, by state. Source: simulation_interfaces/msg/SimulationState."""
 
 
 def explain_refused_transition(wanted: int, present: State) -> str:
-    """Say why a state cannot be had now, and what can."""
+    """Explain why a state is not reachable now, and which states are."""
     if wanted in (State.NO_WORLD, State.LOADING_WORLD):
         return f"state {STATE_NAMES[State(wanted)]} is reached by unload_world and load_world only"
     named = STATE_NAMES[State(wanted)] if wanted in set(State) else f"{wanted}, which is no state"
@@ -46,7 +46,7 @@ def explain_refused_transition(wanted: int, present: State) -> str:
 
 
 class SimulationClock:
-    """Steps, epoch and state, and the events since they were taken last."""
+    """Steps, epoch, state, and events to publish."""
 
     def __init__(self, *, step_ns: int) -> None:
         self.step_ns = step_ns
@@ -57,29 +57,35 @@ class SimulationClock:
 
     @property
     def time_ns(self) -> int:
-        """Simulation time."""
+        """Simulation time [ns]."""
         return self.steps * self.step_ns
 
     @property
     def state_name(self) -> StateName:
-        """The state in a word."""
+        """Name of the state."""
         return STATE_NAMES[self.state]
 
     def change_state(self, state: State) -> None:
-        """Let time run or stand, or get ready to end."""
+        """Enter a state."""
         self.state = state
-        self._add_event(STATE_EVENTS[state])
+        self.add_event(STATE_EVENTS[state])
+
+    def start_epoch(self, state: State, *, step_ns: int) -> None:
+        """Start at time 0 of a new epoch, in another world or in none."""
+        self.steps, self.epoch, self.step_ns = 0, self.epoch + 1, step_ns
+        self.state = state
+        self.add_event("unloaded" if state == State.NO_WORLD else "loaded")
 
     def play(self) -> None:
-        """Let time run."""
+        """Enter the state PLAYING."""
         self.change_state(State.PLAYING)
 
     def pause(self) -> None:
-        """Let time stand."""
+        """Enter the state PAUSED."""
         self.change_state(State.PAUSED)
 
     def require_paused(self) -> None:
-        """Refuse unless paused.
+        """Check that the simulation is paused.
 
         Raises:
             IncorrectState: The simulation plays, or has no world.
@@ -87,16 +93,20 @@ class SimulationClock:
         if self.state != State.PAUSED:
             raise IncorrectState(f"the simulation is {self.state_name}; pause it before stepping")
 
-    def take_events(self, most: int | None = None) -> list[Event]:
-        """Take what has happened since the last time, the beginning of it if it is much."""
-        events, self._events = self._events[:most], [] if most is None else self._events[most:]
+    def take_events(self, max_events: int | None = None) -> list[Event]:
+        """Take the oldest events that were not taken yet, all by default."""
+        events, self._events = (
+            self._events[:max_events],
+            [] if max_events is None else self._events[max_events:],
+        )
         return events
 
     def warn(self, entity: str, message: str) -> None:
-        """Tell everybody of something odd that was accepted."""
-        self._add_event("warning", entity=entity, message=message)
+        """Publish a warning about an entity."""
+        self.add_event("warning", entity=entity, message=message)
 
-    def _add_event(
+    def add_event(
         self, kind: EventKind, *, entity: str = "", agent: str = "", message: str = ""
     ) -> None:
+        """Add an event to publish, stamped with the current step."""
         self._events.append(Event(kind, entity, agent, self.steps, self.epoch, message))

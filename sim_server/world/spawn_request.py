@@ -1,6 +1,6 @@
 """A validated spawn request, and the free names and namespaces that it resolves to."""
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from zensim.proto.messages.entity_messages import EntityInfo
@@ -8,19 +8,19 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.names import InvalidName, check_name, check_namespace
 from zensim.sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
 from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.world.entity import Entity
+from zensim.sim_server.world.entity_store import EntityStore
 
 MAX_RENAMES = 100_000
 BASE_NAME_CHARACTERS = 56
-"""Of a name that gets a number: the rest is for the number."""
+"""Characters that are kept of a name when a number is appended."""
 
 
 def find_free_name(name: str, taken: Collection[str], *, allow_renaming: bool) -> str:
-    """Return the name, or with a number behind it when it is taken.
+    """Return the name, with a number appended if it is taken.
 
     Raises:
         NameRefused: It is not valid.
-        NameNotUnique: It is taken and may not be changed.
+        NameNotUnique: It is taken and renaming is not allowed.
     """
     try:
         check_name(name)
@@ -35,11 +35,11 @@ def find_free_name(name: str, taken: Collection[str], *, allow_renaming: bool) -
 
 
 def check_free_namespace(namespace: str, owners: Mapping[str, str]) -> str:
-    """Return the namespace without slashes around it.
+    """Return the namespace without surrounding slashes.
 
     Args:
-        namespace: What was wished for.
-        owners: Entities by the namespaces that they have.
+        namespace: As requested.
+        owners: Names of entities by namespace.
 
     Raises:
         NamespaceRefused: It is not valid, or another entity has it.
@@ -53,42 +53,9 @@ def check_free_namespace(namespace: str, owners: Mapping[str, str]) -> str:
     return bare
 
 
-class NameIndex:
-    """Which names, namespaces and bodies belong to whom, of those too that are expected only."""
-
-    def __init__(self, entities: Iterable[Entity] = ()) -> None:
-        self.taken: set[str] = set()
-        self.owners: dict[str, str] = {}
-        """Entities by their namespaces."""
-        self._of_body: dict[int, str] = {}
-        for entity in entities:
-            self.add(entity)
-
-    def add(self, entity: Entity) -> None:
-        """Note an entity, or that it has another body."""
-        self.taken.add(entity.name)
-        self._of_body[entity.body] = entity.name
-        if entity.namespace:
-            self.owners[entity.namespace] = entity.name
-
-    def drop(self, entity: Entity) -> None:
-        """Note that an entity has gone."""
-        self.taken.discard(entity.name)
-        self.owners.pop(entity.namespace, None)
-        self.drop_body(entity.body)
-
-    def drop_body(self, body: int) -> None:
-        """Note that a body has gone."""
-        self._of_body.pop(body, None)
-
-    def names_of_bodies(self, bodies: Iterable[int]) -> list[str]:
-        """Name the entities that have these bodies."""
-        return [self._of_body[body] for body in bodies if body in self._of_body]
-
-
 @dataclass(frozen=True)
 class ValidatedSpawn:
-    """A checked wish to spawn."""
+    """A validated request to spawn an entity."""
 
     name: str
     namespace: str
@@ -100,15 +67,15 @@ class ValidatedSpawn:
     belongs_to_world: bool = False
     info: EntityInfo | None = None
 
-    def resolve_names(self, names: NameIndex) -> tuple[str, str]:
-        """Find the name and the namespace that it would get beside others.
+    def resolve_names(self, entities: EntityStore) -> tuple[str, str]:
+        """Find a free name and namespace.
 
         Raises:
-            NameNotUnique: The name is taken and may not be changed.
+            NameNotUnique: The name is taken and renaming is not allowed.
             NameRefused: The name is not valid.
             NamespaceRefused: The namespace is not valid, or another entity has it.
         """
-        name = find_free_name(self.name, names.taken, allow_renaming=self.allow_renaming)
+        name = find_free_name(self.name, entities.names, allow_renaming=self.allow_renaming)
         if self.belongs_to_world and self.model.drive is None:
             return name, ""
-        return name, check_free_namespace(self.namespace or name, names.owners)
+        return name, check_free_namespace(self.namespace or name, entities.namespace_owners)

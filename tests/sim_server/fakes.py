@@ -271,7 +271,7 @@ def a_world(*names: str, engine: ObedientEngine | None = None) -> World:
     )
     for i, name in enumerate(names):
         world.spawn(a_spawn(name, base=on_ground(float(i))))
-    world.take_events()
+    world.clock.take_events()
     return world
 
 
@@ -289,9 +289,9 @@ def a_spawn(
 
 def a_command(world: World, agent: str, *targets: float) -> DriveCommand:
     """Make a command that answers what the agent was last told."""
-    fleet = world.fleets().get(agent)
+    fleet = world.claimed_by_agent().get(agent)
     claims = fleet.claims if fleet else b""
-    return DriveCommand(world.epoch, world.steps, claims, floats(targets))
+    return DriveCommand(world.clock.epoch, world.clock.steps, claims, floats(targets))
 
 
 def floats(numbers: Sequence[float]) -> bytes:
@@ -309,9 +309,9 @@ def names_in(world: World) -> list[str]:
 
 
 def kinds_of_events(world: World) -> list[str]:
-    return [event.kind for event in world.take_events()]
+    return [event.kind for event in world.clock.take_events()]
 
 
 def wheel_speeds(world: World) -> list[float]:
-    speeds: list[float] = world.reading().joint_velocities.tolist()
+    speeds: list[float] = world.states().joint_velocities.tolist()
     return speeds

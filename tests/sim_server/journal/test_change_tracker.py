@@ -86,7 +86,7 @@ def test_delete_is_kept_however_it_came(kept: Journalled, how: str) -> None:
     if how == "request":
         ask(kept, "delete_entity", DeleteEntityRequest("r0"))
     elif how == "bond":
-        born_ns = kept.world.entity("r0").born_ns
+        born_ns = kept.world.entities.find("r0").born_ns
         kept.parts.bonds.alive.add("b")
         kept.parts.bonds.entities["b"] = [("r0", born_ns)]
         kept.server.inbox.bonds.append(("b", False))
@@ -148,13 +148,13 @@ def test_motion_is_kept_often_enough(kept: Journalled) -> None:
         for record in batch
         if record.motion is not None
     ]
-    gaps_s = np.diff(steps) * kept.world.step_ns * 1e-9
+    gaps_s = np.diff(steps) * kept.world.clock.step_ns * 1e-9
     assert len(steps) > 5
     assert gaps_s.max() <= MOTION_PERIOD_S + 0.06
 
 
 def test_nothing_is_written_while_nothing_happens(kept: Journalled) -> None:
-    kept.world.pause()
+    kept.world.clock.pause()
     turn(kept, 2)
     kept.server.turn_for(2.0 * MOTION_PERIOD_S)
     written = len(kept.disk.batches)
@@ -208,13 +208,13 @@ def test_spawn_waits_for_another_try_while_the_disk_is_full(kept: Journalled) ->
 
 def test_robots_go_on_while_the_disk_is_full(kept: Journalled) -> None:
     kept.disk.is_full = True
-    before = kept.world.steps
+    before = kept.world.clock.steps
 
     kept.server.turn_for(2.0)
     seen = ask(kept, "get_entities", GetEntitiesRequest())
     turn(kept, 2)
 
-    assert kept.world.steps > before
+    assert kept.world.clock.steps > before
     assert listed(seen) == ("r0", "r1")
 
 

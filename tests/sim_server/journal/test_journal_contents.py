@@ -40,7 +40,7 @@ NAMES = st.sampled_from(["r0", "r1", "r2"])
 
 def told(world: World) -> list[tuple[object, ...]]:
     """List what must be the same after a restart."""
-    reading, roster = world.reading(), world.roster()
+    reading, roster = world.states(), world.entities.index
     return [
         (
             *(entity.name, entity.namespace, entity.model, entity.description, entity.info),
@@ -64,15 +64,15 @@ def test_restored_world_is_as_it_was(tmp_path: Path) -> None:
     info = EntityInfo(EntityCategory(Category.HUMAN), "a box", ("a", "b"))
     kept.world.set_info("box", info)
     kept.world.place("r1", on_ground(3.0, 2.0, 1.0), np.array([0.5, -0.25]))
-    kept.world.pause()
+    kept.world.clock.pause()
     kept.recorder.note(is_asked=True)
     expected = told(kept.world)
 
     again = restart(kept)
 
     assert told(again.world) == expected
-    assert again.world.state == State.PAUSED
-    assert again.world.entity("box").info == info
+    assert again.world.clock.state == State.PAUSED
+    assert again.world.entities.find("box").info == info
 
 
 def test_time_goes_on_in_a_higher_epoch(tmp_path: Path) -> None:
@@ -80,12 +80,12 @@ def test_time_goes_on_in_a_higher_epoch(tmp_path: Path) -> None:
     kept.server.turn_for(1.0)
     kept.world.reset(ResetScope.TIME)
     kept.server.turn_for(1.0)
-    before = kept.world.steps
+    before = kept.world.clock.steps
 
     again = restart(kept)
 
-    assert again.world.epoch == 2
-    assert 0.5 < (before - again.world.steps) * STEP_NS * 1e-9 + 0.5 <= 1.0
+    assert again.world.clock.epoch == 2
+    assert 0.5 < (before - again.world.clock.steps) * STEP_NS * 1e-9 + 0.5 <= 1.0
 
 
 def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) ->
     epochs = []
     for _ in range(3):
         kept = restart(kept)
-        epochs.append(kept.world.epoch)
+        epochs.append(kept.world.clock.epoch)
 
     assert epochs == [1, 2, 3]
 
@@ -110,7 +110,7 @@ def test_description_that_was_read_need_not_be_read_again(tmp_path: Path) -> Non
 
     again = restart(kept)
 
-    model = again.world.entity("r0").model
+    model = again.world.entities.find("r0").model
     assert again.parts.descriptions.provider.find_parse_key(model) == reading
 
 

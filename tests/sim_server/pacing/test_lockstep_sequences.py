@@ -55,18 +55,18 @@ def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
 
     for what, whom in acts:
         act(server, what, whom)
-        moments.append((server.world.epoch, server.world.steps))
+        moments.append((server.world.clock.epoch, server.world.clock.steps))
         assert set(server.parts.pacing.lockstep.awaited) <= set(server.world.claims.agents)
 
     assert moments == sorted(moments)
-    if server.world.state == State.PAUSED:
-        server.world.play()
+    if server.world.clock.state == State.PAUSED:
+        server.world.clock.play()
     server.publisher.drive_states.clear()
-    before = server.world.steps
+    before = server.world.clock.steps
     server.turn_for(1.1 * TIMEOUT_S)
     for _ in range(4 * CONTROL_STEPS):
         answer_states(server)
-        if server.world.state == State.PAUSED:
-            server.world.play()
+        if server.world.clock.state == State.PAUSED:
+            server.world.clock.play()
         server.loop.turn()
-    assert server.world.steps > before + CONTROL_STEPS
+    assert server.world.clock.steps > before + CONTROL_STEPS

@@ -57,17 +57,17 @@ def wheel_targets(linear: float, angular: float) -> tuple[float, float]:
 def drive(world: World, linear: float, angular: float, steps: int = STEPS_OF_10_S) -> Course:
     """Drive all robots of a world alike."""
     targets = wheel_targets(linear, angular)
-    start = world.reading().base.copy()
+    start = world.states().base.copy()
     heading, turned = to_yaw(start[:, 3:7]), np.zeros(len(start))
     for step in range(steps):
         if step % CONTROL_STEPS == 0:
             for agent in world.claims.agents:
                 world.command(agent, a_command(world, agent, *targets))
         world.step()
-        now = to_yaw(world.reading().base[:, 3:7])
+        now = to_yaw(world.states().base[:, 3:7])
         turned += (now - heading + math.pi) % (2.0 * math.pi) - math.pi
         heading = now
-    return Course(world.reading().base[:, :3] - start[:, :3], turned)
+    return Course(world.states().base[:, :3] - start[:, :3], turned)
 
 
 @pytest.mark.parametrize("count", [1, 10])
@@ -112,7 +112,7 @@ def test_box_bot_stays_on_its_wheels_when_it_starts_and_stops(engine: Engine) ->
     for linear in (0.5, 0.0, -0.5, 0.0):
         drive(world, linear, 0.0, steps=240)
 
-    row = world.reading().base[0]
+    row = world.states().base[0]
     assert row[2] == pytest.approx(0.06, abs=1e-3)
     assert abs(row[7:]).max() < 0.02
 
@@ -123,10 +123,10 @@ def test_box_bots_stop_each_other_when_driven_head_on(engine: Engine) -> None:
 
     for _ in range(100):
         drive(world, linear=0.2, angular=0.0, steps=24)
-        x = world.reading().base[:, 0]
+        x = world.states().base[:, 0]
         closest = min(closest, float(x[1] - x[0]))
 
-    speeds = np.abs(world.reading().base[:, 7:9])
+    speeds = np.abs(world.states().base[:, 7:9])
     assert closest >= SIDE_M - 0.002
     assert x[1] - x[0] <= SIDE_M + 0.002
     assert speeds.max() < 0.02
@@ -138,5 +138,5 @@ def test_box_bot_pushes_another_that_nobody_drives(engine: Engine) -> None:
 
     drive(world, linear=0.2, angular=0.0, steps=1200)
 
-    x = world.reading().base[:, 0]
+    x = world.states().base[:, 0]
     assert x[1] - x[0] >= SIDE_M - 0.002

@@ -35,7 +35,7 @@ def world(engine: Engine) -> World:
         made.spawn(a_spawn(name, model=a_box_bot(), base=box_bot_at(0.0, float(i))))
         made.claim(f"agent_{name}", (name,), "stop")
     drive(made, 60)
-    made.take_events()
+    made.clock.take_events()
     return made
 
 
@@ -103,7 +103,7 @@ def test_robot_gone_bad_is_told_of_once_and_loses_its_driver(world: World) -> No
     spoil(world, "b", 7, np.nan)
     drive(world, 60)
 
-    events = [(event.kind, event.entity) for event in world.take_events()]
+    events = [(event.kind, event.entity) for event in world.clock.take_events()]
     assert events == [("released", "b"), ("warning", "b")]
     assert world.claims.agents == ("agent_a", "agent_c")
     assert [entity.name for entity in world.entities] == list(NAMES)
@@ -113,14 +113,14 @@ def test_robot_gone_bad_is_told_of_once_and_loses_its_driver(world: World) -> No
 
 def test_robot_gone_bad_keeps_the_turns_of_its_wheels(world: World) -> None:
     joints = slice(2, 4)
-    turned = world.reading().joint_positions[joints].copy()
+    turned = world.states().joint_positions[joints].copy()
 
     spoil(world, "b", 7, np.nan)
     drive(world, 60)
 
     assert turned.min() > 0.1
-    assert world.reading().joint_positions[joints] == pytest.approx(turned)
-    assert not world.reading().joint_velocities[joints].any()
+    assert world.states().joint_positions[joints] == pytest.approx(turned)
+    assert not world.states().joint_velocities[joints].any()
 
 
 def test_frozen_robot_drives_again_once_its_state_is_set(world: World) -> None:
@@ -186,12 +186,12 @@ def test_robot_that_touched_the_one_gone_bad_goes_on(world: World) -> None:
     world.place("a", box_bot_at(5.0, 0.0))
     world.place("b", box_bot_at(5.101, 0.0))
     drive(world, 30)
-    world.take_events()
+    world.clock.take_events()
 
     spoil(world, "b", 7, 1e300)
     drive(world, 30)
 
-    events = [(event.kind, event.entity) for event in world.take_events()]
+    events = [(event.kind, event.entity) for event in world.clock.take_events()]
     assert ("released", "a") not in events
     assert events.count(("released", "b")) == 1
 
@@ -202,7 +202,7 @@ def test_robots_drive_beside_one_that_no_solver_can_carry(world: World) -> None:
     world.spawn(a_spawn("arm", model=a_mismatched_arm(), base=a_state((0.0, 0.5, 1.0))))
     drive(world, 480)
 
-    told = [event.entity for event in world.take_events() if event.kind == "warning"]
+    told = [event.entity for event in world.clock.take_events() if event.kind == "warning"]
     assert told == ["arm"]
     assert where(world, "a")[0] > before[0] + 0.1
 
@@ -212,12 +212,14 @@ def test_wall_stands_where_it_stood_when_a_robot_goes_bad_against_it(world: Worl
     world.spawn(a_spawn("wall", model=wall, base=place))
     world.place("b", box_bot_at(5.449, 0.0))
     drive(world, 30)
-    world.take_events()
+    world.clock.take_events()
 
     spoil(world, "b", 7, np.nan)
     world.place("a", box_bot_at(5.3, 0.3))
     drive(world, 480)
 
-    assert [event.entity for event in world.take_events() if event.kind == "released"] == ["b"]
+    assert [event.entity for event in world.clock.take_events() if event.kind == "released"] == [
+        "b"
+    ]
     assert world.state_of("wall") == pytest.approx(place, abs=1e-9)
     assert 5.4 < where(world, "a")[0] < 5.46

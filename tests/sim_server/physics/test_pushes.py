@@ -81,7 +81,7 @@ def test_effort_holds_an_arm_against_gravity(earth: World) -> None:
 
     steps(earth, 10 * SECOND)
 
-    assert np.cos(earth.reading().joint_positions[0]) == pytest.approx(0.3, abs=0.01)
+    assert np.cos(earth.states().joint_positions[0]) == pytest.approx(0.3, abs=0.01)
 
 
 def damped(model: Model, damping: float) -> Model:
@@ -123,4 +123,4 @@ def test_limit_of_a_joint_is_kept_once_it_is_set(earth: World) -> None:
 
     steps(earth, 2 * SECOND)
 
-    assert float(earth.reading().joint_positions[0]) == pytest.approx(0.1, abs=0.02)
+    assert float(earth.states().joint_positions[0]) == pytest.approx(0.1, abs=0.02)

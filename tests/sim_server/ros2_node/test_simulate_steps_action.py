@@ -59,7 +59,7 @@ class Scene:
     def __init__(self, *, is_paused: bool = True) -> None:
         self.server: ServerFixture = a_server()
         if is_paused:
-            self.server.world.pause()
+            self.server.world.clock.pause()
         self.queues = {name: ListQueue() for name in action.ACTION_SERVICES}
         self.tellers = {name: Told() for name in action.ACTION_TOPICS}
         self.action = SimulateStepsAction(self.queues, self.tellers)
@@ -129,7 +129,7 @@ def test_goal_makes_its_steps_and_tells_how_it_ended() -> None:
         action.GoalStatusCode.SUCCEEDED,
         ResultCode.OK,
     )
-    assert scene.server.world.steps == 7
+    assert scene.server.world.clock.steps == 7
     assert scene.statuses() == [action.GoalStatusCode.SUCCEEDED]
 
 

@@ -25,16 +25,16 @@ MILLISECOND = 1_000_000
 
 def a_paused_server(*names: str) -> ServerFixture:
     server = a_server(*names)
-    server.world.pause()
+    server.world.clock.pause()
     return server
 
 
 def turns_until_answered(server: ServerFixture, call: MemoryCall) -> int:
     """Turn the loop until a call is answered; tell how many steps that took."""
-    before = server.world.steps
+    before = server.world.clock.steps
     while not call.is_over:
         server.loop.turn()
-    return server.world.steps - before
+    return server.world.clock.steps - before
 
 
 def ask_for_steps(server: ServerFixture, steps: int) -> MemoryCall:
@@ -67,7 +67,7 @@ def test_loop_keeps_its_deadlines_when_a_step_takes_most_of_its_time() -> None:
 
     server.turn_for(2.0)
 
-    assert server.world.steps == pytest.approx(480, abs=1)
+    assert server.world.clock.steps == pytest.approx(480, abs=1)
     assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
@@ -87,7 +87,7 @@ def test_loop_catches_up_when_it_was_held_up_a_little() -> None:
     server.wall.ns += MAX_LAG_NS - 5 * MILLISECOND
     server.turn_for(1.0)
 
-    assert server.world.time_ns == pytest.approx(2_045 * MILLISECOND, abs=2 * STEP_NS)
+    assert server.world.clock.time_ns == pytest.approx(2_045 * MILLISECOND, abs=2 * STEP_NS)
     assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
@@ -100,7 +100,7 @@ def test_loop_lets_the_deadline_slip_and_says_so_when_it_was_held_up_for_long() 
 
     slipped_ns = server.parts.pacing.loop_stats.slipped_ns
     assert slipped_ns == pytest.approx(700 * MILLISECOND, abs=2 * STEP_NS)
-    assert server.world.time_ns == pytest.approx(2_000 * MILLISECOND, abs=2 * STEP_NS)
+    assert server.world.clock.time_ns == pytest.approx(2_000 * MILLISECOND, abs=2 * STEP_NS)
     stats = server.publisher.on("stats")[-1]
     assert isinstance(stats, Stats)
     assert stats.slipped_s == pytest.approx(0.7, abs=0.01)
@@ -109,12 +109,12 @@ def test_loop_lets_the_deadline_slip_and_says_so_when_it_was_held_up_for_long() 
 def test_loop_makes_no_burst_when_it_was_held_up_for_long() -> None:
     server = a_server()
     server.turn_for(1.0)
-    before = server.world.steps
+    before = server.world.clock.steps
 
     server.wall.ns += 10_000 * MILLISECOND
     server.turn_for(0.1)
 
-    assert server.world.steps - before == pytest.approx(0.1 * 240, abs=2)
+    assert server.world.clock.steps - before == pytest.approx(0.1 * 240, abs=2)
 
 
 def test_loop_is_as_fast_as_the_engine_when_that_is_too_slow() -> None:
@@ -122,7 +122,7 @@ def test_loop_is_as_fast_as_the_engine_when_that_is_too_slow() -> None:
 
     server.turn_for(3.0)
 
-    assert server.world.steps == pytest.approx(3.0 * 120, abs=2)
+    assert server.world.clock.steps == pytest.approx(3.0 * 120, abs=2)
     assert server.parts.pacing.loop_stats.real_time_factor == pytest.approx(0.5, abs=0.01)
     assert server.parts.pacing.loop_stats.slipped_ns == pytest.approx(1_500 * MILLISECOND, rel=0.1)
 
@@ -133,23 +133,23 @@ def test_loop_steps_at_every_turn_when_flat_out() -> None:
     for _ in range(100):
         server.loop.turn()
 
-    assert server.world.steps == 100
+    assert server.world.clock.steps == 100
     assert server.wall.slept_s == []
 
 
 def test_loop_neither_steps_nor_catches_up_when_paused() -> None:
     server = a_server()
     server.turn_for(0.5)
-    server.world.pause()
-    before = server.world.steps
+    server.world.clock.pause()
+    before = server.world.clock.steps
 
     server.turn_for(5.0)
-    steps_while_paused = server.world.steps - before
-    server.world.play()
+    steps_while_paused = server.world.clock.steps - before
+    server.world.clock.play()
     server.turn_for(0.5)
 
     assert steps_while_paused == 0
-    assert server.world.steps - before == pytest.approx(120, abs=2)
+    assert server.world.clock.steps - before == pytest.approx(120, abs=2)
     assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
@@ -173,15 +173,15 @@ def test_loop_answers_between_two_steps() -> None:
     server.loop.turn()
 
     assert call.is_over
-    assert server.world.steps == 1
+    assert server.world.clock.steps == 1
 
 
 def test_loop_runs_until_it_should_stop() -> None:
     server = a_server(factor=0.0)
 
-    server.loop.run(lambda: server.world.steps == 7)
+    server.loop.run(lambda: server.world.clock.steps == 7)
 
-    assert server.world.steps == 7
+    assert server.world.clock.steps == 7
 
 
 @pytest.mark.parametrize("steps", [1, 2, 50])
@@ -193,8 +193,8 @@ def test_loop_answers_a_step_request_when_its_last_step_is_done(steps: int) -> N
     server.turn_for(0.1)
 
     assert (made, code_of(call)) == (steps, ResultCode.OK)
-    assert server.world.steps == steps
-    assert server.world.state == State.PAUSED
+    assert server.world.clock.steps == steps
+    assert server.world.clock.state == State.PAUSED
 
 
 def test_loop_makes_requested_steps_without_waiting() -> None:
@@ -274,7 +274,7 @@ def test_loop_answers_a_retry_in_place_of_a_step_request_that_waits() -> None:
     turns_until_answered(server, retry)
     server.turn_for(0.1)
 
-    assert server.world.steps == 5
+    assert server.world.clock.steps == 5
 
 
 def test_loop_carries_out_a_command_in_the_step_of_the_same_turn() -> None:

@@ -108,14 +108,14 @@ def test_loop_refuses_a_claim_when_its_token_goes_in_the_same_turn() -> None:
 
 def test_loop_grants_a_claim_anew_when_an_agent_goes_and_comes_in_one_turn() -> None:
     server = a_driven_server("r0")
-    old = server.world.fleets()["a"].claims
+    old = server.world.claimed_by_agent()["a"].claims
     server.inbox.agents += [("a", False), ("a", True)]
     call = server.ask("claim_entity", ClaimEntityRequest("a", ("r0",)))
 
     server.loop.turn()
 
     assert claim_of(call).result.result == ResultCode.OK
-    assert server.world.fleets()["a"].claims != old
+    assert server.world.claimed_by_agent()["a"].claims != old
 
 
 def test_loop_lets_another_agent_claim_what_was_left() -> None:
@@ -186,11 +186,11 @@ def test_loop_tells_where_robots_came_to_when_time_stands_again() -> None:
         server.loop.turn()
     server.publisher.drive_states.clear()
 
-    server.world.pause()
+    server.world.clock.pause()
     server.loop.turn()
     server.loop.turn()
 
-    assert steps_told(server) == [server.world.steps]
+    assert steps_told(server) == [server.world.clock.steps]
 
 
 def steps_told(server: ServerFixture) -> list[int]:
@@ -208,7 +208,7 @@ def test_loop_tells_an_agent_80_times_a_second_at_240_steps() -> None:
 
 def test_loop_tells_how_long_a_robot_took_to_be_driven() -> None:
     server = a_server("r0")
-    born_ns = server.world.entity("r0").born_ns
+    born_ns = server.world.entities.find("r0").born_ns
     server.world.claim("a", ("r0",), "stop")
     server.turn_for(0.5)
 

@@ -74,14 +74,14 @@ def turn(server: ServerFixture, turns: int, *, silent: tuple[str, ...] = ()) -> 
 def test_locked_loop_stands_until_every_agent_has_answered() -> None:
     server = a_locked_server("r0", "r1")
     turn(server, 5, silent=("r1",))
-    stuck = (server.world.steps, server.parts.pacing.lockstep.awaited)
+    stuck = (server.world.clock.steps, server.parts.pacing.lockstep.awaited)
 
     server.world.release("r1")
     server.inbox.agents.append(("r1", False))
     turn(server, 10)
 
     assert stuck == (0, ("r1",))
-    assert server.world.steps > CONTROL_STEPS
+    assert server.world.clock.steps > CONTROL_STEPS
 
 
 def test_locked_loop_makes_a_control_period_for_each_answer() -> None:
@@ -90,7 +90,7 @@ def test_locked_loop_makes_a_control_period_for_each_answer() -> None:
 
     seen = []
     for _ in range(4):
-        seen.append(server.world.steps)
+        seen.append(server.world.clock.steps)
         answer_states(server)
         for _ in range(CONTROL_STEPS + 3):
             server.loop.turn()
@@ -105,7 +105,7 @@ def test_locked_loop_carries_out_what_was_answered_in_the_very_next_step() -> No
     answer_states(server, 3.0)
     server.loop.turn()
 
-    assert server.world.steps == 1
+    assert server.world.clock.steps == 1
     assert wheel_speeds(server.world) == [3.0, 3.0]
 
 
@@ -118,7 +118,7 @@ def test_locked_loop_drops_commands_for_another_step() -> None:
     send(server, "r0", early)
     server.loop.turn()
 
-    assert server.world.steps == 0
+    assert server.world.clock.steps == 0
     assert server.world.claims.dropped == 1
 
 
@@ -160,11 +160,11 @@ def test_holding_loop_goes_on_with_the_old_targets_after_the_timeout() -> None:
     server = a_locked_server("r0", on_miss="hold")
     turn(server, 10)
     rolling = wheel_speeds(server.world)
-    steps = server.world.steps
+    steps = server.world.clock.steps
 
     server.turn_for(TIMEOUT_S + 0.1)
 
-    assert server.world.steps > steps
+    assert server.world.clock.steps > steps
     assert wheel_speeds(server.world) == rolling == [1.0, 1.0]
     assert server.parts.pacing.lockstep.misses["r0"] >= 1
     assert ("missed", "") in server.events()
@@ -173,13 +173,13 @@ def test_holding_loop_goes_on_with_the_old_targets_after_the_timeout() -> None:
 def test_waiting_loop_waits_until_the_token_goes() -> None:
     server = a_locked_server("r0", on_miss="wait")
     server.turn_for(20 * TIMEOUT_S)
-    waited = server.world.steps
+    waited = server.world.clock.steps
 
     server.inbox.agents.append(("r0", False))
     server.turn_for(0.1)
 
     assert waited == 0
-    assert server.world.steps > 0
+    assert server.world.clock.steps > 0
 
 
 def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
@@ -189,7 +189,7 @@ def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
     while not server.parts.pacing.lockstep.is_waiting:
         server.loop.turn()
     server.publisher.drive_states.clear()
-    steps = server.world.steps
+    steps = server.world.clock.steps
 
     server.turn_for(2.5 * TIMEOUT_S)
     repeated = [(state.step, state.is_awaited) for _, state in server.publisher.drive_states]
@@ -197,7 +197,7 @@ def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
     server.turn_for(0.01)
 
     assert repeated == [(steps, True)] * 2
-    assert server.world.steps > steps
+    assert server.world.clock.steps > steps
 
 
 def test_failing_loop_stands_still_and_says_so() -> None:
@@ -206,7 +206,7 @@ def test_failing_loop_stands_still_and_says_so() -> None:
 
     server.turn_for(TIMEOUT_S + 0.1)
 
-    assert server.world.state == State.PAUSED
+    assert server.world.clock.state == State.PAUSED
     (missed,) = [one for one in server.publisher.on("events") if isinstance(one, Event)][-2:-1]
     assert (missed.kind, missed.agent) == ("missed", "r0")
     assert "did not answer step" in missed.message
@@ -215,17 +215,17 @@ def test_failing_loop_stands_still_and_says_so() -> None:
 def test_failing_loop_goes_on_when_it_is_told_to_play_and_the_agent_answers_again() -> None:
     server = a_locked_server("r0", on_miss="fail")
     server.turn_for(TIMEOUT_S + 0.1)
-    before = server.world.steps
+    before = server.world.clock.steps
 
-    server.world.play()
+    server.world.clock.play()
     turn(server, 20)
 
-    assert server.world.steps > before + CONTROL_STEPS
+    assert server.world.clock.steps > before + CONTROL_STEPS
 
 
 def test_agent_is_told_at_once_what_it_has_claimed() -> None:
     server = a_locked_server("r0", is_on=False)
-    server.world.pause()
+    server.world.clock.pause()
 
     server.loop.turn()
 
@@ -270,7 +270,7 @@ def test_agent_that_claims_more_while_it_is_awaited_is_told_and_awaited_anew() -
     server.loop.turn()
 
     assert len(state.claims) == 8
-    assert server.world.steps == 1
+    assert server.world.clock.steps == 1
 
 
 def test_entity_that_is_deleted_while_its_agent_is_awaited_stops_nothing() -> None:
@@ -280,13 +280,13 @@ def test_entity_that_is_deleted_while_its_agent_is_awaited_stops_nothing() -> No
 
     turn(server, 20)
 
-    assert server.world.steps > CONTROL_STEPS
+    assert server.world.clock.steps > CONTROL_STEPS
 
 
 @pytest.mark.parametrize("is_on", [True, False])
 def test_step_request_is_answered_when_the_agents_have_answered(is_on: bool) -> None:  # noqa: FBT001
     server = a_locked_server("r0", is_on=is_on)
-    server.world.pause()
+    server.world.clock.pause()
     turn(server, 3)
     call = server.ask("step_simulation", StepSimulationRequest(CONTROL_STEPS))
 
@@ -297,12 +297,12 @@ def test_step_request_is_answered_when_the_agents_have_answered(is_on: bool) -> 
     server.loop.turn()
 
     assert (was_over, call.is_over) == (False, True)
-    assert server.world.steps == CONTROL_STEPS
+    assert server.world.clock.steps == CONTROL_STEPS
 
 
 def test_step_request_says_who_did_not_answer_when_it_holds() -> None:
     server = a_locked_server("r0", is_on=False)
-    server.world.pause()
+    server.world.clock.pause()
     turn(server, 3)
     call = server.ask("step_simulation", StepSimulationRequest(4 * CONTROL_STEPS))
 
@@ -315,7 +315,7 @@ def test_step_request_says_who_did_not_answer_when_it_holds() -> None:
 
 def test_step_request_fails_when_an_agent_is_late_and_that_is_to_fail() -> None:
     server = a_locked_server("r0", is_on=False, on_miss="fail")
-    server.world.pause()
+    server.world.clock.pause()
     turn(server, 3)
     call = server.ask("step_simulation", StepSimulationRequest(4 * CONTROL_STEPS))
 
@@ -324,7 +324,7 @@ def test_step_request_fails_when_an_agent_is_late_and_that_is_to_fail() -> None:
     result = result_of(call)
     assert result.result == ResultCode.OPERATION_FAILED
     assert result.error_message.startswith("ended after 3 of 12 steps: agent 'r0' did not answer")
-    assert server.world.steps == CONTROL_STEPS
+    assert server.world.clock.steps == CONTROL_STEPS
 
 
 def test_free_running_loop_waits_for_nobody() -> None:
@@ -333,5 +333,5 @@ def test_free_running_loop_waits_for_nobody() -> None:
     for _ in range(20):
         server.loop.turn()
 
-    assert server.world.steps == 20
+    assert server.world.clock.steps == 20
     assert not any(state.is_awaited for _, state in server.publisher.drive_states)

@@ -45,8 +45,8 @@ def test_loop_ends_after_the_answer_when_it_is_asked_to_quit() -> None:
     server.loop.run(lambda: False)
 
     assert len(call.answers) == 1
-    assert server.world.state == State.QUITTING
-    assert server.world.steps == 0
+    assert server.world.clock.state == State.QUITTING
+    assert server.world.clock.steps == 0
 
 
 def test_loop_waits_for_the_disk_before_it_ends() -> None:

@@ -228,12 +228,12 @@ def test_loop_answers_any_bytes(
     (answer,) = call.answers
     assert detect_format(answer.payload, answer.encoding) in FORMATS
     # An empty payload is an empty request, which rightly pauses, stops or unloads.
-    assert server.world.steps == (server.world.state == State.PLAYING)
+    assert server.world.clock.steps == (server.world.clock.state == State.PLAYING)
 
 
 def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
     server = a_server()
-    server.world.pause()
+    server.world.clock.pause()
     call = MemoryCall(
         "sim/*/step_simulation", encode(StepSimulationRequest(2), Format.JSON), "", b""
     )
@@ -243,7 +243,7 @@ def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
         server.loop.turn()
 
     assert call.answers[0].key == "sim/default/step_simulation"
-    assert server.world.steps == 2
+    assert server.world.clock.steps == 2
 
 
 @pytest.mark.parametrize(
@@ -263,7 +263,7 @@ def test_loop_refuses_a_request_that_is_too_large_to_decode(service: str, code: 
 
 def test_request_of_another_service_does_not_take_the_place_of_one_that_waits() -> None:
     server = a_server()
-    server.world.pause()
+    server.world.clock.pause()
     steps = server.ask("step_simulation", StepSimulationRequest(2))
     other = server.ask("get_entities", GetEntitiesRequest())
     steps.request_id = other.request_id = b"same"

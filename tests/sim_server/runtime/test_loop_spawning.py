@@ -55,7 +55,7 @@ def test_loop_goes_on_while_a_description_is_read() -> None:
         server.loop.turn()
 
     assert (spawn.is_over, info.is_over) == (False, True)
-    assert server.world.steps == 5
+    assert server.world.clock.steps == 5
     assert names_in(server.world) == []
 
 

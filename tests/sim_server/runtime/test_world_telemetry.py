@@ -33,7 +33,7 @@ def counts(seconds: float, *, is_paused: bool = False) -> dict[str, int]:
     """Count what a loop tells in some wall time."""
     server = a_server("r0")
     if is_paused:
-        server.world.pause()
+        server.world.clock.pause()
     server.turn_for(seconds)
     return {topic: len(server.publisher.on(topic)) for topic in (*GETTABLE_TOPICS, "events")}
 
@@ -61,7 +61,7 @@ def test_snapshot_follows_a_change_at_once_while_time_stands(
     change: Callable[[World], object],
 ) -> None:
     server = a_server("r0")
-    server.world.pause()
+    server.world.clock.pause()
     server.turn_for(0.1)
     server.publisher.told.clear()
 
@@ -71,7 +71,7 @@ def test_snapshot_follows_a_change_at_once_while_time_stands(
     snapshot = server.publisher.on("snapshot")[-1]
     assert isinstance(snapshot, Snapshot)
     assert list(snapshot.names) == names_in(server.world)
-    assert snapshot.base == server.world.reading().base.tobytes()
+    assert snapshot.base == server.world.states().base.tobytes()
 
 
 def test_topics_are_not_made_when_nobody_listens() -> None:
@@ -88,7 +88,7 @@ def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
 
     server.turn_for(2.0)
 
-    assert server.world.steps == pytest.approx(2000, abs=2)
+    assert server.world.clock.steps == pytest.approx(2000, abs=2)
     assert len(server.publisher.on("snapshot")) == pytest.approx(60, abs=2)
     assert len(server.publisher.on("clock")) == pytest.approx(200, abs=4)
 
@@ -147,7 +147,7 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
 def test_real_time_factor_is_zero_while_time_stands(topic: TopicSpec) -> None:
     world, meter = a_world(), LoopStats(0)
     meter.real_time_factor = 1.0
-    world.pause()
+    world.clock.pause()
 
     message = WorldTelemetry(world, Pacing(lambda: 0, meter)).message(topic)
 

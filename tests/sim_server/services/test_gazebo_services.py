@@ -43,7 +43,7 @@ def parts() -> ServerParts:
     world = a_world()
     world.spawn(a_spawn("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))
     world.spawn(a_spawn("arm", model=an_arm("revolute"), base=a_state((5.0, 0.0, 0.0))))
-    world.take_events()
+    world.clock.take_events()
     return make_parts(world)
 
 
@@ -71,7 +71,7 @@ def test_time_is_paused_and_played_however_often(parts: ServerParts) -> None:
     ):
         assert handle_request(parts, request) == gazebo_messages.EmptyReport()
         assert handle_request(parts, request) == gazebo_messages.EmptyReport()
-        assert parts.world.state == state
+        assert parts.world.clock.state == state
 
 
 def test_world_is_reset_without_its_time(parts: ServerParts) -> None:
@@ -81,7 +81,7 @@ def test_world_is_reset_without_its_time(parts: ServerParts) -> None:
     handle_request(parts, gazebo_messages.ResetWorldRequest())
 
     assert parts.world.state_of("box")[:3] == pytest.approx([1.0, 2.0, 0.5])
-    assert (parts.world.steps, names_in(parts.world)) == (1, ["box", "arm"])
+    assert (parts.world.clock.steps, names_in(parts.world)) == (1, ["box", "arm"])
 
 
 def test_state_is_told_in_the_frame_of_another_entity(parts: ServerParts) -> None:
@@ -191,14 +191,14 @@ def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(parts: ServerPa
         assert report.status_message.endswith("for ever of simulation time")
     parts.world.step()
 
-    assert parts.world.reading().joint_velocities[0] == pytest.approx(DT_S)
+    assert parts.world.states().joint_velocities[0] == pytest.approx(DT_S)
     handle_request(parts, gazebo_messages.ClearJointEffortsRequest("swing"))
     assert len(parts.world.applied_forces) == 0
 
 
 def test_joint_is_changed_and_tells_so(parts: ServerParts) -> None:
     wanted = ODEJointProperties(damping=(0.3,), lo_stop=(-0.1,), hi_stop=(0.2,), fmax=(0.05,))
-    number = parts.world.roster_number
+    number = parts.world.entities.roster_number
 
     handle_request(parts, gazebo_messages.SetJointPropertiesRequest("swing", wanted))
 
@@ -213,7 +213,7 @@ def test_joint_is_changed_and_tells_so(parts: ServerParts) -> None:
         upper=(0.2,),
         friction=(0.05,),
     )
-    assert parts.world.roster_number > number
+    assert parts.world.entities.roster_number > number
 
 
 def test_entity_goes_on_where_it_was_when_it_is_changed(parts: ServerParts) -> None:
@@ -227,7 +227,7 @@ def test_entity_goes_on_where_it_was_when_it_is_changed(parts: ServerParts) -> N
     )
 
     assert parts.world.state_of("arm") == pytest.approx(before)
-    assert parts.world.reading().joint_positions[-1] == pytest.approx(0.3)
+    assert parts.world.states().joint_positions[-1] == pytest.approx(0.3)
     assert parts.world.claims.agent_of("arm") == "a"
 
 
@@ -246,7 +246,7 @@ def test_link_is_weighed_and_weighed_anew(parts: ServerParts) -> None:
     assert isinstance(again, gazebo_messages.GetLinkPropertiesReport)
     assert (again.mass, again.gravity_mode, again.com.position.x) == (4.0, False, 0.1)
     assert (again.ixx, again.iyy, again.izz) == pytest.approx((0.2, 0.1, 0.25))
-    link = parts.world.entity("box").model.links[0]
+    link = parts.world.entities.find("box").model.links[0]
     assert link.weightless == link.inertial != Inertial()
 
 
@@ -352,13 +352,13 @@ REFUSED = {
 def test_request_is_refused(
     parts: ServerParts, request_: msgspec.Struct, code: int, message: str
 ) -> None:
-    before = parts.world.reading().base.tobytes()
+    before = parts.world.states().base.tobytes()
 
     with pytest.raises(SimError, match=message) as refused:
         handle_request(parts, request_)
 
     assert refused.value.code == code
-    assert parts.world.reading().base.tobytes() == before
+    assert parts.world.states().base.tobytes() == before
     assert len(parts.world.applied_forces) == 0
 
 

@@ -179,7 +179,7 @@ def test_simulation_is_paused_and_played() -> None:
     assert isinstance(response, GetSimulationStateResponse)
     assert response.state.state == State.PAUSED
     handle_request(parts, SetSimulationStateRequest(SimulationState(State.PLAYING)))
-    assert parts.world.state == State.PLAYING
+    assert parts.world.clock.state == State.PLAYING
 
 
 @pytest.mark.parametrize("scope", [0, 1, 2, 3, 4, 5, 6, 7, 255])
@@ -188,7 +188,7 @@ def test_reset_takes_every_sum_of_known_bits(scope: int) -> None:
 
     handle_request(parts, ResetSimulationRequest(scope))
 
-    assert parts.world.epoch == 1
+    assert parts.world.clock.epoch == 1
     assert bool(names_in(parts.world)) == (scope in (1, 2, 3))
 
 
@@ -200,7 +200,7 @@ def test_claim_tells_model_and_clock() -> None:
 
     assert isinstance(response, agent_messages.ClaimEntityResponse)
     assert [claim.entity for claim in response.grants] == ["r0"]
-    assert (response.step_ns, response.control_steps) == (parts.world.step_ns, 3)
+    assert (response.step_ns, response.control_steps) == (parts.world.clock.step_ns, 3)
 
 
 def test_claim_ends_as_it_was_asked_to() -> None:
@@ -226,7 +226,7 @@ def test_models_are_told_once_for_all_that_share_them() -> None:
         ("r2", 1),
     ]
     assert [model.name for model in response.models] == ["cart", "box_bot"]
-    assert response.roster == parts.world.roster_number
+    assert response.roster == parts.world.entities.roster_number
 
 
 def test_models_of_some_entities_are_told_when_they_are_named() -> None:
@@ -259,7 +259,7 @@ def test_info_tells_who_is_there() -> None:
 def test_info_tells_a_real_time_factor_of_zero_when_paused() -> None:
     parts = make_parts(a_world())
     parts.pacing.loop_stats.real_time_factor = 0.9
-    parts.world.pause()
+    parts.world.clock.pause()
 
     info = handle_request(parts, telemetry_messages.InfoRequest())
 
@@ -295,5 +295,5 @@ def test_service_answers_any_request_or_refuses_it(
 
     for wanted in (one for one in Format if supports_format(type(response), one)):
         assert encode(response, wanted)
-    assert np.isfinite(parts.world.reading().base).all()
+    assert np.isfinite(parts.world.states().base).all()
     assert np.isfinite(wheel_speeds(parts.world)).all()

@@ -75,7 +75,7 @@ def test_share_leaves_what_has_no_drive() -> None:
 
 def test_share_leaves_what_is_frozen() -> None:
     parts = make_parts(a_world("r0", "r1"))
-    parts.world.watch.freeze(parts.world.entity("r1"))
+    parts.world.divergence_guard.freeze(parts.world.entities.find("r1"))
 
     assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
 

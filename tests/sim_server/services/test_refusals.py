@@ -239,7 +239,7 @@ def parts() -> ServerParts:
 def test_request_is_refused_with_code_and_reason(
     parts: ServerParts, request_: msgspec.Struct, code: int, message: str
 ) -> None:
-    before = parts.world.reading().base.tobytes()
+    before = parts.world.states().base.tobytes()
 
     with pytest.raises(SimError, match=message) as refused:
         handle_request(parts, request_)
@@ -247,13 +247,13 @@ def test_request_is_refused_with_code_and_reason(
     assert refused.value.code == code
     assert "\n" not in str(refused.value)
     assert names_in(parts.world) == ["r0", "r1"]
-    assert parts.world.reading().base.tobytes() == before
+    assert parts.world.states().base.tobytes() == before
     assert parts.world.claims.agent_of("r0") == ""
 
 
 @pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
 def test_steps_are_refused_when_they_are_none_or_too_many(parts: ServerParts, steps: int) -> None:
-    parts.world.pause()
+    parts.world.clock.pause()
 
     with pytest.raises(SimError, match=f"steps={steps} is out of range; use 1 to") as refused:
         handle_request(parts, StepSimulationRequest(steps))
@@ -262,7 +262,7 @@ def test_steps_are_refused_when_they_are_none_or_too_many(parts: ServerParts, st
 
 
 def test_world_is_paused_once(parts: ServerParts) -> None:
-    parts.world.pause()
+    parts.world.clock.pause()
 
     with pytest.raises(SimError, match="is paused already") as refused:
         handle_request(parts, in_state(State.PAUSED))

@@ -34,7 +34,7 @@ Answer = TypeVar("Answer", bound=msgspec.Struct)
 
 def a_paused_server(*names: str) -> ServerFixture:
     server = a_server(*names)
-    server.world.pause()
+    server.world.clock.pause()
     return server
 
 
@@ -67,7 +67,7 @@ def test_goal_is_answered_when_its_last_step_is_made() -> None:
     assert read(call, SimulateStepsResponse) == SimulateStepsResponse(
         Result(), "g", "succeeded", 5, 0
     )
-    assert server.world.steps == 5
+    assert server.world.clock.steps == 5
 
 
 def test_goal_tells_of_its_progress_first_and_of_its_end_before_the_answer() -> None:
@@ -94,7 +94,7 @@ def test_goal_that_is_canceled_says_how_far_it_came() -> None:
     assert (answer.status, answer.completed_steps, answer.remaining_steps) == ("canceled", 7, 93)
     assert answer.result == Result(ResultCode.OPERATION_FAILED, "canceled after 7 of 100 steps")
     assert read(cancel, CancelStepsResponse).goal_ids == ("g",)
-    assert server.world.steps == 7
+    assert server.world.clock.steps == 7
 
 
 def test_cancel_without_an_id_ends_requested_steps_of_every_kind() -> None:
@@ -107,7 +107,7 @@ def test_cancel_without_an_id_ends_requested_steps_of_every_kind() -> None:
     turn(server, 5)
 
     assert read(cancel, CancelStepsResponse).goal_ids == ("", "g")
-    assert server.world.steps == 1
+    assert server.world.clock.steps == 1
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_goal_that_is_asked_for_again_is_joined() -> None:
     turn(server, 7)
 
     assert read(first, SimulateStepsResponse) == read(second, SimulateStepsResponse)
-    assert server.world.steps == 10
+    assert server.world.clock.steps == 10
 
 
 def test_result_of_a_goal_that_is_over_is_fetched_by_asking_again() -> None:
@@ -145,7 +145,7 @@ def test_result_of_a_goal_that_is_over_is_fetched_by_asking_again() -> None:
     turn(server, 1)
 
     assert read(second, SimulateStepsResponse) == read(first, SimulateStepsResponse)
-    assert server.world.steps == 10
+    assert server.world.clock.steps == 10
 
 
 def test_goal_of_the_same_id_and_other_steps_is_refused() -> None:
@@ -168,7 +168,7 @@ def test_goal_id_that_is_none_is_refused(goal_id: str) -> None:
     turn(server, 1)
 
     assert read(call, SimulateStepsResponse).result.result == ResultCode.OPERATION_FAILED
-    assert server.world.steps == 0
+    assert server.world.clock.steps == 0
 
 
 @pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
@@ -205,7 +205,7 @@ def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
     call = simulate(server, 100)
     turn(server, 3)
 
-    server.world.state = State.STOPPED
+    server.world.clock.state = State.STOPPED
     turn(server, 1)
 
     answer = read(call, SimulateStepsResponse)
@@ -225,7 +225,7 @@ def test_run_goes_to_the_first_step_at_or_after_a_time(wanted_ns: int, steps: in
 
     answer = read(call, RunToResponse)
     assert (answer.result, answer.completed_steps) == (Result(), steps)
-    assert ns_from_time(answer.time) == server.world.time_ns == steps * STEP_NS
+    assert ns_from_time(answer.time) == server.world.clock.time_ns == steps * STEP_NS
 
 
 @given(st.integers(0, 3 * 10**9), st.integers(0, 50))
@@ -241,7 +241,7 @@ def test_run_reaches_any_time_and_makes_no_step_too_many(wanted_ns: int, before:
     is_past = wanted_ns < before * STEP_NS
     code = ResultCode.OPERATION_FAILED if is_past else ResultCode.OK
     assert read(call, RunToResponse).result.result == code
-    assert is_past or 0 <= server.world.time_ns - wanted_ns < STEP_NS
+    assert is_past or 0 <= server.world.clock.time_ns - wanted_ns < STEP_NS
 
 
 def test_run_to_a_time_that_is_past_is_refused() -> None:
@@ -287,21 +287,21 @@ def test_run_ends_when_time_goes_back() -> None:
     result = read(call, RunToResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
     assert "ended after 5 of 240 steps: the simulation was reset" in result.error_message
-    assert server.world.steps == 0
+    assert server.world.clock.steps == 0
 
 
 @pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 1000.0])
 def test_speed_is_held_from_now_on(factor: float) -> None:
     server = a_server(factor=0.02)
     server.turn_for(0.1)
-    before_ns = server.world.time_ns
+    before_ns = server.world.clock.time_ns
     call = server.ask("set_speed", SetSpeedRequest(factor))
 
     seconds = 100.0 * STEP_NS * 1e-9 / factor
     server.turn_for(seconds)
 
     assert read(call, SetSpeedResponse).result == Result()
-    made = (server.world.time_ns - before_ns) / STEP_NS
+    made = (server.world.clock.time_ns - before_ns) / STEP_NS
     assert made == pytest.approx(100, abs=4) or factor > 2.0
 
 
@@ -311,7 +311,7 @@ def test_speed_of_zero_is_flat_out() -> None:
 
     turn(server, 50)
 
-    assert server.world.steps >= 49
+    assert server.world.clock.steps >= 49
 
 
 def test_info_tells_the_speed_that_was_set() -> None:

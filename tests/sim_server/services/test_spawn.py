@@ -42,7 +42,7 @@ def test_spawn_takes_a_description_as_text_and_keeps_it_for_the_agent() -> None:
     report = spawned(parts, SpawnEntityOrder(entity_resource=Resource("", text)))
 
     assert report.entity_name == "dot"
-    assert parts.world.entity("dot").description == text
+    assert parts.world.entities.find("dot").description == text
 
 
 def test_spawn_remembers_the_wall_time_of_birth() -> None:
@@ -51,7 +51,7 @@ def test_spawn_remembers_the_wall_time_of_birth() -> None:
 
     spawned(parts, an_order())
 
-    assert parts.world.entity("r").born_ns == 77
+    assert parts.world.entities.find("r").born_ns == 77
 
 
 def test_spawn_takes_an_all_zero_quaternion_as_identity_and_says_so() -> None:

@@ -90,7 +90,7 @@ def test_the_others_are_spawned_when_one_is_refused() -> None:
 
 def test_nobody_is_spawned_when_all_or_none_were_asked_for_and_one_is_refused() -> None:
     parts = make_parts(a_world("b"))
-    before = parts.world.reading().base.copy()
+    before = parts.world.states().base.copy()
 
     response = answer(parts, an_order("a", "b", "c", atomic=True))
 
@@ -98,7 +98,7 @@ def test_nobody_is_spawned_when_all_or_none_were_asked_for_and_one_is_refused() 
     assert codes(response) == [4, SpawnCode.NAME_NOT_UNIQUE, 4]
     assert response.results[0].result.error_message.startswith("not spawned because of 'b'")
     assert names_in(parts.world) == ["b"]
-    assert (parts.world.reading().base == before).all()
+    assert (parts.world.states().base == before).all()
     assert kinds_of_events(parts.world) == []
 
 
@@ -327,7 +327,7 @@ def test_entities_are_those_that_the_results_name(
         one.entity_name for response in told for one in response.results if one.result.result == 1
     ]
     assert names_in(parts.world) == spawned
-    assert len(parts.world.roster().bodies) == len(spawned)
+    assert len(parts.world.entities.index.bodies) == len(spawned)
     if atomic:
         assert all(len(set(codes(response))) <= 1 or 1 not in codes(response) for response in told)
 

@@ -57,7 +57,7 @@ def test_dry_run_tells_nobody() -> None:
 
     handle_request(parts, an_order(dry_run=True, initial_pose=UNDERGROUND))
 
-    assert parts.world.take_events() == []
+    assert parts.world.clock.take_events() == []
 
 
 def test_dry_run_is_refused_as_the_spawn_would_be() -> None:
@@ -185,7 +185,7 @@ def test_world_steps_on_while_a_spawn_waits() -> None:
     reader.is_slow = True
     server.parts.descriptions.provider = reader
     server.ask("spawn_entity", an_order("a"))
-    steps = server.world.steps
+    steps = server.world.clock.steps
     server.turn_for(0.1)
 
-    assert server.world.steps > steps
+    assert server.world.clock.steps > steps

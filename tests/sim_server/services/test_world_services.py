@@ -101,13 +101,17 @@ def folder(tmp_path: Path, parts: ServerParts) -> Path:
 def test_world_takes_the_place_of_another(parts: ServerParts) -> None:
     parts.world.step()
     parts.world.claim("a", ("r0",), "stop")
-    parts.world.take_events()
+    parts.world.clock.take_events()
 
     report = loaded(parts, loading("walls"))
 
     assert (report.world.name, report.world.world_resource.uri) == ("walls", "walls")
     assert names_in(parts.world) == ["outer_walls", "inner_walls"]
-    assert (parts.world.state, parts.world.steps, parts.world.epoch) == (State.STOPPED, 0, 1)
+    assert (parts.world.clock.state, parts.world.clock.steps, parts.world.clock.epoch) == (
+        State.STOPPED,
+        0,
+        1,
+    )
     assert len(parts.world.claims) == 0
     assert parts.current_world.model.name == "walls"
     kinds = kinds_of_events(parts.world)
@@ -117,7 +121,7 @@ def test_world_takes_the_place_of_another(parts: ServerParts) -> None:
 def test_world_stands_while_another_is_read(parts: ServerParts) -> None:
     handle_request(parts, loading("walls"))
 
-    assert parts.world.state == State.LOADING_WORLD
+    assert parts.world.clock.state == State.LOADING_WORLD
     assert names_in(parts.world) == ["r0", "r1"]
     for request in (an_order("r9"), loading("empty"), world_messages.UnloadWorldRequest()):
         with pytest.raises(SimError) as refused:
@@ -156,7 +160,7 @@ def test_world_keeps_its_own_pace() -> None:
 
     loaded(parts, loading(text=sdf(pace)))
 
-    assert (parts.world.step_ns, parts.pacing.target_real_time_factor) == (2_000_000, 0.5)
+    assert (parts.world.clock.step_ns, parts.pacing.target_real_time_factor) == (2_000_000, 0.5)
     assert parts.world.control_steps == 5
 
 
@@ -165,14 +169,14 @@ def test_world_stays_as_it_was_when_another_cannot_be_loaded(
     parts: ServerParts, state: State
 ) -> None:
     parts.world.step()
-    parts.world.state = state
-    before = (parts.world.steps, parts.world.epoch, names_in(parts.world))
+    parts.world.clock.state = state
+    before = (parts.world.clock.steps, parts.world.clock.epoch, names_in(parts.world))
 
     with pytest.raises(SimError, match=r"xml\.syntax"):
         loaded(parts, loading(text="<sdf"))
 
-    assert parts.world.state == state
-    assert (parts.world.steps, parts.world.epoch, names_in(parts.world)) == before
+    assert parts.world.clock.state == state
+    assert (parts.world.clock.steps, parts.world.clock.epoch, names_in(parts.world)) == before
 
 
 REFUSED = {
@@ -271,13 +275,13 @@ def test_world_includes_what_lies_in_the_operators_folders(
 
     assert report.world.name == "yard"
     assert names_in(parts.world) == ["big"]
-    assert parts.world.entity("big").model.mass_kg == 2.0
+    assert parts.world.entities.find("big").model.mass_kg == 2.0
 
 
 def test_world_is_unloaded_with_everything_in_it(parts: ServerParts) -> None:
     handle_request(parts, world_messages.UnloadWorldRequest())
 
-    assert (parts.world.state, names_in(parts.world)) == (State.NO_WORLD, [])
+    assert (parts.world.clock.state, names_in(parts.world)) == (State.NO_WORLD, [])
     for request, code in (
         (world_messages.UnloadWorldRequest(), UnloadWorldCode.NO_WORLD_LOADED),
         (world_messages.GetCurrentWorldRequest(), GetCurrentWorldCode.NO_WORLD_LOADED),
@@ -295,7 +299,7 @@ def test_world_is_unloaded_with_everything_in_it(parts: ServerParts) -> None:
 
     loaded(parts, loading("empty"))
 
-    assert parts.world.state == State.STOPPED
+    assert parts.world.clock.state == State.STOPPED
 
 
 def test_current_world_is_told_as_it_is_asked_for(parts: ServerParts) -> None:

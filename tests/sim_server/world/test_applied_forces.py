@@ -28,7 +28,7 @@ def boxes(*names: str) -> World:
     world = a_world()
     for i, name in enumerate(names):
         world.spawn(a_spawn(name, model=a_box(), base=a_state((5.0 * i, 0.0, 1.0))))
-    world.take_events()
+    world.clock.take_events()
     return world
 
 
@@ -102,7 +102,7 @@ def test_effort_turns_a_joint_until_it_is_cleared() -> None:
     world = a_world("r")
     world.applied_forces.add(JointEffort("r", 0, 1.0, FOREVER))
     world.step()
-    turned = world.reading().joint_velocities[0]
+    turned = world.states().joint_velocities[0]
 
     assert world.applied_forces.clear_joint("r", 1) == 0
     assert world.applied_forces.clear_joint("r", 0) == 1

@@ -34,9 +34,9 @@ def a_reading() -> BodyStates:
 
 
 def test_watch_finds_nobody_when_all_numbers_are_good() -> None:
-    assert DivergenceGuard().bad(ROSTER, a_reading()) == []
+    assert DivergenceGuard().find_diverged(ROSTER, a_reading()) == []
     assert (
-        DivergenceGuard().bad(
+        DivergenceGuard().find_diverged(
             make_entity_index(()), BodyStates(np.zeros((0, 13)), np.zeros(0), np.zeros(0))
         )
         == []
@@ -49,7 +49,7 @@ def test_watch_finds_who_has_a_number_that_is_not_finite(column: int, value: flo
     reading = a_reading()
     reading.base[1, column] = value
 
-    assert DivergenceGuard().bad(ROSTER, reading) == ["box"]
+    assert DivergenceGuard().find_diverged(ROSTER, reading) == ["box"]
 
 
 @pytest.mark.parametrize(("joint", "name"), [(0, "a"), (1, "a"), (2, "b"), (3, "b")])
@@ -58,8 +58,8 @@ def test_watch_finds_whose_joints_are_not_finite(joint: int, name: str) -> None:
     places.joint_positions[joint] = np.nan
     speeds.joint_velocities[joint] = np.inf
 
-    assert DivergenceGuard().bad(ROSTER, places) == [name]
-    assert DivergenceGuard().bad(ROSTER, speeds) == [name]
+    assert DivergenceGuard().find_diverged(ROSTER, places) == [name]
+    assert DivergenceGuard().find_diverged(ROSTER, speeds) == [name]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_watch_finds_who_left_the_world(x: float, *, is_bad: bool) -> None:
     reading = a_reading()
     reading.base[2, 0] = x
 
-    assert DivergenceGuard().bad(ROSTER, reading) == (["b"] if is_bad else [])
+    assert DivergenceGuard().find_diverged(ROSTER, reading) == (["b"] if is_bad else [])
 
 
 def test_watch_says_nothing_of_who_is_frozen_already() -> None:
@@ -77,7 +77,7 @@ def test_watch_says_nothing_of_who_is_frozen_already() -> None:
     watch.freeze(ENTITIES[0])
     reading.base[0, 0] = np.nan
 
-    assert watch.bad(ROSTER, reading) == []
+    assert watch.find_diverged(ROSTER, reading) == []
     assert watch.is_frozen("a")
 
 

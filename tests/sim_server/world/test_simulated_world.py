@@ -36,8 +36,8 @@ def test_expected_entity_is_not_there_but_its_names_are() -> None:
     world.stage_spawn(a_spawn("b"))
 
     assert names_in(world) == ["a"]
-    assert world.take_events() == []
-    assert world.roster().names == ("a",)
+    assert world.clock.take_events() == []
+    assert world.entities.index.names == ("a",)
     with pytest.raises(NameNotUnique):
         world.spawn(a_spawn("b"))
     with pytest.raises(NamespaceRefused):
@@ -51,8 +51,8 @@ def test_expected_entities_are_let_in_all_at_once() -> None:
     world.commit_staged(expected)
 
     assert names_in(world) == ["a", "c", "b"]
-    assert [event.entity for event in world.take_events()] == ["c", "b"]
-    assert not world.is_staged(expected[0])
+    assert [event.entity for event in world.clock.take_events()] == ["c", "b"]
+    assert not world.entities.is_staged(expected[0])
 
 
 def test_entity_that_is_turned_away_leaves_nothing() -> None:
@@ -73,7 +73,7 @@ def test_reset_that_deletes_what_was_spawned_expects_nobody() -> None:
 
     world.reset(ResetScope.SPAWNED)
 
-    assert not world.is_staged(entity)
+    assert not world.entities.is_staged(entity)
     assert engine.bodies == ()
 
 
@@ -119,7 +119,7 @@ def test_world_refuses_spawn_when_name_is_taken() -> None:
         world.spawn(a_spawn("r1", "elsewhere"))
 
     assert names_in(world) == ["r1"]
-    assert world.take_events() == []
+    assert world.clock.take_events() == []
 
 
 @pytest.mark.parametrize("name", ["", "1r", "r 1", "r/1", "é", "a" * 65])
@@ -186,10 +186,10 @@ def test_world_keeps_nothing_of_a_spawn_that_the_engine_refused() -> None:
 
     assert names_in(world) == ["r1"]
     assert len(engine.bodies) == 1
-    assert world.take_events() == []
+    assert world.clock.take_events() == []
 
 
-@pytest.mark.parametrize("act", ["delete", "state_of", "entity"])
+@pytest.mark.parametrize("act", ["delete", "state_of", "reported_state"])
 def test_world_says_that_an_entity_does_not_exist(act: str) -> None:
     world = a_world("r1")
 
@@ -210,7 +210,7 @@ def test_world_lines_joints_up_when_entities_have_none() -> None:
     world.spawn(a_spawn("box", model=a_box(), base=a_state((5.0, 0.0, 0.1))))
     world.spawn(a_spawn("r1", base=on_ground(1.0)))
 
-    roster = world.roster()
+    roster = world.entities.index
 
     assert roster.names == ("r0", "box", "r1")
     assert roster.joint_start.tolist() == [0, 2, 2]
@@ -219,12 +219,12 @@ def test_world_lines_joints_up_when_entities_have_none() -> None:
 
 def test_world_counts_rosters_as_entities_come_and_go() -> None:
     world = a_world("r0")
-    before = world.roster_number
+    before = world.entities.roster_number
 
     world.spawn(a_spawn("r1"))
     world.delete("r0")
 
-    assert world.roster_number == before + 2
+    assert world.entities.roster_number == before + 2
 
 
 def test_world_time_is_steps_of_one_length() -> None:
@@ -233,18 +233,18 @@ def test_world_time_is_steps_of_one_length() -> None:
     for _ in range(240):
         world.step()
 
-    assert (world.steps, world.time_ns) == (240, 240 * STEP_NS)
+    assert (world.clock.steps, world.clock.time_ns) == (240, 240 * STEP_NS)
 
 
 def test_world_plays_and_pauses_with_events() -> None:
     world = a_world()
 
-    world.pause()
-    state, name = world.state, world.state_name
-    world.play()
+    world.clock.pause()
+    state, name = world.clock.state, world.clock.state_name
+    world.clock.play()
 
     assert (state, name) == (State.PAUSED, "paused")
-    assert world.state_name == "playing"
+    assert world.clock.state_name == "playing"
     assert kinds_of_events(world) == ["paused", "played"]
 
 
@@ -252,7 +252,7 @@ def test_world_refuses_to_be_stepped_when_it_plays() -> None:
     world = a_world()
 
     with pytest.raises(IncorrectState, match="playing; pause it before"):
-        world.require_paused()
+        world.clock.require_paused()
 
 
 @pytest.mark.parametrize("scope", [ResetScope.DEFAULT, ResetScope.ALL])
@@ -264,7 +264,7 @@ def test_world_is_empty_and_at_zero_when_all_is_reset(scope: ResetScope) -> None
     world.reset(scope)
 
     assert (names_in(world), engine.bodies) == ([], ())
-    assert (world.steps, world.epoch) == (0, 1)
+    assert (world.clock.steps, world.clock.epoch) == (0, 1)
     assert kinds_of_events(world) == ["deleted", "deleted", "reset"]
 
 
@@ -274,7 +274,7 @@ def test_world_keeps_entities_and_states_when_time_is_reset() -> None:
 
     world.reset(ResetScope.TIME)
 
-    assert (world.steps, world.time_ns) == (0, 0)
+    assert (world.clock.steps, world.clock.time_ns) == (0, 0)
     assert world.state_of("r0") == pytest.approx(moved)
     assert world.claims.agent_of("r0") == "a"
 
@@ -284,7 +284,7 @@ def test_world_puts_entities_back_when_states_are_reset() -> None:
 
     world.reset(ResetScope.STATE)
 
-    assert world.steps == 100
+    assert world.clock.steps == 100
     assert world.state_of("r0") == pytest.approx(on_ground())
     world.step()
     assert wheel_speeds(world) == [0.0, 0.0]
@@ -295,7 +295,7 @@ def test_world_keeps_time_when_spawned_entities_are_reset() -> None:
 
     world.reset(ResetScope.SPAWNED)
 
-    assert (names_in(world), world.steps, len(world.claims)) == ([], 100, 0)
+    assert (names_in(world), world.clock.steps, len(world.claims)) == ([], 100, 0)
 
 
 def a_moved_world() -> World:
@@ -309,7 +309,7 @@ def a_moved_world() -> World:
 
 def test_world_snapshot_holds_every_entity() -> None:
     world = a_world("r0", "r1")
-    world.pause()
+    world.clock.pause()
 
     snapshot = world.snapshot(0.5)
 
@@ -354,13 +354,13 @@ def test_world_closes_its_engine() -> None:
 def test_world_rehearses_a_spawn_and_leaves_nothing() -> None:
     engine = ObedientEngine(EngineConfig(STEP_NS))
     world = a_world("r0", "r1", engine=engine)
-    before = (world.roster_number, world.reading().base.tobytes(), engine.bodies)
+    before = (world.entities.roster_number, world.states().base.tobytes(), engine.bodies)
 
     overlapped = world.check_overlaps(a_spawn("r9", base=on_ground(1.02)))
 
     assert overlapped == ["r1"]
-    assert (world.roster_number, world.reading().base.tobytes(), engine.bodies) == before
-    assert (names_in(world), world.take_events()) == (["r0", "r1"], [])
+    assert (world.entities.roster_number, world.states().base.tobytes(), engine.bodies) == before
+    assert (names_in(world), world.clock.take_events()) == (["r0", "r1"], [])
 
 
 def test_world_refuses_in_a_rehearsal_what_it_refuses_to_spawn() -> None:
@@ -391,7 +391,7 @@ def test_what_belongs_to_the_world_has_no_namespace_and_outlives_a_reset() -> No
     world.reset(ResetScope.ALL)
 
     assert names_in(world) == ["shelf"]
-    assert world.entity("shelf").namespace == ""
+    assert world.entities.find("shelf").namespace == ""
     assert world.state_of("shelf")[0] == 1.0
 
 
@@ -422,16 +422,16 @@ def test_world_reads_one_entity_alone_when_not_all_have_been_read() -> None:
 
     row = world.state_of("b")
 
-    assert engine.reads == [(world.entity("b").body,)]
-    assert row.tolist() == world.reading().base[1].tolist()
+    assert engine.reads == [(world.entities.find("b").body,)]
+    assert row.tolist() == world.states().base[1].tolist()
 
 
 def test_world_reads_nothing_again_between_two_steps() -> None:
     engine = CountingEngine()
     world = a_world("a", "b", engine=engine)
-    world.reading()
+    world.states()
 
     world.state_of("b")
-    world.reading()
+    world.states()
 
     assert len(engine.reads) == 1

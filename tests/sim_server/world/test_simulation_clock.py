@@ -28,7 +28,7 @@ def test_every_state_is_told_of(table: dict[State, object]) -> None:
 @pytest.mark.parametrize("wanted", State)
 def test_state_follows_another_as_the_table_says(present: State, wanted: State) -> None:
     parts = make_parts(a_world("r0"))
-    parts.world.state = present
+    parts.world.clock.state = present
 
     try:
         handle_request(parts, asked(wanted))
@@ -39,16 +39,19 @@ def test_state_follows_another_as_the_table_says(present: State, wanted: State) 
     if wanted == present:
         assert code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
     elif wanted in ALLOWED_TRANSITIONS[present]:
-        assert (code, parts.world.state) == (None, wanted)
+        assert (code, parts.world.clock.state) == (None, wanted)
     else:
-        assert (code, parts.world.state) == (SetSimulationStateCode.INCORRECT_TRANSITION, present)
+        assert (code, parts.world.clock.state) == (
+            SetSimulationStateCode.INCORRECT_TRANSITION,
+            present,
+        )
 
 
 @pytest.mark.parametrize("present", State)
 @pytest.mark.parametrize("wanted", [6, 77, 255])
 def test_state_that_is_none_is_refused_with_those_that_are(present: State, wanted: int) -> None:
     parts = make_parts(a_world())
-    parts.world.state = present
+    parts.world.clock.state = present
 
     with pytest.raises(RequestRefused, match=f"{wanted}, which is no state; use") as refused:
         handle_request(parts, asked(wanted))
@@ -68,7 +71,7 @@ def test_stop_goes_back_to_the_start() -> None:
 
     handle_request(parts, asked(State.STOPPED))
 
-    assert (parts.world.steps, parts.world.epoch, names_in(parts.world)) == (0, 1, [])
+    assert (parts.world.clock.steps, parts.world.clock.epoch, names_in(parts.world)) == (0, 1, [])
     assert goal.is_over
     assert kinds_of_events(parts.world) == ["deleted", "reset", "stopped"]
 
@@ -79,4 +82,8 @@ def test_pause_keeps_everything_where_it_is() -> None:
 
     handle_request(parts, asked(State.PAUSED))
 
-    assert (parts.world.steps, parts.world.epoch, names_in(parts.world)) == (1, 0, ["r0"])
+    assert (parts.world.clock.steps, parts.world.clock.epoch, names_in(parts.world)) == (
+        1,
+        0,
+        ["r0"],
+    )

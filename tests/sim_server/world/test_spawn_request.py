@@ -2,19 +2,12 @@
 
 import pytest
 
-from tests.models import a_box, a_state
 from zensim.sim_server.errors import NameNotUnique, NameRefused, NamespaceRefused
-from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.spawn_request import (
     MAX_RENAMES,
-    NameIndex,
     check_free_namespace,
     find_free_name,
 )
-
-
-def an_entity(name: str, namespace: str = "", body: int = 1) -> Entity:
-    return Entity(name, namespace, a_box(), body, a_state(), "", 0)
 
 
 def test_name_is_kept_when_it_is_free() -> None:
@@ -64,27 +57,3 @@ def test_namespace_is_refused_when_it_is_taken(namespace: str) -> None:
 def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
     with pytest.raises(NamespaceRefused, match="use"):
         check_free_namespace(namespace, {})
-
-
-def test_names_know_whose_a_body_is() -> None:
-    names = NameIndex([an_entity("a", body=1), an_entity("b", body=2)])
-
-    assert names.names_of_bodies([2, 3, 1]) == ["b", "a"]
-
-
-def test_names_forget_all_of_an_entity_that_has_gone() -> None:
-    entity = an_entity("a", "team/a")
-    names = NameIndex([entity])
-
-    names.drop(entity)
-
-    assert (names.taken, names.owners, names.names_of_bodies([1])) == (set(), {}, [])
-
-
-def test_names_of_entities_without_a_namespace_leave_all_namespaces_free() -> None:
-    names = NameIndex([an_entity("a")])
-    names.add(an_entity("b"))
-
-    names.drop(an_entity("a"))
-
-    assert (names.taken, names.owners) == ({"b"}, {})

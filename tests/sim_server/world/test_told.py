@@ -65,7 +65,7 @@ def test_entity_is_where_it_was_put_as_soon_as_it_was_put_there() -> None:
 
 def test_entity_is_where_it_is_now_while_time_stands() -> None:
     world = moving()
-    world.pause()
+    world.clock.pause()
     world.step()
 
     row, time_ns = world.reported_state("r0")

@@ -22,7 +22,7 @@ def a_pair(old: list[str], new: list[str]) -> tuple[World, ObedientEngine, Obedi
         world.claim("agent", tuple(old), "stop")
         world.applied_forces.add(LinkWrench(old[0], 0, np.zeros(6), TimeSpan(0, None)))
     world.step()
-    world.take_events()
+    world.clock.take_events()
     world.replace_with(other, State.STOPPED)
     return world, *engines
 
@@ -36,10 +36,10 @@ def test_world_holds_what_the_other_held_and_nothing_else(old: list[str], new: l
     assert not after.is_closed
     assert [entity.body for entity in world.entities] == list(after.bodies)
     assert (len(world.claims), len(world.applied_forces)) == (0, 0)
-    assert (world.steps, world.epoch, world.state) == (0, 1, State.STOPPED)
+    assert (world.clock.steps, world.clock.epoch, world.clock.state) == (0, 1, State.STOPPED)
     told = ["deleted"] * len(old) + ["loaded"] + ["spawned"] * len(new)
     assert kinds_of_events(world) == told
-    assert len(world.reading().base) == len(new)
+    assert len(world.states().base) == len(new)
 
 
 def test_command_for_the_old_world_is_dropped() -> None:

@@ -145,7 +145,7 @@ def test_world_tells_an_agent_what_it_needs_to_drive() -> None:
     (claim,) = world.claim("a", ("r0",), "stop")
 
     assert (claim.entity, claim.namespace, claim.robot_description) == ("r0", "r0", "<robot/>")
-    assert claim.model == world.entity("r0").model
+    assert claim.model == world.entities.find("r0").model
     assert claim.spawn_state == pytest.approx(on_ground())
 
 
@@ -185,7 +185,7 @@ def test_world_stops_wheels_when_an_agent_goes_that_said_stop() -> None:
     world.claim("a", ("r0",), "stop")
     world.command("a", a_command(world, "a", 3.0, 5.0))
     world.step()
-    world.take_events()
+    world.clock.take_events()
 
     world.release("a")
 
@@ -210,7 +210,7 @@ def test_world_lets_wheels_turn_when_an_agent_goes_that_said_keep() -> None:
 def test_world_deletes_entities_when_an_agent_goes_that_said_delete() -> None:
     world = a_world("r0", "r1")
     world.claim("a", ("r0",), "delete")
-    world.take_events()
+    world.clock.take_events()
 
     world.release("a")
 
@@ -221,12 +221,12 @@ def test_world_deletes_entities_when_an_agent_goes_that_said_delete() -> None:
 def test_world_releases_nobody_when_an_unknown_agent_goes() -> None:
     world = a_world("r0")
     world.claim("a", ("r0",), "stop")
-    world.take_events()
+    world.clock.take_events()
 
     world.release("b")
 
     assert world.claims.agents == ("a",)
-    assert world.take_events() == []
+    assert world.clock.take_events() == []
 
 
 def test_world_tells_an_agent_only_of_its_entities_in_the_order_of_claiming() -> None:

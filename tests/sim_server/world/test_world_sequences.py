@@ -30,7 +30,7 @@ class AnySequence(RuleBasedStateMachine):
         self.world = a_world(engine=self.engine)
         self.claims: list[int] = []
         self.old_commands: list[tuple[str, DriveCommand]] = []
-        self.rosters = {self.world.roster_number: self.world.roster().names}
+        self.rosters = {self.world.entities.roster_number: self.world.entities.index.names}
 
     @rule(name=NAMES, namespace=NAMESPACES, model=MODELS, is_renamed=st.booleans())
     def spawn(self, name: str, namespace: str, model: object, *, is_renamed: bool) -> None:
@@ -72,7 +72,7 @@ class AnySequence(RuleBasedStateMachine):
 
     @rule(agent=AGENTS, speed=st.floats(-5.0, 5.0))
     def command(self, agent: str, speed: float) -> None:
-        fleet = self.world.fleets().get(agent)
+        fleet = self.world.claimed_by_agent().get(agent)
         count = fleet.target_count if fleet else 0
         command = a_command(self.world, agent, *[speed] * count)
         taken, dropped = self.world.claims.taken, self.world.claims.dropped
@@ -106,11 +106,11 @@ class AnySequence(RuleBasedStateMachine):
 
     @rule(scope=SCOPES)
     def reset(self, scope: int) -> None:
-        epoch = self.world.epoch
+        epoch = self.world.clock.epoch
 
         self.world.reset(scope)
 
-        assert self.world.epoch == epoch + 1
+        assert self.world.clock.epoch == epoch + 1
 
     @rule(name=NAMES, x=st.floats(-10.0, 10.0))
     def place(self, name: str, x: float) -> None:
@@ -123,11 +123,11 @@ class AnySequence(RuleBasedStateMachine):
 
     @rule(steps=st.integers(1, 4))
     def step(self, steps: int) -> None:
-        before = self.world.steps
+        before = self.world.clock.steps
         for _ in range(steps):
             self.world.step()
 
-        assert self.world.steps == before + steps
+        assert self.world.clock.steps == before + steps
 
     @rule()
     def tell_agents(self) -> None:
@@ -154,7 +154,7 @@ class AnySequence(RuleBasedStateMachine):
 
     @invariant()
     def rows_of_the_roster_fit_the_arrays(self) -> None:
-        roster, reading = self.world.roster(), self.world.reading()
+        roster, reading = self.world.entities.index, self.world.states()
 
         assert list(roster.names) == names_in(self.world)
         assert [roster.row[name] for name in roster.names] == list(range(len(roster.names)))
@@ -163,9 +163,11 @@ class AnySequence(RuleBasedStateMachine):
 
     @invariant()
     def one_number_of_the_roster_means_one_list_of_names(self) -> None:
-        names = self.rosters.setdefault(self.world.roster_number, self.world.roster().names)
+        names = self.rosters.setdefault(
+            self.world.entities.roster_number, self.world.entities.index.names
+        )
 
-        assert names == self.world.roster().names
+        assert names == self.world.entities.index.names
 
     @invariant()
     def holds_are_of_entities_that_exist(self) -> None:
@@ -176,7 +178,7 @@ class AnySequence(RuleBasedStateMachine):
 
     @invariant()
     def fleets_are_cut_from_the_roster(self) -> None:
-        fleets = self.world.fleets()
+        fleets = self.world.claimed_by_agent()
         rows = [row for fleet in fleets.values() for row in fleet.rows.tolist()]
 
         assert set(fleets) == set(self.world.claims.agents)
@@ -186,7 +188,7 @@ class AnySequence(RuleBasedStateMachine):
 
     @invariant()
     def everything_is_finite(self) -> None:
-        assert np.isfinite(self.world.reading().base).all()
+        assert np.isfinite(self.world.states().base).all()
 
     def holder(self, name: str) -> str:
         return self.world.claims.agent_of(name)
@@ -195,11 +197,11 @@ class AnySequence(RuleBasedStateMachine):
         return {name: self.holder(name) for name in names_in(self.world)}
 
     def is_current(self, agent: str, command: DriveCommand) -> bool:
-        fleet = self.world.fleets().get(agent)
+        fleet = self.world.claimed_by_agent().get(agent)
         return (
             fleet is not None
             and fleet.claims == command.claims
-            and command.epoch == self.world.epoch
+            and command.epoch == self.world.clock.epoch
         )
 
     def assert_counted(self, taken: int, dropped: int, *, is_taken: bool) -> None:

@@ -58,7 +58,7 @@ def test_client_raises_what_the_server_refused() -> None:
 
 def test_client_puts_an_entity_where_it_tells_it_to_be() -> None:
     served = Served("r0")
-    served.world.pause()
+    served.world.clock.pause()
     state = EntityState(pose=Pose(Point(1.0, 2.0, 3.0)), twist=Twist(Vector3(0.5)))
 
     served.client.set_entity_state("r0", state)

@@ -29,7 +29,7 @@ class Served:
         self.bus = MemoryBus()
         bus = cast("Bus", self.bus)
         self.world: World = a_world("r0")
-        self.world.pause()
+        self.world.clock.pause()
         wall = WallTime()
         parts = make_parts(self.world, wall)
         loop = ServerLoop(parts, BusInbox(bus, "default"), BusWorldPublisher(bus, "default"), wall)
@@ -99,7 +99,7 @@ def test_client_runs_to_a_time_and_cancels_what_is_not_there() -> None:
 
     reached = served.client.run_to(100_000_000)
 
-    assert reached.completed_steps == served.world.steps == 24
+    assert reached.completed_steps == served.world.clock.steps == 24
     assert served.client.cancel_steps() == ()
 
 

@@ -1,0 +1,61 @@
+"""Rows, joints and bodies of the entities that an agent has claimed."""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from tests.models import a_box, a_cart, an_arm
+from tests.sim_server.world.test_entity import make_entities
+from zensim.proto.messages.model_messages import Model
+from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
+from zensim.sim_server.world.entity import Entity, make_entity_index
+
+BOX, CART, ARM = a_box(), a_cart(), an_arm("continuous")
+models = st.lists(st.sampled_from([BOX, CART, ARM]), max_size=12)
+
+
+def claim(entities: list[Entity], chosen: list[Entity]) -> ClaimedEntities:
+    """Claim some of the entities for one agent, in the order given."""
+    registry = ClaimRegistry()
+    for entity in chosen:
+        registry.grant("a", entity.name, "stop")
+    by_name = {entity.name: entity for entity in entities}
+    return registry.claimed_by_agent(make_entity_index(entities), by_name)["a"]
+
+
+def test_claimed_entities_are_in_the_order_of_claiming() -> None:
+    entities = make_entities([CART, BOX, ARM, CART])
+
+    claimed = claim(entities, [entities[3], entities[0]])
+
+    assert np.frombuffer(claimed.claims, dtype="<u4").tolist() == [1, 2]
+    assert claimed.rows.tolist() == [3, 0]
+    assert claimed.joints.tolist() == [3, 4, 0, 1]
+    assert claimed.bodies == (103, 100)
+    assert claimed.target_count == 4
+
+
+@pytest.mark.parametrize("model", [BOX, ARM], ids=lambda model: model.name)
+def test_claimed_entity_without_a_drive_has_no_targets(model: Model) -> None:
+    entities = make_entities([CART, model])
+
+    claimed = claim(entities, [entities[1]])
+
+    assert claimed.target_count == 0
+    assert len(claimed.joints) == len(model.joints)
+
+
+@given(kinds=models, data=st.data())
+def test_each_claimed_entity_has_its_own_joints(kinds: list[Model], data: st.DataObject) -> None:
+    entities = make_entities(kinds)
+    chosen = data.draw(st.permutations(entities).map(lambda mixed: mixed[: len(mixed) // 2]))
+    assume(chosen)
+    # Each joint is marked with the row of its entity.
+    marks = np.concatenate([np.full(len(model.joints), row) for row, model in enumerate(kinds)])
+
+    claimed = claim(entities, chosen)
+
+    rows = [entity.body - 100 for entity in chosen]
+    assert claimed.rows.tolist() == rows
+    assert marks[claimed.joints].tolist() == [row for row in rows for _ in kinds[row].joints]
