@@ -1,4 +1,4 @@
-"""Models and worlds shipped with the server; a spawn resource to its text."""
+"""Built-in models and worlds, and the text of a spawn resource."""
 
 from importlib.resources import files
 
@@ -11,29 +11,29 @@ WORLD_FILES = ("worlds", ".sdf")
 
 
 def list_builtin_models() -> tuple[str, ...]:
-    """Name the robots that come with the server."""
+    """List the names of the built-in robots."""
     return _list_names(*MODEL_FILES)
 
 
 def list_builtin_worlds() -> tuple[str, ...]:
-    """Name the worlds that come with the server."""
+    """List the names of the built-in worlds."""
     return _list_names(*WORLD_FILES)
 
 
 def read_builtin_model(name: str) -> str:
-    """Read the URDF of a robot that comes with the server.
+    """Read the URDF of a built-in robot.
 
     Raises:
-        ModelError: None has this name.
+        ModelError: It does not exist.
     """
     return _read_file(name, "model", *MODEL_FILES)
 
 
 def read_builtin_world(name: str) -> str:
-    """Read the SDF of a world that comes with the server.
+    """Read the SDF of a built-in world.
 
     Raises:
-        ModelError: None has this name.
+        ModelError: It does not exist.
     """
     return _read_file(name, "world", *WORLD_FILES)
 
@@ -46,11 +46,11 @@ def _list_names(folder: str, suffix: str) -> tuple[str, ...]:
 
 
 def _read_file(name: str, what: str, folder: str, suffix: str) -> str:
-    # Only names that were listed are joined to a path.
+    # Only listed names become part of a path.
     names = _list_names(folder, suffix)
     if name not in names:
         raise ModelError(
-            f"no {what} {name[:80]!r} comes with the server; there is {', '.join(names)}",
+            f"no built-in {what} is named {name[:80]!r}; use one of {', '.join(names)}",
             code=ResultCode.NOT_FOUND,
             slug=f"library.{what}",
         )
@@ -66,18 +66,16 @@ BUILTIN_SCHEMES = ("model://", "zensim://")
 
 
 def resolve_resource(resource: Resource) -> str:
-    """Find the text of a description.
-
-    A uri names a model shipped with the server; no file is opened because a request names it.
+    """Find the text of a description; a uri is the name of a built-in model, never a path.
 
     Raises:
-        ModelError: There is none.
+        ModelError: The resource is empty or the model does not exist.
     """
     if resource.resource_string:
         return resource.resource_string
     if not resource.uri:
         raise ModelError(
-            "entity_resource is empty; give a uri of a shipped model or a resource_string",
+            "entity_resource is empty; set the uri of a built-in model or a resource_string",
             code=SpawnCode.NO_RESOURCE,
             slug="resource.empty",
         )
@@ -90,7 +88,7 @@ def _builtin_name(uri: str) -> str:
             return uri.removeprefix(scheme)
     if "://" in uri or "/" in uri or uri.startswith("."):
         raise ModelError(
-            f"uri {uri[:120]!r} is not a shipped model; send the text as resource_string",
+            f"uri {uri[:120]!r} is not a built-in model; send the text as resource_string",
             code=ResultCode.NOT_FOUND,
             slug="resource.unknown",
         )

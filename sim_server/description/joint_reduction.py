@@ -1,8 +1,8 @@
-"""Joints as engines simulate them: fixed ones lumped, planar and floating ones as chains.
+"""Joints as engines simulate them: fixed joints lumped, planar and floating joints as chains.
 
-Engines and joint states know joints by one number. A planar joint becomes `_x` and `_y` in its
-plane, then a turn about the plane's normal; a floating joint `_x`, `_y`, `_z`, `_yaw`, `_pitch`,
-then a roll. The last joint of a chain keeps the name.
+Engines and joint states support joints with one degree of freedom. A planar joint becomes `_x` and
+`_y` in its plane, then a rotation about the plane's normal; a floating joint becomes `_x`, `_y`,
+`_z`, `_yaw`, `_pitch`, then a roll. The last joint of a chain keeps the name.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -27,16 +27,19 @@ from zensim.proto.rigid_transforms import compose, rotate, transform_point
 from zensim.proto.se3 import to_matrix
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import quote
+from zensim.sim_server.errors import ModelError
 
+MAX_JOINTS = 120
+"""After lumping: PyBullet reads the states of at most 127 joints of a body."""
 MIMIC_KINDS = ("revolute", "continuous", "prismatic")
 
 
 def check_mimics(joints: Iterable[Joint], report: ParseReport) -> tuple[Joint, ...]:
-    """Keep each <mimic> that can be followed; note the others, whose joints then move freely.
+    """Remove each <mimic> that cannot work; its joint then moves freely.
 
     Args:
-        joints: Of the robot once lumped.
-        report: Where oddities go.
+        joints: After lumping.
+        report: Gets what is unusual.
     """
     by_name = {joint.name: joint for joint in joints}
     checked = []
@@ -47,7 +50,7 @@ def check_mimics(joints: Iterable[Joint], report: ParseReport) -> tuple[Joint, .
             report.suspicious(f"joint {quote(joint.name)}: <mimic>", f"{fault}; it moves freely")
             checked.append(msgspec.structs.replace(joint, mimic=None))
         else:
-            report.applied(f"joint {quote(joint.name)}: <mimic>", f"follows {joint.mimic.joint!r}")
+            report.applied(f"joint {quote(joint.name)}: <mimic>", f"mimics {joint.mimic.joint!r}")
             checked.append(joint)
     return tuple(checked)
 
@@ -59,39 +62,60 @@ def _find_mimic_fault(joint: Joint, by_name: Mapping[str, Joint]) -> str:
         if name not in by_name:
             return f"joint {quote(name)} does not exist or is fixed"
         if name in seen:
-            return f"joint {quote(name)} would follow itself"
+            return f"joint {quote(name)} would mimic itself"
         seen.add(name)
         leader = by_name[name]
         if leader.kind not in MIMIC_KINDS:
             return f"joint {quote(name)} is {leader.kind}"
     if joint.kind not in MIMIC_KINDS:
-        return f"a {joint.kind} joint follows none"
+        return f"a {joint.kind} joint cannot mimic"
     if joint.mimic is not None and joint.mimic.multiplier == 0.0:
         return "its multiplier is 0"
     return ""
 
 
 class LumpedModel(msgspec.Struct, frozen=True):
-    """Links that move by themselves, the joints that move them, and the links merged into them."""
+    """Moving links, their joints, and the frames of links merged into them; in tree order."""
 
     links: tuple[Link, ...]
     joints: tuple[Joint, ...]
     frames: tuple[Frame, ...]
 
 
-def lump_fixed_joints(
-    links: Sequence[Link], joints: Sequence[Joint], kept: frozenset[str]
+def reduce_joints(
+    links: Sequence[Link],
+    joints: Sequence[Joint],
+    *,
+    kept: frozenset[str] = frozenset(),
+    report: ParseReport,
 ) -> LumpedModel:
-    """Merge every link that a fixed joint holds into the nearest link above that moves.
+    """Lump fixed joints, check mimics and expand joints with several degrees of freedom.
 
     Args:
         links: In tree order: `joints[i]` moves `links[i + 1]`.
         joints: In tree order.
-        kept: Names of fixed joints to leave as they are.
+        kept: Fixed joints to keep.
+        report: Gets what is unusual.
 
-    Returns:
-        The same tree order; every frame's parent is one of its links.
+    Raises:
+        ModelError: More than 120 joints are left.
     """
+    lumped = lump_fixed_joints(links, joints, kept)
+    mimics = check_mimics(lumped.joints, report)
+    lumped = expand_multi_dof_joints(LumpedModel(lumped.links, mimics, lumped.frames), report)
+    if len(lumped.joints) > MAX_JOINTS:
+        raise ModelError(
+            f"{len(lumped.joints)} joints are left after merging fixed ones; "
+            f"use at most {MAX_JOINTS}",
+            slug="urdf.joints",
+        )
+    return lumped
+
+
+def lump_fixed_joints(
+    links: Sequence[Link], joints: Sequence[Joint], kept: frozenset[str]
+) -> LumpedModel:
+    """Merge each link on a fixed joint that is not kept into its nearest moving ancestor."""
     places = {links[0].name: (links[0].name, Origin())}
     groups: dict[str, list[tuple[Link, Origin]]] = {links[0].name: [(links[0], Origin())]}
     moving: list[Joint] = []
@@ -112,7 +136,7 @@ def lump_fixed_joints(
 
 
 def combine_inertials(parts: Iterable[tuple[Inertial, Origin]]) -> Inertial:
-    """Find the inertial of parts held rigidly together, each placed in one common frame.
+    """Find the inertial of rigidly connected parts, each with its pose in a common frame.
 
     Source: parallel axis theorem, I = sum of R I R' + m (d.d E - d d').
     """
@@ -155,7 +179,7 @@ def _merge_links(name: str, group: list[tuple[Link, Origin]]) -> Link:
 
 
 def _mean_decay(links: Sequence[Link]) -> Decay:
-    """Let each part lose its share of what all move with: the mean by mass."""
+    """Average the decay of merged links, weighted by mass."""
     mass = fsum(link.inertial.mass_kg for link in links)
     if len(links) == 1 or mass == 0.0 or all(link.decay == Decay() for link in links):
         return links[0].decay
@@ -175,7 +199,7 @@ def _transform_shapes(shapes: Iterable[Shape], origin: Origin) -> Iterable[Shape
 
 
 SLIDE_LIMIT_M = 1e5
-"""How far a sliding part of a chain goes: the size of the world."""
+"""Limit of sliding joints without a limit: the size of the world."""
 X: Vec3 = (1.0, 0.0, 0.0)
 Y: Vec3 = (0.0, 1.0, 0.0)
 Z: Vec3 = (0.0, 0.0, 1.0)
@@ -183,7 +207,7 @@ ChainStep = tuple[str, JointKind, Vec3]
 
 
 def expand_multi_dof_joints(lumped: LumpedModel, report: ParseReport) -> LumpedModel:
-    """Put a chain in the place of each planar and floating joint; tree order is kept."""
+    """Replace each planar and floating joint by a chain; tree order is kept."""
     taken = {link.name for link in lumped.links} | {joint.name for joint in lumped.joints}
     links, joints = [lumped.links[0]], []
     for joint, link in zip(lumped.joints, lumped.links[1:], strict=True):
@@ -218,7 +242,7 @@ def _chain_steps(joint: Joint) -> Sequence[ChainStep]:
 
 
 def _plane_axes(normal: Vec3) -> tuple[Vec3, Vec3]:
-    # Axes x and y for a normal along z; for others, turned there by the shortest way.
+    # Axes x and y, rotated by the shortest rotation from z to the normal.
     nx, ny, nz = normal
     sign = copysign(1.0, nz)
     a = -1.0 / (sign + nz)
@@ -231,11 +255,11 @@ def _make_chain(joint: Joint, steps: Iterable[ChainStep], taken: set[str]) -> li
     parent, origin = joint.parent, joint.origin
     for suffix, kind, axis in steps:
         reach = SLIDE_LIMIT_M if kind == "prismatic" else 0.0
-        child = _make_unique_name(joint.child + suffix, taken) if suffix else joint.child
+        child = make_unique_name(joint.child + suffix, taken) if suffix else joint.child
         chain.append(
             msgspec.structs.replace(
                 joint,
-                name=_make_unique_name(joint.name + suffix, taken) if suffix else joint.name,
+                name=make_unique_name(joint.name + suffix, taken) if suffix else joint.name,
                 kind=kind,
                 parent=parent,
                 child=child,
@@ -250,8 +274,9 @@ def _make_chain(joint: Joint, steps: Iterable[ChainStep], taken: set[str]) -> li
     return chain
 
 
-def _make_unique_name(wish: str, taken: set[str]) -> str:
-    while wish in taken:
-        wish += "_"
-    taken.add(wish)
-    return wish
+def make_unique_name(name: str, taken: set[str]) -> str:
+    """Append underscores to a name until it is not taken, and add it to `taken`."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name

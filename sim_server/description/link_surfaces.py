@@ -9,7 +9,7 @@ import msgspec
 
 from zensim.proto.messages.model_messages import ZERO, Contact, Decay, Inertial, Shape, Vec3
 from zensim.proto.rigid_transforms import rotate
-from zensim.sim_server.description.strict_parsing import read_numbers
+from zensim.sim_server.description.strict_parsing import parse_flag, quote, read_numbers
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -51,77 +51,80 @@ GAZEBO_COLOURS: dict[str, Quat] = {
     "ZincYellow": (0.97, 0.95, 0.21, 1.0),
 }
 
-
 RGB_COUNT = 3
 
 
 def find_gazebo_colour(name: str) -> Quat | None:
-    """Find the colour (r, g, b, a) that Gazebo calls `Gazebo/<name>`; None when it is not known."""
+    """Find the colour (r, g, b, a) of Gazebo's material `Gazebo/<name>`."""
     return GAZEBO_COLOURS.get(name.strip().removeprefix("Gazebo/"))
 
 
-def read_named_colours(robot: Element, report: ParseReport) -> dict[str, Quat]:
-    """List the materials of a URDF that have a colour, also those inside a visual.
+def read_rgba(text: str, *, where: str, slug: str, report: ParseReport | None) -> Quat:
+    """Read three or four numbers as a colour, clamped to 0 to 1; clamping is reported.
 
-    Of two with one name the first counts, those of the robot itself before those of visuals.
+    Raises:
+        ModelError: They are not.
     """
+    written = read_numbers(text, counts=(3, 4), where=where, slug=slug)
+    if len(written) == RGB_COUNT:
+        written = (*written, 1.0)
+    r, g, b, a = (min(max(part, 0.0), 1.0) for part in written)
+    if report is not None and (r, g, b, a) != written:
+        report.suspicious(where, "colour out of the range 0 to 1; clamped")
+    return (r, g, b, a)
+
+
+def read_named_colours(robot: Element, report: ParseReport) -> dict[str, Quat]:
+    """Find the URDF materials that have a colour; those of the robot override those of visuals."""
     colours: dict[str, Quat] = {}
     for path in ("material", "link/visual/material"):
         for material in robot.findall(path):
             colour, name = material.find("color"), material.get("name")
             if colour is not None and name:
-                colours.setdefault(name, _read_rgba(colour, name, report))
+                colours.setdefault(name, _read_material_colour(colour, name, report))
     return colours
 
 
 def read_visual_colour(
     visual: Element, colours: dict[str, Quat], report: ParseReport
 ) -> Quat | None:
-    """Find the colour of a visual: its own, else that of its material's name."""
+    """Find the colour of a visual: its own, else that of the material with its name."""
     material = visual.find("material")
     if material is None:
         return None
     name = material.get("name") or ""
     colour = material.find("color")
     if colour is not None:
-        return _read_rgba(colour, name, report)
+        return _read_material_colour(colour, name, report)
     if name not in colours and material.find("texture") is None:
-        report.suspicious(f"material {name[:80]!r}", "no <material> of this name has a colour")
+        report.suspicious(f"material {quote(name)}", "no <material> with this name has a colour")
     return colours.get(name)
 
 
-def _read_rgba(colour: Element, name: str, report: ParseReport) -> Quat:
-    where = f"material {name[:80]!r}"
-    written = read_numbers(
-        colour.get("rgba", "1 1 1 1"), counts=(3, 4), where=where, slug="urdf.number"
-    )
-    if len(written) == RGB_COUNT:
+def _read_material_colour(colour: Element, name: str, report: ParseReport) -> Quat:
+    where, text = f"material {quote(name)}", colour.get("rgba") or "1 1 1 1"
+    if len(text.split()) == RGB_COUNT:
         report.suspicious(where, "its colour has three numbers; opaque")
-        written = (*written, 1.0)
-    r, g, b, a = (min(max(part, 0.0), 1.0) for part in written)
-    if (r, g, b, a) != written:
-        report.suspicious(where, "colours lie in 0 to 1; cut to it")
-    return (r, g, b, a)
+    return read_rgba(text, where=where, slug="urdf.number", report=report)
 
 
 DEFAULT_FRICTION = 1.0
-"""Coulomb coefficient where none is written, as in Gazebo."""
+"""Coulomb coefficient, as in Gazebo."""
 DEFAULT_CONTACT_DAMPING = 1.0
-"""Contact damping [N s/m] where none is written, as in Gazebo."""
+"""[N s/m], as in Gazebo."""
 RIGID_STIFFNESS = 1e9
-"""Contact stiffness [N/m] from which on nothing sinks in."""
+"""Contact stiffness [N/m] from which a contact is rigid."""
 MAX_RIGID_TIME_S = 0.01
-"""Damping over stiffness up to which rigid contacts are no slower than they are anyway."""
+"""Maximum damping over stiffness of a rigid contact."""
 MAX_CONTACT_TIME_S = 1.0
 MAX_WRITTEN_STIFFNESS = 1e15
-"""Contact stiffness [N/m] or damping beyond which nothing is meant."""
+"""Contact stiffness [N/m] or damping; greater values are suspicious."""
 GAZEBO_STEP_S = 1e-3
-"""Gazebo takes a share off velocities each step; so long is its step unless told otherwise."""
+"""Gazebo's default step: its decay is a share of the velocity per step."""
 MAX_DECAY_SHARE = 1.0 - 1e-6
-TRUE, FALSE = ("true", "1"), ("false", "0", "")
 UNUSED_SURFACE_TAGS = {
-    "maxVel": "what has sunk in is pushed out by a fifth of its depth each step, at any speed",
-    "minDepth": "what has sunk in is pushed out from depth 0 on",
+    "maxVel": "penetration is corrected by a fifth per step, at any speed",
+    "minDepth": "penetration is corrected from depth 0 on",
 }
 SURFACE_TAG_NAMES = {
     "mu1": "mu1",
@@ -139,11 +142,11 @@ SURFACE_TAG_NAMES = {
     "selfCollide": "selfCollide",
     "self_collide": "selfCollide",
 }
-"""Every spelling of a tag that is read here."""
+"""Tags by spelling."""
 
 
 class SurfaceParameters(msgspec.Struct, frozen=True):
-    """What is asked for of one link or collision; None where nothing is."""
+    """Surface of one link or collision; None: not set."""
 
     friction: float | None = None
     contact: Contact = Contact()
@@ -152,14 +155,14 @@ class SurfaceParameters(msgspec.Struct, frozen=True):
     self_collides: bool = False
 
     def apply_to_shape(self, shape: Shape) -> Shape:
-        """Give a collision this surface."""
+        """Set the surface of a collision."""
         friction = shape.friction if self.friction is None else self.friction
         along = rotate(shape.origin.orientation, self.contact.direction)
         contact = msgspec.structs.replace(self.contact, direction=along)
         return msgspec.structs.replace(shape, friction=friction, contact=contact)
 
     def apply_to_link(self, link: Link) -> Link:
-        """Give a link, before it is lumped, what it asks for."""
+        """Set the surface of a link before lumping."""
         return msgspec.structs.replace(
             link,
             collisions=tuple(map(self.apply_to_shape, link.collisions)),
@@ -170,13 +173,13 @@ class SurfaceParameters(msgspec.Struct, frozen=True):
 
 
 class SurfaceTagReader:
-    """Tags of one link or collision by name; what cannot be used is noted.
+    """Reads the surface tags of one link or collision; unusable values are reported.
 
     Args:
-        texts: What is written, by the names that `SURFACE_TAG_NAMES` gives.
-        subject: Begins each entry of the report, such as `gazebo 'wheel'`.
-        slug: Of a friction that cannot be.
-        report: Where oddities go.
+        texts: By the values of `SURFACE_TAG_NAMES`.
+        subject: Start of the report entries, such as `gazebo 'wheel'`.
+        slug: Of the error for a bad friction.
+        report: Gets what is unusual.
     """
 
     def __init__(
@@ -188,10 +191,10 @@ class SurfaceTagReader:
         self._report = report
 
     def read(self) -> SurfaceParameters:
-        """Read all.
+        """Read all tags.
 
         Raises:
-            ModelError: mu1 is no number, or negative.
+            ModelError: mu1 is not a number >= 0.
         """
         for tag, reason in UNUSED_SURFACE_TAGS.items():
             if tag in self._texts:
@@ -218,9 +221,7 @@ class SurfaceTagReader:
             if across is not None:
                 self._report.applied(self._subject_of("mu2"))
             if direction is not None:
-                self._report.ignored(
-                    self._subject_of("fdir1"), "needs a <mu1> and a <mu2> that differ"
-                )
+                self._report.ignored(self._subject_of("fdir1"), "needs different <mu1> and <mu2>")
             return (first if across is not None else along), ZERO, 0.0
         if direction is not None:
             self._report.applied(
@@ -230,7 +231,7 @@ class SurfaceTagReader:
         mean = (first + across) / 2.0
         self._report.applied(
             self._subject_of("mu2"),
-            f"there is no <fdir1>: {mean:g} every way, the mean of mu1 and mu2",
+            f"no <fdir1>: {mean:g}, the mean of mu1 and mu2, in all directions",
         )
         return mean, ZERO, 0.0
 
@@ -259,11 +260,9 @@ class SurfaceTagReader:
         stiffness, damping = self._read_number("kp"), self._read_number("kd")
         if not stiffness:
             if stiffness is not None:
-                self._report.suspicious(self._subject_of("kp"), "0 would hold nothing up; rigid")
+                self._report.suspicious(self._subject_of("kp"), "0 supports no weight; rigid")
             if damping is not None:
-                self._report.ignored(
-                    self._subject_of("kd"), "needs a <kp>; without it contacts are rigid"
-                )
+                self._report.ignored(self._subject_of("kd"), "rigid contacts; add <kp>")
             return 0.0, 0.0
         firm, slow = clamp_contact(
             stiffness, DEFAULT_CONTACT_DAMPING if damping is None else damping
@@ -271,16 +270,14 @@ class SurfaceTagReader:
         is_rigid = firm == RIGID_STIFFNESS and slow <= MAX_RIGID_TIME_S * firm
         self._report_stiffness("kp", firm, "rigid" if is_rigid else f"{firm:g} N/m at each point")
         if damping is not None:
-            self._report_stiffness(
-                "kd", slow, "or more, so that nothing that has sunk in jumps out"
-            )
+            self._report_stiffness("kd", slow, "or more, to limit the rebound")
         return (0.0, 0.0) if is_rigid else (firm, slow)
 
     def _report_stiffness(self, tag: str, used: float, effect: str) -> None:
         written = self._texts[tag][:40]
         if float(self._texts[tag]) > MAX_WRITTEN_STIFFNESS:
             self._report.suspicious(
-                self._subject_of(tag), f"{written} is stiffer than anything; taken as {used:g}"
+                self._subject_of(tag), f"{written} is too stiff; {used:g} is used"
             )
         else:
             self._report.applied(self._subject_of(tag), effect)
@@ -292,7 +289,7 @@ class SurfaceTagReader:
         for tag in ("gravity", "turnGravityOff"):
             if tag in self._texts:
                 self._report.applied(
-                    self._subject_of(tag), "" if has_gravity else "gravity does not pull it"
+                    self._subject_of(tag), "" if has_gravity else "without gravity"
                 )
         return has_gravity
 
@@ -302,7 +299,7 @@ class SurfaceTagReader:
             return Decay()
         self._report.applied(
             self._subject_of("dampingFactor"),
-            f"velocities lose {100.0 * share:g} % in a millisecond",
+            f"velocities decay by {100.0 * share:g} % per millisecond",
         )
         rate = to_decay_rate(share)
         return Decay(rate, rate)
@@ -311,14 +308,14 @@ class SurfaceTagReader:
         text = self._texts.get(tag)
         if text is None:
             return default
-        if text.lower() not in (*TRUE, *FALSE):
+        is_set = parse_flag(text or "false")
+        if is_set is None:
             self._report.suspicious(
                 self._subject_of(tag), f"{text[:40]!r} is neither true nor false"
             )
             return default
-        is_set = text.lower() in TRUE
         if tag == "selfCollide":
-            self._report.applied(self._subject_of(tag), "" if is_set else "as by default")
+            self._report.applied(self._subject_of(tag), "" if is_set else "the default")
         return is_set
 
     def _read_number(self, tag: str) -> float | None:
@@ -335,20 +332,21 @@ class SurfaceTagReader:
         try:
             return read_numbers(text, counts=(count,), where=tag, slug=self._slug)
         except ModelError:
-            self._report.suspicious(self._subject_of(tag), f"{text[:40]!r} is no number; not used")
+            fault = f"{text[:40]!r} is not {count} number(s); not used"
+            self._report.suspicious(self._subject_of(tag), fault)
             return None
 
 
 def to_decay_rate(share: float) -> float:
-    """Find how fast [1/s] a velocity dies down that loses a share of itself in each Gazebo step."""
+    """Find the decay rate [1/s] of a velocity that loses a share in each Gazebo step."""
     return -math.log1p(-min(share, MAX_DECAY_SHARE)) / GAZEBO_STEP_S
 
 
 def clamp_contact(stiffness: float, damping: float) -> tuple[float, float]:
-    """Bring a contact within bounds that engines compute with.
+    """Limit stiffness [N/m] and damping [N s/m] to the range of engines.
 
-    The ratio says how long a contact takes to push out what has sunk in, and is kept: where all
-    of a robot's feet were rigid and hard, those that give less would carry everything.
+    Their ratio, the time to correct a penetration, is kept: otherwise the stiffest of several feet
+    carries all the weight.
     """
     firm = min(stiffness, RIGID_STIFFNESS)
     return firm, min(damping * (firm / stiffness), MAX_CONTACT_TIME_S * firm)

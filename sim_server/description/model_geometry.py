@@ -1,8 +1,8 @@
 """Geometry of a model: link poses, ground clearance, wheel contact shapes.
 
-A cylinder touches along a line, and an engine that solves a few points of it in turn lets the robot
-wander as it turns on the spot. A sphere of the same radius about the same centre rolls the same way
-and touches at one point. Where a twist moves the body itself, friction could only hold it back.
+A cylinder touches the ground along a line. Engines solve a few contact points of it one after the
+other, so that the robot drifts while it turns on the spot. A sphere of the same radius rolls the
+same way and touches at one point. Where the twist is applied to the body, friction is removed.
 """
 
 import math
@@ -25,11 +25,18 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.rigid_transforms import compose, conjugate, rotate
+from zensim.proto.rigid_transforms import compose, conjugate, from_rpy, rotate
+
+
+def make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
+    """Make a pose from a position [m] and roll, pitch, yaw [rad]."""
+    if not any(rpy):
+        return Origin(position)
+    return Origin(position, from_rpy(*rpy))
 
 
 def find_link_poses(root: str, joints: tuple[Joint, ...]) -> dict[str, Origin]:
-    """Find every link's pose in the root link, all joints at zero; parents come before children."""
+    """Find the pose of each link in the root link, joints at zero; `joints` in tree order."""
     poses = {root: Origin()}
     for joint in joints:
         poses[joint.child] = compose(poses[joint.parent], joint.origin)
@@ -45,15 +52,15 @@ NO_MESHES: FindCorners = _NO_CORNERS.__getitem__
 def find_ground_clearance(
     model: Model, turn: Quat = IDENTITY, corners: FindCorners = NO_MESHES
 ) -> float:
-    """Find the height [m] of the lowest point of all collisions over the root link, joints at zero.
+    """Find the height [m] of the lowest collision point relative to the root link, joints at zero.
 
-    Negative when it is below the root, so that the robot stands on the ground when its root is
-    spawned at minus this height. Planes are left out; 0 when nothing else is there.
+    The robot stands on the ground when its root is spawned at minus this height. Planes are left
+    out; 0 without other collisions.
 
     Args:
         model: The robot.
         turn: Orientation of the root link in the world.
-        corners: Finds those of a mesh; needed when the robot has any.
+        corners: Needed for meshes.
     """
     poses = find_link_poses(model.links[0].name, model.joints)
     root = _TiltedFrame(0.0, rotate(conjugate(turn), (0.0, 0.0, 1.0)))
@@ -70,13 +77,13 @@ def find_ground_clearance(
 
 
 class _TiltedFrame(NamedTuple):
-    """How high a frame is over the root link, and which way is up in it."""
+    """Height [m] of a frame over the root link, and the world's z axis in the frame."""
 
     height: float
     up: Vec3
 
     def inner(self, origin: Origin) -> "_TiltedFrame":
-        """Find the frame at an origin in this one."""
+        """Find the frame at an origin in this frame."""
         height = self.height + sum(a * b for a, b in zip(self.up, origin.position, strict=True))
         return _TiltedFrame(height, rotate(conjugate(origin.orientation), self.up))
 
@@ -99,14 +106,15 @@ def _lowest_height(shape: Shape, frame: _TiltedFrame, corners: FindCorners) -> f
 
 
 MAX_AXLE_OFFSET = 0.01
-"""Share of its radius by which a tyre may be off its axle."""
+"""Distance of a wheel cylinder from its axle, in radii."""
 MIN_AXLE_COS = 0.9999
+"""Cosine of the angle between the cylinder and its axle."""
 MAX_WHEEL_WIDTH = 2.0
-"""In radii: what is wider is a roller."""
+"""In radii; wider cylinders are rollers."""
 
 
 def links_in_contact(model: Model) -> tuple[Link, ...]:
-    """List the links of a model with the collisions that its drive rolls or slides on."""
+    """List the links with the collisions that engines use: spheres for wheels of the drive."""
     drive = model.drive
     if drive is None:
         return model.links
@@ -120,9 +128,9 @@ def links_in_contact(model: Model) -> tuple[Link, ...]:
 
 
 def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Joint]) -> list[str]:
-    """Say what `touching_links` does to the links of a robot with this drive."""
+    """Describe what `links_in_contact` changes on a robot with this drive."""
     if _is_driven_by_twist(drive):
-        return ["friction of its collisions is not used: the twist moves the body"]
+        return ["friction of its collisions is not used: the twist is applied to the body"]
     axles = _find_axles(drive, joints)
     rolling = [
         repr(link.name)
@@ -136,15 +144,13 @@ def describe_contacts(drive: Drive, links: Iterable[Link], joints: Iterable[Join
 
 
 def is_wheel_cylinder(shape: Shape, axle: Joint) -> bool:
-    """Whether a collision is a cylinder about the axle that moves its link."""
+    """Whether a collision is a cylinder around the axle of its link."""
     radius, length, _ = shape.size
     if shape.kind != "cylinder" or not 0.0 < length <= MAX_WHEEL_WIDTH * radius:
         return False
     axis = np.array(axle.axis) / np.linalg.norm(axle.axis)
-    if (
-        abs(float(np.array(rotate(shape.origin.orientation, (0.0, 0.0, 1.0))) @ axis))
-        < MIN_AXLE_COS
-    ):
+    along = np.array(rotate(shape.origin.orientation, (0.0, 0.0, 1.0)))
+    if abs(float(along @ axis)) < MIN_AXLE_COS:
         return False
     centre = np.array(shape.origin.position)
     return float(np.linalg.norm(centre - axis * (centre @ axis))) <= MAX_AXLE_OFFSET * radius

@@ -1,4 +1,4 @@
-"""Links and joints as parsed: ordered as one tree, with physical values checked."""
+"""Links and joints of a parsed description: ordered as one tree, values checked."""
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ class ParsedModel(msgspec.Struct, frozen=True):
 
 MAX_LINKS = 500
 WORLD_LINK = "world"
+MODEL_FRAME = "__model__"
+"""Frame of an SDF model; also a link where the model's first link is elsewhere."""
 
 
 def order_as_tree(parts: ParsedModel) -> ParsedModel:
-    """Order links and joints so that `joints[i]` moves `links[i + 1]`, depth first from the root.
+    """Order links and joints depth first, so that `joints[i]` moves `links[i + 1]`.
 
     Raises:
-        ModelError: Not one tree: names used twice, unknown links, two parents, two roots, a cycle.
+        ModelError: Repeated names, unknown links, two parents, two roots, or a cycle.
     """
     _check_names(parts)
     by_name = {link.name: link for link in parts.links}
@@ -47,7 +49,7 @@ def order_as_tree(parts: ParsedModel) -> ParsedModel:
         reached = {root, *(joint.child for joint in joints)}
         lost = [link.name for link in parts.links if link.name not in reached]
         raise ModelError(
-            f"links {quote_names(lost)} are in a cycle; every link must hang from root {root!r}",
+            f"links {quote_names(lost)} are in a cycle; connect each link to root {root!r}",
             slug="urdf.cycle",
         )
     links = (by_name[root], *(by_name[joint.child] for joint in joints))
@@ -55,7 +57,7 @@ def order_as_tree(parts: ParsedModel) -> ParsedModel:
 
 
 def drop_floating_world(parts: ParsedModel, report: ParseReport) -> ParsedModel:
-    """Drop a root link `world` that holds the robot by a floating joint only: it is free anyway."""
+    """Drop a root link `world` whose only joint is floating: the robot is free without it."""
     if parts.links[0].name != WORLD_LINK or [
         j.kind for j in parts.joints if j.parent == WORLD_LINK
     ] != ["floating"]:
@@ -65,21 +67,19 @@ def drop_floating_world(parts: ParsedModel, report: ParseReport) -> ParsedModel:
 
 
 def is_fixed_to_world(parts: ParsedModel, report: ParseReport) -> bool:
-    """Whether the robot's root is a link `world`, which Gazebo takes for the world itself."""
+    """Whether the root link is `world`, which Gazebo fixes to the world."""
     if parts.links[0].name != WORLD_LINK or len(parts.links) == 1:
         return False
-    report.applied(
-        f"link {WORLD_LINK!r}", "it is the world: the robot does not move from its place"
-    )
+    report.applied(f"link {WORLD_LINK!r}", "the robot is fixed to the world")
     return True
 
 
 def _check_names(parts: ParsedModel) -> None:
     if not parts.links:
-        raise ModelError("the robot has no links; it needs at least one", slug="urdf.no_links")
+        raise ModelError("the robot has no links; add at least one", slug="urdf.no_links")
     if len(parts.links) > MAX_LINKS:
         raise ModelError(
-            f"the robot has {len(parts.links)} links; at most {MAX_LINKS} are simulated",
+            f"the robot has {len(parts.links)} links; use at most {MAX_LINKS}",
             slug="urdf.size",
         )
     for what, names in (
@@ -99,12 +99,12 @@ def _check_ends(joints: Iterable[Joint], links: dict[str, Link]) -> None:
         for end, name in (("parent", joint.parent), ("child", joint.child)):
             if name not in links:
                 raise ModelError(
-                    f"joint {joint.name!r} has {end} {name!r}, which is no link of this robot",
+                    f"joint {joint.name!r} has {end} {name!r}, which is not a link of the robot",
                     slug=f"urdf.unknown_{end}",
                 )
         if joint.parent == joint.child:
             raise ModelError(
-                f"joint {joint.name!r} joins link {joint.child!r} to itself", slug="urdf.cycle"
+                f"joint {joint.name!r} connects link {joint.child!r} to itself", slug="urdf.cycle"
             )
 
 
@@ -112,7 +112,7 @@ def _check_single_parents(joints: Iterable[Joint]) -> None:
     twice = _find_repeated([joint.child for joint in joints])
     if twice:
         raise ModelError(
-            f"links {quote_names(twice)} are the child of more than one joint; a link has one parent",
+            f"links {quote_names(twice)} are the child of several joints; use one joint each",
             slug="urdf.two_parents",
         )
 
@@ -121,12 +121,10 @@ def _find_root(parts: ParsedModel) -> str:
     children = {joint.child for joint in parts.joints}
     roots = [link.name for link in parts.links if link.name not in children]
     if not roots:
-        raise ModelError(
-            "the joints make a cycle; one link must be the child of none", slug="urdf.cycle"
-        )
+        raise ModelError("the joints form a cycle; one link must not be a child", slug="urdf.cycle")
     if len(roots) > 1:
         raise ModelError(
-            f"links {quote_names(roots)} are all roots; join them so that one is left",
+            f"links {quote_names(roots)} are all roots; connect them so that one is left",
             slug="urdf.two_roots",
         )
     return roots[0]
@@ -151,17 +149,17 @@ def _find_repeated(names: Iterable[str]) -> list[str]:
 
 AXIS_KINDS = ("revolute", "continuous", "prismatic", "planar")
 SIZE_COUNTS = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2}
-"""How many numbers of `Shape.size` must be positive, by kind."""
+"""Count of positive numbers in `Shape.size`, by kind."""
 MAX_QUANTITY = 1e12
-"""Of a distance [m], mass or moment: far beyond use, and its square still finite."""
+"""Of a distance [m], mass or moment: the square is still finite."""
 MOMENT_ROUNDING = 1e-12
-"""Moments [kg m^2] that exporters write below 0 where they mean 0."""
+"""Exporters round moments of 0 [kg m^2] to this much below 0."""
 TRIANGLE_RULE_SLACK = 1e-3
-"""Share by which rounded moments may break the triangle rule."""
+"""Share by which rounded moments may violate the triangle inequality."""
 
 
 def check_links(links: Sequence[Link], report: ParseReport) -> None:
-    """Check mass, inertia and sizes of links that nothing merged yet.
+    """Check mass, inertia and sizes of links before lumping.
 
     Raises:
         ModelError: A mass or a moment is negative, a size is not positive, or one is too large.
@@ -175,11 +173,11 @@ def check_links(links: Sequence[Link], report: ParseReport) -> None:
             _check_size(link.name, shape)
     without = [link.name for link in links if link.inertial == Inertial()]
     if without:
-        report.applied(f"links {quote_names(without)}", "no <inertial>: they weigh nothing")
+        report.applied(f"links {quote_names(without)}", "no <inertial>: massless")
 
 
 def normalize_axes(joints: Iterable[Joint]) -> tuple[Joint, ...]:
-    """Give joints that turn or slide an axis of length one.
+    """Scale the axes of joints to length one.
 
     Raises:
         ModelError: An axis is zero, or damping or friction is negative.
@@ -188,13 +186,13 @@ def normalize_axes(joints: Iterable[Joint]) -> tuple[Joint, ...]:
 
 
 def check_moving_parts(links: Iterable[Link], joints: Iterable[Joint], report: ParseReport) -> None:
-    """Note what moves oddly once fixed joints are lumped."""
+    """Report massless moving links and reversed limits after lumping."""
     weights = {link.name: link.inertial.mass_kg for link in links}
     if not any(weights.values()):
-        report.suspicious("robot", "nothing has a mass; it will not move")
+        report.suspicious("robot", "no link has a mass; it will not move")
     for joint in joints:
         if joint.kind != "fixed" and weights[joint.child] == 0.0:
-            report.suspicious(f"link {joint.child!r}", "moves by a joint but weighs nothing")
+            report.suspicious(f"link {joint.child!r}", "on a moving joint but massless")
         if joint.kind in ("revolute", "prismatic") and joint.lower > joint.upper:
             report.suspicious(
                 f"joint {joint.name!r}", f"lower {joint.lower:g} is above upper {joint.upper:g}"
@@ -205,7 +203,7 @@ def _check_magnitude(name: str, numbers: Iterable[float]) -> None:
     largest = max(map(abs, numbers))
     if largest > MAX_QUANTITY:
         raise ModelError(
-            f"{name!r} has a size, distance or mass of {largest:g}; at most {MAX_QUANTITY:g} is simulated",
+            f"{name!r} has a size, distance or mass of {largest:g}; use at most {MAX_QUANTITY:g}",
             slug="urdf.number",
         )
 
@@ -215,7 +213,7 @@ def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> None:
     if inertial.mass_kg < 0.0 or min(ixx, iyy, izz) < -MOMENT_ROUNDING:
         raise ModelError(
             f"link {link!r} has mass {inertial.mass_kg:g} kg and moments "
-            f"{ixx:g}, {iyy:g}, {izz:g}; none may be negative",
+            f"{ixx:g}, {iyy:g}, {izz:g}; use values >= 0",
             slug="urdf.mass",
         )
     if inertial.mass_kg == 0.0:
@@ -228,7 +226,8 @@ def _check_inertial(link: str, inertial: Inertial, report: ParseReport) -> None:
     elif least < -TRIANGLE_RULE_SLACK * most or least + middle < (1.0 - TRIANGLE_RULE_SLACK) * most:
         report.suspicious(
             f"link {link!r}",
-            f"no solid has the moments {least:.3g}, {middle:.3g}, {most:.3g}; used as written",
+            f"moments {least:.3g}, {middle:.3g}, {most:.3g} violate the triangle inequality; "
+            "used as written",
         )
 
 
@@ -241,7 +240,7 @@ def _check_size(link: str, shape: Shape) -> None:
         )
     if any(size <= 0.0 for size in shape.size[:count]):
         raise ModelError(
-            f"{shape.kind} of link {link!r} has size {shape.size[:count]}; sizes must be > 0",
+            f"{shape.kind} of link {link!r} has size {shape.size[:count]}; use sizes > 0",
             slug="urdf.size",
         )
 
@@ -252,7 +251,7 @@ def _check_joint(joint: Joint) -> Joint:
     if joint.damping < 0.0 or joint.friction < 0.0:
         raise ModelError(
             f"joint {joint.name!r} has damping {joint.damping:g} and friction {joint.friction:g}; "
-            "neither may be negative",
+            "use values >= 0",
             slug="urdf.dynamics",
         )
     if joint.kind not in AXIS_KINDS:

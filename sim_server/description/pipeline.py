@@ -47,18 +47,14 @@ def read_robot(
     allow_missing: bool = False,
     resolve: ResolveInclude = no_includes,
 ) -> Model:
-    """Read a robot; as `read_urdf` and `read_sdf_model`, which one the root tag tells.
-
-    Raises:
-        ModelError: The text is neither, or describes what cannot be.
-    """
+    """Read a robot with `read_sdf_model` or `read_urdf`, depending on the root tag."""
     if is_sdf(text):
         return read_sdf_model(text, has_mesh=has_mesh, allow_missing=allow_missing, resolve=resolve)
     return read_urdf(text, has_mesh=has_mesh, allow_missing=allow_missing)
 
 
 def is_sdf(text: str) -> bool:
-    """Whether the first tag of a text, comments and instructions apart, is <sdf>."""
+    """Whether the root tag of a text is <sdf>."""
     before = _BEFORE_ROOT.match(text)
     return _SDF_ROOT.match(text, before.end() if before else 0) is not None
 
@@ -71,7 +67,7 @@ SAMPLE_URDF = """<robot name="sample"><link name="base"><inertial><mass value="1
 
 @dataclass(frozen=True)
 class ModelWithMeshes:
-    """A model, and the meshes that it names, by sha256."""
+    """A model and its meshes by sha256."""
 
     model: Model
     meshes: dict[str, bytes]
@@ -79,27 +75,27 @@ class ModelWithMeshes:
 
 @dataclass(frozen=True)
 class WorldWithMeshes:
-    """A world, and the meshes that its models name, by sha256."""
+    """A world and the meshes of its models by sha256."""
 
     world: WorldModel
     meshes: dict[str, bytes]
     unusable: tuple[str, ...] = ()
-    """Why meshes could not be read."""
+    """Errors of meshes that could not be read."""
 
 
 def parse_description(
     text: str, *, assets: MeshFiles, allow_missing: bool, compat: Compat
 ) -> ModelWithMeshes:
-    """Read a description.
+    """Parse a URDF or SDF model and convert its meshes.
 
     Args:
         text: URDF or SDF.
-        assets: The file behind each mesh URI: its sha256 and its bytes, None when it is not here.
-        allow_missing: Leave collisions out whose mesh is not here.
-        compat: Whether drives have Gazebo's documented quirks.
+        assets: sha256 and bytes (None when missing) by mesh or include URI.
+        allow_missing: Leave out collisions whose mesh is missing.
+        compat: Whether drives reproduce Gazebo's documented quirks.
 
     Raises:
-        ModelError: The text or a mesh cannot be used.
+        ModelError: The text or a mesh is invalid.
     """
     present = {uri: (sha, data) for uri, (sha, data) in assets.items() if data is not None}
 
@@ -110,23 +106,24 @@ def parse_description(
     model = read_robot(
         text, has_mesh=present.__contains__, allow_missing=allow_missing, resolve=included
     )
-    made = MeshConversions()
-    return ModelWithMeshes(convert_meshes(_set_compat(model, compat), present, made), made.meshes)
+    conversions = MeshConversions()
+    model = convert_meshes(_set_compat(model, compat), present, conversions)
+    return ModelWithMeshes(model, conversions.meshes)
 
 
 def parse_world(
     text: str, *, resolve: ResolveInclude, find_mesh: FindMesh, allow_missing: bool = False
 ) -> WorldWithMeshes:
-    """Read a world and the meshes that it names; what cannot be used is reported and left out.
+    """Parse a world and convert its meshes; models with unusable meshes are left out.
 
     Args:
         text: SDF with one <world>.
         resolve: Finds the text of an included model.
-        find_mesh: Finds a mesh by its URI: its sha256 and its bytes.
-        allow_missing: Leave included models out that are not here.
+        find_mesh: Finds sha256 and bytes of a mesh by its URI.
+        allow_missing: Leave out missing included models.
 
     Raises:
-        ModelError: The text is no SDF world, or describes what cannot be.
+        ModelError: The text is not a valid SDF world.
     """
     world = read_world(
         text,
@@ -134,38 +131,36 @@ def parse_world(
         has_mesh=lambda uri: find_mesh(uri) is not None,
         allow_missing=allow_missing,
     )
-    made, models, notes = MeshConversions(), [], list(world.report)
+    replace = msgspec.structs.replace
+    conversions, models, report = MeshConversions(), [], list(world.report)
     unusable: list[str] = []
     for placed in world.models:
         files = {uri: file for uri in list_mesh_uris(placed.model) if (file := find_mesh(uri))}
         try:
-            model = convert_meshes(placed.model, files, made)
+            model = convert_meshes(placed.model, files, conversions)
         except ModelError as error:
-            notes.append(ReportEntry("suspicious", f"model '{placed.name}'", f"left out: {error}"))
+            report.append(ReportEntry("suspicious", f"model '{placed.name}'", f"left out: {error}"))
             unusable.append(str(error))
             continue
         new = model.report[len(placed.model.report) :]
-        unusable += [note.reason for note in new]
-        notes += [
-            msgspec.structs.replace(note, subject=f"{placed.name}: {note.subject}") for note in new
-        ]
-        models.append(msgspec.structs.replace(placed, model=model))
-    whole = msgspec.structs.replace(world, models=tuple(models), report=tuple(notes))
-    return WorldWithMeshes(whole, made.meshes, tuple(unusable))
+        unusable += [entry.reason for entry in new]
+        report += [replace(entry, subject=f"{placed.name}: {entry.subject}") for entry in new]
+        models.append(replace(placed, model=model))
+    whole = replace(world, models=tuple(models), report=tuple(report))
+    return WorldWithMeshes(whole, conversions.meshes, tuple(unusable))
 
 
 def _set_compat(model: Model, compat: Compat) -> Model:
     replace = msgspec.structs.replace
-    if model.ground_truths:
-        truths = tuple(replace(truth, compat=compat) for truth in model.ground_truths)
-        model = replace(model, ground_truths=truths)
-    if model.drive is None or model.drive.compat == compat:
-        return model
-    return replace(model, drive=replace(model.drive, compat=compat))
+    return replace(
+        model,
+        drive=replace(model.drive, compat=compat) if model.drive else None,
+        ground_truths=tuple(replace(truth, compat=compat) for truth in model.ground_truths),
+    )
 
 
 def warm_up() -> None:
-    """Read a sample of everything: once no file can be opened, nothing can be imported."""
+    """Parse a sample of each format: the sandbox later prevents lazy imports."""
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     sides = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     tetrahedron = trimesh.Trimesh(corners, sides)

@@ -1,4 +1,4 @@
-"""What became of each tag of a description, collected while it is parsed."""
+"""The effect of each tag of a description, collected during parsing."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -6,13 +6,13 @@ from difflib import get_close_matches
 from zensim.proto.messages.model_messages import ReportEntry, ReportStatus
 
 MAX_ENTRIES = 200
-"""Of what is not suspicious."""
+"""Without suspicious ones."""
 MAX_SUSPICIOUS_ENTRIES = 600
-"""Room for one entry a link of the largest robot, so that no missing mesh goes unsaid."""
+"""More than one per link of the largest robot, so that no missing mesh is left out."""
 
 
 class ParseReport:
-    """Entries in the order of reading; beyond their number only counted, once each."""
+    """Different entries in order; entries beyond the maximum are only counted."""
 
     def __init__(self) -> None:
         self._entries: dict[ReportEntry, None] = {}
@@ -20,43 +20,43 @@ class ParseReport:
         self._left_out = 0
 
     def applied(self, subject: str, reason: str = "") -> None:
-        """Note what takes effect."""
+        """Report a tag that has an effect."""
         self._add("applied", subject, reason)
 
     def ignored(self, subject: str, reason: str) -> None:
-        """Note what is understood and has no effect here."""
+        """Report a known tag that has no effect."""
         self._add("ignored", subject, reason)
 
     def unknown(self, subject: str, reason: str) -> None:
-        """Note what nothing here understands."""
+        """Report an unknown tag."""
         self._add("unknown", subject, reason)
 
     def suspicious(self, subject: str, reason: str) -> None:
-        """Note what is probably not meant as written."""
+        """Report a probable mistake."""
         self._add("suspicious", subject, reason)
 
     def repeat(self, entry: ReportEntry, *, of: str) -> None:
-        """Note what the report of a part of this description notes."""
+        """Copy an entry from the report of a model, named `of`, of this world."""
         self._add(entry.status, f"{of}: {entry.subject}", entry.reason)
 
     def unread_tag(self, subject: str, tag: str, known: Iterable[str]) -> None:
-        """Note a tag that nothing reads; one that looks misspelt is suspicious."""
+        """Report an unknown tag; as suspicious if its name resembles a known one."""
         shown = f"{subject}: <{tag[:80]}>"
         if not self._has_room("unknown"):
-            # Guessing at what a hostile file meant would cost more than reading it.
+            # The comparison is slow: a hostile file could have many unknown tags.
             self._left_out += 1
             return
-        meant = get_close_matches(tag, known, n=1, cutoff=0.75)
-        if meant:
-            self.suspicious(shown, f"not read; did you mean <{meant[0]}>?")
+        similar = get_close_matches(tag, known, n=1, cutoff=0.75)
+        if similar:
+            self.suspicious(shown, f"not read; did you mean <{similar[0]}>?")
         else:
             self.unknown(shown, "not read")
 
     def entries(self) -> tuple[ReportEntry, ...]:
-        """List what was noted."""
+        """List the entries, and the number of those left out."""
         if not self._left_out:
             return tuple(self._entries)
-        more = ReportEntry("ignored", "report", f"{self._left_out} further entries are left out")
+        more = ReportEntry("ignored", "report", f"{self._left_out} more entries are left out")
         return (*self._entries, more)
 
     def _add(self, status: ReportStatus, subject: str, reason: str) -> None:

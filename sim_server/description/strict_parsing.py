@@ -1,4 +1,4 @@
-"""Strict parsing of untrusted text: XML without DTD, decimal numbers, quotes for messages."""
+"""Strict parsing of untrusted text: XML without DTD, numbers, flags; quotes for messages."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_QUOTED_NAMES = 5
 
 
 def quote(text: str | None) -> str:
-    """Quote what was given, at most 80 characters of it."""
+    """Quote a text, cut to 80 characters."""
     written = text or ""
     return repr(
         written if len(written) <= MAX_QUOTE_LENGTH else written[: MAX_QUOTE_LENGTH - 3] + "..."
@@ -30,48 +30,56 @@ def quote(text: str | None) -> str:
 
 
 def quote_names(names: Sequence[str]) -> str:
-    """Quote names, at most five of them."""
+    """Quote the first five names."""
     quoted = ", ".join(quote(name) for name in names[:MAX_QUOTED_NAMES])
     left_out = len(names) - MAX_QUOTED_NAMES
     return f"{quoted} and {left_out} more" if left_out > 0 else quoted
 
 
 def to_single_line(text: str) -> str:
-    """Put what another library says in one line of at most 200 characters."""
+    """Join a message of another library to one line of at most 200 characters."""
     return " ".join(text.split())[:MAX_LINE_LENGTH]
+
+
+FLAG_TEXTS = {"true": True, "1": True, "false": False, "0": False}
+
+
+def parse_flag(text: str | None) -> bool | None:
+    """Parse true, false, 1 or 0 in any case; None for other texts."""
+    return FLAG_TEXTS.get((text or "").strip().lower())
 
 
 _DECIMAL = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 MAX_NUMBER_LENGTH = 400
-"""Characters of one number: a double written out in full has fewer."""
+"""Characters; a double written in full has fewer."""
 
 
 def read_numbers(
     text: str | None, *, counts: tuple[int, ...], where: str, slug: str
 ) -> tuple[float, ...]:
-    """Read numbers separated by spaces.
+    """Read finite decimal numbers separated by spaces.
 
     Args:
         text: As written.
-        counts: How many there may be.
-        where: Begins the error message, such as `link 'base', mass value`.
+        counts: Allowed counts.
+        where: Start of the error message, such as `link 'base', mass value`.
         slug: Of the error.
 
     Raises:
-        ModelError: Not a decimal number, not finite, too many or too few.
+        ModelError: Not such numbers, too many or too few.
     """
     words = (text or "").split()
     if len(words) not in counts:
         wanted = " or ".join(str(count) for count in counts)
         raise ModelError(
-            f"{where}: {quote(text)} has {len(words)} numbers; write {wanted}, apart by spaces",
+            f"{where}: {quote(text)} has {len(words)} numbers; write {wanted}, separated by spaces",
             slug=slug,
         )
     return tuple(_read_decimal(word, where=where, slug=slug) for word in words)
 
 
 def read_number(text: str | None, *, where: str, slug: str) -> float:
-    """Read one number; as `read_numbers`."""
+    """Read one number like `read_numbers`."""
     return read_numbers(text, counts=(1,), where=where, slug=slug)[0]
 
 
@@ -88,25 +96,25 @@ def _read_decimal(word: str, *, where: str, slug: str) -> float:
 
 MAX_BYTES = 8 * 1024 * 1024
 MAX_TAGS = 40_000
-"""Of `<` in the text: bounds memory, and the time for which reading holds up the simulation."""
+"""Number of `<` in the text: limits memory and parse time."""
 MAX_DEPTH = 64
 MAX_ATTRIBUTES = 64
-"""Of one element: to list n of them takes lxml n * n steps."""
+"""Of one element: lxml needs n * n steps to list n attributes."""
 _UNKNOWN_PREFIX = 201
-"""XML_NS_ERR_UNDEFINED_NAMESPACE of libxml2; readers of URDF know nothing of prefixes."""
+"""XML_NS_ERR_UNDEFINED_NAMESPACE of libxml2; URDF parsers ignore namespaces."""
 _SPACES = re.compile(rb"[ \t\r\n]+")
 _HYPHENS_IN_COMMENT = 80
-"""XML_ERR_HYPHEN_IN_COMMENT of libxml2; Gazebo takes them."""
+"""XML_ERR_HYPHEN_IN_COMMENT of libxml2; Gazebo accepts these comments."""
 _DECLARATION = re.compile(rb"<\?xml[ \t\r\n][^<>]{0,400}?\?>")
 
 
 def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
-    """Parse a document whose root is `root_tag`; comments and instructions are left out.
+    """Parse a document; comments and processing instructions are left out.
 
     Args:
-        text: The document; its XML declaration is not obeyed, since this is text already.
-        root_tag: Such as `robot`; a default namespace on it is dropped from all tags.
-        slug: What the document should be, such as `urdf`.
+        text: The document; the encoding in its XML declaration is ignored.
+        root_tag: Expected tag of the root; its default namespace is removed from all tags.
+        slug: Expected format, such as `urdf`.
 
     Raises:
         ModelError: Not well-formed, another root, too large, too deep, or a DOCTYPE.
@@ -114,14 +122,14 @@ def parse_xml(text: str, *, root_tag: str, slug: str) -> Element:
     data = _encode_bounded(text, slug)
     if _has_doctype(data):
         raise ModelError(
-            "the description has a DOCTYPE; remove it, since entities are not expanded here",
+            "the description has a DOCTYPE; remove it, since entities are not expanded",
             slug="xml.doctype",
         )
     root = _parse_bytes(data)
     _drop_default_namespace(root, root_tag)
     if root.tag != root_tag:
         raise ModelError(
-            f"the description begins with <{root.tag[:80]}>; a <{root_tag}> is expected",
+            f"the root of the description is <{root.tag[:80]}>; use <{root_tag}>",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug=f"{slug}.root",
         )
@@ -153,7 +161,7 @@ def _encode_bounded(text: str, slug: str) -> bytes:
 
 
 def _without_comments(data: bytes) -> bytes:
-    # Their line ends stay, so that lines keep their numbers.
+    # Line ends stay, so that line numbers in errors are right.
     pieces, at = [], 0
     while (start := data.find(b"<!--", at)) >= 0 and (end := data.find(b"-->", start + 4)) >= 0:
         pieces += [data[at:start], b"\n" * data.count(b"\n", start, end)]
@@ -162,7 +170,7 @@ def _without_comments(data: bytes) -> bytes:
 
 
 def _without_declaration(data: bytes) -> bytes:
-    # Readers of URDF pass over it, be it after comments or of version 0.0.
+    # URDF parsers accept a declaration after comments or with version 0.0.
     at = 0
     while closing := _closing_marker(data, at):
         if found := _DECLARATION.match(data, at):
@@ -175,7 +183,7 @@ def _without_declaration(data: bytes) -> bytes:
 
 
 def _has_doctype(data: bytes) -> bool:
-    # XML allows one before the root only, after comments and instructions.
+    # XML allows a DOCTYPE only before the root, after comments and instructions.
     at = 0
     while not data.startswith(b"<!DOCTYPE", at):
         closing = _closing_marker(data, at)

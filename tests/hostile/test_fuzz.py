@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from tests.hostile.corpus import corpus
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.builtin_models import read_builtin_model
-from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
+from zensim.sim_server.description.joint_reduction import MAX_JOINTS
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 SEEDS = [

@@ -4,19 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from zensim.proto.messages.result_messages import SpawnCode
+from zensim.sim_server.description.strict_parsing import quote
+from zensim.sim_server.errors import ModelError
+
+if TYPE_CHECKING:
+    from zensim.proto.messages.model_messages import Shape
+    from zensim.sim_server.description.report import ParseReport
 
 HasMesh = Callable[[str], bool]
-"""Whether a mesh URI, as written in a description, can be served."""
+"""Whether the server has the mesh of a URI, as written in a description."""
 
 
 def no_meshes(uri: str) -> bool:  # noqa: ARG001  every HasMesh takes a URI
-    """Say that no mesh is here."""
+    """Return False: there are no meshes."""
     return False
 
 
 @dataclass(frozen=True)
 class MeshPolicy:
-    """Which meshes are here, and whether a robot may do without those of collisions."""
+    """Which meshes exist, and whether collisions may lack theirs."""
 
     has_mesh: HasMesh
     allow_missing: bool = False
+
+    def can_use(self, shape: Shape, where: str, *, collides: bool, report: ParseReport) -> bool:
+        """Whether a shape is not a mesh, or its mesh exists; if not, the report has the reason.
+
+        Raises:
+            ModelError: The mesh of a collision is missing and must not be.
+        """
+        if shape.kind != "mesh" or self.has_mesh(shape.mesh):
+            return True
+        fault = f"mesh {quote(shape.mesh)} is not on the server"
+        if not collides:
+            report.suspicious(where, f"visual {fault}; not drawn")
+        elif self.allow_missing:
+            report.suspicious(where, f"collision {fault}; left out")
+        else:
+            raise ModelError(
+                f"{where}: collision {fault}; send the mesh, use a box, sphere or cylinder, "
+                "or allow missing meshes",
+                code=SpawnCode.MISSING_ASSETS,
+                slug="mesh.missing",
+            )
+        return False

@@ -4,63 +4,156 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from zensim.proto.messages.drive_messages import DiffDrive, Limits, WheelPair
-from zensim.sim_server.description.plugins import drive_plugin
 from zensim.sim_server.description.plugins.drive_plugin import (
+    GZ_ODOMETRY_RATE_HZ,
+    GZ_PARAMETERS,
+    NUMBER,
+    ROS_ALIASES,
+    ROS_PARAMETERS,
+    ROS_UNUSED,
+    DrivePlugin,
+    MeasuredWheel,
+    Parameter,
+    UnusableDrive,
     check_lengths,
+    check_sides,
+    check_wheel_joints,
     find_base_link,
     find_grip_torque,
-    find_joint_fault,
     measure_separation,
     measure_wheels,
-    read_drive_settings,
-    read_frame,
-    read_odometry_rate,
-    read_topic,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from zensim.proto.messages.model_messages import Joint
     from zensim.sim_server.description.joint_reduction import LumpedModel
     from zensim.sim_server.description.plugins.plugin_tags import PluginTags
 
-CLASSIC_DRIVE_FILENAMES = ("DiffDrivePlugin", "SkidSteerDrivePlugin")
-CLASSIC_DRIVE_ALIASES: dict[str, str] = {}
-UNUSED_CLASSIC_DRIVE_TAGS: dict[str, str] = {}
+LENGTH_TOLERANCE = 0.05
+"""Share by which a written length may differ from the measured one."""
+MAX_BACKWARD_AXIS_Y = -0.5
+"""y of an axis that points to the right rather than the left."""
 LEFT_JOINT_TAGS = ("left_joint", "left_front", "left_rear")
 RIGHT_JOINT_TAGS = ("right_joint", "right_front", "right_rear")
 TORQUE_TAGS = ("torque", "max_force", "MaxForce")
-DEFAULT_TORQUE_NM = 5.0
 MIN_WHEEL_LENGTH_M = 1e-3
+DEFAULT_SEPARATION_M, DEFAULT_DIAMETER_M = 0.34, 0.15
+"""Of the ROS plug-in."""
+GZ_SEPARATION_M, GZ_RADIUS_M = 1.0, 0.2
+_SENSOR_TAGS = (
+    "base_geom", "bumper_name", "cliff_detection_threshold", "cliff_sensor_center_name",
+    "cliff_sensor_left_name", "cliff_sensor_right_name", "imu_name",
+)  # fmt: skip
+_JERK_TAGS = (
+    "min_jerk", "max_jerk", "min_linear_jerk", "max_linear_jerk", "min_angular_jerk",
+    "max_angular_jerk",
+)  # fmt: skip
 
 
-def read_classic_drive(tags: PluginTags, lumped: LumpedModel) -> DiffDrive | None:
-    """Read the plug-in; None, with the reason noted, where its joints or wheels are none.
-
-    Raises:
-        ModelError: A torque is no number, or negative.
-    """
-    left = [name for tag in LEFT_JOINT_TAGS for name in tags.texts(tag)]
-    right = [name for tag in RIGHT_JOINT_TAGS for name in tags.texts(tag)]
-    torque = max(tags.number(tag, 0.0) for tag in TORQUE_TAGS) or DEFAULT_TORQUE_NM
-    tags.report_unread(UNUSED_CLASSIC_DRIVE_TAGS)
-    fault = find_joint_fault((*left, *right), {joint.name: joint for joint in lumped.joints})
-    if not left or len(left) != len(right):
-        fault = f"{len(left)} left and {len(right)} right joints; name as many of each"
-    pairs = (
-        ()
-        if fault
-        else tuple(_measure_pair(*names, lumped) for names in zip(left, right, strict=True))
+def _summarize(drive: DiffDrive) -> str:
+    return "; ".join(
+        f"{pair.left_joint} and {pair.right_joint}, separation {pair.separation_m:g} m, "
+        f"diameter {pair.diameter_m:g} m"
+        for pair in drive.pairs
     )
-    if not fault and min(min(p.separation_m, p.diameter_m) for p in pairs) < MIN_WHEEL_LENGTH_M:
-        fault = "a wheel has no round collision, or two are in one place"
-    if fault:
-        tags.report.suspicious(tags.subject, f"no drive: {fault}")
-        return None
+
+
+def _find_faults(drive: DiffDrive, lumped: LumpedModel) -> list[str]:
+    return [
+        fault
+        for pair in drive.pairs
+        for fault in _find_pair_faults(
+            pair, *measure_wheels((pair.left_joint, pair.right_joint), lumped)
+        )
+    ]
+
+
+def _find_pair_faults(pair: WheelPair, left: MeasuredWheel, right: MeasuredWheel) -> list[str]:
+    faults = []
+    for wheel in (left, right):
+        measured = 2.0 * wheel.radius_m
+        if measured and _lengths_differ(pair.diameter_m, measured):
+            faults.append(
+                f"wheel_diameter is {pair.diameter_m:g} m, but the wheel of {wheel.joint!r} "
+                f"measures {measured:g} m; wheel_diameter is used"
+            )
+        if wheel.axis[1] < MAX_BACKWARD_AXIS_Y:
+            faults.append(f"the axis of {wheel.joint!r} points to -y: it rolls backward")
+    apart = measure_separation(left, right)
+    if _lengths_differ(pair.separation_m, apart):
+        faults.append(
+            f"wheel_separation is {pair.separation_m:g} m, but {left.joint!r} and "
+            f"{right.joint!r} are {apart:g} m apart; wheel_separation is used"
+        )
+    if left.centre[1] < right.centre[1]:
+        faults.append(f"left_joint {left.joint!r} is on the right side: turns are reversed")
+    elif "right" in left.joint.lower() and "left" in right.joint.lower():
+        faults.append(f"left_joint is {left.joint!r}, right_joint {right.joint!r}: names swapped?")
+    return faults
+
+
+def _lengths_differ(written: float, measured: float) -> bool:
+    return abs(written - measured) > LENGTH_TOLERANCE * measured
+
+
+def _make_ros(tags: PluginTags, _: LumpedModel) -> DiffDrive:
+    is_ros1 = tags.is_renamed("left_joint")
+    if is_ros1:  # there, odometry is published by default
+        tags.report.suspicious(tags.subject, "written for ROS 1: odom and its tf are published")
+    return DiffDrive(publish_odom=is_ros1, publish_odom_tf=is_ros1)
+
+
+def _read_ros_pairs(drive: DiffDrive, tags: PluginTags, lumped: LumpedModel) -> DiffDrive:
+    count = _read_pair_count(tags)
+    left, right = tags.texts("left_joint"), tags.texts("right_joint")
+    separations = tags.positive_numbers("wheel_separation")
+    diameters = tags.positive_numbers("wheel_diameter")
+    check_lengths(tags, "wheel_separation", separations)
+    check_lengths(tags, "wheel_diameter", diameters)
+    if not len(left) == len(right) == count:
+        raise UnusableDrive(
+            f"{len(left)} left and {len(right)} right joints for {count} wheel pair(s)"
+        )
+    check_wheel_joints((*left, *right), lumped)
+    separations = _repeat_for_pairs(
+        tags, "wheel_separation", separations, count=count, default=DEFAULT_SEPARATION_M
+    )
+    diameters = _repeat_for_pairs(
+        tags, "wheel_diameter", diameters, count=count, default=DEFAULT_DIAMETER_M
+    )
+    pairs = map(WheelPair, left, right, separations, diameters)
+    return msgspec.structs.replace(drive, pairs=tuple(pairs))
+
+
+def _read_pair_count(tags: PluginTags) -> int:
+    default = 2.0 if "skid_steer" in tags.filename else 1.0
+    count = int(tags.number("num_wheel_pairs", default))
+    if count < 1:
+        tags.report.suspicious(f"{tags.subject}: <num_wheel_pairs>", f"{count}; 1 is used")
+    return max(count, 1)
+
+
+def _repeat_for_pairs(
+    tags: PluginTags, tag: str, lengths: list[float], *, count: int, default: float
+) -> list[float]:
+    if len(lengths) > count:
+        tags.report.suspicious(
+            f"{tags.subject}: <{tag}>", f"{len(lengths)} values for {count} pair(s); rest not read"
+        )
+    if len(lengths) == 1 and tags.is_renamed(tag):
+        return lengths * count  # ROS 1 has one for all pairs
+    if len(lengths) < count:
+        tags.report.suspicious(
+            f"{tags.subject}: <{tag}>", f"missing for a pair; Gazebo's default {default} m is used"
+        )
+    return [*lengths, *[default] * count][:count]
+
+
+def _make_classic(tags: PluginTags, lumped: LumpedModel) -> DiffDrive:
+    torque = max(tags.number(tag, 0.0) for tag in TORQUE_TAGS) or DiffDrive().max_torque_nm
     return DiffDrive(
-        pairs=pairs,
         max_torque_nm=torque,
         robot_base_frame=find_base_link(lumped),
         publish_odom=True,
@@ -68,197 +161,54 @@ def read_classic_drive(tags: PluginTags, lumped: LumpedModel) -> DiffDrive | Non
     )
 
 
-def _measure_pair(left: str, right: str, lumped: LumpedModel) -> WheelPair:
-    wheels = measure_wheels((left, right), lumped)
-    return WheelPair(left, right, measure_separation(*wheels), 2.0 * wheels[0].radius_m)
+def _measure_classic_pairs(drive: DiffDrive, tags: PluginTags, lumped: LumpedModel) -> DiffDrive:
+    left = [name for tag in LEFT_JOINT_TAGS for name in tags.texts(tag)]
+    right = [name for tag in RIGHT_JOINT_TAGS for name in tags.texts(tag)]
+    check_sides(left, right)
+    check_wheel_joints((*left, *right), lumped)
+    pairs = []
+    for names in zip(left, right, strict=True):
+        wheels = measure_wheels(names, lumped)
+        separation, diameter = measure_separation(*wheels), 2.0 * wheels[0].radius_m
+        if min(separation, diameter) < MIN_WHEEL_LENGTH_M:
+            raise UnusableDrive("a wheel has no round collision, or two wheels are in one place")
+        pairs.append(WheelPair(*names, separation, diameter))
+    return msgspec.structs.replace(drive, pairs=tuple(pairs))
 
 
-DIFF_DRIVE_FILENAMES = (
-    "gazebo_ros_diff_drive",
-    "gazebo_ros_skid_steer_drive",
-    "gazebo_ros_kobuki",
-    "gazebo_ros_create",
-)
-"""The last two are those of the first two TurtleBots."""
-DIFF_DRIVE_ALIASES = drive_plugin.DRIVE_ALIASES | {
-    "leftJoint": "left_joint",
-    "left_wheel_joint": "left_joint",
-    "left_wheel_joint_name": "left_joint",
-    "leftFrontJoint": "left_joint",
-    "leftRearJoint": "left_joint",
-    "rightJoint": "right_joint",
-    "right_wheel_joint": "right_joint",
-    "right_wheel_joint_name": "right_joint",
-    "rightFrontJoint": "right_joint",
-    "rightRearJoint": "right_joint",
-    "wheelSeparation": "wheel_separation",
-    "wheelDiameter": "wheel_diameter",
-    "wheelTorque": "max_wheel_torque",
-    "torque": "max_wheel_torque",
-    "wheelAcceleration": "max_wheel_acceleration",
-    "publish_tf": "publish_odom_tf",
-}
-"""Spellings of the ROS 1 plug-ins."""
-_SENSORS_NOT_SIMULATED = "its sensors are not simulated"
-UNUSED_DIFF_DRIVE_TAGS = drive_plugin.UNUSED_DRIVE_TAGS | {
-    "legacyMode": "left is left: +y",
-    "legacy_mode": "left is left: +y",
-    "node_namespace": "the namespace is that of the spawn request",
-    "velocity_command_timeout": "the agent has a timeout of its own",
-    "front_castor_joint": "its castors roll by themselves",
-    "rear_castor_joint": "its castors roll by themselves",
-    **dict.fromkeys(
-        (
-            "base_geom", "bumper_name", "cliff_detection_threshold", "cliff_sensor_center_name",
-            "cliff_sensor_left_name", "cliff_sensor_right_name", "imu_name",
-        ),
-        _SENSORS_NOT_SIMULATED,
-    ),
-}  # fmt: skip
-
-
-def read_diff_drive(tags: PluginTags, lumped: LumpedModel) -> DiffDrive | None:
-    """Read the plug-in; None, with the reason noted, where Gazebo's would not work.
-
-    Args:
-        tags: Of the plug-in.
-        lumped: The robot.
-
-    Raises:
-        ModelError: A number is none, is negative, or a separation or diameter is not positive.
-    """
-    is_ros1 = tags.is_renamed("left_joint")  # ROS 1 published odometry without being asked
-    if is_ros1:
-        tags.report.suspicious(tags.subject, "written for ROS 1: odom and its tf are published")
-    pairs = _read_pairs(tags, {joint.name: joint for joint in lumped.joints})
-    drive = DiffDrive(
-        pairs=pairs or (),
-        max_torque_nm=tags.number("max_wheel_torque", 5.0),
-        max_acceleration=tags.number("max_wheel_acceleration", 0.0),
-        publish_odom=is_ros1,
-        publish_odom_tf=is_ros1,
-    )
-    drive = read_drive_settings(drive, tags)
-    tags.report_unread(UNUSED_DIFF_DRIVE_TAGS)
-    return drive if pairs else None
-
-
-def _read_pairs(tags: PluginTags, joints: Mapping[str, Joint]) -> tuple[WheelPair, ...] | None:
-    count = _read_pair_count(tags)
-    left, right = tags.texts("left_joint"), tags.texts("right_joint")
-    separations = tags.positive_numbers("wheel_separation")
-    diameters = tags.positive_numbers("wheel_diameter")
-    check_lengths(tags, "wheel_separation", separations)
-    check_lengths(tags, "wheel_diameter", diameters)
-    fault = _find_pair_fault(left, right, count=count, joints=joints)
-    if fault:
-        tags.report.suspicious(tags.subject, f"no drive: {fault}")
-        return None
-    return tuple(
-        WheelPair(*values)
-        for values in zip(
-            left,
-            right,
-            _expand_to_pairs(tags, "wheel_separation", separations, count=count, default=0.34),
-            _expand_to_pairs(tags, "wheel_diameter", diameters, count=count, default=0.15),
-            strict=True,
-        )
-    )
-
-
-def _read_pair_count(tags: PluginTags) -> int:
-    default = 2.0 if "skid_steer" in tags.filename else 1.0
-    count = int(tags.number("num_wheel_pairs", default))
-    if count < 1:
-        tags.report.suspicious(f"{tags.subject}: <num_wheel_pairs>", f"{count}; taken as 1")
-    return max(count, 1)
-
-
-def _find_pair_fault(
-    left: Sequence[str], right: Sequence[str], *, count: int, joints: Mapping[str, Joint]
-) -> str:
-    if not len(left) == len(right) == count:
-        return f"{len(left)} left and {len(right)} right joints for {count} wheel pair(s)"
-    return find_joint_fault((*left, *right), joints)
-
-
-def _expand_to_pairs(
-    tags: PluginTags, tag: str, lengths: list[float], *, count: int, default: float
-) -> list[float]:
-    if len(lengths) > count:
-        tags.report.suspicious(
-            f"{tags.subject}: <{tag}>", f"{len(lengths)} given for {count} pair(s); rest not read"
-        )
-    if len(lengths) == 1 and tags.is_renamed(tag):
-        return lengths * count  # ROS 1 has one for all pairs
-    if len(lengths) < count:
-        tags.report.suspicious(
-            f"{tags.subject}: <{tag}>", f"not given for every pair; Gazebo's {default} m is used"
-        )
-    return [*lengths, *[default] * count][:count]
-
-
-GZ_DIFF_DRIVE_FILENAMES = ("diff-drive-system",)
-GZ_DIFF_DRIVE_ALIASES: dict[str, str] = {}
-_JERK_NOT_LIMITED = "change of acceleration is not limited here"
-UNUSED_GZ_DIFF_DRIVE_TAGS = {
-    "tf_topic": "tf is on <namespace>/tf",
-    "min_jerk": _JERK_NOT_LIMITED,
-    "max_jerk": _JERK_NOT_LIMITED,
-    "min_linear_jerk": _JERK_NOT_LIMITED,
-    "max_linear_jerk": _JERK_NOT_LIMITED,
-    "min_angular_jerk": _JERK_NOT_LIMITED,
-    "max_angular_jerk": _JERK_NOT_LIMITED,
-}
-DEFAULT_SEPARATION_M = 1.0
-DEFAULT_RADIUS_M = 0.2
-
-
-def read_gz_diff_drive(tags: PluginTags, lumped: LumpedModel) -> DiffDrive | None:
-    """Read the plug-in; None, with the reason noted, where its joints are inconsistent.
-
-    Raises:
-        ModelError: A number is none, is negative, or a length is not positive.
-    """
-    left, right = tags.texts("left_joint"), tags.texts("right_joint")
-    separation = tags.length("wheel_separation", DEFAULT_SEPARATION_M)
-    radius = tags.length("wheel_radius", DEFAULT_RADIUS_M)
-    check_lengths(tags, "wheel_separation", (separation,))
-    check_lengths(tags, "wheel_radius", (radius,))
-    fault = find_joint_fault((*left, *right), {joint.name: joint for joint in lumped.joints})
-    if not left or len(left) != len(right):
-        fault = f"{len(left)} left and {len(right)} right joints; name as many of each"
-    wheels = [WheelPair(*names, separation, 2.0 * radius) for names in zip(left, right)]  # noqa: B905 - the fault says so
-    drive = DiffDrive(
-        pairs=tuple(wheels),
-        max_torque_nm=find_grip_torque(
-            lumped, radius_m=radius, wheels=max(len(left), 1), joints=(*left, *right)
-        ),
+def _make_gz(_: PluginTags, lumped: LumpedModel) -> DiffDrive:
+    return DiffDrive(
         update_rate_hz=0.0,
-        odometry_rate_hz=read_odometry_rate(tags),
+        odometry_rate_hz=GZ_ODOMETRY_RATE_HZ,
         odometry_source="encoder",
-        odometry_frame=read_frame(tags, "frame_id", "odom"),
-        robot_base_frame=read_frame(tags, "child_frame_id", find_base_link(lumped)),
+        robot_base_frame=find_base_link(lumped),
         publish_odom=True,
         publish_odom_tf=True,
+    )
+
+
+def _read_gz_pairs(drive: DiffDrive, tags: PluginTags, lumped: LumpedModel) -> DiffDrive:
+    left, right = tags.texts("left_joint"), tags.texts("right_joint")
+    separation = tags.length("wheel_separation", GZ_SEPARATION_M)
+    radius = tags.length("wheel_radius", GZ_RADIUS_M)
+    check_lengths(tags, "wheel_separation", (separation,))
+    check_lengths(tags, "wheel_radius", (radius,))
+    drive = msgspec.structs.replace(
+        drive,
         linear_limits=_read_limits(tags, "linear"),
         angular_limits=_read_limits(tags, "angular"),
-        command_topic=read_topic(tags, "topic", "cmd_vel", is_new=False),
-        odometry_topic=read_topic(tags, "odom_topic", "odom", is_new=False),
     )
-    tags.report_unread(UNUSED_GZ_DIFF_DRIVE_TAGS)
-    if fault:
-        tags.report.suspicious(tags.subject, f"no drive: {fault}")
-        return None
-    return drive
+    check_sides(left, right)
+    check_wheel_joints((*left, *right), lumped)
+    torque = find_grip_torque(lumped, radius_m=radius, wheels=len(left), joints=(*left, *right))
+    pairs = (WheelPair(*names, separation, 2.0 * radius) for names in zip(left, right, strict=True))
+    return msgspec.structs.replace(drive, pairs=tuple(pairs), max_torque_nm=torque)
 
 
 def _read_limits(tags: PluginTags, part: str) -> Limits:
     def limit(bound: str, quantity: str) -> float | None:
-        # What is said of both parts of the twist holds where nothing is said of this one.
-        own, of_both = f"{bound}_{part}_{quantity}", f"{bound}_{quantity}"
-        found = tags.signed(own)
-        return tags.signed(of_both) if found is None else found
+        own = tags.signed(f"{bound}_{part}_{quantity}")
+        return tags.signed(f"{bound}_{quantity}") if own is None else own
 
     return Limits(
         limit("min", "velocity"),
@@ -266,3 +216,73 @@ def _read_limits(tags: PluginTags, part: str) -> Limits:
         limit("min", "acceleration"),
         limit("max", "acceleration"),
     )
+
+
+PLUGINS = (
+    DrivePlugin(
+        filenames=(
+            "gazebo_ros_diff_drive",
+            "gazebo_ros_skid_steer_drive",
+            "gazebo_ros_kobuki",  # the last two are those of TurtleBot 2 and TurtleBot 1
+            "gazebo_ros_create",
+        ),
+        drive_type=DiffDrive,
+        summarize=_summarize,
+        make=_make_ros,
+        parameters=(
+            *ROS_PARAMETERS,
+            Parameter("max_wheel_torque", NUMBER, "max_torque_nm"),
+            Parameter("max_wheel_acceleration", NUMBER, "max_acceleration"),
+        ),
+        complete=_read_ros_pairs,
+        find_faults=_find_faults,
+        aliases=ROS_ALIASES
+        | {
+            "leftJoint": "left_joint",
+            "left_wheel_joint": "left_joint",
+            "left_wheel_joint_name": "left_joint",
+            "leftFrontJoint": "left_joint",
+            "leftRearJoint": "left_joint",
+            "rightJoint": "right_joint",
+            "right_wheel_joint": "right_joint",
+            "right_wheel_joint_name": "right_joint",
+            "rightFrontJoint": "right_joint",
+            "rightRearJoint": "right_joint",
+            "wheelSeparation": "wheel_separation",
+            "wheelDiameter": "wheel_diameter",
+            "wheelTorque": "max_wheel_torque",
+            "torque": "max_wheel_torque",
+            "wheelAcceleration": "max_wheel_acceleration",
+            "publish_tf": "publish_odom_tf",
+        },
+        unused=ROS_UNUSED
+        | {
+            "node_namespace": "the namespace is set by the spawn request",
+            "velocity_command_timeout": "the agent has its own timeout",
+        }
+        | dict.fromkeys(("legacyMode", "legacy_mode"), "left is +y")
+        | dict.fromkeys(("front_castor_joint", "rear_castor_joint"), "castors roll passively")
+        | dict.fromkeys(_SENSOR_TAGS, "its sensors are not simulated"),
+    ),
+    DrivePlugin(
+        filenames=("DiffDrivePlugin", "SkidSteerDrivePlugin"),
+        drive_type=DiffDrive,
+        summarize=_summarize,
+        make=_make_classic,
+        complete=_measure_classic_pairs,
+        find_faults=_find_faults,
+    ),
+    DrivePlugin(
+        filenames=("diff-drive-system",),
+        drive_type=DiffDrive,
+        summarize=_summarize,
+        make=_make_gz,
+        parameters=GZ_PARAMETERS,
+        complete=_read_gz_pairs,
+        find_faults=_find_faults,
+        unused={
+            "tf_topic": "tf is on <namespace>/tf",
+            **dict.fromkeys(_JERK_TAGS, "jerk is not limited"),
+        },
+    ),
+)

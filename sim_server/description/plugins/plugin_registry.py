@@ -2,34 +2,41 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from zensim.proto.messages.drive_messages import Drive
 from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher
 from zensim.sim_server.description.model_geometry import describe_contacts
-from zensim.sim_server.description.model_printer import summarize_drive
 from zensim.sim_server.description.plugins import (
     diff_drive_plugins,
     planar_move_plugins,
-    publisher_plugins,
     steered_drive_plugins,
 )
-from zensim.sim_server.description.plugins.drive_plugin import check_drive
 from zensim.sim_server.description.plugins.plugin_tags import PluginTags
+from zensim.sim_server.description.plugins.publisher_plugins import (
+    GROUND_TRUTH_ALIASES,
+    GROUND_TRUTH_FILENAMES,
+    JOINT_STATE_ALIASES,
+    JOINT_STATE_FILENAMES,
+    read_ground_truth,
+    read_joint_state,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Iterable
 
     from lxml.etree import _Element as Element
 
     from zensim.sim_server.description.joint_reduction import LumpedModel
+    from zensim.sim_server.description.plugins.drive_plugin import DrivePlugin
     from zensim.sim_server.description.report import ParseReport
 
 MAX_PLUGINS = 100
-_ROS_CONTROL = "ros_control is not used here; wheels are driven by the diff_drive plug-in"
+_ROS_CONTROL = "ros_control is not used; add the diff_drive plug-in to drive wheels"
 _NOT_SIMULATED = "not simulated"
+_NO_SENSOR_PLUGIN = "sensors need no plug-in"
 UNUSED_PLUGINS = {
     "gazebo_ros_control": _ROS_CONTROL,
     "gazebo_ros2_control": _ROS_CONTROL,
@@ -38,157 +45,114 @@ UNUSED_PLUGINS = {
     "gazebo_ros_ft_sensor": _NOT_SIMULATED,
     "gazebo_ros_joint_pose_trajectory": _NOT_SIMULATED,
     "ackermann-steering-system": _NOT_SIMULATED,
-    "odometry-publisher-system": "odometry is that of the drive",
-    "pose-publisher-system": "true poses are on the snapshot",
-    "sensors-system": "sensors need no plug-in of their own",
-    "imu-system": "sensors need no plug-in of their own",
-    "contact-system": "sensors need no plug-in of their own",
+    "odometry-publisher-system": "the drive publishes odometry",
+    "pose-publisher-system": "the snapshot has the true poses",
+    "sensors-system": _NO_SENSOR_PLUGIN,
+    "imu-system": _NO_SENSOR_PLUGIN,
+    "contact-system": _NO_SENSOR_PLUGIN,
 }
-"""Plug-ins that are known, by part of their file name, and why they have no effect."""
+"""Known plug-ins without effect, by part of their file name, and the reason."""
+DRIVE_PLUGINS: tuple[DrivePlugin[Any], ...] = (
+    *diff_drive_plugins.PLUGINS,
+    *planar_move_plugins.PLUGINS,
+    *steered_drive_plugins.PLUGINS,
+)
 
 
 class RobotPlugins(msgspec.Struct, frozen=True):
-    """What the plug-ins of a robot come to."""
+    """Drive and publishers that the plug-ins of a robot give."""
 
     drive: Drive | None = None
     joint_state: JointStatePublisher | None = None
     ground_truths: tuple[GroundTruth, ...] = ()
 
 
-class DrivePluginReader(NamedTuple):
-    """How one kind of drive is read."""
-
-    filenames: tuple[str, ...]
-    aliases: Mapping[str, str]
-    read: Callable[[PluginTags, LumpedModel], Drive | None]
-
-
-DRIVE_READERS = (
-    DrivePluginReader(
-        diff_drive_plugins.DIFF_DRIVE_FILENAMES,
-        diff_drive_plugins.DIFF_DRIVE_ALIASES,
-        diff_drive_plugins.read_diff_drive,
-    ),
-    DrivePluginReader(
-        planar_move_plugins.PLANAR_MOVE_FILENAMES,
-        planar_move_plugins.PLANAR_MOVE_ALIASES,
-        planar_move_plugins.read_planar_move,
-    ),
-    DrivePluginReader(
-        steered_drive_plugins.ACKERMANN_FILENAMES,
-        steered_drive_plugins.ACKERMANN_ALIASES,
-        steered_drive_plugins.read_ackermann,
-    ),
-    DrivePluginReader(
-        steered_drive_plugins.TRICYCLE_FILENAMES,
-        steered_drive_plugins.TRICYCLE_ALIASES,
-        steered_drive_plugins.read_tricycle,
-    ),
-    DrivePluginReader(
-        diff_drive_plugins.CLASSIC_DRIVE_FILENAMES,
-        diff_drive_plugins.CLASSIC_DRIVE_ALIASES,
-        diff_drive_plugins.read_classic_drive,
-    ),
-    DrivePluginReader(
-        diff_drive_plugins.GZ_DIFF_DRIVE_FILENAMES,
-        diff_drive_plugins.GZ_DIFF_DRIVE_ALIASES,
-        diff_drive_plugins.read_gz_diff_drive,
-    ),
-    DrivePluginReader(
-        planar_move_plugins.GZ_BODY_FILENAMES,
-        planar_move_plugins.GZ_BODY_ALIASES,
-        planar_move_plugins.read_gz_body_drive,
-    ),
-)
+def summarize_drive(drive: Drive) -> str:
+    """Describe a drive in one line."""
+    plugin = next(plugin for plugin in DRIVE_PLUGINS if plugin.drive_type is type(drive))
+    return plugin.summarize(drive)
 
 
 def read_plugins(
     plugins: Iterable[Element], lumped: LumpedModel, report: ParseReport
 ) -> RobotPlugins:
-    """Read the plug-ins of a robot; the first of a kind counts.
+    """Read the plug-ins of a robot; the first of a kind is used.
 
     Raises:
-        ModelError: A number in one is none, or cannot be.
+        ModelError: A value is not a number or out of range.
     """
     found, given = RobotPlugins(), list(plugins)
     if len(given) > MAX_PLUGINS:
         report.suspicious("plugins", f"{len(given)}; the first {MAX_PLUGINS} are read")
-    for plugin in given[:MAX_PLUGINS]:
-        filename = plugin.get("filename") or ""
-        reader = next((one for one in DRIVE_READERS if _matches_any(filename, one.filenames)), None)
-        if reader is not None:
-            found = _add_drive(found, plugin, reader, lumped=lumped, report=report)
-        elif _matches_any(filename, publisher_plugins.JOINT_STATE_FILENAMES):
-            found = _add_joint_state(found, plugin, lumped, report)
-        elif _matches_any(filename, publisher_plugins.GROUND_TRUTH_FILENAMES):
-            found = _add_ground_truth(found, plugin, lumped, report)
+    for element in given[:MAX_PLUGINS]:
+        filename = element.get("filename") or ""
+        plugin = next((one for one in DRIVE_PLUGINS if _matches(filename, one.filenames)), None)
+        if plugin is not None:
+            found = _add_drive(found, element, plugin, lumped=lumped, report=report)
+        elif _matches(filename, JOINT_STATE_FILENAMES):
+            found = _add_joint_state(found, element, lumped, report)
+        elif _matches(filename, GROUND_TRUTH_FILENAMES):
+            found = _add_ground_truth(found, element, lumped, report)
         else:
-            _report_unread_plugin(plugin, filename, report)
+            _report_unread_plugin(element, filename, report)
     return found
 
 
 def _add_drive(
     found: RobotPlugins,
-    plugin: Element,
-    reader: DrivePluginReader,
+    element: Element,
+    plugin: DrivePlugin[Any],
     *,
     lumped: LumpedModel,
     report: ParseReport,
 ) -> RobotPlugins:
-    tags = PluginTags(plugin, slug="drive", aliases=reader.aliases, report=report)
-    drive = reader.read(tags, lumped)
+    tags = PluginTags(element, slug="drive", aliases=plugin.aliases, report=report)
+    drive = plugin.read(tags, lumped)
     if drive is None:
         return found
     if found.drive is not None:
-        report.suspicious(tags.subject, "a second drive; the first counts")
+        report.suspicious(tags.subject, "a second drive; the first is used")
         return found
-    report.applied(tags.subject, f"drive: {summarize_drive(drive)}")
-    check_drive(drive, lumped, subject=tags.subject, report=report)
+    report.applied(tags.subject, f"drive: {plugin.summarize(drive)}")
+    plugin.check(drive, lumped, subject=tags.subject, report=report)
     for note in describe_contacts(drive, lumped.links, lumped.joints):
         report.applied(tags.subject, note)
     return msgspec.structs.replace(found, drive=drive)
 
 
 def _add_joint_state(
-    found: RobotPlugins, plugin: Element, lumped: LumpedModel, report: ParseReport
+    found: RobotPlugins, element: Element, lumped: LumpedModel, report: ParseReport
 ) -> RobotPlugins:
-    tags = PluginTags(
-        plugin, slug="joint_state", aliases=publisher_plugins.JOINT_STATE_ALIASES, report=report
-    )
-    publisher = publisher_plugins.read_joint_state(
-        tags, {joint.name: joint for joint in lumped.joints}
-    )
+    tags = PluginTags(element, slug="joint_state", aliases=JOINT_STATE_ALIASES, report=report)
+    publisher = read_joint_state(tags, lumped)
     if publisher is None:
         return found
     if found.joint_state is not None:
-        report.suspicious(tags.subject, "a second joint state publisher; the first counts")
+        report.suspicious(tags.subject, "a second joint state publisher; the first is used")
         return found
     report.applied(tags.subject, f"joint states of {', '.join(publisher.joints)}")
     return msgspec.structs.replace(found, joint_state=publisher)
 
 
 def _add_ground_truth(
-    found: RobotPlugins, plugin: Element, lumped: LumpedModel, report: ParseReport
+    found: RobotPlugins, element: Element, lumped: LumpedModel, report: ParseReport
 ) -> RobotPlugins:
-    tags = PluginTags(
-        plugin, slug="ground_truth", aliases=publisher_plugins.GROUND_TRUTH_ALIASES, report=report
-    )
-    truth = publisher_plugins.read_ground_truth(tags, lumped)
+    tags = PluginTags(element, slug="ground_truth", aliases=GROUND_TRUTH_ALIASES, report=report)
+    truth = read_ground_truth(tags, lumped)
     if truth is None:
         return found
     report.applied(tags.subject, f"ground truth of {truth.body!r} in {truth.frame_id!r}")
-    truths = (*found.ground_truths, truth)
-    return msgspec.structs.replace(found, ground_truths=truths)
+    return msgspec.structs.replace(found, ground_truths=(*found.ground_truths, truth))
 
 
-def _report_unread_plugin(plugin: Element, filename: str, report: ParseReport) -> None:
-    subject = f"plugin {(plugin.get('name') or '')[:80]!r}"
+def _report_unread_plugin(element: Element, filename: str, report: ParseReport) -> None:
+    subject = f"plugin {(element.get('name') or '')[:80]!r}"
     for known, reason in UNUSED_PLUGINS.items():
         if known in filename:
             report.ignored(subject, reason)
             return
-    report.unknown(subject, f"no plug-in {filename[:80]!r} here")
+    report.unknown(subject, f"no plug-in has the file name {filename[:80]!r}")
 
 
-def _matches_any(filename: str, names: Iterable[str]) -> bool:
+def _matches(filename: str, names: Iterable[str]) -> bool:
     return any(name in filename for name in names)

@@ -1,4 +1,4 @@
-"""Tags of one plug-in, older spellings included, and its <ros> block."""
+"""Tags of one plug-in, also in older spellings, and its <ros> block."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from zensim.proto.messages.model_messages import RosBlock
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.names import InvalidName, check_namespace
-from zensim.sim_server.description.strict_parsing import read_number, read_numbers
+from zensim.sim_server.description.strict_parsing import parse_flag, read_number, read_numbers
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
 UNUSED_ROS_TAGS = {
     "argument": "there is no ROS node to pass it to",
     "parameter": "there is no ROS node to pass it to",
-    "qos": "quality of service is the network's own",
+    "qos": "quality of service is fixed",
 }
 ROS_TAGS = ("namespace", "remapping", *UNUSED_ROS_TAGS)
 
 
 def read_ros_block(ros: Element, *, subject: str, report: ParseReport) -> RosBlock:
-    """Read a <ros> block; what cannot be used is noted and left out."""
+    """Read a <ros> block; unusable tags are reported and left out."""
     namespaces: list[str] = []
     remappings: list[str] = []
     for child in ros:
@@ -45,18 +45,18 @@ def read_ros_block(ros: Element, *, subject: str, report: ParseReport) -> RosBlo
 
 
 def _read_remapping(text: str, *, subject: str, report: ParseReport) -> list[str]:
-    """Take a rule if it leads to a name that ROS has."""
+    """Accept a rule whose target is a valid ROS name."""
     old, separator, new = (part.strip() for part in text.partition(":="))
     if not (old and separator and new):
         report.suspicious(f"{subject}: <remapping>", f"{text[:80]!r} is not 'from:=to'")
         return []
     try:
-        # Relative names are within some namespace.
+        # The robot's namespace makes a relative name absolute.
         check_namespace(new if new.startswith("/") else f"robot/{new}")
     except InvalidName:
         report.suspicious(
             f"{subject}: <remapping>",
-            f"{new[:80]!r} is no topic of ROS; use names joined by '/', as 'team/odom'; not used",
+            f"{new[:80]!r} is not a ROS topic, such as 'team/odom'; not used",
         )
         return []
     return [text]
@@ -65,7 +65,7 @@ def _read_remapping(text: str, *, subject: str, report: ParseReport) -> list[str
 def _read_namespace(written: list[str], *, subject: str, report: ParseReport) -> str:
     if len(written) > 1:
         report.suspicious(
-            f"{subject}: <namespace>", f"given {len(written)} times; the first counts"
+            f"{subject}: <namespace>", f"given {len(written)} times; the first is used"
         )
     text = written[0].strip("/") if written else ""
     if not text:
@@ -77,17 +77,14 @@ def _read_namespace(written: list[str], *, subject: str, report: ParseReport) ->
         return ""
 
 
-FLAG_TEXTS = {"true": True, "1": True, "false": False, "0": False}
-
-
 class PluginTags:
     """Tags by name; each reading method marks its tag as read.
 
     Args:
         plugin: The element.
-        slug: First half of the slugs raised, such as `drive`.
-        aliases: Older spellings, and the tag that each stands for.
-        report: Where oddities go.
+        slug: First half of the errors' slugs, such as `drive`.
+        aliases: Tags by older spelling.
+        report: Gets what is unusual.
     """
 
     def __init__(
@@ -111,28 +108,28 @@ class PluginTags:
             self._texts.setdefault(tag, []).append((child.text or "").strip())
 
     def is_renamed(self, tag: str) -> bool:
-        """Whether the tag is there under an older spelling."""
+        """Whether the tag is present in an older spelling."""
         return tag in self._renamed
 
     def texts(self, tag: str) -> list[str]:
-        """Read a tag that may be repeated."""
+        """Read a repeatable tag."""
         self._read.add(tag)
         return self._texts.get(tag, [])
 
     def text(self, tag: str, default: str) -> str:
-        """Read a tag; the first counts, an empty one is as none."""
+        """Read the first tag; empty gives the default."""
         written = self.texts(tag)
         if len(written) > 1:
             self.report.suspicious(
-                f"{self.subject}: <{tag}>", f"given {len(written)} times; the first counts"
+                f"{self.subject}: <{tag}>", f"given {len(written)} times; the first is used"
             )
         return (written[0] if written else "") or default
 
     def number(self, tag: str, default: float) -> float:
-        """Read a number.
+        """Read a number >= 0.
 
         Raises:
-            ModelError: It is none, or negative.
+            ModelError: It is not.
         """
         number = self._parse_number(tag, self.text(tag, repr(default)))
         if number < 0.0:
@@ -140,16 +137,16 @@ class PluginTags:
         return number
 
     def signed(self, tag: str) -> float | None:
-        """Read a number of either sign; None when it is not there.
+        """Read a number of either sign; None without the tag.
 
         Raises:
-            ModelError: It is none.
+            ModelError: It is not a number.
         """
         text = self.text(tag, "")
         return self._parse_number(tag, text) if text else None
 
     def vector(self, tag: str) -> Vec3:
-        """Read three numbers; 0 0 0 when they are not there.
+        """Read three numbers; 0 0 0 without the tag.
 
         Raises:
             ModelError: They are not three numbers.
@@ -160,18 +157,18 @@ class PluginTags:
         return (x, y, z)
 
     def length(self, tag: str, default: float) -> float:
-        """Read a length [m].
+        """Read a length [m], > 0.
 
         Raises:
-            ModelError: It is no number, or not positive.
+            ModelError: It is not.
         """
         return (self.positive_numbers(tag) or [default])[0]
 
     def positive_numbers(self, tag: str) -> list[float]:
-        """Read a repeated number.
+        """Read the numbers of a repeatable tag, > 0.
 
         Raises:
-            ModelError: One is not positive.
+            ModelError: One is not.
         """
         numbers = [self._parse_number(tag, text) for text in self.texts(tag)]
         for number in numbers:
@@ -182,11 +179,12 @@ class PluginTags:
     def flag(self, tag: str, *, default: bool) -> bool:
         """Read true, false, 1 or 0."""
         text = self.text(tag, "")
-        if text and text.lower() not in FLAG_TEXTS:
+        flag = parse_flag(text)
+        if text and flag is None:
             self.report.suspicious(
                 f"{self.subject}: <{tag}>", f"{text[:40]!r} is neither true nor false"
             )
-        return FLAG_TEXTS.get(text.lower(), default)
+        return default if flag is None else flag
 
     def ros(self) -> RosBlock:
         """Read the <ros> block."""
@@ -195,7 +193,7 @@ class PluginTags:
         return read_ros_block(self._ros, subject=self.subject, report=self.report)
 
     def report_unread(self, unused: Mapping[str, str]) -> None:
-        """Note every tag that was not read; `unused` gives the reason for those that are known."""
+        """Report each tag that was not read; `unused` has the reasons for known tags."""
         for tag in self._texts:
             if tag in unused:
                 self.report.ignored(f"{self.subject}: <{tag}>", unused[tag])
@@ -205,7 +203,7 @@ class PluginTags:
     def _parse_number(self, tag: str, text: str) -> float:
         if text.startswith(("${", "$(")):
             raise ModelError(
-                f"{self.subject}, {tag}: {text[:80]!r} is xacro's; run xacro on it first",
+                f"{self.subject}, {tag}: {text[:80]!r} is a xacro expression; run xacro first",
                 code=SpawnCode.UNSUPPORTED_FORMAT,
                 slug="urdf.xacro",
             )

@@ -1,4 +1,4 @@
-"""Sensors of URDF <gazebo> blocks and SDF links, read in full for clients."""
+"""Sensors of URDF <gazebo> blocks and SDF links, with all their settings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from zensim.proto.messages.model_messages import Origin, Parameter, RosBlock, Sensor
-from zensim.proto.rigid_transforms import compose, from_rpy
+from zensim.proto.rigid_transforms import compose
+from zensim.sim_server.description.model_geometry import make_origin
 from zensim.sim_server.description.plugins.plugin_tags import read_ros_block
 from zensim.sim_server.description.strict_parsing import quote, read_numbers
 
@@ -23,16 +24,17 @@ SENSOR_KINDS = (
     "lidar", "logical_camera", "magnetometer", "multicamera", "ray", "rgbd_camera", "sonar",
     "wideanglecamera", "wireless_receiver", "wireless_transmitter",
 )  # fmt: skip
-"""Sensors that Gazebo has; `depth_camera` and the like count as what they begin with."""
+"""Prefixes of Gazebo's sensor types: `depth_camera` is a `depth`."""
+NUMBER_COUNTS = {"update_rate": 1, "pose": 6}
+"""Tags that are read as so many numbers; all others are kept as text."""
 MAX_SENSORS = 500
 MAX_PARAMETERS = 200
 MAX_VALUE_LENGTH = 1000
-_NOT_SIMULATED_YET = "known, not simulated yet"
 
 
 @dataclass(frozen=True)
 class SensorElement:
-    """A <sensor> and the link that its block refers to."""
+    """A <sensor> and the link that it is on."""
 
     link: str
     element: Element
@@ -41,10 +43,10 @@ class SensorElement:
 def read_sensors(
     tags: Iterable[SensorElement], lumped: LumpedModel, report: ParseReport
 ) -> tuple[Sensor, ...]:
-    """Read sensors; each is placed in the link that moves it.
+    """Read sensors; each is placed in the moving link that its link was merged into.
 
     Raises:
-        ModelError: A pose or an update rate is no number.
+        ModelError: A pose or an update rate is not a number.
     """
     places = {link.name: (link.name, Origin()) for link in lumped.links}
     places |= {frame.name: (frame.parent, frame.origin) for frame in lumped.frames}
@@ -59,42 +61,30 @@ def _read_sensor(tag: SensorElement, link: str, place: Origin, report: ParseRepo
     kind, name = element.get("type") or "", element.get("name") or ""
     subject = f"sensor {quote(name)} on {quote(tag.link)}"
     if kind.startswith(SENSOR_KINDS):
-        report.ignored(subject, f"{quote(kind)} is {_NOT_SIMULATED_YET}")
+        report.ignored(subject, f"{quote(kind)} is known, not simulated yet")
     else:
-        report.unknown(subject, f"no sensor is of type {quote(kind)}")
-    rate = _read_number(element, "update_rate", subject)
+        report.unknown(subject, f"unknown sensor type {quote(kind)}")
+    (rate,) = _read_numbers(element, "update_rate", subject)
+    x, y, z, *rpy = _read_numbers(element, "pose", subject)
+    ros = plugin.find("ros") if plugin is not None else None
+    filename = (plugin.get("filename") or "") if plugin is not None else ""
     return Sensor(
         name=name[:MAX_VALUE_LENGTH],
         kind=kind[:MAX_VALUE_LENGTH],
         link=link,
         frame=tag.link,
-        origin=compose(place, _read_pose(element, subject)),
+        origin=compose(place, make_origin((x, y, z), tuple(rpy))),
         update_rate_hz=max(rate, 0.0),
-        plugin=((plugin.get("filename") or "") if plugin is not None else "")[:MAX_VALUE_LENGTH],
-        ros=_read_ros(plugin, subject, report),
+        plugin=filename[:MAX_VALUE_LENGTH],
+        ros=RosBlock() if ros is None else read_ros_block(ros, subject=subject, report=report),
         parameters=_read_parameters(element, subject, report),
     )
 
 
-def _read_number(element: Element, tag: str, subject: str) -> float:
-    text = (element.findtext(tag) or "").strip() or "0"
-    (number,) = read_numbers(text, counts=(1,), where=f"{subject}, {tag}", slug="urdf.sensor")
-    return number
-
-
-def _read_pose(element: Element, subject: str) -> Origin:
-    text = (element.findtext("pose") or "").strip() or "0 0 0 0 0 0"
-    x, y, z, roll, pitch, yaw = read_numbers(
-        text, counts=(6,), where=f"{subject}, pose", slug="urdf.sensor"
-    )
-    if not any((roll, pitch, yaw)):
-        return Origin((x, y, z))
-    return Origin((x, y, z), from_rpy(roll, pitch, yaw))
-
-
-def _read_ros(plugin: Element | None, subject: str, report: ParseReport) -> RosBlock:
-    ros = plugin.find("ros") if plugin is not None else None
-    return RosBlock() if ros is None else read_ros_block(ros, subject=subject, report=report)
+def _read_numbers(element: Element, tag: str, subject: str) -> tuple[float, ...]:
+    count = NUMBER_COUNTS[tag]
+    text = (element.findtext(tag) or "").strip() or " ".join(["0"] * count)
+    return read_numbers(text, counts=(count,), where=f"{subject}, {tag}", slug="urdf.sensor")
 
 
 def _read_parameters(element: Element, subject: str, report: ParseReport) -> tuple[Parameter, ...]:

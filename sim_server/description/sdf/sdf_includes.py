@@ -1,4 +1,4 @@
-"""<include> of SDF: each is replaced by the model that a resolver finds."""
+"""<include> elements of SDF, replaced by the models that a resolver finds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from zensim.proto.messages.asset_messages import resolve_include_uri
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.sdf.sdf_values import read_text
-from zensim.sim_server.description.strict_parsing import parse_xml, quote
+from zensim.sim_server.description.strict_parsing import parse_flag, parse_xml, quote
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -18,31 +18,31 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.report import ParseReport
 
 ResolveInclude = Callable[[str], str | None]
-"""The SDF text that a URI stands for; None when it is not here."""
+"""Finds the SDF text of a URI; None when missing."""
 
 SDF_VERSIONS = ("1.4", "1.5", "1.6", "1.7", "1.8", "1.9", "1.10", "1.11", "1.12")
 VERSION_ATTRIBUTE = "sdf_version"
-"""Attribute that every model gets: files of several versions may meet in one."""
+"""Set on each model, since a model may include models of other versions."""
 MAX_NESTING = 16
-"""Of models in models, included or not."""
+"""Of models, included or not."""
 MAX_INCLUDES = 2000
 MAX_INCLUDED_TAGS = 400_000
-"""Of all that is included."""
+"""Of all includes."""
 INCLUDE_TAGS = ("uri", "name", "pose", "static", "placement_frame", "plugin")
 
 
-def no_includes(uri: str) -> str | None:  # noqa: ARG001  every Resolve takes a URI
-    """Say that no model is here."""
+def no_includes(uri: str) -> str | None:  # noqa: ARG001  every resolver takes a URI
+    """Return None: there are no models."""
     return None
 
 
 def mark_versions(sdf: Element, report: ParseReport) -> Element:
-    """Mark every model of a document with the document's version."""
+    """Set the version of a document on each of its models."""
     version = (sdf.get("version") or "").strip()
     if version not in SDF_VERSIONS:
         report.suspicious(
             "sdf",
-            f"version {quote(version)}; read as one of {SDF_VERSIONS[0]} to {SDF_VERSIONS[-1]}",
+            f"unknown version {quote(version)}; known: {SDF_VERSIONS[0]} to {SDF_VERSIONS[-1]}",
         )
     for model in sdf.iter("model"):
         model.set(VERSION_ATTRIBUTE, version)
@@ -50,7 +50,7 @@ def mark_versions(sdf: Element, report: ParseReport) -> Element:
 
 
 class IncludeExpander:
-    """Puts models in the place of includes, below one document; equal URIs are read once."""
+    """Replaces the includes of one document; equal URIs are read once."""
 
     def __init__(
         self, resolve: ResolveInclude, report: ParseReport, *, allow_missing: bool = False
@@ -67,15 +67,15 @@ class IncludeExpander:
 
         Args:
             owner: Changed in place.
-            chain: URIs that are being included, outermost first.
-            depth: How many models the owner is in, itself counted.
+            chain: URIs of the enclosing includes, outermost first.
+            depth: Number of enclosing models, including the owner.
 
         Raises:
-            ModelError: One is not here, includes itself, or there are too many.
+            ModelError: A model is missing, includes itself, or there are too many.
         """
         if depth > MAX_NESTING:
             raise ModelError(
-                f"models are nested more than {MAX_NESTING} deep; join some of them",
+                f"models are nested more than {MAX_NESTING} deep; use fewer levels",
                 slug="sdf.nesting",
             )
         for child in list(owner):
@@ -93,13 +93,13 @@ class IncludeExpander:
     def _is_left_out(self, uri: str) -> bool:
         if not self._allow_missing or uri in self._read or self._resolve(uri) is not None:
             return False
-        self._report.suspicious(f"include {quote(uri)}", "left out: it is not here")
+        self._report.suspicious(f"include {quote(uri)}", "missing; left out")
         return True
 
     def _load_include(self, include: Element, uri: str, chain: tuple[str, ...]) -> Element:
         if uri in chain:
             raise ModelError(
-                f"{quote(uri)} includes itself, by {' > '.join(map(quote, chain[:5]))}",
+                f"{quote(uri)} includes itself: {' > '.join(map(quote, chain[:5]))}",
                 slug="sdf.include_cycle",
             )
         model = deepcopy(self._read_model(uri))
@@ -107,8 +107,8 @@ class IncludeExpander:
         self._tags += sum(1 for _ in model.iter())
         if self._count > MAX_INCLUDES or self._tags > MAX_INCLUDED_TAGS:
             raise ModelError(
-                f"{self._count} includes bring {self._tags} tags; "
-                f"at most {MAX_INCLUDES} and {MAX_INCLUDED_TAGS} are read",
+                f"{self._count} includes have {self._tags} tags; "
+                f"use at most {MAX_INCLUDES} and {MAX_INCLUDED_TAGS}",
                 slug="sdf.size",
             )
         self._override(model, include, uri)
@@ -121,8 +121,8 @@ class IncludeExpander:
         text = self._resolve(uri) if uri else None
         if text is None:
             raise ModelError(
-                f"it includes {quote(uri)}, which is not here; nothing is fetched: "
-                "write the model out, or give the folder that it is in",
+                f"the included model {quote(uri)} is missing and not downloaded; "
+                "replace the include by the model, or add its folder",
                 code=SpawnCode.MISSING_ASSETS,
                 slug="sdf.include",
             )
@@ -130,7 +130,7 @@ class IncludeExpander:
         models = sdf.findall("model")
         if len(models) != 1:
             raise ModelError(
-                f"{quote(uri)} holds {len(models)} models; one is needed",
+                f"{quote(uri)} contains {len(models)} models; use a file with one",
                 code=SpawnCode.UNSUPPORTED_FORMAT,
                 slug="sdf.model",
             )
@@ -139,13 +139,13 @@ class IncludeExpander:
         return models[0]
 
     def _make_uris_absolute(self, model: Element, uri: str) -> None:
-        """Write relative URIs out, so that those of two models are not mistaken for one another."""
+        """Replace relative URIs, which would be equal for different files of two models."""
         for tag in model.iter("mesh", "include"):
             written = tag.find("uri")
             if written is None:
                 continue
             whole = resolve_include_uri(uri, (written.text or "").strip())
-            # Includes have always been looked for below every folder, too.
+            # A relative include may also exist below another folder.
             if tag.tag == "mesh" or self._resolve(whole) is not None:
                 written.text = whole
 
@@ -153,9 +153,9 @@ class IncludeExpander:
         for tag in ("name", "placement_frame"):
             if text := read_text(include, tag):
                 model.set(tag, text)
-        if include.get("merge") in ("true", "1"):
+        if parse_flag(include.get("merge")):
             self._report.suspicious(
-                f"include {quote(uri)}: merge", "not supported; read as a model of its own"
+                f"include {quote(uri)}: merge", "not supported; read as a nested model"
             )
         for written in (*include.findall("pose")[:1], *include.findall("static")[:1]):
             for old in model.findall(written.tag):

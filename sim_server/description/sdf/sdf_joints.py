@@ -1,7 +1,7 @@
 """Joints of SDF models: a spanning tree of the joint graph, chains of one-axis joints.
 
-A joint's axis runs through the joint's own frame, which need not be that of its child: then a
-massless pivot link stands there, and the child is fixed to it.
+The axis of a joint runs through the joint's frame. Where that differs from the child's frame, a
+massless pivot link is added, to which the child is fixed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ import numpy as np
 from zensim.proto.messages.model_messages import Joint, JointKind, Link, Mimic, Origin, Vec3
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, conjugate, invert, rotate
-from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph
+from zensim.sim_server.description.joint_reduction import SLIDE_LIMIT_M, X, Y, Z, make_unique_name
+from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK
+from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 from zensim.sim_server.description.sdf.sdf_includes import VERSION_ATTRIBUTE
 from zensim.sim_server.description.sdf.sdf_values import (
     read_bound,
@@ -37,25 +39,20 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.report import ParseReport
 
 NO_LIMIT = 1e15
-"""SDF writes 1e16 where there is no limit."""
-SLIDE_LIMIT_M = 1e5
-"""How far a joint slides that has no limit: the size of the world."""
+"""SDF writes 1e16 for no limit."""
 TURN_LIMIT_RAD = 1e6
 OFFSET_TOLERANCE_M = 1e-5
-"""Files round their angles: by this much a joint may miss its child's origin."""
-X: Vec3 = (1.0, 0.0, 0.0)
-Y: Vec3 = (0.0, 1.0, 0.0)
-Z: Vec3 = (0.0, 0.0, 1.0)
+"""Distance of a joint's axis from its child's origin that comes from rounded angles."""
 SINGLE_AXIS_KINDS = ("revolute", "continuous", "prismatic")
 DOUBLE_AXIS_KINDS = ("universal", "revolute2")
 SDF_JOINT_KINDS = ("fixed", *SINGLE_AXIS_KINDS, "ball", *DOUBLE_AXIS_KINDS)
 MODEL_FRAME_VERSIONS = ("1.0", "1.2", "1.3", "1.4")
-"""Versions whose axes are given in the model's frame."""
+"""Versions whose axes are in the model's frame."""
 
 
 @dataclass(frozen=True)
 class JointElement:
-    """A <joint>, the scope it is in, its scoped name, its frame, and the links it joins."""
+    """A <joint>, its scope, its scoped name, its frame, and its links."""
 
     element: Element
     scope: str
@@ -63,13 +60,13 @@ class JointElement:
     frame: str
     parent: str
     child: str
-    is_turned: bool = False
-    """The file has parent and child the other way round."""
+    is_reversed: bool = False
+    """Parent and child are swapped in the file."""
 
 
 @dataclass
 class SdfJointReader:
-    """Reads joints of one top model; links that chains need are gathered in `pivots`."""
+    """Reads the joints of one top model; `pivots` gets the links between joints of chains."""
 
     frames: PoseGraph
     report: ParseReport
@@ -80,7 +77,7 @@ class SdfJointReader:
         """Read a joint as a chain from its parent to its child.
 
         Raises:
-            ModelError: Its type is not simulated, or a number is none.
+            ModelError: Its type is not supported, or a value is not a number.
         """
         kind = (tag.element.get("type") or "").strip()
         if kind not in SDF_JOINT_KINDS:
@@ -89,7 +86,7 @@ class SdfJointReader:
                 code=SpawnCode.UNSUPPORTED_FORMAT,
                 slug="sdf.joint_type",
             )
-        parent = Origin() if tag.parent == "world" else self.frames.pose(tag.parent)
+        parent = Origin() if tag.parent == WORLD_LINK else self.frames.pose(tag.parent)
         child, joint = self.frames.pose(tag.child), self.frames.pose(tag.frame)
         start = compose(invert(parent), child)
         if kind == "fixed":
@@ -113,24 +110,24 @@ class SdfJointReader:
         for number, step in enumerate(steps, start=1):
             is_last = number == len(steps)
             child = tag.child if is_last and not is_offset else self._add_pivot(tag.name)
-            name = tag.name if is_last else self._make_unique_name(f"{tag.name}_{number}")
+            name = tag.name if is_last else make_unique_name(f"{tag.name}_{number}", self.taken)
             chain.append(
                 msgspec.structs.replace(step, name=name, parent=parent, child=child, origin=origin)
             )
             parent, origin = child, Origin()
         if is_offset:
             back = Origin((-offset[0], -offset[1], -offset[2]))
-            held = self._make_unique_name(f"{tag.name}_held")
-            chain.append(Joint(held, "fixed", parent, tag.child, back))
+            name = make_unique_name(f"{tag.name}_held", self.taken)
+            chain.append(Joint(name, "fixed", parent, tag.child, back))
         return chain
 
     def _read_steps(self, tag: JointElement, kind: str, child: Origin) -> list[Joint]:
         if kind == "ball":
-            # Rolling, about y, comes first: a chain sticks when its middle turns by a quarter.
+            # y comes first: the chain is singular when its middle joint, z, turns by 90 degrees.
             return [_make_step("continuous", axis) for axis in (Y, Z, X)]
         tags = ("axis", "axis2") if kind in DOUBLE_AXIS_KINDS else ("axis",)
         steps = [self._read_step(tag, name, kind, child) for name in tags]
-        return steps[::-1] if tag.is_turned else steps
+        return steps[::-1] if tag.is_reversed else steps
 
     def _read_step(self, tag: JointElement, name: str, kind: str, child: Origin) -> Joint:
         where = f"joint {quote(tag.name)}, {name}"
@@ -165,8 +162,8 @@ class SdfJointReader:
         name = self.frames.full_name(tag.scope, frame) if frame else tag.frame
         in_model = rotate(self.frames.pose(name).orientation, direction)
         x, y, z = rotate(conjugate(child.orientation), in_model)
-        # The joint turns the other body by as much the other way.
-        return (-x, -y, -z) if tag.is_turned else (x, y, z)
+        # Seen from the parent, the child of a reversed joint moves the other way.
+        return (-x, -y, -z) if tag.is_reversed else (x, y, z)
 
     @staticmethod
     def _is_axis_in_model_frame(tag: JointElement, axis: Element, where: str) -> bool:
@@ -177,15 +174,9 @@ class SdfJointReader:
         )
 
     def _add_pivot(self, joint: str) -> str:
-        name = self._make_unique_name(f"{joint}_pivot")
+        name = make_unique_name(f"{joint}_pivot", self.taken)
         self.pivots.append(Link(name))
         return name
-
-    def _make_unique_name(self, wish: str) -> str:
-        while wish in self.taken:
-            wish += "_"
-        self.taken.add(wish)
-        return wish
 
 
 def _make_step(kind: JointKind, axis: Vec3) -> Joint:
@@ -193,12 +184,12 @@ def _make_step(kind: JointKind, axis: Vec3) -> Joint:
 
 
 def _to_limit(number: float) -> float:
-    # SDF writes a negative or a huge number for none; here 0 is none.
+    # No limit is a negative or a huge number in SDF, and 0 in `Joint`.
     return number if 0.0 < number < NO_LIMIT else 0.0
 
 
 def _needs_pivot(steps: Sequence[Joint], offset: Vec3) -> bool:
-    """Whether turning happens about another line than one through the child's origin."""
+    """Whether an axis of rotation does not run through the child's origin."""
     if len(steps) > 1:
         return math.hypot(*offset) > OFFSET_TOLERANCE_M
     (step,) = steps
@@ -227,32 +218,31 @@ def _make_empty_axis(joint: Element) -> Element:
 
 
 COUPLING_KINDS = ("gearbox", "screw")
-"""Types of joints that couple links, which others may hold."""
-WORLD_LINK = "world"
+"""Types that couple links which other joints may carry."""
 
 
 def find_spanning_tree(
     joints: Sequence[JointElement], links: Sequence[str], report: ParseReport
 ) -> tuple[JointElement, ...]:
-    """Direct joints away from the first link where a link is the child of two; note what is lost.
+    """Direct joints away from the root where a link has two parents; left out joints are reported.
 
-    Joints that cannot be part of a tree otherwise are as they were, for others to refuse.
+    Joints that fit no tree are returned unchanged; `order_as_tree` raises errors for them.
     """
-    held = {joint.child for joint in joints if joint.element.get("type") not in COUPLING_KINDS}
-    holding = [joint for joint in joints if not _is_only_coupling(joint, held)]
+    carried = {joint.child for joint in joints if joint.element.get("type") not in COUPLING_KINDS}
+    kept = [joint for joint in joints if not _is_only_coupling(joint, carried)]
     for joint in joints:
-        if _is_only_coupling(joint, held):
+        if _is_only_coupling(joint, carried):
             kind = joint.element.get("type")
             report.suspicious(f"joint {quote(joint.name)}", f"{kind} is not simulated; left out")
-    children = Counter(joint.child for joint in holding)
-    has_root = any(joint.parent == WORLD_LINK for joint in holding) or set(links) - set(children)
+    children = Counter(joint.child for joint in kept)
+    has_root = any(joint.parent == WORLD_LINK for joint in kept) or set(links) - set(children)
     if not has_root or max(children.values(), default=0) <= 1:
-        return tuple(holding)
-    return tuple(_direct_joints(_find_root(holding, links), holding, report))
+        return tuple(kept)
+    return tuple(_direct_joints(_find_root(kept, links), kept, report))
 
 
-def _is_only_coupling(joint: JointElement, held: Container[str]) -> bool:
-    return joint.element.get("type") in COUPLING_KINDS and joint.child in held
+def _is_only_coupling(joint: JointElement, carried: Container[str]) -> bool:
+    return joint.element.get("type") in COUPLING_KINDS and joint.child in carried
 
 
 def _find_root(joints: Iterable[JointElement], links: Sequence[str]) -> str:
@@ -267,7 +257,7 @@ def _direct_joints(
     tree: dict[str, JointElement] = {}
     forward, backward = deque(ahead.get(root, [])), deque(back.get(root, []))
     while forward or backward:
-        # A joint is turned round only when nothing else leads to its link.
+        # A joint is reversed only when no other joint leads to its link.
         joint = forward.popleft() if forward else _reverse_joint(backward.popleft())
         if joint.child in reached:
             continue
@@ -279,15 +269,13 @@ def _direct_joints(
         if joint.name in tree:
             yield tree[joint.name]
         elif joint.child in reached and joint.parent != joint.child:
-            report.suspicious(
-                f"joint {quote(joint.name)}", "closes a loop of joints; loops are left open"
-            )
+            report.suspicious(f"joint {quote(joint.name)}", "closes a loop of joints; left out")
         else:
             yield joint
     for joint in tree.values():
-        if joint.is_turned:
+        if joint.is_reversed:
             report.applied(
-                f"joint {quote(joint.name)}", f"turned round: it moves {quote(joint.child)}"
+                f"joint {quote(joint.name)}", f"reversed: its child is {quote(joint.child)}"
             )
 
 
@@ -303,4 +291,4 @@ def _index_ends(
 
 
 def _reverse_joint(joint: JointElement) -> JointElement:
-    return replace(joint, parent=joint.child, child=joint.parent, is_turned=True)
+    return replace(joint, parent=joint.child, child=joint.parent, is_reversed=True)

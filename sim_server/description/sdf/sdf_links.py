@@ -1,4 +1,4 @@
-"""Links of SDF models: inertia, collisions and visuals, each placed in its link."""
+"""Links of SDF models: inertia, collisions and visuals, with poses in their link."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from zensim.proto.messages.model_messages import (
     Shape,
     Vec3,
 )
-from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, from_directions, invert, normalize
 from zensim.proto.se3 import to_matrix
 from zensim.sim_server.description.link_surfaces import (
     SurfaceParameters,
     SurfaceTagReader,
     find_gazebo_colour,
+    read_rgba,
     to_decay_rate,
 )
 from zensim.sim_server.description.sdf.sdf_values import (
+    read_child_numbers,
     read_flag,
     read_pose,
     read_scalar,
     read_text,
     read_vector,
 )
-from zensim.sim_server.description.strict_parsing import quote, read_numbers
+from zensim.sim_server.description.strict_parsing import quote
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -47,23 +48,15 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 
 GEOMETRY_TAGS = ("box", "sphere", "cylinder", "capsule", "plane", "mesh")
-_NO_SUCH_SHAPE = "no engine here has it"
-UNSUPPORTED_GEOMETRIES = {
-    "cone": _NO_SUCH_SHAPE,
-    "ellipsoid": _NO_SUCH_SHAPE,
-    "heightmap": "heightmaps are not simulated",
-    "image": "made of an image",
-    "polyline": "extruded outlines are not simulated",
-}
+UNSUPPORTED_GEOMETRIES = ("cone", "ellipsoid", "heightmap", "image", "polyline")
 UNIT_SIZE: Vec3 = (1.0, 1.0, 1.0)
 UP: Vec3 = (0.0, 0.0, 1.0)
-RGB_COUNT = 3
 GROUND_SLAB_M: Vec3 = (1000.0, 1000.0, 1.0)
 GROUND_SLAB_ORIGIN = Origin((0.0, 0.0, -0.5))
-"""Where the middle of a slab is below its plane."""
+"""Centre of a slab relative to its plane."""
 SHEET_THICKNESS_M = 0.002
 FRICTION_PATHS = ("surface/friction/ode/mu", "surface/friction/bullet/friction")
-"""Where a collision says how rough it is; the first counts."""
+"""The first that has a text is used."""
 SURFACE_PATHS = {
     "mu2": "surface/friction/ode/mu2",
     "fdir1": "surface/friction/ode/fdir1",
@@ -72,14 +65,14 @@ SURFACE_PATHS = {
     "maxVel": "surface/contact/ode/max_vel",
     "minDepth": "surface/contact/ode/min_depth",
 }
-"""Where it says the rest, by the names of URDF."""
+"""By the names of URDF."""
 
 
 def read_geometry(part: Element, where: str, report: ParseReport) -> Shape | None:
-    """Read the <geometry> of a collision or visual; None, noted, when it is not supported.
+    """Read the <geometry> of a collision or visual; None and reported when not supported.
 
     Raises:
-        ModelError: There is none, or a size is no number.
+        ModelError: It is missing, or a size is not a positive number.
     """
     geometry = part.find("geometry")
     solids = (
@@ -89,10 +82,8 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> Shape | Non
         tag = geometry[0].tag
         if tag == "empty":
             return None
-        report.suspicious(
-            f"{where}: <{tag[:80]}>",
-            f"not supported: {UNSUPPORTED_GEOMETRIES.get(tag, 'not known')}; left out",
-        )
+        fault = "not supported" if tag in UNSUPPORTED_GEOMETRIES else "unknown geometry"
+        report.suspicious(f"{where}: <{tag[:80]}>", f"{fault}; left out")
         return None
     if not solids:
         raise ModelError(
@@ -104,10 +95,10 @@ def read_geometry(part: Element, where: str, report: ParseReport) -> Shape | Non
 
 
 def read_surface(collision: Element, where: str, report: ParseReport) -> SurfaceParameters:
-    """Read how a collision touches.
+    """Read the surface of a collision.
 
     Raises:
-        ModelError: Its friction is no number, or negative.
+        ModelError: Its friction is not a number >= 0.
     """
     friction = next(
         (path for path in FRICTION_PATHS if read_text(collision, path)), FRICTION_PATHS[0]
@@ -118,10 +109,10 @@ def read_surface(collision: Element, where: str, report: ParseReport) -> Surface
 
 
 def read_colour(visual: Element, where: str, report: ParseReport) -> Quat | None:
-    """Read the colour of a visual: its script's when Gazebo ships that, else diffuse or ambient.
+    """Read the colour of a visual: that of a known Gazebo script, else diffuse or ambient.
 
     Raises:
-        ModelError: A colour is no numbers.
+        ModelError: A colour is not three or four numbers.
     """
     material = visual.find("material")
     if material is None:
@@ -131,52 +122,22 @@ def read_colour(visual: Element, where: str, report: ParseReport) -> Quat | None
         return colour
     for tag in ("diffuse", "ambient"):
         if text := read_text(material, tag):
-            return _read_rgba(text, f"{where}, {tag}", report)
+            return read_rgba(text, where=f"{where}, {tag}", slug="sdf.number", report=report)
     if script:
-        report.unknown(f"{where}: <script>", f"no colour is called {quote(script)}")
+        report.unknown(f"{where}: <script>", f"no colour is named {quote(script)}")
     return None
 
 
 def apply_transparency(colour: Quat | None, transparency: float) -> Quat | None:
-    """Make a colour as transparent as its visual."""
+    """Apply the transparency of a visual to its colour."""
     if transparency <= 0.0:
         return colour
     r, g, b, a = colour or (1.0, 1.0, 1.0, 1.0)
     return (r, g, b, a * max(0.0, 1.0 - transparency))
 
 
-def has_usable_mesh(
-    shape: Shape, where: str, *, rule: MeshPolicy, report: ParseReport, collides: bool
-) -> bool:
-    """Whether a shape can be used: no mesh, or one that is here.
-
-    Raises:
-        ModelError: A collision's mesh is not here, and may not be missing.
-    """
-    if shape.kind != "mesh" or rule.has_mesh(shape.mesh):
-        return True
-    fault = f"mesh {quote(shape.mesh)} is not on the server"
-    if not collides:
-        report.suspicious(where, f"visual {fault}; not drawn")
-    elif rule.allow_missing:
-        report.suspicious(where, f"collision {fault}; nothing collides there")
-    else:
-        raise ModelError(
-            f"{where}: collision {fault}; send the mesh, use a box, sphere or cylinder, "
-            "or allow it to be missing",
-            code=SpawnCode.MISSING_ASSETS,
-            slug="mesh.missing",
-        )
-    return False
-
-
-def transform_shape(shape: Shape, origin: Origin) -> Shape:
-    """Put a shape, placed in its own frame, where that frame is."""
-    return msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
-
-
 def make_ground_slab(plane: Shape) -> Shape:
-    """Make the solid that a plane is to others: a wide slab below it, endless in Gazebo."""
+    """Make the collision of a plane: a wide slab below it; Gazebo's is infinite."""
     return msgspec.structs.replace(
         plane,
         kind="box",
@@ -186,7 +147,7 @@ def make_ground_slab(plane: Shape) -> Shape:
 
 
 def make_visual_sheet(plane: Shape) -> Shape:
-    """Make the solid that a plane looks like: a sheet of its size."""
+    """Make the visual of a plane: a sheet of its size."""
     return msgspec.structs.replace(plane, kind="box", size=(*plane.size[:2], SHEET_THICKNESS_M))
 
 
@@ -194,11 +155,9 @@ def _read_geometry_element(solid: Element, where: str) -> Shape:
     if solid.tag == "box":
         return _check_size(Shape("box", read_vector(solid, "size", UNIT_SIZE, where)), 3, where)
     if solid.tag == "plane":
-        size = read_numbers(
-            read_text(solid, "size", "1 1"), counts=(2,), where=f"{where}, size", slug="sdf.number"
-        )
+        width, depth = read_child_numbers(solid, "size", (1.0, 1.0), where)
         up = Origin(orientation=_rotation_to_normal(solid, where))
-        return _check_size(Shape("plane", (*size, 0.0), up), 2, where)  # type: ignore[arg-type]
+        return _check_size(Shape("plane", (width, depth, 0.0), up), 2, where)
     if solid.tag == "mesh":
         uri, scale = read_text(solid, "uri"), read_vector(solid, "scale", UNIT_SIZE, where)
         if not uri:
@@ -217,42 +176,32 @@ def _read_geometry_element(solid: Element, where: str) -> Shape:
 def _check_size(shape: Shape, count: int, where: str) -> Shape:
     if min(shape.size[:count]) <= 0.0:
         raise ModelError(
-            f"{where}: {shape.kind} of size {shape.size[:count]}; sizes must be > 0",
+            f"{where}: {shape.kind} of size {shape.size[:count]}; use sizes > 0",
             slug="sdf.size",
         )
     return shape
 
 
 def _rotation_to_normal(plane: Element, where: str) -> Quat:
-    """Find the shortest turn that takes z to the plane's normal."""
+    """Find the shortest rotation from z to the plane's normal."""
     normal = read_vector(plane, "normal", UP, where)
     length = math.hypot(*normal)
     if length == 0.0 or not math.isfinite(length):
         raise ModelError(
-            f"{where}: a plane's normal is {normal}; write one such as 0 0 1", slug="sdf.size"
+            f"{where}: the plane's normal is {normal}; write one such as 0 0 1", slug="sdf.size"
         )
     return from_directions(UP, normalize(normal))
 
 
-def _read_rgba(text: str, where: str, report: ParseReport) -> Quat:
-    written = read_numbers(text, counts=(3, 4), where=where, slug="sdf.number")
-    if len(written) == RGB_COUNT:
-        written = (*written, 1.0)
-    r, g, b, a = (min(max(part, 0.0), 1.0) for part in written)
-    if (r, g, b, a) != written:
-        report.suspicious(where, "colours lie in 0 to 1; cut to it")
-    return (r, g, b, a)
-
-
 DEFAULT_MOMENTS = {"ixx": 1.0, "ixy": 0.0, "ixz": 0.0, "iyy": 1.0, "iyz": 0.0, "izz": 1.0}
-"""What SDF takes where one is not written [kg m^2]."""
+"""SDF's defaults [kg m^2]."""
 DEFAULT_INERTIAL = Inertial(mass_kg=1.0, inertia=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
-"""What SDF takes for a link without <inertial>."""
+"""SDF's default for a link without <inertial>."""
 
 
 @dataclass(frozen=True)
 class LinkElement:
-    """A <link>, the scoped name of the model that it is in, and its own."""
+    """A <link>, the scoped name of its model, and its scoped name."""
 
     element: Element
     scope: str
@@ -261,20 +210,20 @@ class LinkElement:
 
 @dataclass(frozen=True)
 class SdfLinkReader:
-    """Reads links of one top model."""
+    """Reads the links of one top model."""
 
     frames: PoseGraph
-    rule: MeshPolicy
+    policy: MeshPolicy
     report: ParseReport
     is_static: bool
     self_colliding: Set[str] = frozenset()
-    """Scopes of models whose links touch each other."""
+    """Scopes of models whose links collide with each other."""
 
     def read(self, tag: LinkElement) -> Link:
         """Read a link.
 
         Raises:
-            ModelError: A number is none, a size is not positive, or a collision's mesh is missing.
+            ModelError: A value is not a number, a size is not positive, or a mesh is missing.
         """
         where, inertial = f"link {quote(tag.name)}", self._read_inertial(tag)
         has_gravity = read_flag(tag.element, "gravity", default=True, where=where)
@@ -301,7 +250,7 @@ class SdfLinkReader:
         origin = self._read_origin(tag, inertial, where)
         matrix = inertial.find("inertia")
         if matrix is None:
-            self.report.suspicious(where, "has no <inertia>; 1 kg m^2 is used, as by SDF")
+            self.report.suspicious(where, "has no <inertia>; SDF's default 1 kg m^2 is used")
             moments = tuple(DEFAULT_MOMENTS.values())
         else:
             moments = tuple(read_scalar(matrix, n, d, where) for n, d in DEFAULT_MOMENTS.items())
@@ -326,7 +275,7 @@ class SdfLinkReader:
                 self.report.suspicious(where, "a plane collides in static models only; left out")
                 continue
             shape = make_ground_slab(shape) if shape.kind == "plane" else shape
-            if has_usable_mesh(shape, where, rule=self.rule, report=self.report, collides=True):
+            if self.policy.can_use(shape, where, collides=True, report=self.report):
                 kept.append(read_surface(element, where, self.report).apply_to_shape(shape))
         return kept
 
@@ -335,21 +284,23 @@ class SdfLinkReader:
         for element in tag.element.findall("visual"):
             where = _describe_place(tag, element)
             shape = self._read_shape(tag, element, where)
-            if shape is not None and has_usable_mesh(
-                shape, where, rule=self.rule, report=self.report, collides=False
+            if shape is not None and self.policy.can_use(
+                shape, where, collides=False, report=self.report
             ):
                 shape = make_visual_sheet(shape) if shape.kind == "plane" else shape
                 colour = read_colour(element, where, self.report)
-                through = read_scalar(element, "transparency", 0.0, where)
+                transparency = read_scalar(element, "transparency", 0.0, where)
                 kept.append(
-                    msgspec.structs.replace(shape, rgba=apply_transparency(colour, through))
+                    msgspec.structs.replace(shape, rgba=apply_transparency(colour, transparency))
                 )
         return kept
 
     def _read_shape(self, tag: LinkElement, element: Element, where: str) -> Shape | None:
         origin = self._read_origin(tag, element, where)
         shape = read_geometry(element, where, self.report)
-        return None if shape is None else transform_shape(shape, origin)
+        if shape is None:
+            return None
+        return msgspec.structs.replace(shape, origin=compose(origin, shape.origin))
 
     def _read_origin(self, tag: LinkElement, element: Element, where: str) -> Origin:
         pose = read_pose(element, where)

@@ -1,6 +1,6 @@
 """SDF text to Model: nested models flattened to scoped names, then the same steps as for URDF.
 
-A model may ask for its dynamics in an element of the zensim namespace:
+An element of the zensim namespace sets the dynamics of a model:
 
 ```xml
 <model name="cart_1" xmlns:zensim="urn:zensim">
@@ -14,21 +14,19 @@ from __future__ import annotations
 from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, get_args
+from typing import TYPE_CHECKING, get_args
 
 import msgspec
 
 from zensim.proto.messages.model_messages import Dynamics, Inertial, Joint, Link, Model, Origin
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.rigid_transforms import compose, invert
-from zensim.sim_server.description.joint_reduction import (
-    LumpedModel,
-    check_mimics,
-    expand_multi_dof_joints,
-    lump_fixed_joints,
-)
+from zensim.sim_server.description.joint_reduction import reduce_joints
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.parsed_model import (
+    MAX_LINKS,
+    MODEL_FRAME,
+    WORLD_LINK,
     ParsedModel,
     check_links,
     check_moving_parts,
@@ -38,11 +36,7 @@ from zensim.sim_server.description.parsed_model import (
 from zensim.sim_server.description.plugins.plugin_registry import read_plugins
 from zensim.sim_server.description.plugins.sensor_tags import SensorElement, read_sensors
 from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.sdf.sdf_frames import (
-    MODEL_FRAME,
-    PoseGraph,
-    to_scoped_name,
-)
+from zensim.sim_server.description.sdf.sdf_frames import PoseGraph, to_scoped_name
 from zensim.sim_server.description.sdf.sdf_includes import (
     IncludeExpander,
     ResolveInclude,
@@ -63,7 +57,7 @@ from zensim.sim_server.description.sdf.sdf_values import (
     read_text,
     zensim_tag,
 )
-from zensim.sim_server.description.strict_parsing import parse_xml, quote, quote_names
+from zensim.sim_server.description.strict_parsing import parse_flag, parse_xml, quote, quote_names
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -73,31 +67,29 @@ if TYPE_CHECKING:
 
 
 def read_dynamics(model: Element, report: ParseReport) -> Dynamics:
-    """Read which dynamics a <model> asks for; empty = none, also where the word is none."""
-    words = [(child.text or "").strip() for child in model if zensim_tag(child) == "dynamics"]
-    if not words:
+    """Read the dynamics of a <model>; empty when missing or unknown."""
+    texts = [(child.text or "").strip() for child in model if zensim_tag(child) == "dynamics"]
+    if not texts:
         return ""
     for known in get_args(Dynamics):
-        if known and known == words[-1]:
+        if known and known == texts[-1]:
             return known  # type: ignore[no-any-return]
     kinds = ", ".join(known for known in get_args(Dynamics) if known)
-    report.suspicious("dynamics", f"{quote(words[-1])} is unknown; use {kinds}")
+    report.suspicious("dynamics", f"{quote(texts[-1])} is unknown; use {kinds}")
     return ""
 
 
-MAX_LINKS = 500
 MAX_FRAMES = 5000
-WORLD_LINK = "world"
 
 
 @dataclass
 class FlattenedModel:
-    """What a top model lists.
+    """Elements of a top model and its nested models.
 
     Attributes:
-        carriers: What each frame, joint and nested model is attached to, by scoped name.
+        attached_to: Link or frame that carries each frame, joint and nested model, by scoped name.
         plugins: Of the top model.
-        self_colliding: Scopes of models whose links touch each other.
+        self_colliding: Scopes of models whose links collide with each other.
     """
 
     frames: PoseGraph = field(default_factory=PoseGraph)
@@ -109,17 +101,17 @@ class FlattenedModel:
     self_colliding: set[str] = field(default_factory=set)
 
     def find_link(self, name: str, where: str, *, slug: str) -> str:
-        """Find the link that carries a scoped name.
+        """Find the link that carries the frame with a scoped name.
 
         Raises:
-            ModelError: There is none.
+            ModelError: It does not exist.
         """
         links = {tag.name for tag in self.links}
         at, seen = name, set[str]()
         while at not in links:
             if at in seen or at not in self.attached_to:
                 raise ModelError(
-                    f"{where}: {quote(name)} is no link here; links: "
+                    f"{where}: {quote(name)} is not a link; links: "
                     f"{quote_names([tag.name for tag in self.links]) or 'none'}",
                     slug=slug,
                 )
@@ -129,10 +121,10 @@ class FlattenedModel:
 
 
 def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
-    """Gather a top model whose includes were expanded.
+    """Collect the elements of a top model after expanding includes.
 
     Raises:
-        ModelError: A name is none, a pose is no numbers, or a joint joins what is not there.
+        ModelError: A name or a pose is invalid, or a joint's link does not exist.
     """
     found = FlattenedModel()
     waiting = [("", model)]
@@ -154,7 +146,7 @@ def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
             )
     _check_unique("link", [tag.name for tag in found.links])
     _check_unique("joint", [tag.name for tag in found.joints])
-    # Joints may name what a nested model holds, so these come last.
+    # Joints may connect links of nested models, so they come last.
     found.joints = [_resolve_joint_ends(tag, found) for tag in found.joints]
     return found
 
@@ -184,7 +176,7 @@ def _add_links(model: Element, scope: str, found: FlattenedModel) -> None:
         )
     if len(found.links) > MAX_LINKS:
         raise ModelError(
-            f"the model has more than {MAX_LINKS} links; at most {MAX_LINKS} are simulated",
+            f"the model has more than {MAX_LINKS} links; use at most {MAX_LINKS}",
             slug="sdf.size",
         )
 
@@ -193,7 +185,7 @@ def _add_frames(model: Element, scope: str, found: FlattenedModel) -> None:
     frames, joints = model.findall("frame"), model.findall("joint")
     if len(found.attached_to) + len(frames) + len(joints) > MAX_FRAMES:
         raise ModelError(
-            f"the model has more than {MAX_FRAMES} frames and joints; at most so many are read",
+            f"the model has more than {MAX_FRAMES} frames and joints; use fewer",
             slug="sdf.size",
         )
     for element in frames:
@@ -208,7 +200,7 @@ def _add_frames(model: Element, scope: str, found: FlattenedModel) -> None:
         where = f"joint {quote(element.get('name'))}"
         name, child = read_name(element, where), read_text(element, "child")
         pose = read_pose(element, where)
-        frame = f"{name} (joint)"  # so that a link of the same name does not hide it
+        frame = f"{name} (joint)"  # differs from a link of the same name
         found.frames.add(frame, pose, scope=scope, implied=child)
         found.frames.add(name, pose, scope=scope, implied=child)
         found.attached_to.setdefault(to_scoped_name(scope, name), to_scoped_name(scope, child))
@@ -233,13 +225,13 @@ def _add_nested_model(
     found.frames.add(name, read_pose(nested, where), scope=scope, implied=MODEL_FRAME)
     if placement := (nested.get("placement_frame") or "").strip():
         found.frames.set_placement_frame(full, placement)
-    if read_text(nested, "static") in ("true", "1"):
-        report.suspicious(f"{where}: <static>", "a nested model moves with the one it is in")
+    if parse_flag(read_text(nested, "static")):
+        report.suspicious(f"{where}: <static>", "a nested model moves with its parent model")
     return full
 
 
 def _resolve_joint_ends(tag: JointElement, found: FlattenedModel) -> JointElement:
-    """Give a joint the links that it joins."""
+    """Set the links of a joint."""
     where = f"joint {quote(tag.name)}"
     parent, child = (read_text(tag.element, end) for end in ("parent", "child"))
     if child == WORLD_LINK:
@@ -255,7 +247,7 @@ def _resolve_joint_ends(tag: JointElement, found: FlattenedModel) -> JointElemen
 
 
 def find_canonical_link(found: FlattenedModel) -> str:
-    """Find the link that a top model's frame moves with.
+    """Find the link that carries the frame of a top model.
 
     Raises:
         ModelError: It does not exist.
@@ -263,32 +255,26 @@ def find_canonical_link(found: FlattenedModel) -> str:
     return found.find_link(MODEL_FRAME, "canonical_link", slug="sdf.canonical_link")
 
 
-MAX_JOINTS = 120
-"""Left after lumping, as for URDF."""
+def _map_slug(urdf_slug: str, *, slug: str) -> tuple[str, str]:
+    return urdf_slug, slug
 
 
-class SharedFault(NamedTuple):
-    """A fault that URDF and SDF share, and what it is called in SDF."""
-
-    of_urdf: str
-    slug: str
-
-
-SDF_SLUGS = {
-    fault.of_urdf: fault.slug
-    for fault in (
-        SharedFault("urdf.axis", slug="sdf.axis"),
-        SharedFault("urdf.cycle", slug="sdf.cycle"),
-        SharedFault("urdf.dynamics", slug="sdf.dynamics"),
-        SharedFault("urdf.mass", slug="sdf.mass"),
-        SharedFault("urdf.no_links", slug="sdf.no_links"),
-        SharedFault("urdf.number", slug="sdf.number"),
-        SharedFault("urdf.sensor", slug="sdf.sensor"),
-        SharedFault("urdf.size", slug="sdf.size"),
-        SharedFault("urdf.two_parents", slug="sdf.two_parents"),
-        SharedFault("urdf.two_roots", slug="sdf.two_roots"),
+SDF_SLUGS = dict(
+    (
+        _map_slug("urdf.axis", slug="sdf.axis"),
+        _map_slug("urdf.cycle", slug="sdf.cycle"),
+        _map_slug("urdf.dynamics", slug="sdf.dynamics"),
+        _map_slug("urdf.joints", slug="sdf.joints"),
+        _map_slug("urdf.mass", slug="sdf.mass"),
+        _map_slug("urdf.no_links", slug="sdf.no_links"),
+        _map_slug("urdf.number", slug="sdf.number"),
+        _map_slug("urdf.sensor", slug="sdf.sensor"),
+        _map_slug("urdf.size", slug="sdf.size"),
+        _map_slug("urdf.two_parents", slug="sdf.two_parents"),
+        _map_slug("urdf.two_roots", slug="sdf.two_roots"),
     )
-}
+)
+"""SDF's slugs of faults that URDF and SDF share."""
 
 
 def read_sdf_model(
@@ -298,16 +284,16 @@ def read_sdf_model(
     allow_missing: bool = False,
     resolve: ResolveInclude = no_includes,
 ) -> Model:
-    """Read a robot; what became of each tag that matters is in the model's report.
+    """Read a robot; the model's report lists the effect of its tags.
 
     Args:
         text: SDF with one <model>.
-        has_mesh: Whether a mesh URI is on the server; no file is opened here.
-        allow_missing: Leave collisions out whose mesh is not on the server.
-        resolve: Finds the text of an included model; nothing else is read.
+        has_mesh: Whether the server has a mesh; no file is opened.
+        allow_missing: Leave out collisions whose mesh is missing.
+        resolve: Finds the text of an included model.
 
     Raises:
-        ModelError: The text is no SDF, or describes what cannot be.
+        ModelError: The text is not a valid SDF model.
     """
     report = ParseReport()
     element = _find_model(
@@ -315,7 +301,7 @@ def read_sdf_model(
     )
     IncludeExpander(resolve, report).expand(element)
     if read_pose(element, "model").origin != Origin():
-        report.ignored("model: <pose>", "the pose is that of the spawn request")
+        report.ignored("model: <pose>", "the pose is set by the spawn request")
     model = read_model_element(element, MeshPolicy(has_mesh, allow_missing), report)
     return msgspec.structs.replace(model, report=report.entries())
 
@@ -326,32 +312,32 @@ def _find_model(sdf: Element, report: ParseReport) -> Element:
     if len(models) != 1 or (len(owner) != 1 and owner is sdf):
         held = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
         raise ModelError(
-            f"the <{owner.tag}> holds {held}; a robot's holds one <model> and nothing else; "
-            "a world is for zensim serve --world",
+            f"<{owner.tag}> contains {held}; a robot file contains one <model> and nothing else; "
+            "load a world with zensim serve --world",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.model",
         )
     if owner is not sdf:
-        report.suspicious("world", "a robot is spawned without its world: only its model is read")
+        report.suspicious("world", "only its model is read")
     return models[0]
 
 
-def read_model_element(element: Element, rule: MeshPolicy, report: ParseReport) -> Model:
-    """Read a <model> whose includes were expanded; its report is left empty.
+def read_model_element(element: Element, policy: MeshPolicy, report: ParseReport) -> Model:
+    """Read a <model> after expanding includes; the model's own report stays empty.
 
     Raises:
-        ModelError: It describes what cannot be.
+        ModelError: The model is invalid.
     """
     name = read_name(element, "model")
     is_static = read_flag(element, "static", default=False, where="model")
     with _with_sdf_slugs():
         found = flatten_model(element, report)
         parts, pivots = _read_links_and_joints(
-            name, found, is_static=is_static, rule=rule, report=report
+            name, found, is_static=is_static, policy=policy, report=report
         )
         check_links(parts.links, report)
         is_static = is_static or parts.links[0].name == WORLD_LINK
-        lumped = _reduce_joints(parts, report)
+        lumped = reduce_joints(parts.links, normalize_axes(parts.joints), report=report)
         if not is_static:
             moving = [joint for joint in lumped.joints if joint.child not in pivots]
             check_moving_parts(lumped.links, moving, report)
@@ -382,14 +368,14 @@ def _with_sdf_slugs() -> Iterator[None]:
 
 
 def _read_links_and_joints(
-    name: str, found: FlattenedModel, *, is_static: bool, rule: MeshPolicy, report: ParseReport
+    name: str, found: FlattenedModel, *, is_static: bool, policy: MeshPolicy, report: ParseReport
 ) -> tuple[ParsedModel, frozenset[str]]:
-    reader = SdfLinkReader(found.frames, rule, report, is_static, found.self_colliding)
+    reader = SdfLinkReader(found.frames, policy, report, is_static, found.self_colliding)
     links = [reader.read(tag) for tag in found.links]
     links = links if is_static else _with_default_masses(links, report)
     taken = {link.name for link in links} | {tag.name for tag in found.joints}
     joints = SdfJointReader(found.frames, report, taken)
-    # Nothing of a static model moves, whatever its joints say.
+    # The joints of a static model do not move.
     tags = (
         () if is_static else find_spanning_tree(found.joints, [link.name for link in links], report)
     )
@@ -402,32 +388,30 @@ def _read_links_and_joints(
 def _with_default_masses(links: list[Link], report: ParseReport) -> list[Link]:
     if any(link.inertial != Inertial() for link in links):
         return links
-    report.suspicious("model", "no link has an <inertial>; each weighs 1 kg, as by SDF")
+    report.suspicious("model", "no link has an <inertial>; SDF's default 1 kg is used")
     return [msgspec.structs.replace(link, inertial=DEFAULT_INERTIAL) for link in links]
 
 
 def _attach_root(
     parts: ParsedModel, found: FlattenedModel, *, is_static: bool, report: ParseReport
 ) -> ParsedModel:
-    """Hang the model from its own frame, unless its root link is there already."""
+    """Add a root link at the model frame, unless the root link is already there."""
     if not parts.links:
         return parts
     if any(joint.parent == WORLD_LINK for joint in parts.joints):
-        report.applied(
-            f"link {WORLD_LINK!r}", "it is the world: the robot does not move from its place"
-        )
+        report.applied(f"link {WORLD_LINK!r}", "the robot is fixed to the world")
         return ParsedModel(parts.name, (Link(WORLD_LINK), *parts.links), parts.joints)
     children = {joint.child for joint in parts.joints}
     roots = [link.name for link in parts.links if link.name not in children]
     canonical = find_canonical_link(found)
     if len(roots) > 1 and not is_static:
         raise ModelError(
-            f"links {quote_names(roots)} are joined to nothing; join them so that one is left",
+            f"links {quote_names(roots)} are all roots; connect them so that one is left",
             slug="sdf.two_roots",
         )
     if len(roots) == 1 and canonical != roots[0]:
         report.suspicious(
-            f"link {quote(canonical)}", f"canonical, but poses are those of {quote(roots[0])}"
+            f"link {quote(canonical)}", f"canonical, but the root link is {quote(roots[0])}"
         )
     if len(roots) == 1 and found.frames.pose(roots[0]) == Origin():
         return parts
@@ -438,24 +422,11 @@ def _attach_root(
     return ParsedModel(parts.name, (Link(MODEL_FRAME), *parts.links), (*held, *parts.joints))
 
 
-def _reduce_joints(parts: ParsedModel, report: ParseReport) -> LumpedModel:
-    lumped = lump_fixed_joints(parts.links, normalize_axes(parts.joints), kept=frozenset())
-    joints = check_mimics(lumped.joints, report)
-    lumped = expand_multi_dof_joints(LumpedModel(lumped.links, joints, lumped.frames), report)
-    if len(lumped.joints) > MAX_JOINTS:
-        raise ModelError(
-            f"{len(lumped.joints)} joints are left once fixed ones are merged; "
-            f"at most {MAX_JOINTS} are simulated",
-            slug="sdf.joints",
-        )
-    return lumped
-
-
 def find_placement(element: Element, pose: Origin) -> Origin:
-    """Find where a model stands whose <pose> may place one of its frames rather than itself.
+    """Find the pose of a model frame, given the pose of its `placement_frame`.
 
     Raises:
-        ModelError: That frame does not exist.
+        ModelError: The placement frame does not exist.
     """
     frame = (element.get("placement_frame") or "").strip()
     if not frame:

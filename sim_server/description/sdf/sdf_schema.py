@@ -1,4 +1,4 @@
-"""Elements that an SDF model may contain, and which of them have no effect here."""
+"""Elements of SDF models, and which of them have no effect."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ if TYPE_CHECKING:
 
     from zensim.sim_server.description.report import ParseReport
 
-NO_EFFECT = "known to Gazebo; no effect here"
+NO_EFFECT = "Gazebo tag without effect"
 NOT_DRAWN = "the page draws plain colours"
 
 
 class SdfElementRule(msgspec.Struct, frozen=True):
-    """What one element may hold."""
+    """Children of one element."""
 
     children: dict[str, SdfElementRule] = {}
     many: tuple[str, ...] = ()
-    """Children that may be there more than once."""
+    """Children that may be repeated."""
     unread: str = ""
-    """Why the element has no effect; empty when it has."""
+    """Reason why the element has no effect; empty when it has one."""
     is_opaque: bool = False
-    """Its contents are looked at elsewhere."""
+    """Its contents are not checked here."""
 
 
 LEAF = SdfElementRule()
@@ -32,7 +32,6 @@ ZENSIM_MODEL_TAGS = ("{urn:zensim}dynamics", "zensim:dynamics")
 OPAQUE = SdfElementRule(is_opaque=True)
 UNUSED = SdfElementRule(unread=NO_EFFECT, is_opaque=True)
 PLAIN = SdfElementRule(unread=NOT_DRAWN, is_opaque=True)
-GEOMETRY = OPAQUE
 MATERIAL = SdfElementRule(
     children={
         "script": OPAQUE,
@@ -50,7 +49,7 @@ MATERIAL = SdfElementRule(
 COLLISION = SdfElementRule(
     children={
         "pose": LEAF,
-        "geometry": GEOMETRY,
+        "geometry": OPAQUE,
         "surface": OPAQUE,
         "laser_retro": UNUSED,
         "max_contacts": UNUSED,
@@ -61,7 +60,7 @@ COLLISION = SdfElementRule(
 VISUAL = SdfElementRule(
     children={
         "pose": LEAF,
-        "geometry": GEOMETRY,
+        "geometry": OPAQUE,
         "material": MATERIAL,
         "transparency": LEAF,
         "cast_shadows": PLAIN,
@@ -159,7 +158,7 @@ MODEL = SdfElementRule(
 
 
 def report_unused_tags(model: Element, scope: str, report: ParseReport) -> None:
-    """Note every tag of a <model> that has no effect; nested models are left to their own turn."""
+    """Report the tags of a <model> that have no effect, without nested models."""
     _report_element(model, MODEL, f"model {scope!r}" if scope else "model", report)
 
 
@@ -175,7 +174,7 @@ def _report_element(element: Element, tag: SdfElementRule, where: str, report: P
             continue
         below = _describe_place(where, child)
         if child.tag in seen and child.tag not in tag.many:
-            report.suspicious(below, "given more than once; the first counts")
+            report.suspicious(below, "given more than once; the first is used")
         elif tag.children[child.tag] is not LEAF:
             _report_element(child, tag.children[child.tag], below, report)
         seen.add(child.tag)

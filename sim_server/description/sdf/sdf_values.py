@@ -1,4 +1,4 @@
-"""Values of SDF elements: numbers, vectors, flags, names, poses, zensim's own tags."""
+"""Values of SDF elements: numbers, vectors, flags, names, poses, tags of the zensim namespace."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from zensim.proto.messages.model_messages import Origin, Vec3
-from zensim.proto.rigid_transforms import from_rpy
-from zensim.sim_server.description.strict_parsing import quote, read_numbers
+from zensim.sim_server.description.model_geometry import make_origin
+from zensim.sim_server.description.strict_parsing import parse_flag, quote, read_numbers
 from zensim.sim_server.errors import ModelError
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ ZENSIM_PREFIX = "zensim:"
 
 
 def zensim_tag(child: Element) -> str:
-    """Name an element of ours without its prefix; empty for others."""
+    """Get the tag, without prefix, of an element of the zensim namespace; empty for others."""
     tag = str(child.tag)
     if tag.startswith(ZENSIM_PREFIX):
         return tag.removeprefix(ZENSIM_PREFIX)
@@ -29,21 +29,20 @@ def zensim_tag(child: Element) -> str:
 
 
 MAX_POSITION_M = 1e9
-"""Of a pose: beyond it, nothing is left of a millimetre."""
+"""Doubles resolve a millimetre up to this distance."""
 MAX_NAME_LENGTH = 256
 INFINITY_TEXTS = ("inf", "+inf", "-inf", "infinity", "-infinity")
-TRUE_TEXTS, FALSE_TEXTS = ("true", "1"), ("false", "0", "")
 
 
 class RelativePose(msgspec.Struct, frozen=True):
-    """A <pose> as written; an empty `frame` means the one that its owner implies."""
+    """A <pose>; an empty `frame` is the default frame of its owner."""
 
     origin: Origin = Origin()
     frame: str = ""
 
 
 def read_text(owner: Element, tag: str, default: str = "") -> str:
-    """Read the text of the first child of a tag; an empty one is as none."""
+    """Read the text of the first child with a tag; empty gives the default."""
     return (owner.findtext(tag) or "").strip() or default
 
 
@@ -53,37 +52,46 @@ def read_vector(owner: Element, tag: str, default: Vec3, where: str) -> Vec3:
     Raises:
         ModelError: They are not.
     """
+    numbers = read_child_numbers(owner, tag, default, where)
+    x, y, z = numbers
+    return (x, y, z)
+
+
+def read_child_numbers(
+    owner: Element, tag: str, default: tuple[float, ...], where: str
+) -> tuple[float, ...]:
+    """Read as many numbers as the default has.
+
+    Raises:
+        ModelError: They are not.
+    """
     text = read_text(owner, tag)
     if not text:
         return default
-    x, y, z = read_numbers(text, counts=(3,), where=f"{where}, {tag}", slug="sdf.number")
-    return (x, y, z)
+    return read_numbers(text, counts=(len(default),), where=f"{where}, {tag}", slug="sdf.number")
 
 
 def read_scalar(owner: Element, tag: str, default: float, where: str) -> float:
     """Read a number.
 
     Raises:
-        ModelError: It is none.
+        ModelError: It is not.
     """
-    text = read_text(owner, tag)
-    if not text:
-        return default
-    return read_numbers(text, counts=(1,), where=f"{where}, {tag}", slug="sdf.number")[0]
+    return read_child_numbers(owner, tag, (default,), where)[0]
 
 
 def read_bound(owner: Element, tag: str, default: float, where: str) -> float:
-    """Read a number that may be infinite, as limits may.
+    """Read a limit, which may be infinite.
 
     Raises:
-        ModelError: It is no number.
+        ModelError: It is not a number.
     """
     text = read_text(owner, tag).lower()
     return float(text) if text in INFINITY_TEXTS else read_scalar(owner, tag, default, where)
 
 
 def read_flag(owner: Element, tag: str, *, default: bool, where: str) -> bool:
-    """Read true, false, 1 or 0.
+    """Read true, false, 1 or 0; an empty element is false.
 
     Raises:
         ModelError: It is none of these.
@@ -91,25 +99,25 @@ def read_flag(owner: Element, tag: str, *, default: bool, where: str) -> bool:
     found = owner.find(tag)
     if found is None:
         return default
-    text = (found.text or "").strip().lower()
-    if text not in (*TRUE_TEXTS, *FALSE_TEXTS):
+    text = (found.text or "").strip() or "false"
+    flag = parse_flag(text)
+    if flag is None:
         raise ModelError(
-            f"{where}, {tag}: {quote(text)} is no flag; write true or false", slug="sdf.flag"
+            f"{where}, {tag}: {quote(text)} is not a flag; write true or false", slug="sdf.flag"
         )
-    return text in TRUE_TEXTS
+    return flag
 
 
 def read_name(element: Element, where: str) -> str:
     """Read the name of an element.
 
     Raises:
-        ModelError: There is none, or it cannot be one.
+        ModelError: It is missing, too long, not printable or reserved.
     """
     name = (element.get("name") or "").strip()
     if not name or len(name) > MAX_NAME_LENGTH or not name.isprintable():
         raise ModelError(
-            f"{where}: name {quote(name)} cannot be used; write 1 to {MAX_NAME_LENGTH} "
-            "printable characters",
+            f"{where}: invalid name {quote(name)}; use 1 to {MAX_NAME_LENGTH} printable characters",
             slug="sdf.name",
         )
     if name == "world" or (name.startswith("__") and name.endswith("__")):
@@ -120,10 +128,10 @@ def read_name(element: Element, where: str) -> str:
 
 
 def read_pose(owner: Element, where: str) -> RelativePose:
-    """Read the <pose> of an element; identity in the implied frame when there is none.
+    """Read the <pose> of an element; identity without one.
 
     Raises:
-        ModelError: Its numbers are none, too many or too few, or lie out of reach.
+        ModelError: Not six or seven numbers, or too far away.
     """
     pose = owner.find("pose")
     if pose is None:
@@ -141,29 +149,22 @@ def read_pose(owner: Element, where: str) -> RelativePose:
     x, y, z = numbers[:3]
     if max(map(abs, (x, y, z))) > MAX_POSITION_M:
         raise ModelError(
-            f"{where}, pose: {quote(pose.text)} lies out of reach; use at most {MAX_POSITION_M:g} m",
+            f"{where}, pose: {quote(pose.text)} is too far away; use at most {MAX_POSITION_M:g} m",
             slug="sdf.pose",
         )
     turn = numbers[3:]
     if is_quaternion:
         return RelativePose(Origin((x, y, z), _normalize_quaternion(turn, where)), frame)
-    if pose.get("degrees") in TRUE_TEXTS:
+    if parse_flag(pose.get("degrees")):
         turn = tuple(map(math.radians, turn))
-    return RelativePose(_make_origin((x, y, z), turn), frame)
-
-
-def _make_origin(position: Vec3, rpy: tuple[float, ...]) -> Origin:
-    if not any(rpy):
-        return Origin(position)
-    roll, pitch, yaw = rpy
-    return Origin(position, from_rpy(roll, pitch, yaw))
+    return RelativePose(make_origin((x, y, z), turn), frame)
 
 
 def _normalize_quaternion(turn: tuple[float, ...], where: str) -> tuple[float, float, float, float]:
     length = math.hypot(*turn)
     if length == 0.0 or not math.isfinite(length):
         raise ModelError(
-            f"{where}, pose: quaternion {turn} has no direction; write x y z w of length 1",
+            f"{where}, pose: quaternion {turn} has length 0; write x y z w of length 1",
             slug="sdf.pose",
         )
     x, y, z, w = (np.array(turn) / length).tolist()

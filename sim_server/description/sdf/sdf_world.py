@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import msgspec
 
@@ -30,9 +30,11 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.messages.spawn_messages import NamedPose
 from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vector3
 from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
+from zensim.sim_server.description.link_surfaces import read_rgba
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK
 from zensim.sim_server.description.report import ParseReport
-from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph
+from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 from zensim.sim_server.description.sdf.sdf_includes import (
     IncludeExpander,
     ResolveInclude,
@@ -62,21 +64,21 @@ ZENSIM_WORLD_TAGS = ("description", "tags")
 
 
 class NamedPlace(msgspec.Struct, frozen=True):
-    """A named pose in the world, and the room that it has; empty bounds = unbounded."""
+    """A named pose in the world and its bounds; empty bounds are unlimited."""
 
     pose: NamedPose
     bounds: Bounds = Bounds()
 
 
 def read_named_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
-    """Read a <frame> of a world whose place is known.
+    """Read a <frame> of a world as a named pose.
 
     Raises:
-        ModelError: Its size is not three positive numbers, or its words are too many.
+        ModelError: Its size is not three positive numbers, or its texts are too long.
     """
-    words = {zensim_tag(child): (child.text or "").strip() for child in frame}
-    tags = tuple(dict.fromkeys(words.get("tags", "").replace(",", " ").split()))
-    description = words.get("description", "")
+    texts = {zensim_tag(child): (child.text or "").strip() for child in frame}
+    tags = tuple(dict.fromkeys(texts.get("tags", "").replace(",", " ").split()))
+    description = texts.get("description", "")
     is_long = len(description) > MAX_DESCRIPTION_LENGTH or any(
         len(tag) > MAX_TAG_LENGTH for tag in tags
     )
@@ -87,32 +89,27 @@ def read_named_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
             slug="sdf.named_pose",
         )
     pose = Pose(Point(*origin.position), Quaternion(*origin.orientation))
-    return NamedPlace(NamedPose(name, description, tags, pose), _read_bounds(words, name))
+    return NamedPlace(NamedPose(name, description, tags, pose), _read_bounds(texts, name))
 
 
-def _read_bounds(words: dict[str, str], name: str) -> Bounds:
-    if not words.get("size"):
+def _read_bounds(texts: dict[str, str], name: str) -> Bounds:
+    if not texts.get("size"):
         return Bounds()
     where = f"frame {quote(name)}, size"
-    x, y, z = read_numbers(words["size"], counts=(3,), where=where, slug="sdf.named_pose")
+    x, y, z = read_numbers(texts["size"], counts=(3,), where=where, slug="sdf.named_pose")
     if min(x, y, z) <= 0.0:
         raise ModelError(f"{where}: {x:g} {y:g} {z:g}; use metres > 0", slug="sdf.named_pose")
     upper = Vector3(x / 2.0, y / 2.0, z / 2.0)
     return Bounds(BoundsType.BOX, (upper, Vector3(-upper.x, -upper.y, -upper.z)))
 
 
-LIGHT_KINDS: dict[str, LightKind] = {
-    "point": "point",
-    "spot": "spot",
-    "directional": "directional",
-}
-RGB_COUNT = 3
+LIGHT_KINDS: dict[str, LightKind] = {kind: kind for kind in get_args(LightKind)}
 MIN_STEP_S, MAX_STEP_S = 1e-4, 1.0
 MAX_REAL_TIME_FACTOR = 1000.0
 
 
 class PhysicsSettings(msgspec.Struct, frozen=True):
-    """How a world wants to be stepped; None where it does not say."""
+    """Settings of <physics>; None: not set."""
 
     step_s: float | None = None
     real_time_factor: float | None = None
@@ -122,19 +119,19 @@ def read_physics(physics: Element, report: ParseReport) -> PhysicsSettings:
     """Read the step [s] and the real-time factor of a <physics>.
 
     Raises:
-        ModelError: One is no number, or out of range.
+        ModelError: One is not a number or out of range.
     """
     step = _read_in_range(physics, "max_step_size", (MIN_STEP_S, MAX_STEP_S))
     factor = _read_in_range(physics, "real_time_factor", (0.0, MAX_REAL_TIME_FACTOR))
     rate = _read_in_range(physics, "real_time_update_rate", (0.0, 1e6))
     if rate is not None:
-        # Gazebo makes this many steps a second, whatever the factor says; 0 is flat out.
+        # Gazebo's steps per second of wall time override the factor; 0 is unlimited.
         factor = min(rate * (step or 0.001), MAX_REAL_TIME_FACTOR)
     for child in physics:
         if child.tag in ("max_step_size", "real_time_factor", "real_time_update_rate"):
             report.applied(f"physics: <{child.tag}>", (child.text or "").strip()[:40])
         else:
-            report.ignored(f"physics: <{child.tag[:80]}>", "for other engines")
+            report.ignored(f"physics: <{child.tag[:80]}>", "other engines only")
     return PhysicsSettings(step, factor)
 
 
@@ -142,7 +139,7 @@ def read_scene(scene: Element, report: ParseReport) -> Scene:
     """Read the colours of a <scene>.
 
     Raises:
-        ModelError: One is no numbers.
+        ModelError: One is not three or four numbers.
     """
     for child in scene:
         if child.tag not in ("ambient", "background"):
@@ -151,16 +148,16 @@ def read_scene(scene: Element, report: ParseReport) -> Scene:
 
 
 def read_light(light: Element, report: ParseReport) -> Light | None:
-    """Read a <light>; None, noted, when its type is none.
+    """Read a <light>; None and reported when its type is unknown.
 
     Raises:
-        ModelError: A number is none.
+        ModelError: A value is not a number.
     """
     name = (light.get("name") or "")[:80]
     where = f"light {quote(name)}"
     kind = LIGHT_KINDS.get(light.get("type") or "")
     if kind is None:
-        report.unknown(where, f"no light is of type {quote(light.get('type'))}")
+        report.unknown(where, f"unknown light type {quote(light.get('type'))}")
         return None
     report.applied(where, kind)
     return Light(
@@ -188,44 +185,39 @@ def _read_colour(owner: Element, tag: str) -> Quat | None:
     text = read_text(owner, tag)
     if not text:
         return None
-    where = f"{owner.tag}, {tag}"
-    written = read_numbers(text, counts=(3, 4), where=where, slug="sdf.number")
-    if len(written) == RGB_COUNT:
-        written = (*written, 1.0)
-    r, g, b, a = (min(max(part, 0.0), 1.0) for part in written)
-    return (r, g, b, a)
+    return read_rgba(text, where=f"{owner.tag}, {tag}", slug="sdf.number", report=None)
 
 
 EARTH_GRAVITY: Vec3 = (0.0, 0.0, -9.8)
-"""Gravity [m/s^2] of a world that does not give its own, as SDF has it."""
+"""SDF's default gravity [m/s^2]."""
 MAX_GRAVITY = 1000.0
-"""Gravity along an axis [m/s^2]: four times the sun's."""
+"""Along an axis [m/s^2]: four times that of the sun."""
 MAX_MODELS = 2000
 SUN_URI, GROUND_URI = "model://sun", "model://ground_plane"
 UNUSED_WORLD_TAGS = {
-    "atmosphere": "there is no air",
-    "audio": "there is no sound",
+    "atmosphere": "air is not simulated",
+    "audio": "sound is not simulated",
     "gui": "the page has its own view",
-    "magnetic_field": "there is no magnetic field",
-    "plugin": "plug-ins of worlds are not loaded; services are built in",
-    "spherical_coordinates": "there is no globe",
-    "wind": "there is no air",
+    "magnetic_field": "magnetic fields are not simulated",
+    "plugin": "world plug-ins are not loaded; services are built in",
+    "spherical_coordinates": "geographic coordinates are not used",
+    "wind": "air is not simulated",
 }
 UNSUPPORTED_WORLD_TAGS = {
     "actor": "actors are not simulated",
     "joint": "joints between models are not simulated",
-    "population": "populations are not read; write the models out",
+    "population": "populations are not supported; replace it by models",
     "road": "roads are not simulated",
 }
 WORLD_TAGS = ("include", "gravity", "physics", "model", "frame", "light", "scene", "state")
 SKIPPABLE_CODES = (SpawnCode.UNSUPPORTED_FORMAT, SpawnCode.MISSING_ASSETS)
-"""Codes of models that a world does without; any other fault is the world's own."""
+"""Errors of models that are left out; other errors are those of the world."""
 _NON_NAME_CHARACTERS = re.compile(r"[^A-Za-z0-9_]")
 MAX_ENTITY_NAME_LENGTH = 56
 
 
 class PlacedModel(msgspec.Struct, frozen=True):
-    """A model of a world, under a name that an entity can have, and where it stands."""
+    """A model of a world with a valid entity name and its pose."""
 
     name: str
     model: Model
@@ -233,7 +225,7 @@ class PlacedModel(msgspec.Struct, frozen=True):
 
 
 class WorldModel(msgspec.Struct, frozen=True):
-    """A world before anything is spawned into it."""
+    """A world before its models are spawned."""
 
     name: str
     gravity: Vec3 = EARTH_GRAVITY
@@ -248,11 +240,11 @@ class WorldModel(msgspec.Struct, frozen=True):
 
 @dataclass
 class _WorldDraft:
-    """A world while it is read."""
+    """State of reading a world."""
 
     world: WorldModel
     report: ParseReport
-    rule: MeshPolicy
+    policy: MeshPolicy
     frames: PoseGraph = field(default_factory=PoseGraph)
     taken: set[str] = field(default_factory=set)
 
@@ -264,16 +256,16 @@ def read_world(
     has_mesh: HasMesh = no_meshes,
     allow_missing: bool = False,
 ) -> WorldModel:
-    """Read a world; models that are not supported are listed and left out.
+    """Read a world; unsupported models are reported and left out.
 
     Args:
         text: SDF with one <world>.
-        resolve: Finds the text of an included model; sun and ground_plane need none.
-        has_mesh: Whether a mesh URI is here.
-        allow_missing: Leave included models out that are not here.
+        resolve: Finds the text of an included model other than sun and ground_plane.
+        has_mesh: Whether the server has a mesh.
+        allow_missing: Leave out missing included models.
 
     Raises:
-        ModelError: The text is no SDF world, or describes what cannot be.
+        ModelError: The text is not a valid SDF world.
     """
     report = ParseReport()
     world = _find_world(mark_versions(parse_xml(text, root_tag="sdf", slug="sdf"), report))
@@ -288,7 +280,7 @@ def read_world(
     for child in world:
         _read_element(child, draft)
     if not draft.world.ground_plane:
-        report.suspicious("world", "no ground_plane is included; robots will fall")
+        report.suspicious("world", "no ground_plane; robots will fall")
     return msgspec.structs.replace(draft.world, report=report.entries())
 
 
@@ -297,7 +289,7 @@ def _find_world(sdf: Element) -> Element:
     if len(worlds) != 1 or len(sdf) != 1:
         held = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
         raise ModelError(
-            f"the <sdf> holds {held}; a world file holds one <world> and nothing else",
+            f"<sdf> contains {held}; a world file contains one <world> and nothing else",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.world",
         )
@@ -305,17 +297,15 @@ def _find_world(sdf: Element) -> Element:
 
 
 def _apply_builtin_includes(world: Element, draft: _WorldDraft) -> None:
-    served = {SUN_URI: "sun", GROUND_URI: "ground_plane"}
     replace = msgspec.structs.replace
     for include in world.findall("include"):
         uri = read_text(include, "uri").rstrip("/")
-        if uri not in served:
+        if uri not in (SUN_URI, GROUND_URI):
             continue
         for child in include:
             if child.tag not in ("uri", "name"):
-                draft.report.ignored(
-                    f"include {uri}: <{child.tag[:80]}>", f"{served[uri]} stays as it is"
-                )
+                subject = f"include {uri}: <{child.tag[:80]}>"
+                draft.report.ignored(subject, "built in; cannot be changed")
         draft.report.applied(f"include {uri}")
         if uri == SUN_URI:
             draft.world = replace(draft.world, scene=replace(draft.world.scene, has_sun=True))
@@ -328,7 +318,7 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
     models = world.findall("model")
     if len(models) > MAX_MODELS:
         raise ModelError(
-            f"the world holds {len(models)} models; at most {MAX_MODELS} are simulated",
+            f"the world has {len(models)} models; use at most {MAX_MODELS}",
             slug="sdf.size",
         )
     names = [read_name(model, "model") for model in models]
@@ -337,24 +327,25 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
             f"model names {quote_names(twice)} are used more than once; make them unique",
             slug="sdf.duplicate_name",
         )
-    states = {model.get("name"): model for model in world.findall("state/model")}
+    saved = {
+        model.get("name"): model
+        for model in world.findall("state/model")
+        if model.find("pose") is not None
+    }
     for name, model in zip(names, models, strict=True):
-        saved = states.get(name)
-        is_saved = saved is not None and saved.find("pose") is not None
-        if is_saved:
-            draft.report.applied(f"state: model {quote(name)}", "stands where the state has it")
-        owner = saved if saved is not None and is_saved else model
-        _add_frame(name, owner, MODEL_FRAME, draft)
+        if name in saved:
+            draft.report.applied(f"state: model {quote(name)}", "the pose of the state is used")
+        _add_frame(name, saved.get(name, model), MODEL_FRAME, draft)
     for frame in world.findall("frame"):
         where = f"frame {quote(frame.get('name'))}"
-        holder = (frame.get("attached_to") or "").strip()
-        implied = MODEL_FRAME if holder in ("", "world") else holder
+        parent = (frame.get("attached_to") or "").strip()
+        implied = MODEL_FRAME if parent in ("", WORLD_LINK) else parent
         _add_frame(read_name(frame, where), frame, implied, draft)
 
 
 def _add_frame(name: str, owner: Element, implied: str, draft: _WorldDraft) -> None:
     pose = read_pose(owner, f"{owner.tag} {quote(name)}")
-    if pose.frame == "world":
+    if pose.frame == WORLD_LINK:
         pose = msgspec.structs.replace(pose, frame=MODEL_FRAME)
     draft.frames.add(name, pose, scope="", implied=implied)
 
@@ -370,12 +361,11 @@ def _read_element(child: Element, draft: _WorldDraft) -> None:
     elif child.tag == "physics":
         draft.world = replace(draft.world, pace=read_physics(child, report))
     elif child.tag == "scene":
-        seen = read_scene(child, report)
-        scene = replace(draft.world.scene, ambient=seen.ambient, background=seen.background)
+        colours = read_scene(child, report)
+        scene = replace(draft.world.scene, ambient=colours.ambient, background=colours.background)
         draft.world = replace(draft.world, scene=scene)
     elif child.tag == "light":
-        light = read_light(child, report)
-        scene = draft.world.scene
+        light, scene = read_light(child, report), draft.world.scene
         if light is not None:
             scene = replace(scene, lights=(*scene.lights, light))
         draft.world = replace(draft.world, scene=scene)
@@ -420,7 +410,7 @@ def _read_model(element: Element, draft: _WorldDraft) -> None:
     written = read_name(element, "model")
     own = ParseReport()
     try:
-        model = read_model_element(element, draft.rule, own)
+        model = read_model_element(element, draft.policy, own)
     except ModelError as error:
         if error.code not in SKIPPABLE_CODES:
             raise
@@ -442,7 +432,7 @@ def _read_model(element: Element, draft: _WorldDraft) -> None:
 
 
 def _is_ground_plane(model: Model, origin: Origin) -> bool:
-    """Whether a model is level ground at height 0 and nothing else."""
+    """Whether a model is only a level plane at height 0."""
     solids = model.links[0].collisions
     return (
         model.is_static
@@ -460,11 +450,11 @@ def _make_entity_name(written: str, draft: _WorldDraft) -> str:
     if not name[0].isalpha():
         name = f"m{name}"
     number = 1
-    wish = name
+    wanted = name
     while name in draft.taken:
         number += 1
-        name = f"{wish}_{number}"
+        name = f"{wanted}_{number}"
     draft.taken.add(name)
     if name != written:
-        draft.report.applied(f"model {quote(written)}", f"called {name!r} here")
+        draft.report.applied(f"model {quote(written)}", f"renamed to {name!r}")
     return name

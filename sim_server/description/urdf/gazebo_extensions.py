@@ -14,6 +14,7 @@ from zensim.sim_server.description.link_surfaces import (
     find_gazebo_colour,
 )
 from zensim.sim_server.description.plugins.sensor_tags import SensorElement
+from zensim.sim_server.description.strict_parsing import parse_flag
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from zensim.sim_server.description.parsed_model import ParsedModel
     from zensim.sim_server.description.report import ParseReport
 
-_NO_EFFECT = "known to Gazebo; no effect here"
+_NO_EFFECT = "Gazebo tag without effect"
 KEEP_JOINT_TAGS = ("preserveFixedJoint", "disableFixedJointLumping")
 LINK_TAGS = (*SURFACE_TAGS, "material", "sensor")
 UNUSED_LINK_TAGS = dict.fromkeys(("laserRetro", "maxContacts", "max_contacts"), _NO_EFFECT)
@@ -40,24 +41,23 @@ MODEL_TAGS = ("plugin", "static", "self_collide")
 UNUSED_MODEL_TAGS = {
     "allow_auto_disable": _NO_EFFECT,
     "enable_wind": _NO_EFFECT,
-    "pose": "the pose is that of the spawn request",
+    "pose": "the pose is set by the spawn request",
 }
-TRUE_TEXTS = ("true", "1")
 
 
 @dataclass
 class GazeboExtensions:
-    """What the <gazebo> blocks say, gathered block by block.
+    """Contents of the <gazebo> blocks.
 
     Attributes:
-        wishes: How links touch and fall: by link, what is written of each tag.
-        surfaces: The same once read.
-        colours: By link; they win over the colours of URDF materials, as in Gazebo.
-        kept_joints: Fixed joints that are not to be lumped.
+        surface_texts: Texts of surface tags, by link.
+        surfaces: The same, read.
+        colours: By link; they override the colours of URDF materials, as in Gazebo.
+        kept_joints: Fixed joints that are not lumped.
         plugins: Of the model.
-        sensors: By the link that they are on.
-        is_static: Nothing of the robot moves.
-        self_collides: All its links touch each other.
+        sensors: Of links.
+        is_static: The robot does not move.
+        self_collides: All links collide with each other.
     """
 
     surface_texts: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -73,10 +73,10 @@ class GazeboExtensions:
 def read_gazebo_extensions(
     robot: Element, parts: ParsedModel, report: ParseReport
 ) -> GazeboExtensions:
-    """Read all <gazebo> blocks; where two say the same, the last counts.
+    """Read all <gazebo> blocks; the last of equal tags is used.
 
     Raises:
-        ModelError: A friction is no number, or negative.
+        ModelError: A friction is not a number >= 0.
     """
     blocks = GazeboExtensions()
     links = {link.name for link in parts.links}
@@ -92,7 +92,7 @@ def read_gazebo_extensions(
                 _read_joint_tag(reference, child, blocks, report)
         if reference is not None and reference not in links | joints:
             report.suspicious(
-                f"gazebo {reference[:80]!r}", "no link or joint of this name; block not read"
+                f"gazebo {reference[:80]!r}", "no link or joint has this name; block not read"
             )
     for link, texts in blocks.surface_texts.items():
         tags = SurfaceTagReader(texts, subject=f"gazebo {link!r}", slug="gazebo.mu1", report=report)
@@ -101,7 +101,7 @@ def read_gazebo_extensions(
 
 
 def apply_surfaces(links: Iterable[Link], blocks: GazeboExtensions) -> tuple[Link, ...]:
-    """Give links, before they are lumped, the surface and colour of their blocks."""
+    """Apply the surfaces and colours of the blocks to links before lumping."""
     return tuple(_apply_surface(link, blocks) for link in links)
 
 
@@ -119,10 +119,10 @@ def _read_model_tag(child: Element, blocks: GazeboExtensions, report: ParseRepor
     if child.tag == "plugin":
         blocks.plugins.append(child)
     elif child.tag == "static":
-        blocks.is_static = _element_text(child).lower() in TRUE_TEXTS
-        report.applied("gazebo: <static>", "nothing of it moves" if blocks.is_static else "")
+        blocks.is_static = bool(parse_flag(_element_text(child)))
+        report.applied("gazebo: <static>", "the robot does not move" if blocks.is_static else "")
     elif child.tag == "self_collide":
-        blocks.self_collides = _element_text(child).lower() in TRUE_TEXTS
+        blocks.self_collides = bool(parse_flag(_element_text(child)))
         report.applied("gazebo: <self_collide>")
     elif child.tag in UNUSED_MODEL_TAGS:
         report.ignored(f"gazebo: <{child.tag}>", UNUSED_MODEL_TAGS[child.tag])
@@ -156,7 +156,7 @@ def _read_material(
     subject, name = f"gazebo {link!r}: <material>", _element_text(child)
     colour = find_gazebo_colour(name)
     if colour is None:
-        report.unknown(subject, f"no colour is called {name[:80]!r}")
+        report.unknown(subject, f"no colour is named {name[:80]!r}")
     else:
         blocks.colours[link] = colour
         report.applied(subject, name)
@@ -167,7 +167,7 @@ def _read_joint_tag(
 ) -> None:
     subject = f"gazebo {joint!r}"
     if child.tag in KEEP_JOINT_TAGS:
-        if _element_text(child).lower() in TRUE_TEXTS:
+        if parse_flag(_element_text(child)):
             blocks.kept_joints.add(joint)
         report.applied(f"{subject}: <{child.tag}>")
     elif child.tag in UNUSED_JOINT_TAGS:

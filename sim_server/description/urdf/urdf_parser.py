@@ -1,6 +1,6 @@
 """URDF text to Model: links, joints and shapes, then tree, lumping and plug-ins.
 
-The only module to import yourdfpy.
+The only importer of yourdfpy.
 """
 
 from __future__ import annotations
@@ -25,16 +25,11 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.messages.result_messages import SpawnCode
-from zensim.proto.rigid_transforms import from_rpy
 from zensim.proto.se3 import FloatArray, from_matrix
-from zensim.sim_server.description.joint_reduction import (
-    LumpedModel,
-    check_mimics,
-    expand_multi_dof_joints,
-    lump_fixed_joints,
-)
+from zensim.sim_server.description.joint_reduction import reduce_joints
 from zensim.sim_server.description.link_surfaces import read_named_colours, read_visual_colour
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
+from zensim.sim_server.description.model_geometry import make_origin
 from zensim.sim_server.description.parsed_model import (
     ParsedModel,
     check_links,
@@ -54,7 +49,6 @@ from zensim.sim_server.description.strict_parsing import (
     to_single_line,
 )
 from zensim.sim_server.description.urdf.gazebo_extensions import (
-    GazeboExtensions,
     apply_surfaces,
     read_gazebo_extensions,
 )
@@ -77,67 +71,52 @@ ROUND_SIZE_ATTRIBUTES = {
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
 }
-"""Attributes that make the size, by kind."""
+"""Attributes of `Shape.size`, by kind."""
 
 
-def read_collisions(link: Element, rule: MeshPolicy, report: ParseReport) -> tuple[Shape, ...]:
+def read_collisions(link: Element, policy: MeshPolicy, report: ParseReport) -> tuple[Shape, ...]:
     """Read the collisions of a <link>.
 
     Raises:
-        ModelError: A mesh is not here, and may not be missing.
+        ModelError: A mesh is missing and must not be.
     """
-    name = link.get("name") or ""
+    where = f"link {quote(link.get('name'))}"
     shapes = [_read_shape(collision) for collision in link.findall("collision")]
-    kept = []
-    for shape in shapes:
-        if shape.kind == "mesh" and not rule.has_mesh(shape.mesh):
-            _report_missing_collision(name, shape.mesh, rule, report)
-        else:
-            kept.append(shape)
-    return tuple(kept)
+    return tuple(
+        shape for shape in shapes if policy.can_use(shape, where, collides=True, report=report)
+    )
 
 
 def read_visuals(
-    link: Element, rule: MeshPolicy, colours: dict[str, Quat], report: ParseReport
+    link: Element, policy: MeshPolicy, colours: dict[str, Quat], report: ParseReport
 ) -> tuple[Shape, ...]:
-    """Read the visuals of a <link>; those whose mesh is not here, or without a size, are noted."""
-    name = link.get("name") or ""
-    shapes = [
-        msgspec.structs.replace(
-            _read_shape(visual), rgba=read_visual_colour(visual, colours, report)
-        )
-        for visual in link.findall("visual")
-    ]
-    kept = []
-    for number, shape in enumerate(shapes, start=1):
-        which = f"link {quote(name)}" + (f", visual {number}" if len(shapes) > 1 else "")
-        if shape.kind == "mesh" and not rule.has_mesh(shape.mesh):
-            report.suspicious(
-                which, f"visual mesh {quote(shape.mesh)} is not on the server; not drawn"
-            )
-        elif shape.kind != "mesh" and not any(shape.size):
-            report.suspicious(which, f"{shape.kind} of size 0; not drawn")
-        else:
+    """Read the visuals of a <link>; a missing mesh or a size of 0 is reported."""
+    visuals, kept = link.findall("visual"), []
+    for number, visual in enumerate(visuals, start=1):
+        colour = read_visual_colour(visual, colours, report)
+        shape = msgspec.structs.replace(_read_shape(visual), rgba=colour)
+        where = f"link {quote(link.get('name'))}"
+        where += f", visual {number}" if len(visuals) > 1 else ""
+        if shape.kind != "mesh" and not any(shape.size):
+            report.suspicious(where, f"{shape.kind} of size 0; not drawn")
+        elif policy.can_use(shape, where, collides=False, report=report):
             kept.append(shape)
     return tuple(kept)
 
 
 def read_origin(part: Element) -> Origin:
-    """Read the <origin> of a part; identity when there is none."""
+    """Read the <origin> of an element; identity without one."""
     origin = part.find("origin")
     if origin is None:
         return Origin()
     x, y, z = _read_attribute(origin, "xyz", 3)
-    rpy = _read_attribute(origin, "rpy", 3)
-    if not any(rpy):
-        return Origin((x, y, z))
-    return Origin((x, y, z), from_rpy(*rpy))
+    return make_origin((x, y, z), _read_attribute(origin, "rpy", 3))
 
 
 def _read_shape(part: Element) -> Shape:
     geometry = part.find("geometry")
     if geometry is None or not len(geometry):
-        raise ModelError("a part of a link has no geometry; add one", slug="urdf.geometry")
+        raise ModelError(f"a <{part.tag}> has no geometry; add one", slug="urdf.geometry")
     solid, origin = geometry[0], read_origin(part)
     if solid.tag == "box":
         x, y, z = _read_attribute(solid, "size", 3)
@@ -168,28 +147,17 @@ def _read_attribute(element: Element, name: str, count: int) -> tuple[float, ...
     )
 
 
-def _report_missing_collision(link: str, uri: str, rule: MeshPolicy, report: ParseReport) -> None:
-    fault = f"collision mesh {quote(uri)} of link {quote(link)} is not on the server"
-    if not rule.allow_missing:
-        raise ModelError(
-            f"{fault}; send the mesh, use a box, sphere or cylinder, or allow it to be missing",
-            code=SpawnCode.MISSING_ASSETS,
-            slug="mesh.missing",
-        )
-    report.suspicious(f"link {quote(link)}", f"{fault}; nothing collides there")
-
-
 JOINT_KINDS: dict[str, JointKind] = {kind: kind for kind in get_args(JointKind)}
 LINK_WITHOUT_SHAPES = msgspec.structs.replace(LINK, children={"inertial": INERTIAL})
-"""A link without its shapes: URDF has more kinds of them than yourdfpy."""
+"""Shapes are read here: yourdfpy does not know all kinds."""
 LIMITED_KINDS = ("revolute", "prismatic")
 
 
-def read_links_and_joints(robot: Element, rule: MeshPolicy, report: ParseReport) -> ParsedModel:
-    """Read links and joints of a <robot> whose grammar was checked.
+def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseReport) -> ParsedModel:
+    """Read the links and joints of a <robot> after the schema check.
 
     Raises:
-        ModelError: A joint's kind is none, a limit is missing, or a collision mesh is not here.
+        ModelError: A joint's type is unknown, or a limit or a collision mesh is missing.
     """
     read = _load_kinematics(robot)
     colours = read_named_colours(robot, report)
@@ -197,8 +165,8 @@ def read_links_and_joints(robot: Element, rule: MeshPolicy, report: ParseReport)
         Link(
             name=link.name,
             inertial=_convert_inertial(link.inertial),
-            collisions=read_collisions(element, rule, report),
-            visuals=read_visuals(element, rule, colours, report),
+            collisions=read_collisions(element, policy, report),
+            visuals=read_visuals(element, policy, colours, report),
         )
         for element, link in zip(robot.findall("link"), read.links, strict=True)
     )
@@ -208,7 +176,7 @@ def read_links_and_joints(robot: Element, rule: MeshPolicy, report: ParseReport)
 
 
 def _copy_kinematics(robot: Element) -> Element:
-    """Copy what moves, and of it what was checked: shapes are read by themselves."""
+    """Copy the checked parts of links and joints, without shapes."""
     bare = etree.Element("robot", {"name": robot.get("name") or ""})
     for part in robot:
         if part.tag == "joint":
@@ -234,7 +202,7 @@ def _load_kinematics(robot: Element) -> yourdfpy.Robot:
             load_meshes=False,
         ).robot
     except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
-        # Any of these means a fault that the grammar let through; the text is not ours to trust.
+        # A fault in an untrusted text that the schema check did not find.
         raise ModelError(
             f"the description cannot be read as URDF: {to_single_line(str(error))}",
             slug="urdf.unreadable",
@@ -250,12 +218,14 @@ def _convert_joint(joint: yourdfpy.Joint, report: ParseReport) -> Joint:
         )
     if kind in LIMITED_KINDS and joint.limit is None:
         raise ModelError(
-            f"{kind} joint {joint.name!r} has no <limit>; add one, or make it continuous",
+            f"{kind} joint {joint.name!r} has no <limit>; add one or make it continuous",
             slug="urdf.limit",
         )
     limit, dynamics, mimic = joint.limit, joint.dynamics, joint.mimic
     if kind in LIMITED_KINDS and limit is not None and limit.lower is None and limit.upper is None:
-        report.suspicious(f"joint {joint.name!r}", "its <limit> has no lower and no upper: held")
+        report.suspicious(
+            f"joint {joint.name!r}", "its <limit> has no lower and upper: locked at 0"
+        )
     x, y, z = joint.axis.tolist()
     return Joint(
         name=joint.name,
@@ -302,22 +272,20 @@ def _convert_origin(matrix: FloatArray | None) -> Origin:
     return Origin((x, y, z), (qx, qy, qz, qw))
 
 
-MAX_JOINTS = 120
-"""Left after lumping: the engine reads the states of 127 joints of a body and no more."""
 UNEXPANDED_TAGS = ("gazebo", "transmission", "ros2_control")
-"""Tags whose contents others may expand later."""
+"""Elements whose plug-ins may expand xacro themselves."""
 
 
 def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool = False) -> Model:
-    """Read a robot; what became of each tag that matters is in the model's report.
+    """Read a robot; the model's report lists the effect of its tags.
 
     Args:
-        text: URDF, xacro already expanded.
-        has_mesh: Whether a mesh URI is on the server; no file is opened here.
-        allow_missing: Leave collisions out whose mesh is not on the server.
+        text: URDF with xacro expanded.
+        has_mesh: Whether the server has a mesh; no file is opened.
+        allow_missing: Leave out collisions whose mesh is missing.
 
     Raises:
-        ModelError: The text is no URDF, or describes what cannot be.
+        ModelError: The text is not a valid URDF.
     """
     report = ParseReport()
     robot = parse_xml(text, root_tag="robot", slug="urdf")
@@ -327,7 +295,16 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     parts = drop_floating_world(parts, report)
     check_links(parts.links, report)
     blocks = read_gazebo_extensions(robot, parts, report)
-    lumped = _reduce_joints(parts, blocks, report)
+    joints = normalize_axes(parts.joints)
+    lumped = reduce_joints(
+        apply_surfaces(parts.links, blocks),
+        _fix_joints(joints) if blocks.is_static else joints,
+        kept=frozenset(blocks.kept_joints),
+        report=report,
+    )
+    added = {link.name for link in lumped.links} - {link.name for link in parts.links}
+    moving = [joint for joint in lumped.joints if joint.child not in added]
+    check_moving_parts(lumped.links, moving, report)
     plugins = read_plugins(blocks.plugins, lumped, report)
     return Model(
         name=parts.name,
@@ -343,30 +320,8 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     )
 
 
-def _reduce_joints(
-    parts: ParsedModel, blocks: GazeboExtensions, report: ParseReport
-) -> LumpedModel:
-    lumped = lump_fixed_joints(
-        apply_surfaces(parts.links, blocks),
-        _fix_joints(parts.joints) if blocks.is_static else normalize_axes(parts.joints),
-        kept=frozenset(blocks.kept_joints),
-    )
-    check_moving_parts(lumped.links, lumped.joints, report)
-    joints = check_mimics(lumped.joints, report)
-    lumped = expand_multi_dof_joints(LumpedModel(lumped.links, joints, lumped.frames), report)
-    if len(lumped.joints) > MAX_JOINTS:
-        raise ModelError(
-            f"{len(lumped.joints)} joints are left once fixed ones are merged; "
-            f"at most {MAX_JOINTS} are simulated",
-            slug="urdf.joints",
-        )
-    return lumped
-
-
 def _fix_joints(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:
-    return tuple(
-        msgspec.structs.replace(joint, kind="fixed", mimic=None) for joint in normalize_axes(joints)
-    )
+    return tuple(msgspec.structs.replace(joint, kind="fixed", mimic=None) for joint in joints)
 
 
 def _refuse_xacro(robot: Element) -> None:
@@ -382,8 +337,8 @@ def _refuse_xacro(robot: Element) -> None:
 
 def _xacro_error(element: Element, what: str) -> ModelError:
     return ModelError(
-        f"the description has {quote(what)} of xacro at line {element.sourceline}; "
-        "run xacro on it first",
+        f"the description has the xacro expression {quote(what)} at line {element.sourceline}; "
+        "run xacro first",
         code=SpawnCode.UNSUPPORTED_FORMAT,
         slug="urdf.xacro",
     )

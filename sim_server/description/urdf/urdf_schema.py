@@ -1,4 +1,4 @@
-"""Elements and attributes that a URDF may contain, and the number count of each attribute."""
+"""Elements and attributes of URDF, and the count of numbers in each attribute."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ MAX_TEXT_LENGTH = 256
 
 
 class UrdfElementRule(msgspec.Struct, frozen=True):
-    """What one element may hold."""
+    """Attributes and children of one element."""
 
     attributes: dict[str, NumberCounts] = {}
-    """By name: how many numbers; `TEXT` for text."""
+    """Allowed counts of numbers by name; `TEXT` for text."""
     required: tuple[str, ...] = ()
-    """Attributes that must be there and not be empty."""
+    """Attributes that must not be missing or empty."""
     children: dict[str, UrdfElementRule] = {}
     needed: tuple[str, ...] = ()
-    """Children that must be there."""
+    """Children that must not be missing."""
     many: tuple[str, ...] = ()
-    """Children that may be there more than once."""
+    """Children that may be repeated."""
     unread: str = ""
-    """Why the element has no effect; empty when it has."""
+    """Reason why the element has no effect; empty when it has one."""
     is_opaque: bool = False
-    """Its contents are checked elsewhere or never looked at."""
+    """Its contents are not checked here."""
 
 
 ORIGIN = UrdfElementRule(attributes={"xyz": THREE, "rpy": THREE})
@@ -85,7 +85,7 @@ LINK = UrdfElementRule(
         "visual": VISUAL,
         "collision": COLLISION,
         "contact": UrdfElementRule(
-            is_opaque=True, unread="of Bullet; friction is set by <mu1> in <gazebo>"
+            is_opaque=True, unread="Bullet only; set friction by <mu1> in <gazebo>"
         ),
     },
     many=("visual", "collision"),
@@ -109,13 +109,13 @@ JOINT = UrdfElementRule(
         ),
         "calibration": UrdfElementRule(
             attributes=dict.fromkeys(("rising", "falling", "reference_position"), ONE),
-            unread="for real encoders only",
+            unread="real encoders only",
         ),
         "safety_controller": UrdfElementRule(
             attributes=dict.fromkeys(
                 ("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), ONE
             ),
-            unread="for real controllers only",
+            unread="real controllers only",
         ),
     },
     needed=("parent", "child"),
@@ -128,23 +128,19 @@ ROBOT = UrdfElementRule(
         "joint": JOINT,
         "material": msgspec.structs.replace(MATERIAL, required=("name",)),
         "gazebo": UrdfElementRule(is_opaque=True),
-        "transmission": UrdfElementRule(
-            is_opaque=True, unread="of ros_control, which is not used here"
-        ),
-        "ros2_control": UrdfElementRule(
-            is_opaque=True, unread="of ros2_control, which is not used here"
-        ),
-        "sensor": UrdfElementRule(is_opaque=True, unread="outside <gazebo>, no simulator reads it"),
+        "transmission": UrdfElementRule(is_opaque=True, unread="ros_control is not used"),
+        "ros2_control": UrdfElementRule(is_opaque=True, unread="ros2_control is not used"),
+        "sensor": UrdfElementRule(is_opaque=True, unread="no simulator reads it outside <gazebo>"),
     },
     many=("link", "joint", "material", "gazebo", "transmission", "ros2_control", "sensor"),
 )
 
 
 def check_urdf_schema(robot: Element, report: ParseReport) -> None:
-    """Check every tag and attribute of a <robot>, <gazebo> blocks apart; note what has no effect.
+    """Check all tags and attributes outside <gazebo>; tags without effect are reported.
 
     Raises:
-        ModelError: Something needed is missing, or a number is none.
+        ModelError: A required tag or attribute is missing, or a value is not a number.
     """
     _check_element(robot, ROBOT, "robot", report)
 
@@ -162,7 +158,7 @@ def _check_element(element: Element, tag: UrdfElementRule, where: str, report: P
         _check_child(child, tag, where, report)
         if child.tag in seen and child.tag in tag.children and child.tag not in tag.many:
             report.suspicious(
-                _describe_place(where, child), "given more than once; the first counts"
+                _describe_place(where, child), "given more than once; the first is used"
             )
         seen.add(child.tag)
     for needed in tag.needed:
@@ -205,7 +201,7 @@ def _check_geometry(geometry: Element, where: str, report: ParseReport) -> None:
             slug="urdf.geometry",
         )
     if len(shapes) > 1:
-        report.suspicious(where, f"{len(shapes)} shapes; the first counts")
+        report.suspicious(where, f"{len(shapes)} shapes; the first is used")
 
 
 def _describe_place(where: str, child: Element) -> str:

@@ -26,8 +26,12 @@ from zensim.proto.messages.model_messages import (
     Vec3,
 )
 from zensim.proto.rigid_transforms import compose, transform_point
-from zensim.sim_server.description.joint_reduction import combine_inertials, lump_fixed_joints
-from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
+from zensim.sim_server.description.joint_reduction import (
+    MAX_JOINTS,
+    combine_inertials,
+    lump_fixed_joints,
+)
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 Array = npt.NDArray[np.float64]

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from zensim.proto.messages.model_messages import Origin
 from zensim.proto.rigid_transforms import compose, invert, transform_point
 from zensim.proto.se3 import FloatArray, from_rpy, to_matrix
-from zensim.sim_server.description.sdf.sdf_frames import MODEL_FRAME, PoseGraph
+from zensim.sim_server.description.parsed_model import MODEL_FRAME
+from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 from zensim.sim_server.description.sdf.sdf_values import RelativePose
 from zensim.sim_server.errors import ModelError
 

@@ -12,7 +12,8 @@ from tests.models import a_box_bot, a_state, an_arm
 from tests.sim_server.description.robots import a_collision, a_joint, a_link, a_robot, an_inertial
 from tests.sim_server.physics.bullet_probe import dynamics_of
 from zensim.proto.messages.model_messages import Model
-from zensim.sim_server.description.urdf.urdf_parser import MAX_JOINTS, read_urdf
+from zensim.sim_server.description.joint_reduction import MAX_JOINTS
+from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.blueprint import make_blueprint
 from zensim.sim_server.physics.bullet.bullet_multibody import (
     COLLISION_SHAPE_KINDS,
