@@ -26,7 +26,7 @@ from zensim.proto.messages.model_messages import (
 )
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.se3 import FloatArray, from_matrix
-from zensim.sim_server.description.joint_reduction import reduce_joints
+from zensim.sim_server.description.joint_reduction import LumpedModel, reduce_joints
 from zensim.sim_server.description.link_surfaces import read_named_colours, read_visual_colour
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
 from zensim.sim_server.description.model_geometry import make_origin
@@ -49,6 +49,7 @@ from zensim.sim_server.description.strict_parsing import (
     to_single_line,
 )
 from zensim.sim_server.description.urdf.gazebo_extensions import (
+    GazeboExtensions,
     apply_surfaces,
     read_gazebo_extensions,
 )
@@ -295,16 +296,7 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     parts = drop_floating_world(parts, report)
     check_links(parts.links, report)
     blocks = read_gazebo_extensions(robot, parts, report)
-    joints = normalize_axes(parts.joints)
-    lumped = reduce_joints(
-        apply_surfaces(parts.links, blocks),
-        _fix_joints(joints) if blocks.is_static else joints,
-        kept=frozenset(blocks.kept_joints),
-        report=report,
-    )
-    added = {link.name for link in lumped.links} - {link.name for link in parts.links}
-    moving = [joint for joint in lumped.joints if joint.child not in added]
-    check_moving_parts(lumped.links, moving, report)
+    lumped = _reduce_joints(parts, blocks, report)
     plugins = read_plugins(blocks.plugins, lumped, report)
     return Model(
         name=parts.name,
@@ -318,6 +310,22 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
         is_static=blocks.is_static or is_fixed_to_world(parts, report),
         report=report.entries(),
     )
+
+
+def _reduce_joints(
+    parts: ParsedModel, blocks: GazeboExtensions, report: ParseReport
+) -> LumpedModel:
+    joints = normalize_axes(parts.joints)
+    lumped = reduce_joints(
+        apply_surfaces(parts.links, blocks),
+        _fix_joints(joints) if blocks.is_static else joints,
+        kept=frozenset(blocks.kept_joints),
+        report=report,
+    )
+    added = {link.name for link in lumped.links} - {link.name for link in parts.links}
+    moving = [joint for joint in lumped.joints if joint.child not in added]
+    check_moving_parts(lumped.links, moving, report)
+    return lumped
 
 
 def _fix_joints(joints: tuple[Joint, ...]) -> tuple[Joint, ...]:

@@ -75,8 +75,14 @@ def report_of(text: str) -> tuple[ReportEntry, ...]:
     return read_urdf(text).report
 
 
-def reasons(entries: Iterable[ReportEntry], status: str) -> list[str]:
-    return [f"{entry.subject}: {entry.reason}" for entry in entries if entry.status == status]
+def subjects(entries: Iterable[ReportEntry], status: str) -> list[str]:
+    return [entry.subject for entry in entries if entry.status == status]
+
+
+def mentions(entries: Iterable[ReportEntry], status: str, *values: str) -> bool:
+    """Whether one entry with a status contains all values."""
+    texts = [f"{entry.subject}: {entry.reason}" for entry in entries if entry.status == status]
+    return any(all(value in text for value in values) for text in texts)
 
 
 def link_names(model: Model) -> list[str]:

@@ -4,7 +4,14 @@ import msgspec
 import pytest
 
 from tests.sim_server.description.cars import a_car, a_trike
-from tests.sim_server.description.robots import WHEELS, a_cart, a_plugin, reasons, report_of
+from tests.sim_server.description.robots import (
+    WHEELS,
+    a_cart,
+    a_plugin,
+    mentions,
+    report_of,
+    subjects,
+)
 from zensim.proto.messages.drive_messages import (
     AckermannDrive,
     DiffDrive,
@@ -43,10 +50,8 @@ def test_planar_move_has_gazebos_defaults() -> None:
     assert model.drive.update_rate_hz == 20.0
     assert model.drive.publish_odom
     assert model.drive.publish_odom_tf
-    assert reasons(model.report, "applied") == [
-        "plugin 'p': drive: the body takes the twist, sideways too",
-        "plugin 'p': friction of its collisions is not used: the twist moves the body",
-    ]
+    assert subjects(model.report, "applied") == ["plugin 'p'"] * 2
+    assert mentions(model.report, "applied", "friction")
 
 
 def test_body_that_is_pushed_takes_the_twist_at_once() -> None:
@@ -60,7 +65,7 @@ def test_body_that_is_pushed_takes_the_twist_at_once() -> None:
     assert model.drive == PlanarMove(
         odometry_rate_hz=50.0, robot_base_frame="base", publish_odom_tf=False
     )
-    assert len(reasons(model.report, "ignored")) == 1
+    assert len(subjects(model.report, "ignored")) == 1
 
 
 def test_planar_move_has_what_the_file_says() -> None:
@@ -130,43 +135,36 @@ def test_car_has_the_lengths_of_its_links() -> None:
         wheel_effort_nm=drive.wheel_effort_nm,
         steering_effort_nm=7.0,
     )
-    assert "plugin 'p': drive: wheelbase 0.6 m, track 0.4 m, wheel radius 0.1 m" in reasons(
-        model.report, "applied"
-    )
+    assert mentions(model.report, "applied", "plugin 'p'", "0.6 m", "0.4 m", "0.1 m")
 
 
 def test_wheels_of_a_car_are_noted_when_they_touch_as_spheres() -> None:
     entries = report_of(a_car(a_plugin(CAR, CAR_JOINTS + BASE)))
 
-    assert reasons(entries, "applied")[-1] == (
-        "plugin 'p': cylinders of 'rl', 'rr', 'fl', 'fr' touch the ground as spheres of their "
-        "radius"
-    )
+    assert mentions(entries, "applied", "plugin 'p'", "'rl', 'rr', 'fl', 'fr'", "spheres")
 
 
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        (a_car(a_plugin(CAR)), "joint 'rear_left_joint' does not exist or is fixed"),
+        (a_car(a_plugin(CAR)), "'rear_left_joint'"),
         (
             a_car(a_plugin(CAR, CAR_JOINTS.replace("fr_steer_joint", "fl_steer_joint"))),
-            "a joint is named twice",
+            "'fl_steer_joint'",
         ),
-        (a_car(a_plugin(CAR, CAR_JOINTS), tyre=""), "rear wheels have no round collision"),
+        (a_car(a_plugin(CAR, CAR_JOINTS), tyre=""), "round collision"),
         (
             a_car(a_plugin(CAR, CAR_JOINTS)).replace('xyz="0.3', 'xyz="-0.3'),
-            "an axle has no width or place",
+            "in one place",
         ),
-        (a_trike(a_plugin(TRIKE)), "joint 'front_wheel_joint' does not exist"),
+        (a_trike(a_plugin(TRIKE)), "'front_wheel_joint'"),
     ],
 )
 def test_robot_has_no_drive_when_its_plugin_would_not_work(text: str, fault: str) -> None:
     model = read_urdf(text)
 
     assert model.drive is None
-    assert any(
-        "no drive" in noted and fault in noted for noted in reasons(model.report, "suspicious")
-    )
+    assert mentions(model.report, "suspicious", "no drive", fault)
 
 
 def test_tricycle_has_gazebos_defaults() -> None:
@@ -205,9 +203,7 @@ def test_tricycle_has_what_the_file_says() -> None:
     assert (drive.max_steering_speed, drive.angle_tolerance) == (1.0, 0.02)
     assert drive.publish_odom
     assert drive.publish_odom_tf
-    assert reasons(model.report, "ignored") == [
-        "plugin 'p': <publish_wheel_joint_state>: add the joint_state_publisher plug-in"
-    ]
+    assert subjects(model.report, "ignored") == ["plugin 'p': <publish_wheel_joint_state>"]
 
 
 @pytest.mark.parametrize("value", ["0", "-1", "nan", "wide"])
@@ -262,8 +258,8 @@ def test_diff_drive_of_gazebo_sim_has_what_the_file_says() -> None:
     assert drive.angular_limits == Limits(max_velocity=2.0, min_acceleration=-1.0)
     assert (drive.odometry_frame, drive.odometry_rate_hz) == ("o", 10.0)
     assert (drive.command_topic, drive.odometry_topic) == ("model/r/cmd_vel", "")
-    assert len(reasons(model.report, "ignored")) == 2
-    assert reasons(model.report, "unknown") == []
+    assert len(subjects(model.report, "ignored")) == 2
+    assert subjects(model.report, "unknown") == []
 
 
 @pytest.mark.parametrize(
@@ -282,16 +278,14 @@ def test_rate_of_gazebo_sims_odometry_is_read_in_either_spelling(inside: str, ra
 
     assert model.drive is not None
     assert model.drive.odometry_rate_hz == rate
-    assert reasons(model.report, "unknown") == []
+    assert subjects(model.report, "unknown") == []
 
 
 def test_diff_drive_of_gazebo_sim_is_none_when_its_sides_differ() -> None:
     model = read_urdf(a_cart(a_plugin(GZ, "<left_joint>left_joint</left_joint>")))
 
     assert model.drive is None
-    assert "plugin 'p': no drive: 1 left and 0 right joints; name as many of each" in reasons(
-        model.report, "suspicious"
-    )
+    assert mentions(model.report, "suspicious", "plugin 'p'", "1 left", "0 right")
 
 
 def test_topic_is_the_usual_one_when_it_is_no_name() -> None:
@@ -299,7 +293,7 @@ def test_topic_is_the_usual_one_when_it_is_no_name() -> None:
 
     assert model.drive is not None
     assert model.drive.command_topic == ""
-    assert "'cmd_vel' is used" in reasons(model.report, "suspicious")[0]
+    assert mentions(model.report, "suspicious", "<command_topic>", "'cmd_vel'")
 
 
 def test_every_drive_is_told_by_its_kind_on_the_wire() -> None:

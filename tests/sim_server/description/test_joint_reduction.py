@@ -12,7 +12,7 @@ from tests.sim_server.description.robots import (
     a_robot,
     an_inertial,
     link_names,
-    reasons,
+    mentions,
 )
 from zensim.proto.messages.model_messages import (
     Frame,
@@ -217,23 +217,19 @@ def test_mimic_is_kept_with_its_numbers_when_it_can_be_followed() -> None:
         Mimic("j0", -2.0, 0.1),
         Mimic("j1", 1.0, 0.0),
     ]
-    assert "joint 'j1': <mimic>: follows 'j0'" in reasons(model.report, "applied")
+    assert mentions(model.report, "applied", "joint 'j1': <mimic>", "'j0'")
 
 
 @pytest.mark.parametrize(
     ("inside", "kinds", "fault"),
     [
-        (("", '<mimic joint="nobody"/>'), ("revolute",) * 3, "'nobody' does not exist"),
-        (("", '<mimic joint="j2"/>'), ("revolute", "revolute", "fixed"), "'j2' does not exist"),
-        (("", '<mimic joint="j1"/>'), ("revolute",) * 3, "'j1' would follow itself"),
-        (
-            ('<mimic joint="j1"/>', '<mimic joint="j0"/>'),
-            ("revolute",) * 3,
-            "'j0' would follow itself",
-        ),
-        (("", '<mimic joint="j0" multiplier="0"/>'), ("revolute",) * 3, "multiplier is 0"),
+        (("", '<mimic joint="missing"/>'), ("revolute",) * 3, "'missing'"),
+        (("", '<mimic joint="j2"/>'), ("revolute", "revolute", "fixed"), "'j2'"),
+        (("", '<mimic joint="j1"/>'), ("revolute",) * 3, "'j1' would"),
+        (('<mimic joint="j1"/>', '<mimic joint="j0"/>'), ("revolute",) * 3, "'j0' would"),
+        (("", '<mimic joint="j0" multiplier="0"/>'), ("revolute",) * 3, "multiplier"),
         (("", '<mimic joint="j0"/>'), ("planar", "revolute", "revolute"), "'j0' is planar"),
-        (('<mimic joint="j1"/>',), ("floating", "revolute", "revolute"), "a floating joint"),
+        (('<mimic joint="j1"/>',), ("floating", "revolute", "revolute"), "floating"),
     ],
 )
 def test_mimic_is_noted_when_it_cannot_be_followed(
@@ -241,7 +237,7 @@ def test_mimic_is_noted_when_it_cannot_be_followed(
 ) -> None:
     model = read_urdf(a_gripper(*inside, kinds=kinds))
 
-    assert any(fault in line for line in reasons(model.report, "suspicious"))
+    assert mentions(model.report, "suspicious", "<mimic>", fault)
     assert [joint.mimic for joint in model.joints if joint.mimic] == []
 
 
@@ -266,7 +262,7 @@ def test_floating_joint_slides_and_turns_in_all_ways() -> None:
 
     assert link_names(model) == ["a", "b_x", "b_y", "b_z", "b_yaw", "b_pitch", "b"]
     assert [j.kind for j in model.joints] == ["prismatic"] * 3 + ["continuous"] * 3
-    assert "joint 'j': floating: 6 joints in a chain" in reasons(model.report, "applied")
+    assert mentions(model.report, "applied", "joint 'j'", "floating", "6 joints")
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: sum(a * a for a in axis) > 0.01))
@@ -320,7 +316,7 @@ def a_hedgehog(spines: int, kind: str) -> str:
 
 @pytest.mark.parametrize(("spines", "kind"), [(MAX_JOINTS + 1, "continuous"), (41, "planar")])
 def test_robot_is_refused_when_too_many_joints_are_left(spines: int, kind: str) -> None:
-    with pytest.raises(ModelError, match="at most 120") as caught:
+    with pytest.raises(ModelError, match=str(MAX_JOINTS)) as caught:
         read_urdf(a_hedgehog(spines, kind))
 
     assert caught.value.slug == "urdf.joints"

@@ -41,8 +41,10 @@ def test_number_is_refused_when_it_is_not_decimal_and_finite(text: str) -> None:
 
 
 def test_numbers_are_refused_when_their_count_is_wrong() -> None:
-    with pytest.raises(ModelError, match="'1 2' has 2 numbers; write 1 or 3"):
+    with pytest.raises(ModelError, match=r"'1 2'.*1 or 3") as caught:
         read("1 2", 1, 3)
+
+    assert caught.value.slug == "urdf.number"
 
 
 def test_number_is_refused_in_one_short_line_when_it_is_long() -> None:
@@ -140,8 +142,10 @@ def test_parser_refuses_text_when_it_is_not_well_formed(text: str) -> None:
 
 
 def test_parser_refuses_text_when_it_has_a_lone_surrogate() -> None:
-    with pytest.raises(ModelError, match="lone surrogate at character 7"):
+    with pytest.raises(ModelError, match="character 7") as caught:
         parse_xml("<robot>\ud800</robot>", root_tag="robot", slug="urdf")
+
+    assert caught.value.slug == "xml.encoding"
 
 
 @pytest.mark.parametrize("text", ["", "  \n", "\ufeff"])
@@ -153,10 +157,10 @@ def test_parser_refuses_text_when_it_is_empty(text: str) -> None:
 
 
 def test_parser_refuses_another_root_when_one_is_expected() -> None:
-    with pytest.raises(ModelError, match="begins with <sdf>; a <robot> is expected") as caught:
+    with pytest.raises(ModelError, match=r"<sdf>.*<robot>") as caught:
         parse_xml("<sdf/>", root_tag="robot", slug="urdf")
 
-    assert caught.value.code == SpawnCode.UNSUPPORTED_FORMAT
+    assert (caught.value.slug, caught.value.code) == ("urdf.root", SpawnCode.UNSUPPORTED_FORMAT)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +181,7 @@ def test_parser_refuses_text_when_it_is_huge(text: str) -> None:
 def test_parser_refuses_an_element_when_it_has_very_many_attributes() -> None:
     attributes = " ".join(f'a{i}=""' for i in range(100_000))
 
-    with pytest.raises(ModelError, match="<a> at line 1 has 100000 attributes") as caught:
+    with pytest.raises(ModelError, match=r"<a>.*100000") as caught:
         parse_xml(f"<robot><a {attributes}/></robot>", root_tag="robot", slug="urdf")
 
     assert caught.value.slug == "xml.size"

@@ -70,17 +70,17 @@ REFUSED = {
     "spawn nothing": (
         a_spawn(entity_resource=Resource()),
         SpawnCode.NO_RESOURCE,
-        "entity_resource is empty; give a uri",
+        "resource.empty: ",
     ),
     "spawn an unknown model": (
         a_spawn(entity_resource=Resource("tank")),
         ResultCode.NOT_FOUND,
-        "no model 'tank'.*there is box_bot",
+        "library.model: .*'tank'.*box_bot",
     ),
     "spawn a file": (
         a_spawn(entity_resource=Resource("file:///etc/passwd")),
         ResultCode.NOT_FOUND,
-        "'file:///etc/passwd' is not a shipped model; send the text",
+        "resource.unknown: .*'file:///etc/passwd'",
     ),
     "spawn no XML": (a_spawn_of("<robot"), SpawnCode.RESOURCE_PARSE_ERROR, "."),
     "spawn a model that the engine cannot simulate": (

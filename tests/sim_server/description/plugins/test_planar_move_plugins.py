@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.sim_server.description.robots import a_cart, a_plugin, reasons
+from tests.sim_server.description.robots import a_cart, a_plugin, subjects
 from zensim.proto.messages.drive_messages import PlanarMove
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 
@@ -26,5 +26,5 @@ def test_body_takes_the_twist(filename: str) -> None:
         robot_base_frame="base",
         command_topic="go",
     )
-    assert len(reasons(model.report, "ignored")) == 2
-    assert reasons(model.report, "suspicious") == reasons(model.report, "unknown") == []
+    assert len(subjects(model.report, "ignored")) == 2
+    assert subjects(model.report, "suspicious") == subjects(model.report, "unknown") == []

@@ -3,7 +3,7 @@
 import pytest
 from lxml import etree
 
-from tests.sim_server.description.robots import reasons
+from tests.sim_server.description.robots import subjects
 from zensim.proto.messages.model_messages import Contact, Origin, Shape
 from zensim.proto.rigid_transforms import rotate
 from zensim.sim_server.description.report import ParseReport
@@ -63,7 +63,7 @@ def test_other_solid_is_listed(tag: str) -> None:
     report = ParseReport()
 
     assert read_geometry(a_part(f"<geometry><{tag}/></geometry>"), "here", report) is None
-    assert len(reasons(report.entries(), "suspicious")) == 1
+    assert len(subjects(report.entries(), "suspicious")) == 1
 
 
 @pytest.mark.parametrize(
@@ -97,8 +97,8 @@ def test_surface_is_that_of_ode() -> None:
     surface = read_surface(part, "here", report)
 
     assert (surface.friction, surface.contact) == (0.5, Contact(1e5, 1.0, (0.0, 1.0, 0.0), 0.25))
-    assert len(reasons(report.entries(), "applied")) == 4
-    assert len(reasons(report.entries(), "ignored")) == 1
+    assert len(subjects(report.entries(), "applied")) == 4
+    assert len(subjects(report.entries(), "ignored")) == 1
 
 
 def test_negative_friction_is_refused() -> None:

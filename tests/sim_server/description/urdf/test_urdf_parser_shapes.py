@@ -8,7 +8,7 @@ from tests.sim_server.description.robots import (
     a_link,
     a_robot,
     a_visual,
-    reasons,
+    mentions,
 )
 from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
@@ -31,20 +31,14 @@ def test_first_shape_counts_when_a_geometry_holds_two() -> None:
     model = read_urdf(a_robot(a_link("a", a_visual(two))))
 
     assert [shape.kind for shape in model.links[0].visuals] == ["sphere"]
-    assert "link 'a', visual, geometry: 2 shapes; the first counts" in reasons(
-        model.report, "suspicious"
-    )
+    assert mentions(model.report, "suspicious", "link 'a', visual, geometry", "2")
 
 
 def test_each_visual_is_noted_once_when_its_mesh_is_not_here() -> None:
     model = read_urdf(a_robot(a_link("a", a_visual(MESH) * 2 + a_visual()), name_of_others()))
 
-    missing = [line for line in reasons(model.report, "suspicious") if "not drawn" in line]
-    assert [line.split(":")[0] for line in missing] == [
-        "link 'a', visual 1",
-        "link 'a', visual 2",
-        "link 'b'",
-    ]
+    missing = [entry.subject for entry in model.report if "body.stl" in entry.reason]
+    assert missing == ["link 'a', visual 1", "link 'a', visual 2", "link 'b'"]
 
 
 def name_of_others() -> str:
@@ -58,7 +52,7 @@ def test_visual_is_not_drawn_when_its_size_is_0() -> None:
     model = read_urdf(a_robot(a_link("a", a_visual(dot) + a_visual())))
 
     assert len(model.links[0].visuals) == 1
-    assert "link 'a', visual 1: sphere of size 0; not drawn" in reasons(model.report, "suspicious")
+    assert mentions(model.report, "suspicious", "link 'a', visual 1", "sphere", "0")
 
 
 def test_mesh_may_be_mirrored_when_its_scale_is_negative() -> None:
@@ -76,4 +70,4 @@ def test_collision_mesh_is_left_out_only_when_it_may_be_missing() -> None:
 
     assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "mesh.missing")
     assert [shape.kind for shape in model.links[0].collisions] == ["sphere"]
-    assert any("nothing collides there" in line for line in reasons(model.report, "suspicious"))
+    assert mentions(model.report, "suspicious", "link 'a'", "collision", "body.stl")
