@@ -48,7 +48,7 @@ class LaunchAgentsConfig(msgspec.Struct, frozen=True):
 class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     """What `zensim up` runs."""
 
-    places: tuple[RobotPlacement, ...]
+    placements: tuple[RobotPlacement, ...]
     model: str
     world: str
     world_name: str
@@ -139,7 +139,7 @@ def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
     )
     told = {
         f"agent of {one.name}": msgspec.structs.replace(common, entities=(one.name,))
-        for one in config.places
+        for one in config.placements
     }
     if config.agents.pools is not None:
         pool = msgspec.structs.replace(common, pool_limit=0)
@@ -182,11 +182,13 @@ def _wait_until_ready(demo: LocalDeployment, steps: LaunchProgress, began_s: flo
     config = demo.config
     odom = demo.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
     demo.client.wait_for_server(START_TIMEOUT_S, demo.supervisor.watch)
-    outcomes = spawn_fleet(demo.client, config.model, config.places, lambda _: steps.on_spawned())
+    outcomes = spawn_fleet(
+        demo.client, config.model, config.placements, lambda _: steps.on_spawned()
+    )
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
     viewer = _start_viewer(demo) if config.has_viewer else None
-    missing = {ODOM.key(place.name) for place in config.places}
+    missing = {ODOM.key(place.name) for place in config.placements}
     deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * len(missing)
     while missing:
         seen = {sample.key for sample in odom.take()} & missing

@@ -1,40 +1,65 @@
-"""Command-line options that several programs share (ROS 2 exposure), and options as the fields of a dataclass."""
+"""Command-line options that several programs share, and dataclasses as groups of options."""
 
 import dataclasses
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
 
+from zensim.proto.bus import DEFAULT_ENDPOINT
 from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings
 
-Options = TypeVar("Options")
+Choice = TypeVar("Choice", bound=str)
+
+# In help texts a unit is written r"\[m]": Rich reads a plain [m] as markup and drops it.
+flag = partial(typer.Option, metavar="")
+"""An option without a value; typer would show the type of its value as <bool>."""
 
 
-def options_from(
-    kind: Callable[..., Options],
-) -> Callable[[Callable[[Options], None]], Callable[..., None]]:
-    """Let typer see the fields of a dataclass as the parameters of a command.
-
-    Args:
-        kind: A dataclass whose fields typer could have as parameters.
-    """
-
-    def wrap(action: Callable[[Options], None]) -> Callable[..., None]:
-        def command(**given: object) -> None:
-            action(kind(**given))
-
-        command.__name__ = action.__name__
-        command.__doc__ = action.__doc__
-        command.__signature__ = inspect.Signature(_make_parameters(kind))  # type: ignore[attr-defined]
-        return command
-
-    return wrap
+def make_app(name: str = "") -> typer.Typer:
+    """Create the app of one module; its commands form a group if it has a name."""
+    return typer.Typer(
+        name=name or None,
+        no_args_is_help=bool(name),
+        add_completion=False,
+        pretty_exceptions_enable=False,
+    )
 
 
-def _make_parameters(kind: Callable[..., Options]) -> list[inspect.Parameter]:
+def expand_options(action: Callable[..., None]) -> Callable[..., None]:
+    """Replace each parameter that is a dataclass by one option per field."""
+    parameters = inspect.signature(action).parameters.values()
+    groups = {
+        parameter.name: parameter.annotation
+        for parameter in parameters
+        if isinstance(parameter.annotation, type) and dataclasses.is_dataclass(parameter.annotation)
+    }
+
+    def command(**given: object) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{f.name: given.pop(f.name) for f in dataclasses.fields(group)})
+        action(**given)
+
+    expanded = [
+        part
+        for parameter in parameters
+        for part in (
+            _make_parameters(parameter.annotation) if parameter.name in groups else [parameter]
+        )
+    ]
+    command.__name__ = action.__name__
+    command.__doc__ = action.__doc__
+    command.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in expanded]
+    )
+    return command
+
+
+def _make_parameters(group: type) -> list[inspect.Parameter]:
     return [
         inspect.Parameter(
             field.name,
@@ -44,35 +69,179 @@ def _make_parameters(kind: Callable[..., Options]) -> list[inspect.Parameter]:
             else field.default,
             annotation=field.type,
         )
-        for field in dataclasses.fields(kind)  # type: ignore[arg-type]
+        for field in dataclasses.fields(group)
     ]
 
 
+def parse_choice(option: str, word: str, choices: tuple[Choice, ...]) -> Choice:
+    """Find the choice that equals a word.
+
+    Raises:
+        ValueError: There is none.
+    """
+    for choice in choices:
+        if choice == word:
+            return choice
+    known = ", ".join(filter(None, choices))
+    raise ValueError(f"{option} must be one of {known}; got {word[:40]!r}")
+
+
+_connection = partial(typer.Option, rich_help_panel="Connection")
+ConnectOption = Annotated[
+    str,
+    _connection(
+        "--connect",
+        metavar="ENDPOINT",
+        help="Zenoh endpoint of the router or server.",
+        show_default=DEFAULT_ENDPOINT,
+        envvar="ZENSIM_CONNECT",
+    ),
+]
+WorldNameOption = Annotated[
+    str,
+    _connection(
+        "--world-name",
+        metavar="NAME",
+        help="Name of the world on the network.",
+        envvar="ZENSIM_WORLD",
+    ),
+]
+TimeoutOption = Annotated[
+    float, _connection("--timeout", metavar="SECONDS", help=r"Timeout of each service call \[s].")
+]
+JsonOption = Annotated[bool, flag("--json", help="Print JSON to standard output.")]
+
+_physics = partial(typer.Option, rich_help_panel="Physics")
+RealTimeFactorOption = Annotated[
+    float | None,
+    _physics(
+        "--rtf",
+        metavar="FACTOR",
+        help="Target real-time factor; 0 = as fast as possible.",
+        show_default="from the world file, or 1",
+    ),
+]
+EngineOption = Annotated[
+    str,
+    _physics(
+        "--engine",
+        metavar="pybullet|mujoco",
+        help="Physics engine that simulates the world.",
+        show_default="pybullet if installed",
+        envvar="ZENSIM_ENGINE",
+    ),
+]
+WorldDynamicsOption = Annotated[
+    str,
+    _physics(
+        "--dynamics",
+        metavar="full|kinematic|auto",
+        help="Default motion model of robots; auto = full only where contacts are possible.",
+    ),
+]
+ClustersOption = Annotated[
+    str,
+    _physics(
+        "--clusters",
+        metavar="auto|on|off",
+        help="Simulate robots that cannot touch each other in separate clusters; "
+        "auto = if there are many robots.",
+    ),
+]
+EngineWorkersOption = Annotated[
+    int | None,
+    _physics(
+        "--engine-workers",
+        min=0,
+        metavar="N",
+        help="Number of extra processes that step clusters.",
+        show_default="CPU cores - 1",
+    ),
+]
+LockstepOption = Annotated[
+    bool,
+    flag(
+        "--lockstep",
+        help="Wait for the command of every agent at each control step.",
+        rich_help_panel="Lockstep",
+    ),
+]
+WorldOption = Annotated[
+    str, typer.Option("--world", metavar="NAME|FILE", help="Built-in world or SDF file to load.")
+]
+StrictWorldOption = Annotated[bool, flag("--strict", help="Fail if the world file has warnings.")]
+ModelPathOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--model-path",
+        metavar="FOLDER",
+        help="Folder with models that the world file includes; repeatable.",
+        envvar="GAZEBO_MODEL_PATH",
+    ),
+]
+
+OdomHzOption = Annotated[
+    float | None,
+    typer.Option(
+        "--odom-hz",
+        min=0.0,
+        metavar="HZ",
+        rich_help_panel="Telemetry",
+        help=r"Odometry rate \[Hz, simulation time]; 0 = every state.",
+        show_default="from the robot description",
+    ),
+]
+TfHzOption = Annotated[
+    float | None,
+    typer.Option(
+        "--tf-hz",
+        min=0.0,
+        metavar="HZ",
+        rich_help_panel="Telemetry",
+        help=r"Rate of tf \[Hz, simulation time]; 0 = every state.",
+        show_default="--odom-hz, or from the robot description",
+    ),
+]
+
+_ros = partial(typer.Option, rich_help_panel="ROS 2")
 RosDomainOption = Annotated[
     str,
-    typer.Option(
-        help="ROS 2 domain to be seen in, 0 to 232, or 'off'.",
+    _ros(
+        metavar="ID|off",
+        help="ROS 2 domain ID, 0 to 232; off = no ROS 2 topics and services.",
         envvar=["ZENSIM_ROS_DOMAIN", "ROS_DOMAIN_ID"],
     ),
 ]
 RosDistroOption = Annotated[
-    str, typer.Option(help="ROS 2 distribution to talk to; only humble is unlike the others.")
+    str,
+    _ros(
+        metavar="NAME",
+        help="ROS 2 distribution of the other nodes; only humble uses different keys.",
+    ),
 ]
 RosBridgeOption = Annotated[
-    bool, typer.Option("--ros-bridge", help="Announce everything to zenoh-bridge-ros2dds too.")
+    bool,
+    flag("--ros-bridge", help="Also announce to zenoh-bridge-ros2dds.", rich_help_panel="ROS 2"),
 ]
 TfScopeOption = Annotated[
-    str, typer.Option(help="Transforms on /tf (global), on /NS/tf (namespaced), or both.")
+    str,
+    _ros(
+        metavar="global|namespaced|both",
+        help="Publish tf on /tf (global), on /NS/tf (namespaced), or on both.",
+    ),
 ]
 TfRootOption = Annotated[
     str,
-    typer.Option(help="Frame on /tf_static that all robots' odometry hangs from, or 'off'."),
+    _ros(
+        metavar="FRAME|off",
+        help="Parent frame of the odometry frames of all robots on /tf_static; off = none.",
+    ),
 ]
 
 
 @dataclass(frozen=True, kw_only=True)
 class RosOptions:
-    """Of a program that tells no transforms."""
+    """ROS 2 options of a program that does not publish tf."""
 
     ros_domain: RosDomainOption = "0"
     ros_distro: RosDistroOption = "jazzy"
@@ -80,17 +249,17 @@ class RosOptions:
 
     @property
     def ros(self) -> RosSettings:
-        """What they say.
+        """Settings made from the options.
 
         Raises:
-            ValueError: See `ros_settings`.
+            ValueError: See `parse_ros_settings`.
         """
         return parse_ros_settings(self.ros_domain, self.ros_distro, is_bridged=self.ros_bridge)
 
 
 @dataclass(frozen=True, kw_only=True)
 class RosTfOptions(RosOptions):
-    """Of a program that tells transforms."""
+    """ROS 2 options of a program that publishes tf."""
 
     tf: TfScopeOption = "both"
     tf_root: TfRootOption = "world"

@@ -5,13 +5,30 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
 
 import typer
 
-from zensim.proto.bus import Bus
-from zensim.proto.cli_options import RosOptions, options_from
+from zensim.proto.bus import DEFAULT_ENDPOINT, Bus
+from zensim.proto.cli_options import (
+    ClustersOption,
+    EngineOption,
+    EngineWorkersOption,
+    LockstepOption,
+    ModelPathOption,
+    RealTimeFactorOption,
+    RosOptions,
+    StrictWorldOption,
+    WorldDynamicsOption,
+    WorldNameOption,
+    WorldOption,
+    expand_options,
+    flag,
+    make_app,
+    parse_choice,
+)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.stop_signal import StopFlag
@@ -19,7 +36,6 @@ from zensim.sim_server.journal.sqlite_store import JournalError
 from zensim.sim_server.pacing.lockstep import LOCKSTEP_TIMEOUT_S, LockstepSettings, OnMiss
 from zensim.sim_server.physics.engine_config import (
     Clustering,
-    EngineName,
     EngineOptions,
     choose_engine,
     find_installed_engines,
@@ -35,171 +51,108 @@ from zensim.sim_server.server_config import (
 
 SERVER_EXTRA = ("yourdfpy", "lxml", "scipy", "trimesh")
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = make_app()
 
 
 class MissingServerExtra(Exception):
-    """The server's packages are not installed."""
+    """The packages of the server extra are not installed."""
 
 
-ServeConnect = Annotated[
-    str, typer.Option(help="Join this router instead of being one.", envvar="ZENSIM_CONNECT")
-]
-ServeWorldName = Annotated[
-    str, typer.Option(help="What the world is called on the network.", envvar="ZENSIM_WORLD")
-]
-ServeStepHz = Annotated[
-    float | None,
-    typer.Option(help="Physics steps a simulated second.", show_default="the world's, or 240"),
-]
-ServeControlHz = Annotated[
-    float, typer.Option(help="How often agents are told of a simulated second, at most.")
-]
-ServeRealTimeFactor = Annotated[
-    float | None,
-    typer.Option(help="Real-time factor to hold; 0 = flat out.", show_default="the world's, or 1"),
-]
-ServeModelPath = Annotated[
-    list[Path] | None,
-    typer.Option(
-        help="Folder to look for a world's included models in.", envvar="GAZEBO_MODEL_PATH"
-    ),
-]
-ServeWait = Annotated[float, typer.Option(min=0.0, help="Seconds to wait for the router to join.")]
-ServeStrict = Annotated[
-    bool, typer.Option("--strict", help="Refuse a world of which anything is suspicious.")
-]
-ServeJournal = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder that keeps the world; a server that finds one there goes on with it.",
-        envvar="ZENSIM_JOURNAL",
-    ),
-]
-ServeEngine = Annotated[
-    str,
-    typer.Option(
-        help="pybullet or mujoco: what computes physics.",
-        show_default="pybullet where it is installed",
-        envvar="ZENSIM_ENGINE",
-    ),
-]
-ServeDynamics = Annotated[
-    str,
-    typer.Option(
-        "--dynamics",
-        help="How robots move that ask for nothing else: full, kinematic, or auto: full only "
-        "where they may touch.",
-    ),
-]
-ServeLockstep = Annotated[
-    bool, typer.Option("--lockstep", help="Wait at each control step for every agent's command.")
-]
-ServeLockstepTimeout = Annotated[
-    float, typer.Option(help="Seconds that an agent has for its command, at requested steps too.")
-]
-ServeOnMiss = Annotated[
-    str,
-    typer.Option(help="After that: wait on, hold the old targets and go on, or fail: stand still."),
-]
-ServeClusters = Annotated[
-    str,
-    typer.Option(
-        help="Step robots that cannot touch apart: auto (when there are many), on or off."
-    ),
-]
-ServeEngineWorkers = Annotated[
-    int | None,
-    typer.Option(
-        min=0,
-        help="Processes beside the server's own that step clusters.",
-        show_default="a process for each further core",
-    ),
-]
+_connection = partial(typer.Option, rich_help_panel="Connection")
+_physics = partial(typer.Option, rich_help_panel="Physics")
+_lockstep = partial(typer.Option, rich_help_panel="Lockstep")
 
-
-def parse_clustering(word: str) -> Clustering:
-    """Read when worlds are to be clustered.
-
-    Raises:
-        BadParameter: There is no such word.
-    """
-    for known in get_args(Clustering):
-        if known == word:
-            return known  # type: ignore[no-any-return]
-    raise typer.BadParameter(
-        f"--clusters {word!r} is unknown; use {', '.join(get_args(Clustering))}"
-    )
-
-
-def parse_dynamics(word: str) -> Dynamics:
-    """Read how entities move that do not ask for any dynamics.
-
-    Raises:
-        BadParameter: There is no such way.
-    """
-    for known in get_args(Dynamics):
-        if known and known == word:
-            return known  # type: ignore[no-any-return]
-    kinds = ", ".join(known for known in get_args(Dynamics) if known)
-    raise typer.BadParameter(f"--dynamics {word!r} is unknown; use {kinds}")
-
-
-def parse_on_miss(word: str) -> OnMiss:
-    """Read what is to be done when an agent is late.
-
-    Raises:
-        BadParameter: There is no such policy.
-    """
-    for known in get_args(OnMiss):
-        if known == word:
-            return known  # type: ignore[no-any-return]
-    raise typer.BadParameter(f"--on-miss {word!r} is unknown; use {', '.join(get_args(OnMiss))}")
-
-
-def parse_engine(word: str) -> EngineName | None:
-    """Read which engine is asked for.
-
-    Raises:
-        BadParameter: There is no such engine.
-    """
-    try:
-        return parse_engine_name(word)
-    except ValueError as error:
-        raise typer.BadParameter(str(error)) from error
+CLUSTERINGS: tuple[Clustering, ...] = get_args(Clustering)
+MISS_POLICIES: tuple[OnMiss, ...] = get_args(OnMiss)
+WORLD_DYNAMICS: tuple[Dynamics, ...] = tuple(filter(None, get_args(Dynamics)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServeOptions(RosOptions):
-    """What a server is told."""
+    """All options of `zensim serve`."""
 
-    listen: Annotated[str, typer.Option(help="Endpoint to be the router at.")] = ""
-    connect: ServeConnect = ""
-    wait: ServeWait = 30.0
-    world: Annotated[str, typer.Option(help="Shipped world, or path of an SDF file.")] = "empty"
-    world_name: ServeWorldName = "default"
-    step_hz: ServeStepHz = None
-    control_hz: ServeControlHz = CONTROL_HZ
-    rtf: ServeRealTimeFactor = None
-    paused: Annotated[bool, typer.Option("--paused", help="Start with time standing.")] = False
-    seed: Annotated[int, typer.Option(help="Seed of the world's random draws.")] = 0
-    model_path: ServeModelPath = None
-    strict: ServeStrict = False
-    dynamics: ServeDynamics = "full"
-    journal: ServeJournal = None
-    engine: ServeEngine = ""
-    lockstep: ServeLockstep = False
-    lockstep_timeout: ServeLockstepTimeout = LOCKSTEP_TIMEOUT_S
-    on_miss: ServeOnMiss = "hold"
-    clusters: ServeClusters = "auto"
-    engine_workers: ServeEngineWorkers = None
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Log every event.")] = False
+    world: WorldOption = "empty"
+    model_path: ModelPathOption = None
+    strict: StrictWorldOption = False
+    paused: Annotated[bool, flag("--paused", help="Start paused.")] = False
+    seed: Annotated[int, typer.Option(metavar="N", help="Seed of random numbers.")] = 0
+    journal: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Record changes in this folder, and restore the world that it contains.",
+            show_default="no journal",
+            envvar="ZENSIM_JOURNAL",
+        ),
+    ] = None
+    verbose: Annotated[bool, flag("--verbose", "-v", help="Log at level INFO.")] = False
+    listen: Annotated[
+        str,
+        _connection(
+            metavar="ENDPOINT",
+            help="Zenoh endpoint to listen on; the server is its own router.",
+            show_default=DEFAULT_ENDPOINT,
+        ),
+    ] = ""
+    connect: Annotated[
+        str,
+        _connection(
+            metavar="ENDPOINT",
+            help="Connect to this Zenoh router instead of listening.",
+            envvar="ZENSIM_CONNECT",
+        ),
+    ] = ""
+    wait: Annotated[
+        float,
+        _connection(min=0.0, metavar="SECONDS", help=r"Timeout of connecting to the router \[s]."),
+    ] = 30.0
+    world_name: WorldNameOption = "default"
+    engine: EngineOption = ""
+    rtf: RealTimeFactorOption = None
+    step_hz: Annotated[
+        float | None,
+        _physics(
+            metavar="HZ",
+            help=r"Physics rate \[Hz, simulation time].",
+            show_default="from the world file, or 240",
+        ),
+    ] = None
+    control_hz: Annotated[
+        float,
+        _physics(
+            metavar="HZ", help=r"Maximum rate of state messages to agents \[Hz, simulation time]."
+        ),
+    ] = CONTROL_HZ
+    dynamics: WorldDynamicsOption = "full"
+    clusters: ClustersOption = "auto"
+    engine_workers: EngineWorkersOption = None
+    lockstep: LockstepOption = False
+    lockstep_timeout: Annotated[
+        float,
+        _lockstep(
+            metavar="SECONDS",
+            help=r"Timeout of each agent's command \[s]; also for step requests.",
+        ),
+    ] = LOCKSTEP_TIMEOUT_S
+    on_miss: Annotated[
+        str,
+        _lockstep(
+            metavar="wait|hold|fail",
+            help="After that timeout: wait further, continue with the last targets (hold), "
+            "or pause (fail).",
+        ),
+    ] = "hold"
 
 
-@app.command()
-@options_from(ServeOptions)
+@app.command(
+    epilog="""Examples:
+  zensim serve
+  zensim serve --world warehouse --rtf 0 --paused
+  zensim serve --listen tcp/0.0.0.0:7447 --journal ./journal"""
+)
+@expand_options
 def serve(given: ServeOptions) -> None:
-    """Run a world and serve it on the network."""
+    """Start a simulation server, until Ctrl-C."""
     _configure_logging(is_verbose=given.verbose)
     stop = StopFlag()
     with exit_on_failure("serve"):
@@ -209,8 +162,8 @@ def serve(given: ServeOptions) -> None:
 
 def _make_server_config(given: ServeOptions) -> ServerConfig:
     if given.listen and given.connect:
-        raise typer.BadParameter("--listen and --connect exclude each other; give one")
-    on_miss = parse_on_miss(given.on_miss)
+        raise ValueError("--listen and --connect exclude each other; give one of them")
+    on_miss = parse_choice("--on-miss", given.on_miss, MISS_POLICIES)
     return ServerConfig(
         bus=make_server_bus_config(given.listen, given.connect),
         world=given.world_name,
@@ -227,9 +180,9 @@ def _make_server_config(given: ServeOptions) -> ServerConfig:
         lockstep=LockstepSettings(given.lockstep, given.lockstep_timeout, on_miss),
         ros=given.ros,
         physics=EngineOptions(
-            engine=parse_engine(given.engine),
-            clusters=parse_clustering(given.clusters),
-            dynamics=parse_dynamics(given.dynamics),
+            engine=parse_engine_name(given.engine),
+            clusters=parse_choice("--clusters", given.clusters, CLUSTERINGS),
+            dynamics=parse_choice("--dynamics", given.dynamics, WORLD_DYNAMICS),
             workers=given.engine_workers,
         ),
     )
@@ -266,10 +219,10 @@ def _import_server() -> Callable[..., None]:
 
 @contextmanager
 def server_extra() -> Iterator[None]:
-    """Import what only the server's extra brings.
+    """Report a package of the server extra that is not installed.
 
     Raises:
-        MissingExtra: It is not installed.
+        MissingServerExtra: An import inside failed.
     """
     try:
         yield

@@ -1,100 +1,154 @@
-"""`zensim`: one command over all programs; each is imported only when it is called.
+"""`zensim`: the command line; a verb's module is imported only when the verb is called.
 
-An agent's host has neither pybullet nor viser: nothing here may import them.
+The host of an agent has neither pybullet nor viser, so nothing here may import them.
 """
 
 import importlib
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
 from zensim.proto.process_limits import die_with_supervisor
 
-VERBS: dict[str, tuple[str, str]] = {
-    "up": (
+
+class Verb(NamedTuple):
+    """One command or group of commands."""
+
+    panel: str
+    """Title of its section in the help text."""
+    module: str
+    """Module of its typer app."""
+    summary: str
+
+
+VERBS: dict[str, Verb] = {
+    "up": Verb(
+        "Programs",
         "zensim.deploy.cli.up_commands",
-        "Run a world, its robots, their agents and the page, all on this machine.",
+        "Start a server, robots, agents and the viewer on this host.",
     ),
-    "serve": ("zensim.sim_server.cli", "Run a world and serve it on the network."),
-    "router": (
-        "zensim.deploy.cli.router_commands",
-        "Run the router alone, for servers and agents to join.",
+    "serve": Verb("Programs", "zensim.sim_server.cli", "Start a simulation server."),
+    "router": Verb("Programs", "zensim.deploy.cli.router_commands", "Start a Zenoh router."),
+    "agent": Verb(
+        "Programs",
+        "zensim.robot_agent.cli",
+        "Drive robots: subscribe to cmd_vel, publish odom and tf.",
     ),
-    "spawn": ("zensim.spawner.cli.spawn_commands", "Put one robot into the world."),
-    "fleet": ("zensim.spawner.cli.spawn_commands", "Put many robots into the world."),
-    "agent": ("zensim.robot_agent.cli", "Drive robots: cmd_vel in, odom and tf out."),
-    "drive": ("zensim.spawner.cli.topic_commands", "Send a robot velocity commands."),
-    "echo": ("zensim.spawner.cli.topic_commands", "Print what is published on a key."),
-    "hz": (
-        "zensim.spawner.cli.topic_commands",
-        "Measure how often something is published on a key.",
+    "view": Verb(
+        "Programs",
+        "zensim.spawner.cli.view_commands",
+        "Serve a web page that shows the world in 3D.",
     ),
-    "list": ("zensim.spawner.cli.list_commands", "List the entities of the world."),
-    "inspect": ("zensim.spawner.cli.entity_commands", "Show one entity."),
-    "delete": ("zensim.spawner.cli.entity_commands", "Take entities out of the world."),
-    "state": ("zensim.spawner.cli.state_commands", "Tell where an entity is, or put it somewhere."),
-    "info": ("zensim.spawner.cli.info_commands", "Tell what an entity is, or say it."),
-    "pause": ("zensim.spawner.cli.simulation_commands", "Let time stand."),
-    "play": ("zensim.spawner.cli.simulation_commands", "Let time run."),
-    "stop": (
+    "spawn": Verb("Entities", "zensim.spawner.cli.spawn_commands", "Spawn one robot or object."),
+    "fleet": Verb(
+        "Entities", "zensim.spawner.cli.spawn_commands", "Spawn several robots of one model."
+    ),
+    "list": Verb("Entities", "zensim.spawner.cli.entity_commands", "List entities."),
+    "inspect": Verb(
+        "Entities", "zensim.spawner.cli.entity_commands", "Show the details of one entity."
+    ),
+    "delete": Verb("Entities", "zensim.spawner.cli.entity_commands", "Delete entities."),
+    "state": Verb(
+        "Entities",
+        "zensim.spawner.cli.state_commands",
+        "Get or set the pose and velocity of an entity.",
+    ),
+    "info": Verb(
+        "Entities",
+        "zensim.spawner.cli.info_commands",
+        "Get or set the category, tags and description of an entity.",
+    ),
+    "pause": Verb("Simulation", "zensim.spawner.cli.simulation_commands", "Pause the simulation."),
+    "play": Verb(
+        "Simulation", "zensim.spawner.cli.simulation_commands", "Start or resume the simulation."
+    ),
+    "stop": Verb(
+        "Simulation",
         "zensim.spawner.cli.simulation_commands",
-        "Let time stand at the start: what was spawned goes.",
+        "Reset the simulation, delete spawned entities, and stop.",
     ),
-    "step": ("zensim.spawner.cli.simulation_commands", "Make steps of a paused world."),
-    "run-to": (
+    "reset": Verb(
+        "Simulation",
         "zensim.spawner.cli.simulation_commands",
-        "Make steps until a simulation time is reached.",
+        "Reset time, entity states and spawned entities.",
     ),
-    "speed": ("zensim.spawner.cli.simulation_commands", "Choose the real-time factor to hold."),
-    "reset": ("zensim.spawner.cli.simulation_commands", "Go back to the start."),
-    "world": ("zensim.spawner.cli.world_commands", "Load, list or unload worlds."),
-    "features": ("zensim.spawner.cli.simulation_commands", "List what the server can do."),
-    "doctor": ("zensim.spawner.cli.doctor_commands", "Say what is wrong when nothing answers."),
-    "view": ("zensim.spawner.cli.view_commands", "Show the world on a 3D page."),
-    "journal": (
-        "zensim.deploy.cli.journal_commands",
-        "Show, verify or export what a server keeps.",
+    "step": Verb(
+        "Simulation",
+        "zensim.spawner.cli.simulation_commands",
+        "Advance a paused simulation by a number of steps.",
     ),
-    "model": (
+    "run-to": Verb(
+        "Simulation",
+        "zensim.spawner.cli.simulation_commands",
+        "Advance a paused simulation to a given time.",
+    ),
+    "speed": Verb(
+        "Simulation",
+        "zensim.spawner.cli.simulation_commands",
+        "Get or set the target real-time factor.",
+    ),
+    "world": Verb(
+        "Simulation", "zensim.spawner.cli.world_commands", "Load, unload and list worlds."
+    ),
+    "drive": Verb(
+        "Topics", "zensim.spawner.cli.topic_commands", "Publish velocity commands to a robot."
+    ),
+    "echo": Verb("Topics", "zensim.spawner.cli.topic_commands", "Print the messages of a topic."),
+    "hz": Verb(
+        "Topics", "zensim.spawner.cli.topic_commands", "Measure the message rate of a topic."
+    ),
+    "features": Verb(
+        "Diagnostics", "zensim.spawner.cli.simulation_commands", "List the features of the server."
+    ),
+    "doctor": Verb(
+        "Diagnostics", "zensim.spawner.cli.doctor_commands", "Diagnose connection problems."
+    ),
+    "model": Verb(
+        "Diagnostics",
         "zensim.deploy.cli.model_commands",
-        "Show what a description says, without any server.",
+        "Parse a robot description and print the result, without a server.",
+    ),
+    "journal": Verb(
+        "Diagnostics",
+        "zensim.deploy.cli.journal_commands",
+        "Show, verify or export a server journal.",
     ),
 }
-"""Verb to the module of its typer app, and the line that help shows without importing it."""
 
 
 def build(called: str) -> typer.Typer:
-    """Make the command line with one verb loaded; of the others only the help line is there."""
+    """Build the command line with one verb loaded; the others have their help line only."""
     app = typer.Typer(
         add_completion=True,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        help="Many robots in one simulated world, over Zenoh, without ROS or Gazebo.",
+        help="Multi-robot simulation over Zenoh, without ROS or Gazebo.",
+        epilog="Run 'zensim COMMAND --help' for the options of a command.",
     )
     app.callback(invoke_without_command=True)(_root_options)
-    for verb, (module, line) in VERBS.items():
-        if verb == called:
-            _add_verb(app, module, verb, line)
+    for name, verb in VERBS.items():
+        if name == called:
+            _add_verb(app, name, verb)
         else:
-            app.command(verb, help=line)(_not_loaded)
+            app.command(name, help=verb.summary, rich_help_panel=verb.panel)(_not_loaded)
     return app
 
 
-def _add_verb(app: typer.Typer, module: str, verb: str, line: str) -> None:
-    """Add a command of a module; a module whose app has the verb's name is a group of commands."""
-    found: typer.Typer = importlib.import_module(module).app
-    if found.info.name == verb:
-        app.add_typer(found, name=verb, help=line)
+def _add_verb(app: typer.Typer, name: str, verb: Verb) -> None:
+    """Add a command of a module; an app that has the name of the verb is a group of commands."""
+    loaded: typer.Typer = importlib.import_module(verb.module).app
+    if loaded.info.name == name:
+        app.add_typer(loaded, name=name, help=verb.summary, rich_help_panel=verb.panel)
         return
-    for command in found.registered_commands:
-        name = command.name or (command.callback.__name__ if command.callback else "")
-        if name == verb:
+    for command in loaded.registered_commands:
+        callback_name = command.callback.__name__ if command.callback else ""
+        if (command.name or callback_name) == name:
             app.registered_commands.append(command)
             return
-    raise LookupError(f"{module} has no command '{verb}'")
+    raise LookupError(f"{verb.module} has no command '{name}'")
 
 
 def _not_loaded() -> None:
@@ -102,10 +156,13 @@ def _not_loaded() -> None:
 
 
 def _root_options(
-    *, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+    *,
+    version: Annotated[
+        bool, typer.Option("--version", metavar="", help="Print the version and exit.")
+    ] = False,
 ) -> None:
     if version:
-        # Slow to load, and no other command needs it.
+        # Slow to import, and needed here only.
         from importlib.metadata import version as installed_version
 
         typer.echo(f"zensim {installed_version('zensim')}")
@@ -113,7 +170,7 @@ def _root_options(
 
 
 def _find_verb(arguments: Sequence[str], environment: Mapping[str, str]) -> str:
-    """Find the verb among the arguments, or on the line that a shell wants completed."""
+    """Find the verb in the arguments, or in the line to complete if a shell requests completion."""
     line = environment.get("_TYPER_COMPLETE_ARGS") or environment.get("COMP_WORDS")
     if "_ZENSIM_COMPLETE" in environment and line:
         arguments = line.split()[1:]

@@ -7,33 +7,42 @@ from typing import Annotated
 
 import typer
 
+from zensim.proto.cli_options import JsonOption, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.sim_server.cli import MissingServerExtra, server_extra
 from zensim.sim_server.journal.sqlite_store import JournalError, open_store_read_only
-from zensim.spawner.cli.command_session import AsJson
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = make_app()
 
 
 class JournalAction(str, Enum):
-    """What to do with a journal."""
+    """Operation on a journal."""
 
     SHOW = "show"
     VERIFY = "verify"
     EXPORT = "export"
 
 
-@app.command()
+@app.command(
+    epilog="""Examples:
+  zensim journal show ./journal
+  zensim journal export ./journal > journal.json"""
+)
 def journal(
     action: Annotated[
         JournalAction,
-        typer.Argument(help="List its entities, look for damage, or print all of it as JSON."),
+        typer.Argument(
+            metavar="ACTION",
+            help="show: list the entities; verify: check for damage; export: print all as JSON.",
+        ),
     ],
-    folder: Annotated[Path, typer.Argument(help="The folder given to zensim serve --journal.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder of 'zensim serve --journal'.")
+    ],
     *,
-    as_json: AsJson = False,
+    as_json: JsonOption = False,
 ) -> None:
-    """Show, verify or export what a server keeps."""
+    """Show, verify or export a server journal; the server may be running."""
     with exit_on_failure("journal", JournalError, MissingServerExtra):
         with server_extra():
             from zensim.sim_server.journal.journal_contents import (
@@ -42,20 +51,18 @@ def journal(
                 read_contents,
                 summarize_journal,
             )
-        with open_store_read_only(folder) as ledger:
-            contents = read_contents(ledger)
-            found = summarize_journal(ledger, contents)
-            everything = (
-                export_journal(ledger, contents) if action is JournalAction.EXPORT else found
-            )
+        with open_store_read_only(folder) as store:
+            contents = read_contents(store)
+            summary = summarize_journal(store, contents)
+            output = export_journal(store, contents) if action is JournalAction.EXPORT else summary
         if action is JournalAction.EXPORT or as_json:
-            typer.echo(json.dumps(everything, indent=None if as_json else 2))
+            typer.echo(json.dumps(output, indent=None if as_json else 2))
         elif action is JournalAction.SHOW:
-            typer.echo(format_summary(found))
+            typer.echo(format_summary(summary))
         else:
-            typer.echo(f"{folder}: whole, up to change {found['position']}")
-        if action is JournalAction.VERIFY and ledger.lost:
+            typer.echo(f"{folder}: intact, up to change {summary['position']}")
+        if action is JournalAction.VERIFY and store.lost:
             raise JournalError(
-                f"{folder} was cut short: its last {ledger.lost} changes are lost; "
-                f"a server would go on from change {ledger.position}"
+                f"{folder} is truncated: its last {store.lost} changes are lost; "
+                f"a server would continue from change {store.position}"
             )

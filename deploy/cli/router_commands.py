@@ -1,4 +1,4 @@
-"""`zensim router`: the router alone, with the same settings as the one inside `zensim serve`."""
+"""`zensim router`: a Zenoh router with the settings of the one in `zensim serve`."""
 
 import time
 from typing import Annotated
@@ -6,28 +6,40 @@ from typing import Annotated
 import typer
 
 from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus, to_zenoh_json
+from zensim.proto.cli_options import flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.stop_signal import StopFlag
 
 POLL_S = 0.05
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = make_app()
 
 
-@app.command()
+@app.command(
+    epilog="""Examples:
+  zensim router
+  zensim router --listen tcp/0.0.0.0:7447
+  zensim router --print-config > router.json"""
+)
 def router(
     *,
     listen: Annotated[
-        list[str] | None, typer.Option(help="Endpoint to listen at; may be repeated.")
+        list[str] | None,
+        typer.Option(
+            metavar="ENDPOINT",
+            help="Zenoh endpoint to listen on; repeatable.",
+            show_default=DEFAULT_ENDPOINT,
+        ),
     ] = None,
     connect: Annotated[
-        list[str] | None, typer.Option(help="Another router to join; may be repeated.")
+        list[str] | None,
+        typer.Option(metavar="ENDPOINT", help="Another router to connect to; repeatable."),
     ] = None,
     print_config: Annotated[
-        bool, typer.Option("--print-config", help="Print the settings as zenohd -c takes them.")
+        bool, flag("--print-config", help="Print the configuration for 'zenohd -c', and exit.")
     ] = False,
 ) -> None:
-    """Run the router alone: servers and agents join it with --connect, in any order."""
+    """Start a Zenoh router, until Ctrl-C; servers and agents connect with --connect."""
     config = BusConfig(
         mode="router", listen=tuple(listen or (DEFAULT_ENDPOINT,)), connect=tuple(connect or ())
     )

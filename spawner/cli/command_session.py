@@ -1,76 +1,91 @@
-"""What every command shares: common options, name completion, the connection and the consoles."""
+"""What all client commands share: connection options, name completion, the client, the consoles."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
+import msgspec
 import typer
 from rich.console import Console
 from rich.table import Table
 
 from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from zensim.proto.cli_options import ConnectOption, TimeoutOption, WorldNameOption
 from zensim.proto.exit_codes import EXPECTED_FAILURES, exit_on_failure
 from zensim.proto.names import check_name
 from zensim.spawner.client.sim_client import SimClient
 
-Found = TypeVar("Found")
+Item = TypeVar("Item")
 
 COMPLETION_TIMEOUT_S = 0.3
-"""Nobody waits longer for a word; without an answer nothing is offered."""
+"""Limit on the delay of the shell; after it there are no suggestions."""
+OPEN_TIMEOUT_S = 2.0
+MIN_TIMEOUT_S, MAX_TIMEOUT_S = 0.01, 86_400.0
+MIN_OPEN_TIMEOUT_S = 0.1
+MAX_LINE_WIDTH = 10_000
+"""Width [characters] of a table that is written to a file or a pipe."""
 
 
 def complete_entity_names(ctx: typer.Context, incomplete: str) -> list[str]:
-    """List the entities whose names begin so; none when no server answers in time."""
-    taken = ctx.params.get("names") or ()
-    found = _query(ctx, SimClient.entities)
-    return [name for name in found if name.startswith(incomplete) and name not in taken]
+    """Find the entities whose names start with a text; none without a reply in time."""
+    given = ctx.params.get("names") or ()
+    names = _query(ctx, SimClient.entities)
+    return [name for name in names if name.startswith(incomplete) and name not in given]
 
 
 def complete_world_names(ctx: typer.Context, incomplete: str) -> list[str]:
-    """List the worlds that the server can load and that begin so."""
-    found = _query(ctx, SimClient.available_worlds)
-    uris = [one.world_resource.uri for one in found]
+    """Find the worlds of the server whose names start with a text."""
+    worlds = _query(ctx, SimClient.available_worlds)
+    uris = [world.world_resource.uri for world in worlds]
     return [uri for uri in uris if uri.startswith(incomplete)]
 
 
-def _query(ctx: typer.Context, ask: Callable[[SimClient], Sequence[Found]]) -> Sequence[Found]:
+def _query(ctx: typer.Context, call: Callable[[SimClient], Sequence[Item]]) -> Sequence[Item]:
     endpoint = ctx.params.get("connect") or DEFAULT_ENDPOINT
     world = ctx.params.get("world_name") or "default"
     try:
         with open_bus(BusConfig(connect=(endpoint,), open_timeout_s=COMPLETION_TIMEOUT_S)) as bus:
-            return ask(SimClient(bus, world, COMPLETION_TIMEOUT_S))
+            return call(SimClient(bus, world, COMPLETION_TIMEOUT_S))
     except EXPECTED_FAILURES:
         return ()
 
 
 EntityName = Annotated[
-    str, typer.Argument(help="Name of the entity.", autocompletion=complete_entity_names)
+    str,
+    typer.Argument(
+        metavar="NAME", help="Name of the entity.", autocompletion=complete_entity_names
+    ),
 ]
-"""An entity that a command is about."""
 
 
-Connect = Annotated[
-    str, typer.Option("--connect", help="Router or server to join.", envvar="ZENSIM_CONNECT")
-]
-WorldName = Annotated[
-    str, typer.Option("--world-name", help="World on the network.", envvar="ZENSIM_WORLD")
-]
-Timeout = Annotated[float, typer.Option("--timeout", help="Seconds to wait for an answer.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON on standard output.")]
+@dataclass(frozen=True, kw_only=True)
+class ConnectionOptions:
+    """The server to call, for commands without service calls."""
 
-MIN_TIMEOUT_S, MAX_TIMEOUT_S = 0.01, 86_400.0
-OPEN_TIMEOUT_S = 0.1
-MAX_LINE_WIDTH = 10_000
-"""Characters of a line that no terminal shows."""
+    connect: ConnectOption = ""
+    world_name: WorldNameOption = "default"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClientOptions(ConnectionOptions):
+    """The server to call, and how long to wait for its replies."""
+
+    timeout: TimeoutOption = 10.0
+
 
 progress_console = Console(stderr=True)
-"""People's side: progress and notes go to standard error."""
+"""For progress bars and notes, which must not mix with data."""
 data_console = Console(soft_wrap=True, markup=False)
-"""Programs' side: data goes to standard output."""
+
+
+def print_json(value: object) -> None:
+    """Print a value as one line of JSON to standard output."""
+    typer.echo(msgspec.json.encode(value).decode())
 
 
 def print_table(table: Table) -> None:
-    """Print a table as data: as wide as it is unless a terminal bounds it."""
+    """Print a table to standard output; not wrapped unless that is a terminal."""
     is_bounded = data_console.is_terminal
     console = (
         data_console if is_bounded else Console(soft_wrap=True, markup=False, width=MAX_LINE_WIDTH)
@@ -80,29 +95,28 @@ def print_table(table: Table) -> None:
 
 @contextmanager
 def open_client(
-    command: str, connect: str, world: str, timeout_s: float = 10.0, *, wait_s: float = 2.0
+    command: str, options: ConnectionOptions, *, wait_s: float = OPEN_TIMEOUT_S
 ) -> Iterator[SimClient]:
-    """Open a client; a failure inside ends the command with one line and a status.
+    """Open a client; an expected failure inside ends the command with one line and a status.
 
     Args:
-        command: The verb, as the line names it.
-        connect: Endpoint; the default one when empty.
-        world: Name on the network.
-        timeout_s: How long a call may take.
-        wait_s: How long to wait for somebody to listen at the endpoint.
+        command: Verb that starts the error line.
+        options: An empty endpoint stands for the default endpoint.
+        wait_s: Timeout of the connection [s].
     """
     with exit_on_failure(command):
-        check_name(world, "world name")
+        check_name(options.world_name, "world name")
+        timeout_s = options.timeout if isinstance(options, ClientOptions) else 10.0
         _check_seconds("--timeout", timeout_s, MIN_TIMEOUT_S)
         _check_seconds("--wait", wait_s, 0.0)
-        endpoint = connect or DEFAULT_ENDPOINT
-        config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, OPEN_TIMEOUT_S))
+        endpoint = options.connect or DEFAULT_ENDPOINT
+        config = BusConfig(connect=(endpoint,), open_timeout_s=max(wait_s, MIN_OPEN_TIMEOUT_S))
         with open_bus(config) as bus:
-            yield SimClient(bus, world, timeout_s)
+            yield SimClient(bus, options.world_name, timeout_s)
 
 
 def _check_seconds(option: str, given_s: float, least_s: float) -> None:
     if not least_s <= given_s <= MAX_TIMEOUT_S:
         raise ValueError(
-            f"{option} {given_s:g} is out of range; use {least_s:g} to {MAX_TIMEOUT_S:g} seconds"
+            f"{option} must be {least_s:g} to {MAX_TIMEOUT_S:g} seconds, got {given_s:g}"
         )

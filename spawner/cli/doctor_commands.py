@@ -1,4 +1,4 @@
-"""`zensim doctor`: check the connection from the endpoint up to the robots, one finding a step."""
+"""`zensim doctor`: check endpoint, session, server, version, time and robots, in this order."""
 
 import re
 import socket
@@ -22,6 +22,7 @@ from zensim.proto.bus import (
     check_endpoint,
     open_bus,
 )
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import ExitCode, exit_on_failure
 from zensim.proto.messages.telemetry_messages import (
     EntityModel,
@@ -30,36 +31,36 @@ from zensim.proto.messages.telemetry_messages import (
     InfoRequest,
 )
 from zensim.proto.names import check_name
-from zensim.spawner.cli.command_session import AsJson, Connect, WorldName, data_console
+from zensim.spawner.cli.command_session import ConnectionOptions, data_console, print_json
 
 FindingMark = Literal["ok", "note", "wrong"]
 CONNECT_TIMEOUT_S = 2.0
 REPLY_TIMEOUT_S = 1.0
-"""Less than the lease, after which a process that is stopped counts as gone."""
+"""Shorter than the Zenoh lease, so that a suspended server still counts as alive."""
 MAX_NAMES_SHOWN = 5
 STREAM_PROTOCOLS = frozenset({"tcp", "tls", "ws"})
-"""Protocols whose listener a plain connection can find."""
+"""Protocols whose listener accepts a plain TCP connection."""
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """What one step of the examination found."""
+    """Result of one check."""
 
     mark: FindingMark
     what: str
-    """What was looked at."""
+    """Subject of the check."""
     found: str
     advice: str = ""
     status: ExitCode = ExitCode.OK
-    """How a command ends because of it."""
+    """Exit status of the command if this finding is wrong."""
 
 
 def diagnose(endpoint: str, world: str, version: str) -> Iterator[Finding]:
-    """Look from the endpoint up to the robots; after the first step that is wrong there is no next.
+    """Run the checks from the endpoint to the robots; stop when one makes the next impossible.
 
     Args:
-        endpoint: Where the router or server should be.
-        world: The world's name on the network.
-        version: Of this command.
+        endpoint: Expected endpoint of the router or server.
+        world: Name on the network.
+        version: Version of this command.
     """
     listener = _check_listener(endpoint)
     yield listener
@@ -71,19 +72,19 @@ def diagnose(endpoint: str, world: str, version: str) -> Iterator[Finding]:
         yield _no_session_finding(endpoint)
         return
     with bus:
-        yield Finding("ok", "session", f"joined the Zenoh network at {endpoint}")
+        yield Finding("ok", "session", f"connected to the Zenoh network at {endpoint}")
         yield from _check_server(bus, world, version)
 
 
 def choose_exit_status(findings: list[Finding]) -> ExitCode:
-    """Choose the exit status of an examination."""
+    """Choose the exit status: that of the first wrong finding."""
     return next((one.status for one in findings if one.mark == "wrong"), ExitCode.OK)
 
 
 def _check_listener(endpoint: str) -> Finding:
     match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
     if match is None or match[1] not in STREAM_PROTOCOLS:
-        return Finding("note", "endpoint", f"{endpoint} cannot be looked at before joining")
+        return Finding("note", "endpoint", f"{endpoint} cannot be checked without a session")
     host, port = match["host"].strip("[]"), int(match["port"])
     try:
         socket.create_connection((host, port), CONNECT_TIMEOUT_S).close()
@@ -94,14 +95,14 @@ def _check_listener(endpoint: str) -> Finding:
     except TimeoutError:
         return _unreachable_finding(
             endpoint,
-            f"{host} does not answer within {CONNECT_TIMEOUT_S:g} s",
+            f"{host} does not reply within {CONNECT_TIMEOUT_S:g} s",
             "the address and the firewall",
         )
     except OSError as error:
         advice = f"start 'zensim serve' or 'zensim router' there, with --listen {endpoint}"
-        found = f"nobody listens at {endpoint} ({error.strerror})"
+        found = f"nothing listens at {endpoint} ({error.strerror})"
         return Finding("wrong", "endpoint", found, advice, ExitCode.UNREACHABLE)
-    return Finding("ok", "endpoint", f"somebody listens at {endpoint}")
+    return Finding("ok", "endpoint", f"{endpoint} accepts connections")
 
 
 def _unreachable_finding(endpoint: str, found: str, check: str) -> Finding:
@@ -113,8 +114,9 @@ def _no_session_finding(endpoint: str) -> Finding:
     return Finding(
         "wrong",
         "session",
-        f"what listens at {endpoint} does not let us in: it is no Zenoh router, or refuses us",
-        "check the port, and the router's credentials and certificates",
+        f"{endpoint} accepts connections, but no Zenoh session: it is not a Zenoh router, "
+        "or it denies access",
+        "check the port, and the credentials and certificates of the router",
         ExitCode.UNREACHABLE,
     )
 
@@ -147,8 +149,8 @@ def _silent_server_finding(world: str) -> Finding:
     return Finding(
         "wrong",
         "server",
-        f"the server of world '{world}' is there and does not answer within {REPLY_TIMEOUT_S:g} s",
-        "it is stopped or overloaded: look at its process, or start it again",
+        f"the server of world '{world}' is alive, but does not reply within {REPLY_TIMEOUT_S:g} s",
+        "it is suspended or overloaded: check its process, or restart it",
         ExitCode.TIMEOUT,
     )
 
@@ -158,30 +160,30 @@ def _no_server_finding(world: str, worlds: list[str]) -> Finding:
         return Finding(
             "wrong",
             "server",
-            f"the server of world '{world}' is alive, and asking it is denied",
-            "let the router's access control permit queries on sim/*",
+            f"the server of world '{world}' is alive, but queries to it are denied",
+            "allow queries on sim/* in the access control of the router",
             ExitCode.UNREACHABLE,
         )
     if worlds:
         named = ", ".join(f"'{name}'" for name in worlds[:MAX_NAMES_SHOWN])
-        found = f"no server of world '{world}'; there is {named}"
+        found = f"no server of world '{world}'; worlds on this network: {named}"
         return Finding(
             "wrong", "server", found, f"use --world-name {worlds[0]}", ExitCode.UNREACHABLE
         )
     return Finding(
         "wrong",
         "server",
-        "a router is there, and no server has joined it",
-        "start one with 'zensim serve --connect' and the router's endpoint",
+        "the router has no server",
+        "start one: 'zensim serve --connect' with the endpoint of the router",
         ExitCode.UNREACHABLE,
     )
 
 
 def _check_versions(info: Info, version: str) -> Finding:
     if info.version == version:
-        return Finding("ok", "version", f"server and command are both {version}")
+        return Finding("ok", "version", f"server and command are version {version}")
     ours, theirs = (text.split(".")[:2] for text in (version, info.version))
-    found = f"the server is {info.version}, this command {version}"
+    found = f"the server is version {info.version}, this command {version}"
     if ours == theirs:
         return Finding("note", "version", found)
     return Finding("wrong", "version", found, f"install zensim {info.version}", ExitCode.FAILED)
@@ -189,58 +191,57 @@ def _check_versions(info: Info, version: str) -> Finding:
 
 def _check_time(info: Info) -> Finding:
     if info.state != "playing":
-        return Finding(
-            "note", "time", f"the simulation is {info.state}", "'zensim play' lets time run"
-        )
+        return Finding("note", "time", f"the simulation is {info.state}", "start it: 'zensim play'")
     target, factor = info.target_real_time_factor, info.real_time_factor
-    running = f"time runs at {factor:.2f} of real time"
+    running = f"real-time factor {factor:.2f}"
     if target > 0.0 and factor < 0.9 * target:
-        advice = "the host is too slow for this world: fewer robots, or a smaller --rtf"
-        return Finding("note", "time", f"{running}, and should at {target:g}", advice)
+        advice = "the host is too slow for this world: use fewer robots or a smaller --rtf"
+        return Finding("note", "time", f"{running}, target {target:g}", advice)
     return Finding("ok", "time", running)
 
 
 def _check_robots(bus: Bus, world: str) -> Finding:
     models = bus.call(service_catalog.GET_MODELS, GetModelsRequest(), world=world)
 
-    def is_driven_by_nobody(one: EntityModel) -> bool:
+    def is_idle(one: EntityModel) -> bool:
         return models.models[one.model].drive is not None and not one.agent
 
-    idle = [one.entity for one in models.entities if is_driven_by_nobody(one)]
-    found = f"{len(models.entities)} entities, {len(idle)} of them robots that no agent drives"
+    idle = [one.entity for one in models.entities if is_idle(one)]
+    found = f"{len(models.entities)} entities, {len(idle)} of them robots without an agent"
     if not idle:
         return Finding("ok", "robots", found)
     named = " ".join(idle[:MAX_NAMES_SHOWN])
-    return Finding("note", "robots", found, f"'zensim agent {named}' drives them")
+    return Finding("note", "robots", found, f"start one: 'zensim agent {named}'")
 
 
 MARK_STYLES: dict[FindingMark, str] = {"ok": "green", "note": "yellow", "wrong": "bold red"}
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = make_app()
 
 
 @app.command()
+@expand_options
 def doctor(
     *,
-    as_json: AsJson = False,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say only what is wrong.")] = False,
+    as_json: JsonOption = False,
+    quiet: Annotated[bool, flag("--quiet", "-q", help="Print only what is wrong.")] = False,
+    server: ConnectionOptions,
 ) -> None:
-    """Say what is wrong when nothing answers, from the endpoint up to the robots."""
+    """Diagnose connection problems: check endpoint, session, server, version, time and robots."""
     with exit_on_failure("doctor"):
-        check_name(world_name, "world name")
-        found = list(diagnose(connect or DEFAULT_ENDPOINT, world_name, version("zensim")))
-    shown = [one for one in found if one.mark == "wrong"] if quiet else found
+        check_name(server.world_name, "world name")
+        endpoint = server.connect or DEFAULT_ENDPOINT
+        findings = list(diagnose(endpoint, server.world_name, version("zensim")))
+    shown = [one for one in findings if one.mark == "wrong"] if quiet else findings
     if as_json:
-        typer.echo(msgspec.json.encode(shown).decode())
+        print_json(shown)
     elif shown:
-        data_console.print(_findings_table(shown))
-    if (status := choose_exit_status(found)) is not ExitCode.OK:
+        data_console.print(_make_table(shown))
+    if (status := choose_exit_status(findings)) is not ExitCode.OK:
         raise typer.Exit(int(status))
 
 
-def _findings_table(findings: list[Finding]) -> Table:
+def _make_table(findings: list[Finding]) -> Table:
     table = Table(box=None, show_header=False)
     for one in findings:
         advice = f"\n{one.advice}" if one.advice else ""

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Annotated
 
-import msgspec
 import typer
 
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import (
     Category,
@@ -14,97 +14,99 @@ from zensim.proto.messages.entity_messages import (
     EntityInfo,
     TagsFilter,
 )
-from zensim.spawner.cli.command_session import (
-    AsJson,
-    Connect,
-    EntityName,
-    Timeout,
-    WorldName,
-    open_client,
-)
+from zensim.spawner.cli.command_session import ClientOptions, EntityName, open_client, print_json
+
+CATEGORIES = ", ".join(known.name.lower() for known in Category)
 
 
 def parse_category(word: str) -> EntityCategory:
-    """Read a category.
+    """Parse the name of a category.
 
     Raises:
-        ValueError: It is none.
+        ValueError: There is no such category.
     """
-    wanted = word.strip().upper().replace("-", "_")
+    name = word.strip().upper().replace("-", "_")
     for known in Category:
-        if known.name == wanted:
+        if known.name == name:
             return EntityCategory(known)
-    words = ", ".join(known.name.lower() for known in Category)
-    raise ValueError(f"category {word[:40]!r} is unknown; use {words}")
+    raise ValueError(f"category must be one of {CATEGORIES}; got {word[:40]!r}")
 
 
 def format_category(category: EntityCategory) -> str:
-    """Write a category down; one that is not known by its number."""
+    """Format a category as its name, or as its number if that is unknown."""
     number = category.category
     return Category(number).name.lower() if number in set(Category) else str(number)
 
 
 def make_filters(pattern: str, categories: Sequence[str], tags: Sequence[str]) -> EntityFilters:
-    """Make a filter: names that match, of any of the categories, with any of the tags.
+    """Make a filter: a name that matches, one of the categories, and one of the tags.
 
     Raises:
-        ValueError: A category is none.
+        ValueError: A category is unknown.
     """
     return EntityFilters(pattern, tuple(map(parse_category, categories)), TagsFilter(tuple(tags)))
 
 
-app = typer.Typer(
-    name="info", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
-)
+app = make_app("info")
 
 
 @app.command("get")
-def get_info(
-    name: EntityName,
-    *,
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
-    """Tell the category, the tags and the description of an entity."""
-    with open_client("info get", connect, world_name, timeout) as client:
+@expand_options
+def get_info(name: EntityName, *, as_json: JsonOption = False, server: ClientOptions) -> None:
+    """Print the category, tags and description of an entity."""
+    with open_client("info get", server) as client:
         _print_info(name, client.entity_info(name), as_json=as_json)
 
 
-@app.command("set")
+@app.command(
+    "set",
+    epilog="""Examples:
+  zensim info set r1 --category robot --tag red --tag fast
+  zensim info set r1 --no-tags --description 'spare robot'""",
+)
+@expand_options
 def set_info(
     name: EntityName,
     *,
     category: Annotated[
-        str, typer.Option(help="robot, object, human, dynamic_object or static_object.")
+        str,
+        typer.Option(
+            metavar="CATEGORY", help=f"New category: {CATEGORIES}.", show_default="unchanged"
+        ),
     ] = "",
     tag: Annotated[
-        list[str] | None, typer.Option("--tag", help="Instead of all former tags; repeatable.")
+        list[str] | None,
+        typer.Option(
+            "--tag",
+            metavar="TAG",
+            help="New tag; repeatable. Replaces all present tags.",
+            show_default="unchanged",
+        ),
     ] = None,
-    no_tags: Annotated[bool, typer.Option("--no-tags", help="Take all tags away.")] = False,
-    description: Annotated[str | None, typer.Option(help="A word for people.")] = None,
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    no_tags: Annotated[bool, flag("--no-tags", help="Remove all tags.")] = False,
+    description: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="New description.", show_default="unchanged"),
+    ] = None,
+    as_json: JsonOption = False,
+    server: ClientOptions,
 ) -> None:
-    """Say what an entity is; what is not given stays as it is."""
+    """Set the category, tags or description of an entity."""
     with exit_on_failure("info set"):
         if tag and no_tags:
-            raise ValueError("--tag and --no-tags exclude one another; give one")
+            raise ValueError("--tag and --no-tags exclude each other; give one of them")
         if not (category or tag or no_tags) and description is None:
             raise ValueError("nothing to set; give --category, --tag, --no-tags or --description")
-        wanted_category = parse_category(category) if category else None
-    with open_client("info set", connect, world_name, timeout) as client:
-        now = client.entity_info(name)
-        wanted = EntityInfo(
-            wanted_category or now.category,
-            now.description if description is None else description,
-            tuple(tag) if tag else () if no_tags else now.tags,
+        new_category = parse_category(category) if category else None
+    with open_client("info set", server) as client:
+        old = client.entity_info(name)
+        new = EntityInfo(
+            new_category or old.category,
+            old.description if description is None else description,
+            tuple(tag) if tag else () if no_tags else old.tags,
         )
-        client.set_entity_info(name, wanted)
-        _print_info(name, wanted, as_json=as_json)
+        client.set_entity_info(name, new)
+        _print_info(name, new, as_json=as_json)
 
 
 def _print_info(name: str, info: EntityInfo, *, as_json: bool) -> None:
@@ -115,7 +117,7 @@ def _print_info(name: str, info: EntityInfo, *, as_json: bool) -> None:
         "description": info.description,
     }
     if as_json:
-        typer.echo(msgspec.json.encode(facts).decode())
+        print_json(facts)
         return
     typer.echo(f"{name}: {facts['category']}")
     typer.echo(f"  tags         {', '.join(info.tags) or '-'}")

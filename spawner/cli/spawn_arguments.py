@@ -1,8 +1,9 @@
-"""The options of `zensim spawn` and `zensim fleet`, and the checked requests made of them."""
+"""Options of `zensim spawn` and `zensim fleet`, and the requests made from them."""
 
 import os
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, get_args
 
@@ -10,11 +11,12 @@ import msgspec
 import typer
 
 from zensim.proto.bus import Bus
+from zensim.proto.cli_options import JsonOption, flag, parse_choice
 from zensim.proto.messages.model_messages import Dynamics
 from zensim.proto.messages.spawn_messages import Compat, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Header, PoseStamped
 from zensim.proto.names import check_name, check_namespace
-from zensim.spawner.cli.command_session import AsJson, Connect, Timeout, WorldName
+from zensim.spawner.cli.command_session import ClientOptions
 from zensim.spawner.spawn.description_sources import (
     RobotDescription,
     find_model_by_name,
@@ -26,31 +28,54 @@ from zensim.spawner.spawn.description_sources import (
     to_model_uris,
 )
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
-from zensim.spawner.spawn.spawn_client import make_pose
+from zensim.spawner.spawn.spawn_poses import (
+    LAYOUTS,
+    RobotPlacement,
+    derive_prefix,
+    make_fleet_layout,
+    make_pose,
+)
 
 ModelArgument = Annotated[
-    str, typer.Argument(help="Shipped model, path of a URDF, xacro or SDF file, or - for stdin.")
+    str,
+    typer.Argument(
+        metavar="MODEL",
+        help="Built-in model, path of a URDF, xacro or SDF file, or - for standard input.",
+    ),
 ]
 DynamicsOption = Annotated[
     str,
     typer.Option(
         "--dynamics",
-        help="full, kinematic, or auto: full only where need be.",
-        show_default="the world's",
+        metavar="full|kinematic|auto",
+        help="Motion model; auto = full only where contacts are possible.",
+        show_default="that of the world",
     ),
 ]
-WaitOption = Annotated[float, typer.Option("--wait", help="Seconds to wait for a server.")]
+LayoutOption = Annotated[
+    str, typer.Option("--layout", metavar="row|grid|circle", help="Arrangement of the robots.")
+]
+SpacingOption = Annotated[
+    float,
+    typer.Option("--spacing", metavar="METRES", help=r"Distance between neighbours \[m]."),
+]
+_description = partial(typer.Option, rich_help_panel="Description")
+_pose = partial(typer.Option, metavar="NUMBER", rich_help_panel="Pose")
 
 
 @dataclass(frozen=True, kw_only=True)
-class NetworkOptions:
-    """Which server, and how long to wait for it."""
+class WaitingClientOptions(ClientOptions):
+    """Options of a client that waits for its server to start."""
 
-    wait: WaitOption = 10.0
-    timeout: Timeout = 10.0
-    as_json: AsJson = False
-    connect: Connect = ""
-    world_name: WorldName = "default"
+    wait: Annotated[
+        float,
+        typer.Option(
+            "--wait",
+            metavar="SECONDS",
+            help=r"Timeout of waiting for the server \[s].",
+            rich_help_panel="Connection",
+        ),
+    ] = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,21 +84,39 @@ class DescriptionOptions:
 
     package_path: Annotated[
         list[Path] | None,
-        typer.Option("--package-path", help="Folder of packages, models or meshes; repeatable."),
+        _description(
+            "--package-path",
+            metavar="FOLDER",
+            help="Folder with packages, models or meshes; repeatable.",
+        ),
     ] = None
     xacro_arg: Annotated[
         list[str] | None,
-        typer.Option("--xacro-arg", help="key:=value for a xacro file; repeatable."),
+        _description("--xacro-arg", metavar="KEY:=VALUE", help="xacro argument; repeatable."),
     ] = None
     allow_missing: Annotated[
-        bool, typer.Option("--allow-missing", help="Leave out collisions whose mesh is missing.")
+        bool,
+        flag(
+            "--allow-missing",
+            help="Leave out collisions whose mesh file is missing.",
+            rich_help_panel="Description",
+        ),
     ] = False
     strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse what the report calls suspicious.")
+        bool,
+        flag(
+            "--strict",
+            help="Fail if the report has suspicious entries.",
+            rich_help_panel="Description",
+        ),
     ] = False
     compat: Annotated[
         str,
-        typer.Option("--compat", help="fixed, or gazebo11 for drives with GazeboOptions's quirks."),
+        _description(
+            "--compat",
+            metavar="fixed|gazebo11",
+            help="Behaviour of drives; gazebo11 = with the known faults of Gazebo 11.",
+        ),
     ] = "fixed"
     package_to_model: Annotated[
         bool, typer.Option("-package_to_model", "--package-to-model", hidden=True)
@@ -81,54 +124,80 @@ class DescriptionOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlacementOptions:
-    """What the entity is called and where it stands."""
+class EntityOptions:
+    """Name, namespace and pose of an entity, and how it is spawned."""
 
     name: Annotated[
-        str, typer.Option("-n", "--name", "--robot_name", help="The model's if none.")
+        str,
+        typer.Option(
+            "-n",
+            "--name",
+            "--robot_name",
+            metavar="NAME",
+            help="Name of the entity.",
+            show_default="name of the model",
+        ),
     ] = ""
-    # Spelt as the tutorial's spawner spells them, and as people write them.
     robot_namespace: Annotated[
         str,
-        typer.Option("-ns", "--robot_namespace", help="Namespace; the name unless given."),
+        typer.Option(
+            "-ns",
+            "--robot_namespace",
+            metavar="NAMESPACE",
+            help="Prefix of topics and frames.",
+            show_default="name of the entity",
+        ),
     ] = ""
     namespace: Annotated[
         str,
         typer.Option(
-            "-namespace", "--namespace", help="Namespace, or False for the entity's name."
+            "-namespace",
+            "--namespace",
+            metavar="NAMESPACE|BOOL",
+            help="Same as --robot_namespace; false = use the name of the entity.",
         ),
     ] = ""
-    x: Annotated[float, typer.Option("-x", help="Metres.")] = 0.0
-    y: Annotated[float, typer.Option("-y", help="Metres.")] = 0.0
-    z: Annotated[float | None, typer.Option("-z", help="Metres; on the ground unless given.")] = (
-        None
-    )
-    roll: Annotated[float, typer.Option("-R", help="Radians.")] = 0.0
-    pitch: Annotated[float, typer.Option("-P", help="Radians.")] = 0.0
-    yaw: Annotated[float, typer.Option("-Y", help="Radians.")] = 0.0
-    frame: Annotated[str, typer.Option("--reference-frame", help="Entity that the pose is in.")] = (
-        ""
-    )
+    x: Annotated[float, _pose("-x", help=r"Position along x \[m].")] = 0.0
+    y: Annotated[float, _pose("-y", help=r"Position along y \[m].")] = 0.0
+    z: Annotated[
+        float | None,
+        _pose("-z", help=r"Position along z \[m].", show_default="on the ground"),
+    ] = None
+    roll: Annotated[float, _pose("-R", help=r"Roll \[rad].")] = 0.0
+    pitch: Annotated[float, _pose("-P", help=r"Pitch \[rad].")] = 0.0
+    yaw: Annotated[float, _pose("-Y", help=r"Yaw \[rad].")] = 0.0
+    frame: Annotated[
+        str,
+        _pose(
+            "--reference-frame",
+            metavar="ENTITY",
+            help="Entity that the pose is relative to.",
+            show_default="world",
+        ),
+    ] = ""
+    snap_to_ground: Annotated[
+        bool,
+        flag("--snap-to-ground", help="Place on the ground, despite -z.", rich_help_panel="Pose"),
+    ] = False
     dynamics: DynamicsOption = ""
     allow_renaming: Annotated[
-        bool, typer.Option("--allow-renaming", help="Number the name if taken.")
+        bool, flag("--allow-renaming", help="Append a number if the name is taken.")
     ] = False
-    snap_to_ground: Annotated[
-        bool, typer.Option("--snap-to-ground", help="Onto the ground, whatever -z is.")
-    ] = False
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Check everything and spawn nothing.")
-    ] = False
+    dry_run: Annotated[bool, flag("--dry-run", help="Check the request without spawning.")] = False
     bond: Annotated[
-        bool, typer.Option("-b", "--bond", help="Stay, and take the entity along at the end.")
+        bool, flag("-b", "--bond", help="Wait for Ctrl-C, and delete the entity at exit.")
     ] = False
+    as_json: JsonOption = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class GazeboOptions:
-    """What else spawn_entity.py is told, in its spelling."""
+    """Further options of Gazebo's spawn_entity.py, in its spelling."""
 
-    urdf: Annotated[str, typer.Option("-urdf", "--robot_urdf", help="The same as MODEL.")] = ""
+    urdf: Annotated[
+        str,
+        _description("-urdf", "--robot_urdf", metavar="MODEL", help="Same as MODEL."),
+    ] = ""
     entity: Annotated[str, typer.Option("-entity", hidden=True)] = ""
     file: Annotated[str, typer.Option("-file", hidden=True)] = ""
     topic: Annotated[str, typer.Option("-topic", hidden=True)] = ""
@@ -146,25 +215,35 @@ class GazeboOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpawnOptions(NetworkOptions, DescriptionOptions, GazeboOptions, PlacementOptions):
+class SpawnOptions(WaitingClientOptions, DescriptionOptions, GazeboOptions, EntityOptions):
     """All options of `zensim spawn`."""
 
     model: ModelArgument = ""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FleetOptions(NetworkOptions, DescriptionOptions):
+class FleetOptions(WaitingClientOptions, DescriptionOptions):
     """All options of `zensim fleet`."""
 
     model: ModelArgument
-    count: Annotated[int, typer.Option("--count", "-c", min=1, help="How many.")] = 10
-    layout: Annotated[str, typer.Option(help="row, grid or circle.")] = "row"
-    spacing: Annotated[float, typer.Option(help="Metres between neighbours.")] = 1.0
-    prefix: Annotated[str, typer.Option(help="Names are PREFIX0, PREFIX1, …")] = ""
+    count: Annotated[
+        int, typer.Option("--count", "-c", min=1, metavar="N", help="Number of robots.")
+    ] = 10
+    layout: LayoutOption = "row"
+    spacing: SpacingOption = 1.0
+    prefix: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Robots are named PREFIX0, PREFIX1, …",
+            show_default="name of the model",
+        ),
+    ] = ""
     dynamics: DynamicsOption = ""
     partial: Annotated[
-        bool, typer.Option("--partial", help="Spawn those that can be, not all or none.")
+        bool, flag("--partial", help="Spawn as many as possible, instead of all or none.")
     ] = False
+    as_json: JsonOption = False
 
 
 COMPATS: tuple[Compat, ...] = get_args(Compat)
@@ -174,19 +253,19 @@ TRUE_WORDS, FALSE_WORDS = {"true", "1", "yes", "on"}, {"false", "0", "no", "off"
 
 
 class SpawnSource(msgspec.Struct, frozen=True):
-    """The one place that a description comes from."""
+    """Where a description comes from: an option or MODEL, and its value."""
 
     kind: str
     word: str = ""
 
 
 def choose_source(given: SpawnOptions) -> SpawnSource:
-    """Tell where the description comes from.
+    """Choose the only source of the description that is given.
 
     Raises:
-        ValueError: From nowhere, or from two places.
+        ValueError: No source or several sources are given.
     """
-    named = {
+    options = {
         "MODEL": given.model,
         "-urdf": given.urdf,
         "-file": given.file,
@@ -194,64 +273,64 @@ def choose_source(given: SpawnOptions) -> SpawnSource:
         "-database": given.database,
         "-stdin": STDIN if given.stdin else "",
     }
-    sources = [SpawnSource(kind, word) for kind, word in named.items() if word]
+    sources = [SpawnSource(kind, word) for kind, word in options.items() if word]
     if len(sources) == 1:
         return sources[0]
     if sources:
         kinds = " and ".join(source.kind for source in sources)
-        raise ValueError(f"{kinds} exclude one another; give one")
+        raise ValueError(f"{kinds} exclude each other; give one of them")
     raise ValueError(
-        "no model was given; use 'zensim spawn box_bot', a path of a URDF or SDF file, "
-        "-file, -topic, -database or -stdin"
+        "no model given; use a built-in model as in 'zensim spawn box_bot', the path of a URDF, "
+        "xacro or SDF file, -file, -topic, -database or -stdin"
     )
 
 
 def make_search_paths(given: DescriptionOptions) -> SearchPaths:
-    """Collect where to look for files.
+    """Collect the search paths of files.
 
     Raises:
-        NotADirectoryError: A --package-path is no folder.
+        NotADirectoryError: A --package-path is not a folder.
     """
-    named = given.package_path or []
-    for path in named:
+    paths = given.package_path or []
+    for path in paths:
         if not path.is_dir():
-            raise NotADirectoryError(20, "--package-path is no folder", str(path))
-    return collect_search_paths(named, os.environ)
+            raise NotADirectoryError(20, "--package-path is not a folder", str(path))
+    return collect_search_paths(paths, os.environ)
 
 
 def read_local_description(
     source: SpawnSource, given: DescriptionOptions, paths: SearchPaths
 ) -> RobotDescription:
-    """Read a description on this host; empty when it comes from the network.
+    """Read a description on this host; empty if it comes from a topic.
 
     Raises:
-        OSError: There is no such file.
-        ValueError: It cannot be read.
+        OSError: The file cannot be read.
+        ValueError: The description is not valid.
     """
     arguments = parse_xacro_arguments(given.xacro_arg or ())
     if source.kind == "-topic":
         return RobotDescription()
     if source.word == STDIN and source.kind in ("-stdin", "MODEL", "FILE"):
-        found = read_description_stream(sys.stdin.buffer, arguments, paths)
+        description = read_description_stream(sys.stdin.buffer, arguments, paths)
     elif source.kind == "-database":
-        found = find_model_by_name(source.word, arguments, paths)
+        description = find_model_by_name(source.word, arguments, paths)
     elif source.kind == "-file":
-        found = read_description_file(Path(source.word), arguments, paths)
+        description = read_description_file(Path(source.word), arguments, paths)
     else:
-        found = read_model_argument(source.word, arguments, paths)
-    return to_model_uris(found) if given.package_to_model else found
+        description = read_model_argument(source.word, arguments, paths)
+    return to_model_uris(description) if given.package_to_model else description
 
 
 def make_spawn_order(given: SpawnOptions) -> SpawnEntityOrder:
-    """Put the options into an order that lacks the description.
+    """Make an order from the options; it lacks the description.
 
     Raises:
-        ValueError: One cannot be had.
+        ValueError: An option is not valid.
     """
     if given.joint != ("", ""):
         raise ValueError(
-            f"-J {given.joint[0]} {given.joint[1]}: initial joint positions are not supported, "
-            "nor are they by Gazebo; leave -J out"
+            f"-J {given.joint[0]} {given.joint[1]}: initial joint positions are not supported; "
+            "remove -J, which Gazebo ignores, too"
         )
     name = given.name or given.entity
     frame = given.reference_frame or given.frame
@@ -271,35 +350,41 @@ def make_spawn_order(given: SpawnOptions) -> SpawnEntityOrder:
 
 
 def parse_compat(given: DescriptionOptions) -> Compat:
-    """Read `--compat`.
+    """Parse `--compat`.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The word is unknown.
     """
-    for known in COMPATS:
-        if given.compat == known:
-            return known
-    raise ValueError(f"--compat {given.compat[:40]!r} is unknown; use {' or '.join(COMPATS)}")
+    return parse_choice("--compat", given.compat, COMPATS)
 
 
 def parse_dynamics(word: str) -> Dynamics:
-    """Read `--dynamics`; empty = as the world is.
+    """Parse `--dynamics`; empty = that of the world.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The word is unknown.
     """
-    for known in DYNAMICS:
-        if word == known:
-            return known
-    kinds = ", ".join(known for known in DYNAMICS if known)
-    raise ValueError(f"--dynamics {word[:40]!r} is unknown; use {kinds}")
+    return parse_choice("--dynamics", word, DYNAMICS)
+
+
+def make_placements(
+    model: str, count: int, layout: str, spacing_m: float, prefix: str = ""
+) -> list[RobotPlacement]:
+    """Make the names and poses of a fleet from command-line options.
+
+    Raises:
+        ValueError: An option is not valid.
+    """
+    shape = parse_choice("--layout", layout, LAYOUTS)
+    names = check_name(prefix, "prefix") if prefix else derive_prefix(model)
+    return make_fleet_layout(names, count, shape, spacing_m)
 
 
 def choose_namespace(given: SpawnOptions) -> str:
-    """Read `--namespace`: the tutorial's switch, or a namespace by itself.
+    """Choose the namespace: `--namespace` is a namespace, or a boolean as in Gazebo tutorials.
 
     Raises:
-        InvalidName: It is none.
+        InvalidName: The namespace is not valid.
     """
     named = given.robot_namespace or given.gazebo_robot_namespace
     word = given.namespace.lower()
@@ -312,11 +397,11 @@ def choose_namespace(given: SpawnOptions) -> str:
 def read_topic_description(
     bus: Bus, source: SpawnSource, given: SpawnOptions, timeout_s: float
 ) -> RobotDescription:
-    """Read a description from the network.
+    """Receive a description from a topic.
 
     Raises:
-        TimeoutError: None came.
-        ValueError: What came is none.
+        TimeoutError: No message arrived.
+        ValueError: The message is not a description.
     """
-    found = receive_description(bus, source.word, timeout_s)
-    return to_model_uris(found) if given.package_to_model else found
+    description = receive_description(bus, source.word, timeout_s)
+    return to_model_uris(description) if given.package_to_model else description

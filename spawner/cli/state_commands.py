@@ -1,11 +1,13 @@
 """`zensim state get` and `set`."""
 
+from functools import partial
 from typing import Annotated, TypeVar
 
 import msgspec
 import typer
 from msgspec.structs import astuple
 
+from zensim.proto.cli_options import JsonOption, expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import (
@@ -19,113 +21,122 @@ from zensim.proto.messages.standard_messages import (
 )
 from zensim.proto.rigid_transforms import to_rpy
 from zensim.spawner.cli.command_session import (
-    AsJson,
-    Connect,
+    ClientOptions,
     EntityName,
-    Timeout,
-    WorldName,
     open_client,
+    print_json,
 )
-from zensim.spawner.spawn.spawn_client import make_pose
+from zensim.spawner.spawn.spawn_poses import make_pose
 
-app = typer.Typer(
-    name="state", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
-)
+app = make_app("state")
 
 FrameOption = Annotated[
-    str, typer.Option("--frame", help="world, an entity, entity::link or namespace/link.")
+    str,
+    typer.Option(
+        "--frame",
+        metavar="FRAME",
+        help="Reference frame: world, ENTITY, ENTITY::LINK or NAMESPACE/LINK.",
+        show_default="world",
+    ),
 ]
 Vector = tuple[float, float, float]
-Given = TypeVar("Given")
+Component = TypeVar("Component")
+_pose = partial(
+    typer.Option, metavar="NUMBER", show_default="unchanged", rich_help_panel="Pose and velocity"
+)
 
 
 @app.command("get")
+@expand_options
 def get_state(
     name: EntityName,
     *,
     frame: FrameOption = "",
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    as_json: JsonOption = False,
+    server: ClientOptions,
 ) -> None:
-    """Tell where an entity is and how it moves."""
-    with open_client("state get", connect, world_name, timeout) as client:
+    """Print the pose and velocity of an entity."""
+    with open_client("state get", server) as client:
         state = client.entity_state(name, frame)
     if as_json:
-        facts = {"entity": name, **msgspec.to_builtins(state)}
-        typer.echo(msgspec.json.encode(facts).decode())
+        print_json({"entity": name, **msgspec.to_builtins(state)})
         return
     typer.echo("\n".join(_format_state(name, state)))
 
 
-@app.command("set")
+@app.command(
+    "set",
+    epilog="""Examples:
+  zensim state set r1 -x 1 -Y 0.5
+  zensim state set r1 --linear 0.2 0 0 --frame r2""",
+)
+@expand_options
 def set_state(
     name: EntityName,
     *,
-    x: Annotated[float | None, typer.Option("-x", help="Metres; as it is unless given.")] = None,
-    y: Annotated[float | None, typer.Option("-y", help="Metres.")] = None,
-    z: Annotated[float | None, typer.Option("-z", help="Metres.")] = None,
-    roll: Annotated[float | None, typer.Option("-R", help="Radians.")] = None,
-    pitch: Annotated[float | None, typer.Option("-P", help="Radians.")] = None,
-    yaw: Annotated[float | None, typer.Option("-Y", help="Radians.")] = None,
-    linear: Annotated[Vector | None, typer.Option(metavar="X Y Z", help="Velocity [m/s].")] = None,
+    x: Annotated[float | None, _pose("-x", help=r"Position along x \[m].")] = None,
+    y: Annotated[float | None, _pose("-y", help=r"Position along y \[m].")] = None,
+    z: Annotated[float | None, _pose("-z", help=r"Position along z \[m].")] = None,
+    roll: Annotated[float | None, _pose("-R", help=r"Roll \[rad].")] = None,
+    pitch: Annotated[float | None, _pose("-P", help=r"Pitch \[rad].")] = None,
+    yaw: Annotated[float | None, _pose("-Y", help=r"Yaw \[rad].")] = None,
+    linear: Annotated[
+        Vector | None, _pose(metavar="X Y Z", help=r"Linear velocity \[m/s].")
+    ] = None,
     angular: Annotated[
-        Vector | None, typer.Option(metavar="X Y Z", help="Turning [rad/s].")
+        Vector | None, _pose(metavar="X Y Z", help=r"Angular velocity \[rad/s].")
     ] = None,
     frame: FrameOption = "",
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    server: ClientOptions,
 ) -> None:
-    """Put an entity somewhere, or set it in motion; what is not given stays as it is."""
-    place, turn = (x, y, z), (roll, pitch, yaw)
-    has_pose = any(number is not None for number in (*place, *turn))
+    """Set the pose or velocity of an entity, and print the result."""
+    position, angles = (x, y, z), (roll, pitch, yaw)
+    has_pose = any(number is not None for number in (*position, *angles))
     has_twist = linear is not None or angular is not None
     with exit_on_failure("state set"):
         if not (has_pose or has_twist):
             raise ValueError("nothing to set; give -x -y -z -R -P -Y, --linear or --angular")
-    with open_client("state set", connect, world_name, timeout) as client:
-        now = client.entity_state(name, frame)
-        wanted = EntityState(
+    with open_client("state set", server) as client:
+        old = client.entity_state(name, frame)
+        new = EntityState(
             Header(frame_id=frame),
-            _merge_pose(now.pose, place, turn),
-            _merge_twist(now.twist, linear, angular),
+            _merge_pose(old.pose, position, angles),
+            _merge_twist(old.twist, linear, angular),
         )
-        client.set_entity_state(name, wanted, has_pose=has_pose, has_twist=has_twist)
+        client.set_entity_state(name, new, has_pose=has_pose, has_twist=has_twist)
         typer.echo("\n".join(_format_state(name, client.entity_state(name, frame))))
 
 
 def _merge_pose(
-    now: Pose,
-    place: tuple[float | None, float | None, float | None],
-    turn: tuple[float | None, float | None, float | None],
+    old: Pose,
+    position: tuple[float | None, float | None, float | None],
+    angles: tuple[float | None, float | None, float | None],
 ) -> Pose:
-    here = (now.position.x, now.position.y, now.position.z)
-    x, y, z = map(_or_current, place, here)
-    if turn == (None, None, None):
-        # As it came: angles there and back would move it by a rounding.
-        return Pose(Point(x, y, z), now.orientation)
-    roll, pitch, yaw = map(_or_current, turn, to_rpy(astuple(now.orientation)))
+    old_position = (old.position.x, old.position.y, old.position.z)
+    x, y, z = map(_or_old, position, old_position)
+    if angles == (None, None, None):
+        # Unchanged: a conversion to angles and back would add rounding errors.
+        return Pose(Point(x, y, z), old.orientation)
+    roll, pitch, yaw = map(_or_old, angles, to_rpy(astuple(old.orientation)))
     return make_pose((x, y, z), (roll, pitch, yaw))
 
 
-def _merge_twist(now: Twist, linear: Vector | None, angular: Vector | None) -> Twist:
+def _merge_twist(old: Twist, linear: Vector | None, angular: Vector | None) -> Twist:
     return Twist(
-        now.linear if linear is None else Vector3(*linear),
-        now.angular if angular is None else Vector3(*angular),
+        old.linear if linear is None else Vector3(*linear),
+        old.angular if angular is None else Vector3(*angular),
     )
 
 
-def _or_current(given: Given | None, otherwise: Given) -> Given:
-    return otherwise if given is None else given
+def _or_old(new: Component | None, old: Component) -> Component:
+    return old if new is None else new
 
 
 def _format_state(name: str, state: EntityState) -> list[str]:
-    place, twist = state.pose.position, state.twist
+    position, twist = state.pose.position, state.twist
     when_s = ns_from_time(state.header.stamp) / NANOSECONDS
     figures = {
-        "position [m]": (place.x, place.y, place.z),
+        "position [m]": (position.x, position.y, position.z),
         "roll pitch yaw [rad]": to_rpy(astuple(state.pose.orientation)),
         "linear [m/s]": (twist.linear.x, twist.linear.y, twist.linear.z),
         "angular [rad/s]": (twist.angular.x, twist.angular.y, twist.angular.z),
@@ -137,6 +148,6 @@ def _format_state(name: str, state: EntityState) -> list[str]:
 
 
 def _format_row(title: str, numbers: Vector) -> str:
-    # A zero has no sign for people.
+    # Adding 0.0 removes the sign of -0.0.
     columns = (f"{round(number, 4) + 0.0:10.4f}" for number in numbers)
     return f"  {title:<20}" + " ".join(columns)

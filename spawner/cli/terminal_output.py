@@ -26,25 +26,25 @@ STATUS_COLOURS = {
     "unknown": "cyan",
     "suspicious": "bold yellow",
 }
-"""In the order of the table: what needs a look comes last, next to the prompt."""
+"""In the order of the table: suspicious entries come last, next to the prompt."""
 REPORT_COLUMNS = ("", "tag or plug-in", "why")
 
 
 def print_report(entries: Sequence[ReportEntry], console: Console) -> None:
-    """Print what became of each tag and plug-in; nothing when there is nothing to say."""
+    """Print the status of each tag and plug-in; nothing if there are none."""
     if not entries:
         return
     ranks = list(STATUS_COLOURS)
-    in_order = sorted(entries, key=lambda entry: ranks.index(entry.status))
+    ordered = sorted(entries, key=lambda entry: ranks.index(entry.status))
     if console.is_terminal:
-        console.print(_report_table(in_order))
+        console.print(_make_table(ordered))
     else:
-        for line in align_entries(in_order):
+        for line in align_entries(ordered):
             console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
 def align_entries(entries: Sequence[ReportEntry]) -> list[str]:
-    """Lay entries out in columns, a line each."""
+    """Format each entry as one line with aligned columns."""
     width = max(len(entry.subject) for entry in entries)
     return [
         f"{entry.status:<10}  {entry.subject:<{min(width, 60)}}  {entry.reason}".rstrip()
@@ -52,10 +52,10 @@ def align_entries(entries: Sequence[ReportEntry]) -> list[str]:
     ]
 
 
-def _report_table(entries: Sequence[ReportEntry]) -> Table:
+def _make_table(entries: Sequence[ReportEntry]) -> Table:
     table = Table(*REPORT_COLUMNS, box=None, pad_edge=False)
     for entry in entries:
-        # As Text, for what a stranger wrote must not be read as markup.
+        # As Text: untrusted descriptions must not be parsed as markup.
         cells = [Text(cell) for cell in (entry.status, entry.subject, entry.reason)]
         table.add_row(*cells, style=STATUS_COLOURS[entry.status])
     return table
@@ -63,9 +63,9 @@ def _report_table(entries: Sequence[ReportEntry]) -> Table:
 
 @contextmanager
 def upload_progress() -> Iterator[Callable[[int, int], None]]:
-    """Show how many bytes of how many have gone; nothing as long as none goes."""
+    """Show the number of uploaded bytes; nothing before the first."""
     with _make_progress(DownloadColumn()) as progress:
-        task = progress.add_task("sending meshes", total=None, visible=False)
+        task = progress.add_task("uploading meshes", total=None, visible=False)
 
         def advance(count: int, total: int) -> None:
             progress.update(task, advance=count, total=total, visible=True)
@@ -75,10 +75,10 @@ def upload_progress() -> Iterator[Callable[[int, int], None]]:
 
 @contextmanager
 def step_progress(total: int) -> Iterator[Callable[[StepsProgress], None]]:
-    """Show how many steps of how many are made."""
+    """Show the number of completed steps."""
     with _make_progress(MofNCompleteColumn()) as progress:
         task = progress.add_task("stepping", total=total)
-        yield lambda told: progress.update(task, completed=told.completed_steps)
+        yield lambda status: progress.update(task, completed=status.completed_steps)
 
 
 def _make_progress(figures: ProgressColumn) -> Progress:

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from zensim.proto.bus import BusError, BusPublisher, BusSubscription
+from zensim.proto.cli_options import JsonOption, expand_options, flag, make_app
 from zensim.proto.codec.message_codec import (
     Format,
     MalformedPayload,
@@ -25,7 +26,7 @@ from zensim.proto.messages.standard_messages import Twist, Vector3
 from zensim.proto.network_protocols import Sample
 from zensim.proto.schema import list_messages
 from zensim.proto.topic_catalog import CMD_VEL, TOPICS, TopicScope
-from zensim.spawner.cli.command_session import AsJson, Connect, WorldName, open_client
+from zensim.spawner.cli.command_session import ConnectionOptions, open_client, print_json
 
 ROS_TYPES = {kind.ros_type: kind for kind in list_messages().values() if hasattr(kind, "ros_type")}
 ZENSIM_TYPES = {
@@ -39,11 +40,11 @@ MAX_NESTING = 64
 
 
 def to_plain(sample: Sample) -> object:
-    """Read a payload into dicts, lists and numbers; what cannot be read is said in words."""
+    """Decode a payload to dicts, lists and numbers, or to a text if it is malformed."""
     try:
         return _decode_sample(sample)
     except (ValueError, RecursionError) as error:
-        return f"{len(sample.payload)} bytes that cannot be read: {error}"
+        return f"{len(sample.payload)} bytes, not decoded: {error}"
 
 
 def _decode_sample(sample: Sample) -> object:
@@ -59,11 +60,11 @@ def _decode_sample(sample: Sample) -> object:
         return _to_json_types(msgspec.json.decode(sample.payload))
     if detect_format(sample.payload, sample.encoding) is Format.MSGPACK:
         return _to_json_types(msgspec.msgpack.decode(sample.payload))
-    raise MalformedPayload(f"CDR of unknown type; the Encoding is {sample.encoding[:80]!r}")
+    raise MalformedPayload(f"CDR of an unknown type; the encoding is {sample.encoding[:80]!r}")
 
 
 def _to_json_types(value: object, depth: int = 0) -> object:
-    """Turn what MessagePack knows and JSON does not into what both do."""
+    """Replace the types of MessagePack that JSON lacks."""
     if depth > MAX_NESTING:
         raise MalformedPayload(f"values are nested more than {MAX_NESTING} deep")
     if isinstance(value, dict):
@@ -86,7 +87,7 @@ _NOT_FINITE = {"inf": ".Inf", "-inf": "-.Inf", "nan": ".nan"}
 
 
 def to_yaml_lines(plain: object, indent: str = "") -> Iterator[str]:
-    """Lay plain values out as YAML, as `ros2 topic echo` does."""
+    """Format plain values as YAML, like `ros2 topic echo`."""
     if isinstance(plain, dict):
         for key, value in plain.items():
             yield from _yaml_entry(f"{indent}{key}:", value, indent + "  ")
@@ -119,34 +120,49 @@ def _yaml_scalar(value: object) -> str:
     return str(value)
 
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = make_app()
 
 POLL_S = 0.002
 QUEUE_DEPTH = 65536
 SUBSCRIBER_TIMEOUT_S = 3.0
 
+KeyArgument = Annotated[
+    str, typer.Argument(metavar="KEY", help="Key expression, such as r1/odom or '*/odom'.")
+]
+
 
 class NoSubscriber(BusError):
-    """A command would reach nobody."""
+    """No agent subscribes to a robot's cmd_vel."""
 
 
-@app.command(context_settings={"ignore_unknown_options": True})
+@app.command(
+    context_settings={"ignore_unknown_options": True},
+    epilog="""Examples:
+  zensim drive r1 0.2 0.5
+  zensim drive r1 0.2 --duration 3""",
+)
+@expand_options
 def drive(
-    robot: Annotated[str, typer.Argument(help="Namespace of the robot.")],
-    linear: Annotated[float, typer.Argument(help="Forward [m/s].")],
-    angular: Annotated[float, typer.Argument(help="Turn left [rad/s].")] = 0.0,
+    robot: Annotated[str, typer.Argument(metavar="ROBOT", help="Namespace of the robot.")],
+    linear: Annotated[float, typer.Argument(metavar="LINEAR", help=r"Forward velocity \[m/s].")],
+    angular: Annotated[
+        float, typer.Argument(metavar="ANGULAR", help=r"Yaw rate, positive to the left \[rad/s].")
+    ] = 0.0,
     *,
-    rate: Annotated[float, typer.Option(help="Messages a second.")] = 10.0,
-    duration: Annotated[float, typer.Option(help="Seconds; 0 = until Ctrl-C.")] = 0.0,
-    once: Annotated[bool, typer.Option("--once", help="Send one message and leave.")] = False,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    rate: Annotated[float, typer.Option(metavar="HZ", help=r"Message rate \[Hz].")] = 10.0,
+    duration: Annotated[
+        float, typer.Option(metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
+    ] = 0.0,
+    once: Annotated[
+        bool, flag("--once", help="Publish one message and exit without a stop command.")
+    ] = False,
+    server: ConnectionOptions,
 ) -> None:
-    """Send a robot velocity commands; Ctrl-C stops it."""
-    with open_client("drive", connect, world_name) as client:
+    """Publish velocity commands to a robot, and a stop command at the end."""
+    with open_client("drive", server) as client:
         twist = _make_twist(linear, angular)
         if not rate > 0:
-            raise ValueError(f"--rate {rate:g} is no rate; use more than 0")
+            raise ValueError(f"--rate must be positive, got {rate:g}")
         key = CMD_VEL.key(robot.strip("/"))
         publisher = client.bus.advertise(key, CMD_VEL.encoding)
         _wait_for_subscriber(publisher, key)
@@ -161,7 +177,7 @@ def drive(
 
 def _make_twist(linear: float, angular: float) -> Twist:
     if not (math.isfinite(linear) and math.isfinite(angular)):
-        raise ValueError(f"{linear:g} m/s, {angular:g} rad/s cannot be driven; use finite numbers")
+        raise ValueError(f"velocities must be finite, got {linear:g} m/s, {angular:g} rad/s")
     return Twist(Vector3(x=linear), Vector3(z=angular))
 
 
@@ -170,12 +186,12 @@ def _wait_for_subscriber(publisher: BusPublisher, key: str) -> None:
     while not publisher.is_matched:
         if time.monotonic() > deadline:
             robot = key.rsplit("/", 1)[0]
-            raise NoSubscriber(f"nobody listens on {key}; start its agent: 'zensim agent {robot}'")
+            raise NoSubscriber(f"no agent subscribes to {key}; start one: 'zensim agent {robot}'")
         time.sleep(POLL_S)
 
 
 def _publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, count: int) -> None:
-    """Send at a steady rate; count 0 = for ever."""
+    """Publish at a fixed rate; count 0 = forever."""
     start, sent = time.monotonic(), 0
     while count == 0 or sent < count:
         publisher.send(payload)
@@ -183,40 +199,52 @@ def _publish_at_rate(publisher: BusPublisher, payload: bytes, period_s: float, c
         time.sleep(max(0.0, start + sent * period_s - time.monotonic()))
 
 
-@app.command()
+@app.command(
+    epilog="""Examples:
+  zensim echo r1/odom --once
+  zensim echo '*/odom' --json --timeout 5"""
+)
+@expand_options
 def echo(
-    key: Annotated[str, typer.Argument(help="Key expression, such as r1/odom or '*/odom'.")],
+    key: KeyArgument,
     *,
-    count: Annotated[int, typer.Option("--count", "-n", help="Messages; 0 = for ever.")] = 0,
-    once: Annotated[bool, typer.Option("--once", help="The same as --count 1.")] = False,
+    count: Annotated[
+        int,
+        typer.Option(
+            "--count", "-n", metavar="N", help="Exit after N messages; 0 = print until Ctrl-C."
+        ),
+    ] = 0,
+    once: Annotated[bool, flag("--once", help="Same as --count 1.")] = False,
     timeout: Annotated[
-        float, typer.Option(help="Give up when nothing comes for so many seconds; 0 = never.")
+        float,
+        typer.Option(
+            metavar="SECONDS", help=r"Fail after this time without a message \[s]; 0 = never."
+        ),
     ] = 0.0,
-    as_json: AsJson = False,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    as_json: JsonOption = False,
+    server: ConnectionOptions,
 ) -> None:
-    """Print what is published on a key."""
-    with open_client("echo", connect, world_name) as client:
-        wanted = 1 if once else count
-        listener = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
-        # Last values first: tf_static and robot_description are put once, long before we came.
+    """Print the messages of a topic, latched ones first."""
+    with open_client("echo", server) as client:
+        limit = 1 if once else count
+        subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
+        # tf_static and robot_description are published once, before this command started.
         samples = client.bus.get(key.strip("/"))
-        shown = 0
+        printed = 0
         while True:
             for sample in samples:
                 _print_sample(sample, as_json=as_json)
-                shown += 1
-                if shown == wanted:
+                printed += 1
+                if printed == limit:
                     return
-            samples = _wait_for_samples(listener, key, timeout)
+            samples = _wait_for_samples(subscription, key, timeout)
 
 
-def _wait_for_samples(listener: BusSubscription, key: str, timeout_s: float) -> list[Sample]:
+def _wait_for_samples(subscription: BusSubscription, key: str, timeout_s: float) -> list[Sample]:
     deadline = time.monotonic() + (timeout_s or math.inf)
-    while not (samples := listener.take()):
+    while not (samples := subscription.take()):
         if time.monotonic() > deadline:
-            raise TimeoutError(f"nothing came on {key} within {timeout_s:g} s")
+            raise TimeoutError(f"no message on {key} within {timeout_s:g} s")
         time.sleep(POLL_S)
     return samples
 
@@ -224,8 +252,7 @@ def _wait_for_samples(listener: BusSubscription, key: str, timeout_s: float) -> 
 def _print_sample(sample: Sample, *, as_json: bool) -> None:
     plain = to_plain(sample)
     if as_json:
-        line = msgspec.json.encode({"key": sample.key, "message": plain}).decode()
-        typer.echo(line)
+        print_json({"key": sample.key, "message": plain})
         return
     typer.echo(f"# {sample.key}")
     for line in to_yaml_lines(plain):
@@ -233,24 +260,31 @@ def _print_sample(sample: Sample, *, as_json: bool) -> None:
     typer.echo("---")
 
 
-@app.command()
+@app.command(
+    epilog="""Example:
+  zensim hz r1/odom --duration 10"""
+)
+@expand_options
 def hz(
-    key: Annotated[str, typer.Argument(help="Key expression, such as r1/odom or '*/odom'.")],
+    key: KeyArgument,
     *,
-    window: Annotated[int, typer.Option(min=2, help="Messages to average over.")] = 1000,
-    duration: Annotated[float, typer.Option(help="Seconds; 0 = until Ctrl-C.")] = 0.0,
-    as_json: AsJson = False,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    window: Annotated[
+        int, typer.Option(min=2, metavar="N", help="Average over the last N messages.")
+    ] = 1000,
+    duration: Annotated[
+        float, typer.Option(metavar="SECONDS", help=r"Duration \[s]; 0 = until Ctrl-C.")
+    ] = 0.0,
+    as_json: JsonOption = False,
+    server: ConnectionOptions,
 ) -> None:
-    """Measure how often something is published on a key."""
-    with open_client("hz", connect, world_name) as client:
-        listener = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
+    """Measure the message rate of a topic, and print it every second."""
+    with open_client("hz", server) as client:
+        subscription = client.bus.subscribe(key.strip("/"), QUEUE_DEPTH)
         end = time.monotonic() + (duration or math.inf)
         arrivals: list[float] = []
         report_at = min(time.monotonic() + 1.0, end)
         while (now := time.monotonic()) <= end or report_at <= end:
-            arrivals.extend(now for _ in listener.take())
+            arrivals.extend(now for _ in subscription.take())
             del arrivals[:-window]
             if now >= report_at:
                 report_at = now + 1.0
@@ -259,7 +293,7 @@ def hz(
 
 
 def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
-    if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two
+    if len(arrivals) < 2:  # noqa: PLR2004  a rate needs two arrivals
         typer.echo("zensim hz: no new messages", err=True)
         return
     gaps = [later - earlier for earlier, later in pairwise(arrivals)]
@@ -272,7 +306,7 @@ def _print_rate(arrivals: list[float], *, as_json: bool) -> None:
         "window": len(arrivals),
     }
     if as_json:
-        typer.echo(msgspec.json.encode(figures).decode())
+        print_json(figures)
         return
     typer.echo(
         "average rate: {rate_hz:.3f}  min: {min_s:.4f}s  max: {max_s:.4f}s  "

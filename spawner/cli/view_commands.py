@@ -1,4 +1,4 @@
-"""`zensim view`: serve the 3D page of a world."""
+"""`zensim view`: serve a web page that shows the world in 3D."""
 
 import webbrowser
 from collections.abc import Callable
@@ -8,34 +8,44 @@ from typing import Annotated
 import typer
 
 from zensim.proto.bus import DEFAULT_ENDPOINT, BusConfig, open_bus
+from zensim.proto.cli_options import expand_options, make_app
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.names import check_name
 from zensim.proto.stop_signal import StopFlag
-from zensim.spawner.cli.command_session import Connect, WorldName
+from zensim.spawner.cli.command_session import ConnectionOptions
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+app = make_app()
 
 VIEWER_EXTRA = ("viser", "websockets")
 ANY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
-"""A page that is served on every address is opened on this one."""
+"""Address in the printed URL of a page that is served on all addresses."""
 
 
 class MissingViewerExtra(Exception):
-    """The page's packages are not installed."""
+    """The packages of the viewer extra are not installed."""
 
 
-@app.command()
+@app.command(
+    epilog="""Examples:
+  zensim view --open
+  zensim view --host 0.0.0.0 --port 9000"""
+)
+@expand_options
 def view(
     *,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-    host: Annotated[str, typer.Option(help="Address to serve the page on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="0 = any free port.")] = 8080,
+    host: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Address to serve the page on.")
+    ] = "127.0.0.1",
+    port: Annotated[
+        int,
+        typer.Option(min=0, max=65535, metavar="PORT", help="TCP port of the page; 0 = any free."),
+    ] = 8080,
     open_page: Annotated[
-        bool, typer.Option("--open/--no-open", help="Open the page in a browser.")
+        bool, typer.Option("--open/--no-open", metavar="", help="Open the page in a browser.")
     ] = False,
+    server: ConnectionOptions,
 ) -> None:
-    """Show the world on a 3D page, whose address is printed; Ctrl-C ends it."""
+    """Serve a web page that shows the world in 3D, until Ctrl-C."""
 
     def announce(page_port: int) -> None:
         name = ANY_ADDRESS.get(host, host)
@@ -46,9 +56,9 @@ def view(
 
     stop = StopFlag()
     with exit_on_failure("view", MissingViewerExtra):
-        check_name(world_name, "world")
-        config = BusConfig(connect=(connect or DEFAULT_ENDPOINT,))
-        _serve_page(config, world_name, host=host, port=port, announce=announce, stop=stop)
+        check_name(server.world_name, "world")
+        config = BusConfig(connect=(server.connect or DEFAULT_ENDPOINT,))
+        _serve_page(config, server.world_name, host=host, port=port, announce=announce, stop=stop)
 
 
 def _serve_page(

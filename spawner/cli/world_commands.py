@@ -2,82 +2,90 @@
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
-from msgspec.structs import astuple
 from rich.table import Table
 
-from zensim.proto.drives.column_math import FLOAT_MATH
+from zensim.proto.cli_options import (
+    JsonOption,
+    TimeoutOption,
+    expand_options,
+    flag,
+    make_app,
+)
 from zensim.proto.exit_codes import exit_on_failure
 from zensim.proto.messages.entity_messages import TagsFilter
 from zensim.proto.messages.world_messages import WorldResource
-from zensim.proto.rigid_transforms import find_yaw
 from zensim.spawner.cli.command_session import (
-    AsJson,
-    Connect,
-    Timeout,
-    WorldName,
+    ClientOptions,
     complete_world_names,
     data_console,
     open_client,
+    print_json,
     print_table,
 )
 from zensim.spawner.cli.terminal_output import print_report
+from zensim.spawner.spawn.spawn_poses import find_heading
 
-app = typer.Typer(
-    name="world", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False
-)
+app = make_app("world")
 
-LOAD_TIMEOUT_S = 60.0
-"""A world may have hundreds of meshes to read."""
 WORLD_SUFFIXES = (".world", ".sdf", ".xml")
 
 
-@app.command("load")
+@dataclass(frozen=True, kw_only=True)
+class LoadClientOptions(ClientOptions):
+    """Client options with a timeout that suffices for hundreds of meshes."""
+
+    timeout: TimeoutOption = 60.0
+
+
+@app.command(
+    "load",
+    epilog="""Examples:
+  zensim world load warehouse
+  zensim world load ./my_world.sdf --strict""",
+)
+@expand_options
 def load_world(
     world: Annotated[
         str,
         typer.Argument(
             metavar="NAME|FILE",
-            help="World that the server knows, or an SDF file of this host.",
+            help="World of the server, or path of an SDF file on this host.",
             autocompletion=complete_world_names,
         ),
     ],
     *,
-    strict: Annotated[
-        bool, typer.Option("--strict", help="Refuse what is not carried out.")
-    ] = False,
+    strict: Annotated[bool, flag("--strict", help="Fail if the world has warnings.")] = False,
     allow_missing: Annotated[
-        bool, typer.Option("--allow-missing", help="Leave out what is missing or unreadable.")
+        bool, flag("--allow-missing", help="Leave out missing and unreadable models and meshes.")
     ] = False,
-    as_json: AsJson = False,
-    timeout: Timeout = LOAD_TIMEOUT_S,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    as_json: JsonOption = False,
+    server: LoadClientOptions,
 ) -> None:
-    """Put another world in the place of this one, which goes with everything in it."""
+    """Replace the current world, and delete all entities."""
     with exit_on_failure("world load"):
         text = _read_world_file(world)
-    with open_client("world load", connect, world_name, timeout) as client:
-        loaded = client.load_world(
+    with open_client("world load", server) as client:
+        reply = client.load_world(
             "" if text else world, text, is_strict=strict, may_lack_assets=allow_missing
         )
     if as_json:
-        typer.echo(msgspec.json.encode(loaded).decode())
+        print_json(reply)
         return
-    typer.echo(f"loaded {_label_world(loaded.world)}; 'zensim play' lets time run")
-    print_report(loaded.report, data_console)
+    typer.echo(f"loaded {_label_world(reply.world)}; start it with 'zensim play'")
+    print_report(reply.report, data_console)
 
 
 def _read_world_file(word: str) -> str:
-    """Read a file of this host; empty when the word is a name for the server.
+    """Read a world file of this host; empty if the word is a name for the server.
 
     Raises:
-        OSError: It is a path, and cannot be read.
-        ValueError: It is no text.
+        OSError: The path cannot be read.
+        ValueError: The file is not UTF-8.
     """
     path = Path(word)
     is_path = path.is_absolute() or word.startswith((f".{os.sep}", f"..{os.sep}", "~"))
@@ -85,86 +93,74 @@ def _read_world_file(word: str) -> str:
         try:
             return path.expanduser().read_text(encoding="utf-8")
         except UnicodeDecodeError as error:
-            raise ValueError(f"{word} is no text: {error.reason}; use an SDF file") from error
+            raise ValueError(f"{word} is not UTF-8: {error.reason}; use an SDF file") from error
     return ""
 
 
 @app.command("list")
-def list_worlds(
-    *,
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
+@expand_options
+def list_worlds(*, as_json: JsonOption = False, server: ClientOptions) -> None:
     """List the worlds that the server can load."""
-    with open_client("world list", connect, world_name, timeout) as client:
-        found = client.available_worlds()
+    with open_client("world list", server) as client:
+        worlds = client.available_worlds()
     if as_json:
-        typer.echo(msgspec.json.encode(found).decode())
+        print_json(worlds)
     else:
-        print_table(_worlds_table(found))
+        print_table(_make_table(worlds))
 
 
 @app.command("current")
-def current_world(
-    *,
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
-    """Tell which world is there."""
-    with open_client("world current", connect, world_name, timeout) as client:
-        found = client.current_world()
+@expand_options
+def current_world(*, as_json: JsonOption = False, server: ClientOptions) -> None:
+    """Print the name of the current world."""
+    with open_client("world current", server) as client:
+        world = client.current_world()
     if as_json:
-        typer.echo(msgspec.json.encode(found).decode())
+        print_json(world)
     else:
-        typer.echo(_label_world(found))
+        typer.echo(_label_world(world))
 
 
 @app.command("poses")
+@expand_options
 def named_poses(
     *,
-    tag: Annotated[list[str] | None, typer.Option("--tag", help="Repeatable: any of them.")] = None,
-    as_json: AsJson = False,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
+    tag: Annotated[
+        list[str] | None,
+        typer.Option("--tag", metavar="TAG", help="Only poses with this tag; repeatable."),
+    ] = None,
+    as_json: JsonOption = False,
+    server: ClientOptions,
 ) -> None:
-    """List the named poses of the world: where robots may be put."""
-    with open_client("world poses", connect, world_name, timeout) as client:
-        found = client.named_poses(TagsFilter(tuple(tag or ())))
+    """List the named poses of the current world."""
+    with open_client("world poses", server) as client:
+        poses = client.named_poses(TagsFilter(tuple(tag or ())))
     if as_json:
-        typer.echo(msgspec.json.encode(found).decode())
+        print_json(poses)
         return
     table = Table("name", "tags", "x [m]", "y [m]", "z [m]", "yaw [rad]", "what it is", box=None)
-    for one in found:
-        place, yaw = one.pose.position, find_yaw(astuple(one.pose.orientation), FLOAT_MATH)
-        numbers = (f"{number:.3f}" for number in (place.x, place.y, place.z, yaw))
+    for one in poses:
+        position, yaw = one.pose.position, find_heading(one.pose.orientation)
+        numbers = (f"{number:.3f}" for number in (position.x, position.y, position.z, yaw))
         table.add_row(one.name, ", ".join(one.tags) or "-", *numbers, one.description)
     print_table(table)
 
 
 @app.command("unload")
-def unload_world(
-    *,
-    timeout: Timeout = 10.0,
-    connect: Connect = "",
-    world_name: WorldName = "default",
-) -> None:
-    """Take the world away with everything in it; another can be loaded then."""
-    with open_client("world unload", connect, world_name, timeout) as client:
+@expand_options
+def unload_world(*, server: ClientOptions) -> None:
+    """Unload the current world, and delete all entities."""
+    with open_client("world unload", server) as client:
         client.unload_world()
     typer.echo("unloaded")
 
 
 def _label_world(world: WorldResource) -> str:
-    """Name a world as it is loaded, or as it names itself when it came as text."""
+    """Choose the name to load a world by, or the name in the file if it was sent as text."""
     return world.world_resource.uri or world.name
 
 
-def _worlds_table(worlds: Sequence[WorldResource]) -> Table:
+def _make_table(worlds: Sequence[WorldResource]) -> Table:
     table = Table("name", "tags", "what it is", box=None)
     for world in worlds:
         table.add_row(_label_world(world), ", ".join(world.tags) or "-", world.description)

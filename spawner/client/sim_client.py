@@ -88,11 +88,11 @@ OnProgress = Callable[[StepsProgress], None]
 
 
 class StepGoalInterrupted(KeyboardInterrupt):
-    """Ctrl-C, and the goal was canceled; `made` is how many steps it got to, if that is known."""
+    """Ctrl-C canceled the goal; `completed_steps` is None if the server did not reply."""
 
-    def __init__(self, made: int | None) -> None:
+    def __init__(self, completed_steps: int | None) -> None:
         super().__init__("the goal was canceled")
-        self.made = made
+        self.completed_steps = completed_steps
 
 
 def run_step_goal(

@@ -1,6 +1,5 @@
 """Spawn one robot or a fleet with its files, and bonds that delete an entity when its process ends."""
 
-import math
 import os
 import time
 import uuid
@@ -19,7 +18,7 @@ from zensim.proto.messages.spawn_messages import (
     SpawnEntityReport,
     SpawnResult,
 )
-from zensim.proto.messages.standard_messages import Point, Pose, PoseStamped, Quaternion
+from zensim.proto.messages.standard_messages import PoseStamped
 from zensim.spawner.client.sim_client import SimClient
 from zensim.spawner.spawn.asset_bundle import (
     AssetBundle,
@@ -31,7 +30,7 @@ from zensim.spawner.spawn.asset_bundle import (
 from zensim.spawner.spawn.description_sources import RobotDescription, read_model_argument
 from zensim.spawner.spawn.description_xml import DescriptionError, add_namespace, remove_namespace
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
-from zensim.spawner.spawn.spawn_poses import RobotPlacement
+from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
 
 TOKEN_TIMEOUT_S = 2.0
 """How long a server may take to see the token of a bond."""
@@ -212,24 +211,6 @@ def make_shared_resource(cargo: SpawnPayload) -> Resource:
         return Resource(uri=cargo.model)
     text = remove_namespace(cargo.text) if cargo.is_readable else cargo.text
     return Resource(resource_string=text)
-
-
-def make_pose(
-    place: tuple[float, float, float], turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
-) -> Pose:
-    """Make a pose from x, y, z [m] and fixed-axis roll, pitch, yaw [rad]."""
-    (sr, sp, sy), (cr, cp, cy) = (
-        [wave(angle / 2.0) for angle in turn] for wave in (math.sin, math.cos)
-    )
-    return Pose(
-        Point(*place),
-        Quaternion(
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ),
-    )
 
 
 def spawn_fleet(

@@ -5,8 +5,12 @@ from collections.abc import Iterator
 from typing import Literal
 
 import msgspec
+from msgspec.structs import astuple
 
+from zensim.proto.drives.column_math import FLOAT_MATH
+from zensim.proto.messages.standard_messages import Point, Pose, Quaternion
 from zensim.proto.names import check_name
+from zensim.proto.rigid_transforms import find_yaw, from_rpy
 
 FleetLayout = Literal["row", "grid", "circle"]
 LAYOUTS: tuple[FleetLayout, ...] = ("row", "grid", "circle")
@@ -37,8 +41,7 @@ def make_fleet_layout(
     """
     if count < 1 or not spacing_m > 0 or not math.isfinite(spacing_m):
         raise ValueError(
-            f"count {count} with spacing {spacing_m:g} is no fleet; use at least 1 robot "
-            "and more than 0 m"
+            f"a fleet needs a count >= 1 and a spacing > 0 m, got {count} and {spacing_m:g}"
         )
     spots = {"row": _row, "grid": _grid, "circle": _circle}[layout](count, spacing_m)
     return [RobotPlacement(f"{prefix}{i}", *spot) for i, spot in enumerate(spots)]
@@ -71,3 +74,15 @@ def derive_prefix(model: str) -> str:
         InvalidName: That is no name.
     """
     return check_name(model.rsplit("/", 1)[-1].split(".", 1)[0], "prefix")
+
+
+def make_pose(
+    position: tuple[float, float, float], angles: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Pose:
+    """Make a pose from x, y, z [m] and fixed-axis roll, pitch, yaw [rad]."""
+    return Pose(Point(*position), Quaternion(*from_rpy(*angles)))
+
+
+def find_heading(orientation: Quaternion) -> float:
+    """Find the angle about z [rad]."""
+    return find_yaw(astuple(orientation), FLOAT_MATH)

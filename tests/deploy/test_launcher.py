@@ -15,7 +15,7 @@ from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
 PLAIN = LaunchConfig(
-    places=(),
+    placements=(),
     model="box_bot",
     world="w.world",
     world_name="default",
@@ -62,7 +62,7 @@ def test_server_looks_where_it_is_told_to() -> None:
 
 def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
     places = (RobotPlacement("r1", 0.0, 0.0), RobotPlacement("r2", 1.0, 0.0))
-    alone = msgspec.structs.replace(PLAIN, places=places)
+    alone = msgspec.structs.replace(PLAIN, placements=places)
     pooled = msgspec.structs.replace(alone, agents=LaunchAgentsConfig(2, 50.0, 10.0))
 
     one, other = make_agent_starts(alone).values()
@@ -77,7 +77,7 @@ def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
 def test_agents_are_told_where_to_go_and_who_sees_them() -> None:
     ros = RosSettings(domain=7, tf="global")
     asked = msgspec.structs.replace(
-        PLAIN, places=(RobotPlacement("r1", 0.0, 0.0),), world_name="w", ros=ros
+        PLAIN, placements=(RobotPlacement("r1", 0.0, 0.0),), world_name="w", ros=ros
     )
 
     (start,) = make_agent_starts(asked).values()

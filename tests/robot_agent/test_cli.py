@@ -20,7 +20,7 @@ def agent(*arguments: str) -> "subprocess.CompletedProcess[str]":
         (("r-1",), "entity 'r-1' is not valid"),
         (("r1", "--world-name", "*"), "world '*' is not valid"),
         (("r1", "--name", "a/b"), "agent 'a/b' is not valid"),
-        (("r1", "--on-release", "maybe"), "'maybe' is unknown; use stop, keep, delete"),
+        (("r1", "--on-release", "maybe"), "'maybe'"),
         (("r1", "--connect", "nowhere"), "endpoint 'nowhere' is not valid"),
     ],
 )

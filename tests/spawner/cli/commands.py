@@ -1,4 +1,4 @@
-"""Commands run in this process, with what they said and how they ended."""
+"""Run commands in this process, with their output and exit status."""
 
 import json
 from typing import Any
@@ -13,33 +13,34 @@ NOWHERE = "tcp/127.0.0.1:1"
 RUNNER = CliRunner()
 
 
-class Done:
-    """A command that has ended."""
+class Result:
+    """Output and exit status of a finished command."""
 
     def __init__(self, app: typer.Typer, arguments: tuple[str, ...]) -> None:
-        result = RUNNER.invoke(app, list(arguments), env={"COLUMNS": "200"})
-        if result.exception is not None and not isinstance(result.exception, SystemExit):
-            raise result.exception
-        self.status = ExitCode(result.exit_code)
-        self.out = result.stdout
-        self.err = result.stderr
+        done = RUNNER.invoke(app, list(arguments), env={"COLUMNS": "200"})
+        if done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        self.status = ExitCode(done.exit_code)
+        self.out = done.stdout
+        self.err = done.stderr
 
     def json(self) -> Any:  # noqa: ANN401  whatever the command printed
         return json.loads(self.out)
 
 
-def run(app: typer.Typer, *arguments: str) -> Done:
-    """Run a command; a fault of its own is raised."""
-    return Done(app, arguments)
+def run(app: typer.Typer, *arguments: str) -> Result:
+    """Run a command; raise its unexpected exceptions."""
+    return Result(app, arguments)
 
 
-def run_at(server: Server, app: typer.Typer, *arguments: str) -> Done:
+def run_at(server: Server, app: typer.Typer, *arguments: str) -> Result:
     """Run a command against a server."""
     return run(app, *arguments, "--connect", server.endpoint)
 
 
-def assert_failed(done: Done, status: ExitCode, line: str) -> None:
-    """Check that a command ended with a status and one line that begins so."""
+def assert_failed(done: Result, status: ExitCode, start: str, *values: str) -> None:
+    """Check the exit status, and one error line that starts with a code and contains values."""
     assert (done.status, done.out) == (status, "")
-    assert done.err.startswith(line), done.err
+    assert done.err.startswith(start), done.err
     assert done.err.count("\n") == 1
+    assert all(value in done.err for value in values), done.err

@@ -1,4 +1,4 @@
-"""What shells are offered for a name, by a real server and without one."""
+"""Shell completion of names, with and without a server."""
 
 import os
 import subprocess
@@ -8,9 +8,9 @@ from tests.integration.processes import Server
 from tests.spawner.cli.commands import NOWHERE
 
 
-def offered(line: str, endpoint: str) -> list[str]:
-    """Complete the last word of a line as bash does; standard error stays empty."""
-    asked = {
+def complete(line: str, endpoint: str) -> list[str]:
+    """Complete the last word of a line as bash does; check that standard error is empty."""
+    variables = {
         "_ZENSIM_COMPLETE": "complete_bash",
         "COMP_WORDS": line,
         "COMP_CWORD": str(len(line.split(" ")) - 1),
@@ -22,32 +22,32 @@ def offered(line: str, endpoint: str) -> list[str]:
         text=True,
         timeout=30,
         check=True,
-        env={**os.environ, **asked},
+        env={**os.environ, **variables},
     )
     assert done.stderr == ""
     return done.stdout.split()
 
 
-def test_names_of_entities_are_offered(two: Server) -> None:
-    assert offered("zensim inspect ", two.endpoint) == ["r1", "r2"]
-    assert offered("zensim state get r", two.endpoint) == ["r1", "r2"]
-    assert offered("zensim info set x", two.endpoint) == []
+def test_entity_names_are_completed(two: Server) -> None:
+    assert complete("zensim inspect ", two.endpoint) == ["r1", "r2"]
+    assert complete("zensim state get r", two.endpoint) == ["r1", "r2"]
+    assert complete("zensim info set x", two.endpoint) == []
 
 
-def test_name_that_is_there_is_not_offered_again(two: Server) -> None:
-    assert offered("zensim delete r1 ", two.endpoint) == ["r2"]
+def test_given_name_is_not_completed_again(two: Server) -> None:
+    assert complete("zensim delete r1 ", two.endpoint) == ["r2"]
 
 
-def test_server_may_be_named_on_the_line(two: Server) -> None:
+def test_completion_uses_the_connect_option(two: Server) -> None:
     line = f"zensim inspect --connect {two.endpoint} r1"
 
-    assert offered(line, NOWHERE) == ["r1"]
+    assert complete(line, NOWHERE) == ["r1"]
 
 
-def test_names_of_worlds_are_offered(server: Server) -> None:
-    assert offered("zensim world load w", server.endpoint) == ["walls", "warehouse"]
+def test_world_names_are_completed(server: Server) -> None:
+    assert complete("zensim world load w", server.endpoint) == ["walls", "warehouse"]
 
 
-def test_nothing_is_offered_when_nobody_answers(server: Server) -> None:
-    assert offered("zensim inspect ", NOWHERE) == []
-    assert offered("zensim inspect --world-name mars r", server.endpoint) == []
+def test_nothing_is_completed_without_a_reply(server: Server) -> None:
+    assert complete("zensim inspect ", NOWHERE) == []
+    assert complete("zensim inspect --world-name mars r", server.endpoint) == []

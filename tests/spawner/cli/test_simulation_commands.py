@@ -1,4 +1,4 @@
-"""`zensim step`, `run-to` and `speed` against a real server."""
+"""`zensim pause`, `play`, `stop`, `reset`, `features`, `step`, `run-to`, `speed` on a server."""
 
 import signal
 
@@ -11,18 +11,69 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.spawner.cli.simulation_commands import app
 
 
-def test_step_makes_so_many_steps(server: Server) -> None:
+def test_play_starts_time_and_pause_stops_it(server: Server) -> None:
+    done = run_at(server, app, "play")
+    assert (done.status, done.out.split()[0]) == (ExitCode.OK, "playing")
+    before = server.steps()
+    eventually(lambda: server.steps() > before, 5.0, "stepping")
+
+    done = run_at(server, app, "pause")
+
+    assert (done.status, done.out.split()[0]) == (ExitCode.OK, "paused")
+    assert server.client.simulation_state() == State.PAUSED
+
+
+def test_stop_resets_the_simulation(server: Server) -> None:
+    server.zensim("spawn", "box_bot", "--name", "r1")
+    server.client.step(3)
+
+    done = run_at(server, app, "stop")
+
+    assert (done.status, done.out.split()[0]) == (ExitCode.OK, "stopped")
+    assert server.client.entities() == ()
+    assert run_at(server, app, "stop").status == ExitCode.OK
+
+
+def test_pause_succeeds_when_paused(server: Server) -> None:
+    assert run_at(server, app, "pause").status == ExitCode.OK
+
+
+@pytest.mark.parametrize(
+    ("options", "is_at_start", "is_empty"),
+    [((), True, True), (("--time",), True, False), (("--spawned", "--state"), False, True)],
+)
+def test_reset_applies_the_selected_scope(
+    server: Server, options: tuple[str, ...], *, is_at_start: bool, is_empty: bool
+) -> None:
+    server.zensim("spawn", "box_bot", "--name", "r1")
+    server.client.step(3)
+
+    done = run_at(server, app, "reset", *options)
+
+    assert done.status == ExitCode.OK
+    assert (server.steps() == 0, server.client.entities() == ()) == (is_at_start, is_empty)
+
+
+def test_features_are_printed_by_name(server: Server) -> None:
+    done = run_at(server, app, "features")
+
+    assert {"SPAWNING", "SIMULATION_RESET"} <= set(done.out.split())
+    assert "urdf" in done.err
+    assert run_at(server, app, "features", "--json").json()["features"] == done.out.split()
+
+
+def test_step_advances_by_n_steps(server: Server) -> None:
     done = run_at(server, app, "step", "24")
 
-    assert (done.status, done.out, done.err) == (ExitCode.OK, "24 steps, now 0.100 s\n", "")
+    assert (done.status, done.out.split()[0], done.err) == (ExitCode.OK, "24", "")
     assert server.steps() == 24
 
 
-def test_step_makes_one_when_no_number_is_given(server: Server) -> None:
+def test_step_defaults_to_one(server: Server) -> None:
     assert run_at(server, app, "step", "--json").json()["steps"] == 1
 
 
-def test_run_to_stops_at_a_time(server: Server) -> None:
+def test_run_to_advances_to_a_time(server: Server) -> None:
     run_at(server, app, "step", "7")
 
     done = run_at(server, app, "run-to", "0.5", "--json")
@@ -31,15 +82,15 @@ def test_run_to_stops_at_a_time(server: Server) -> None:
     assert run_at(server, app, "run-to", "0.5").out.startswith("0 steps")
 
 
-def test_interrupt_ends_the_steps_and_says_how_many_were_made(server: Server) -> None:
+def test_interrupt_cancels_and_prints_the_completed_steps(server: Server) -> None:
     with running("step", "9999999", "--connect", server.endpoint) as stepping:
         eventually(lambda: server.steps() > 100, 20.0, "stepping")
         stepping.send_signal(signal.SIGINT)
-        said, noted = stepping.communicate(timeout=20.0)
+        output, notes = stepping.communicate(timeout=20.0)
 
-    made = server.steps()
-    assert (stepping.returncode, said) == (ExitCode.INTERRUPTED, "")
-    assert noted == f"zensim step: canceled after {made} of 9999999 steps\n"
+    assert (stepping.returncode, output) == (ExitCode.INTERRUPTED, "")
+    assert notes.startswith("zensim step: ")
+    assert f" {server.steps()} of 9999999" in notes
 
 
 @pytest.mark.parametrize(
@@ -48,57 +99,55 @@ def test_interrupt_ends_the_steps_and_says_how_many_were_made(server: Server) ->
         (
             ("step", "0"),
             ExitCode.FAILED,
-            "zensim step: OPERATION_FAILED (4): steps=0 is out of range",
+            "zensim step: OPERATION_FAILED (4): ",
         ),
         (
             ("run-to", "nan"),
             ExitCode.USAGE,
-            "zensim run-to: USAGE (2): nan s is out of range; use 0",
+            "zensim run-to: USAGE (2): ",
         ),
-        (("run-to", "1e300"), ExitCode.USAGE, "zensim run-to: USAGE (2): 1e+300 s is out of range"),
-        (("speed", "1e9"), ExitCode.FAILED, "zensim speed: OPERATION_FAILED (4): real_time_factor"),
+        (("run-to", "1e300"), ExitCode.USAGE, "zensim run-to: USAGE (2): "),
+        (("speed", "1e9"), ExitCode.FAILED, "zensim speed: OPERATION_FAILED (4): "),
         (
             ("step", "--world-name", "x"),
             ExitCode.UNREACHABLE,
-            "zensim step: UNREACHABLE (4): nothing",
+            "zensim step: UNREACHABLE (4): ",
         ),
     ],
 )
-def test_command_says_what_is_wrong_in_one_line(
+def test_command_fails_with_one_line(
     server: Server, arguments: tuple[str, ...], status: ExitCode, line: str
 ) -> None:
     assert_failed(run_at(server, app, *arguments), status, line)
 
 
-def test_run_to_a_time_that_is_past_is_refused(server: Server) -> None:
+def test_run_to_refuses_a_past_time(server: Server) -> None:
     run_at(server, app, "step", "24")
 
     done = run_at(server, app, "run-to", "0.05")
 
-    assert_failed(done, ExitCode.FAILED, "zensim run-to: OPERATION_FAILED (4): 0.05 s is past")
+    assert_failed(done, ExitCode.FAILED, "zensim run-to: OPERATION_FAILED (4): ")
 
 
-def test_step_is_refused_while_time_runs(server: Server) -> None:
+def test_step_is_refused_while_playing(server: Server) -> None:
     server.client.set_simulation_state(State.PLAYING)
 
     done = run_at(server, app, "step")
 
-    assert_failed(
-        done, ExitCode.FAILED, "zensim step: INCORRECT_STATE (3): the simulation is playing"
-    )
+    assert_failed(done, ExitCode.FAILED, "zensim step: INCORRECT_STATE (3): ")
 
 
-def test_speed_is_chosen_and_told(server: Server) -> None:
-    chosen = run_at(server, app, "speed", "0")
-    told = run_at(server, app, "speed", "--json")
-    back = run_at(server, app, "speed", "1")
+def test_speed_sets_and_prints_the_factor(server: Server) -> None:
+    set_to_zero = run_at(server, app, "speed", "0")
+    printed = run_at(server, app, "speed", "--json")
+    set_to_one = run_at(server, app, "speed", "1")
 
-    assert (chosen.status, chosen.out) == (ExitCode.OK, "speed flat out, now 0.000\n")
-    assert told.json()["target_real_time_factor"] == 0.0
-    assert back.out == "speed 1, now 0.000\n"
+    assert (set_to_zero.status, set_to_zero.err) == (ExitCode.OK, "")
+    assert printed.json()["target_real_time_factor"] == 0.0
+    assert set_to_one.out.startswith("speed 1,")
 
 
-def test_command_says_so_when_nobody_listens() -> None:
+def test_command_fails_when_nothing_listens() -> None:
     done = run(app, "step", "--connect", NOWHERE)
 
-    assert_failed(done, ExitCode.UNREACHABLE, "zensim step: UNREACHABLE (4): nobody listens at")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim step: UNREACHABLE (4): ")

@@ -11,7 +11,7 @@ from zensim.proto.exit_codes import ExitCode
 from zensim.proto.messages.entity_messages import EntityState
 from zensim.proto.messages.standard_messages import Point
 from zensim.spawner.cli.spawn_commands import app
-from zensim.spawner.spawn.spawn_client import make_pose
+from zensim.spawner.spawn.spawn_poses import make_pose
 
 BALL = (
     '<robot name="ball"><link name="base"><collision><geometry><sphere radius="0.5"/></geometry>'
@@ -27,30 +27,30 @@ def ball(tmp_path: Path) -> str:
     return str(file)
 
 
-def place_of(server: Server, name: str) -> Point:
+def find_position(server: Server, name: str) -> Point:
     return server.client.entity_state(name).pose.position
 
 
-def namespace_of(server: Server, name: str) -> str:
+def find_namespace(server: Server, name: str) -> str:
     return server.client.entity_model(name).namespace
 
 
-def test_spawn_puts_a_shipped_model_on_the_ground(server: Server) -> None:
+def test_spawn_places_a_built_in_model_on_the_ground(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1", "-y", "-2.5")
 
     assert (done.status, done.err) == (ExitCode.OK, "")
     assert done.out.startswith("spawned r1 under r1/\n")
-    place = place_of(server, "r1")
-    assert (place.x, place.y, place.z) == pytest.approx((1.0, -2.5, 0.06))
+    position = find_position(server, "r1")
+    assert (position.x, position.y, position.z) == pytest.approx((1.0, -2.5, 0.06))
 
 
-def test_spawn_puts_a_robot_at_a_height_when_it_is_told(server: Server) -> None:
+def test_spawn_uses_the_given_height(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", "-z", "2")
 
-    assert place_of(server, "r1").z == pytest.approx(2.0)
+    assert find_position(server, "r1").z == pytest.approx(2.0)
 
 
-def test_spawn_turns_a_robot_as_it_is_told(server: Server) -> None:
+def test_spawn_uses_the_given_angles(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", "-R", "0.1", "-P", "0.2", "-Y", "0.3")
 
     q = server.client.entity_state("r1").pose.orientation
@@ -59,11 +59,11 @@ def test_spawn_turns_a_robot_as_it_is_told(server: Server) -> None:
 
 
 @pytest.mark.parametrize("flag", ["-urdf", "--robot_urdf"])
-def test_spawn_reads_a_file_by_the_tutorials_flag(server: Server, ball: str, flag: str) -> None:
+def test_spawn_accepts_the_file_option_of_tutorials(server: Server, ball: str, flag: str) -> None:
     done = run_at(server, app, "spawn", flag, ball, "--robot_name", "b1")
 
     assert done.out.startswith("spawned b1 under b1/\n")
-    assert place_of(server, "b1").z == pytest.approx(0.5)
+    assert find_position(server, "b1").z == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
@@ -80,15 +80,15 @@ def test_spawn_reads_a_file_by_the_tutorials_flag(server: Server, ball: str, fla
     ],
     ids=str,
 )
-def test_spawn_reads_the_tutorials_namespace_flags(
+def test_spawn_accepts_the_namespace_options_of_tutorials(
     server: Server, flags: tuple[str, ...], namespace: str
 ) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", *flags)
 
-    assert namespace_of(server, "r1") == namespace
+    assert find_namespace(server, "r1") == namespace
 
 
-def test_spawn_writes_the_namespace_into_the_drive(server: Server) -> None:
+def test_spawn_adds_the_namespace_to_the_drive(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", "-ns", "team/a")
 
     drive = server.client.models(("r1",)).models[0].drive
@@ -97,7 +97,7 @@ def test_spawn_writes_the_namespace_into_the_drive(server: Server) -> None:
     assert drive.ros.remappings == ("/tf:=/team/a/tf",)
 
 
-def test_spawn_numbers_names_when_none_was_given(server: Server) -> None:
+def test_spawn_numbers_default_names(server: Server) -> None:
     first = run_at(server, app, "spawn", "box_bot")
     second = run_at(server, app, "spawn", "box_bot", "-x", "1")
 
@@ -105,25 +105,24 @@ def test_spawn_numbers_names_when_none_was_given(server: Server) -> None:
     assert second.out.startswith("spawned box_bot_1 under box_bot_1/\n")
 
 
-def test_spawn_refuses_a_taken_name_unless_it_may_be_changed(server: Server) -> None:
+def test_spawn_refuses_a_taken_name_without_allow_renaming(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1")
 
     refused = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1")
     renamed = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "1", "--allow-renaming")
 
-    assert_failed(refused, ExitCode.FAILED, "zensim spawn: NAME_NOT_UNIQUE (101): ")
-    assert "'r1' already exists" in refused.err
+    assert_failed(refused, ExitCode.FAILED, "zensim spawn: NAME_NOT_UNIQUE (101): ", "'r1'")
     assert renamed.out.startswith("spawned r1_1 ")
 
 
-def test_spawn_puts_a_robot_beside_another(server: Server) -> None:
+def test_spawn_uses_the_reference_frame(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", "-x", "5", "-Y", str(math.pi / 2.0))
 
     done = run_at(server, app, "spawn", "box_bot", "-n", "r2", "-x", "1", "--reference-frame", "r1")
 
     assert done.status == ExitCode.OK
-    place = place_of(server, "r2")
-    assert (place.x, place.y) == pytest.approx((5.0, 1.0))
+    position = find_position(server, "r2")
+    assert (position.x, position.y) == pytest.approx((5.0, 1.0))
 
 
 def test_spawn_prints_its_report_as_json(server: Server) -> None:
@@ -134,99 +133,91 @@ def test_spawn_prints_its_report_as_json(server: Server) -> None:
     assert {"applied"} <= {entry["status"] for entry in report["report"]}
 
 
-def test_spawn_warns_of_what_is_suspicious(server: Server) -> None:
+def test_spawn_prints_suspicious_entries_as_warnings(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "-n", "r1", "-z", "0.01")
 
     assert done.status == ExitCode.OK
-    assert "zensim spawn: warning: initial_pose: lowest point is 5.0 cm below ground" in done.err
+    assert "zensim spawn: warning: initial_pose: " in done.err
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "message"),
+    ("arguments", "status", "value"),
     [
-        ((), ExitCode.USAGE, "no model was given; use 'zensim spawn box_bot'"),
-        (("nowhere.urdf",), ExitCode.NOT_FOUND, "nowhere.urdf: no such file"),
-        (("box_bot", "-n", "9 lives"), ExitCode.USAGE, "name '9 lives' is not valid; use a letter"),
-        (("box_bot", "-ns", "a b"), ExitCode.USAGE, "namespace 'a b' is not valid; use names"),
-        (("box_bot", "-ns", "sim/a"), ExitCode.USAGE, "begins with a reserved name; use any but"),
-        (("box_bot", "--timeout", "0"), ExitCode.USAGE, "--timeout 0 is out of range; use"),
-        (("box_bot", "--wait", "nan"), ExitCode.USAGE, "--wait nan is out of range; use"),
-        (("box_bot", "--world-name", "a b"), ExitCode.USAGE, "world name 'a b' is not valid; use"),
+        ((), ExitCode.USAGE, "-file"),
+        (("nowhere.urdf",), ExitCode.NOT_FOUND, "nowhere.urdf"),
+        (("box_bot", "-n", "9 lives"), ExitCode.USAGE, "'9 lives'"),
+        (("box_bot", "-ns", "a b"), ExitCode.USAGE, "'a b'"),
+        (("box_bot", "-ns", "sim/a"), ExitCode.USAGE, "sim"),
+        (("box_bot", "--timeout", "0"), ExitCode.USAGE, "--timeout"),
+        (("box_bot", "--wait", "nan"), ExitCode.USAGE, "--wait"),
+        (("box_bot", "--world-name", "a b"), ExitCode.USAGE, "'a b'"),
     ],
     ids=str,
 )
-def test_spawn_is_refused_in_one_line_before_anything_is_sent(
-    arguments: tuple[str, ...], status: ExitCode, message: str
+def test_spawn_refuses_invalid_arguments_before_connecting(
+    arguments: tuple[str, ...], status: ExitCode, value: str
 ) -> None:
     done = run(app, "spawn", *arguments, "--connect", NOWHERE)
 
-    assert_failed(done, status, "zensim spawn: ")
-    assert message in done.err
+    assert_failed(done, status, "zensim spawn: ", value)
 
 
-def test_spawn_refuses_an_endpoint_that_is_none() -> None:
+def test_spawn_refuses_an_invalid_endpoint() -> None:
     done = run(app, "spawn", "box_bot", "--connect", "there")
 
-    assert_failed(
-        done, ExitCode.USAGE, "zensim spawn: USAGE (2): endpoint 'there' is not valid; use"
-    )
+    assert_failed(done, ExitCode.USAGE, "zensim spawn: USAGE (2): ")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "message"),
+    ("arguments", "status", "value"),
     [
-        (("tank",), ExitCode.NOT_FOUND, "there is box_bot"),
+        (("tank",), ExitCode.NOT_FOUND, "box_bot"),
         (("box_bot", "-x", "nan"), ExitCode.FAILED, "INVALID_POSE (109): "),
         (("box_bot", "-x", "1e9"), ExitCode.FAILED, "INVALID_POSE (109): "),
-        (("box_bot", "--reference-frame", "r7"), ExitCode.NOT_FOUND, "'r7' does not exist"),
+        (("box_bot", "--reference-frame", "r7"), ExitCode.NOT_FOUND, "'r7'"),
     ],
     ids=str,
 )
-def test_spawn_says_what_the_server_refused(
-    server: Server, arguments: tuple[str, ...], status: ExitCode, message: str
+def test_spawn_prints_a_refusal_of_the_server(
+    server: Server, arguments: tuple[str, ...], status: ExitCode, value: str
 ) -> None:
     done = run_at(server, app, "spawn", *arguments)
 
-    assert_failed(done, status, "zensim spawn: ")
-    assert message in done.err
+    assert_failed(done, status, "zensim spawn: ", value)
     assert server.client.entities() == ()
 
 
-def test_spawn_says_so_when_nobody_listens() -> None:
+def test_spawn_fails_when_nothing_listens() -> None:
     done = run(app, "spawn", "box_bot", "--connect", NOWHERE, "--wait", "0.1")
 
-    assert_failed(
-        done, ExitCode.UNREACHABLE, f"zensim spawn: UNREACHABLE (4): nobody listens at {NOWHERE}"
-    )
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim spawn: UNREACHABLE (4): ")
 
 
-def test_spawn_says_so_when_nobody_serves_that_world(server: Server) -> None:
+def test_spawn_fails_when_no_server_has_the_world(server: Server) -> None:
     done = run_at(server, app, "spawn", "box_bot", "--world-name", "mars", "--wait", "0.1")
 
-    assert_failed(
-        done, ExitCode.UNREACHABLE, "zensim spawn: UNREACHABLE (4): nothing answers sim/mars/"
-    )
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim spawn: UNREACHABLE (4): ")
 
 
-def test_fleet_puts_robots_in_a_row(server: Server) -> None:
+def test_fleet_places_robots_in_a_row(server: Server) -> None:
     done = run_at(server, app, "fleet", "box_bot", "--count", "3", "--spacing", "2")
 
     assert (done.status, done.out) == (ExitCode.OK, "spawned 3 of 3\n")
     assert server.client.entities() == ("box_bot0", "box_bot1", "box_bot2")
-    assert place_of(server, "box_bot2").x == pytest.approx(4.0)
-    assert namespace_of(server, "box_bot2") == "box_bot2"
+    assert find_position(server, "box_bot2").x == pytest.approx(4.0)
+    assert find_namespace(server, "box_bot2") == "box_bot2"
 
 
-def test_fleet_names_robots_as_it_is_told(server: Server) -> None:
+def test_fleet_uses_the_given_prefix(server: Server) -> None:
     done = run_at(
         server, app, "fleet", "box_bot", "-c", "4", "--prefix", "r", "--layout", "grid", "--json"
     )
 
     assert [(one["name"], one["code"]) for one in done.json()] == [(f"r{i}", 1) for i in range(4)]
-    assert place_of(server, "r3").y == pytest.approx(1.0)
+    assert find_position(server, "r3").y == pytest.approx(1.0)
 
 
-def test_fleet_is_spawned_whole_or_not_at_all(server: Server) -> None:
+def test_fleet_is_atomic(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1")
 
     done = run_at(server, app, "fleet", "box_bot", "-c", "3", "--prefix", "r", "--spacing", "3")
@@ -237,7 +228,7 @@ def test_fleet_is_spawned_whole_or_not_at_all(server: Server) -> None:
     assert server.client.entities() == ("r1",)
 
 
-def test_fleet_goes_on_when_told_to_and_says_so_when_some_are_refused(server: Server) -> None:
+def test_partial_fleet_continues_after_a_refusal(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1")
 
     done = run_at(server, app, "fleet", "box_bot", "-c", "3", "--prefix", "r", "--partial")
@@ -255,24 +246,23 @@ def test_fleet_fails_when_all_are_refused(server: Server) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "status", "message"),
+    ("arguments", "status", "value"),
     [
-        (("box_bot", "--layout", "spiral"), ExitCode.USAGE, "use row, grid, circle"),
-        (("box_bot", "--spacing", "-1"), ExitCode.USAGE, "use at least 1 robot and more than 0 m"),
-        (("a b.urdf",), ExitCode.USAGE, "prefix 'a b' is not valid"),
+        (("box_bot", "--layout", "spiral"), ExitCode.USAGE, "row, grid, circle"),
+        (("box_bot", "--spacing", "-1"), ExitCode.USAGE, "-1"),
+        (("a b.urdf",), ExitCode.USAGE, "'a b'"),
     ],
     ids=str,
 )
-def test_fleet_is_refused_in_one_line_before_anything_is_sent(
-    arguments: tuple[str, ...], status: ExitCode, message: str
+def test_fleet_refuses_invalid_arguments_before_connecting(
+    arguments: tuple[str, ...], status: ExitCode, value: str
 ) -> None:
     done = run(app, "fleet", *arguments, "--connect", NOWHERE)
 
-    assert_failed(done, status, "zensim fleet: ")
-    assert message in done.err
+    assert_failed(done, status, "zensim fleet: ", value)
 
 
-def test_robots_are_where_they_were_put_until_time_runs(server: Server) -> None:
+def test_robots_fall_when_time_runs(server: Server) -> None:
     run_at(server, app, "spawn", "box_bot", "-n", "r1", "-z", "1")
     state: EntityState = server.client.entity_state("r1")
 

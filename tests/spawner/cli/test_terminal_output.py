@@ -1,4 +1,4 @@
-"""The report of a spawn, on a terminal and in a file."""
+"""Spawn reports on a terminal and in a file."""
 
 from io import StringIO
 
@@ -15,7 +15,7 @@ ENTRIES = (
 )
 
 
-def printed(entries: tuple[ReportEntry, ...], *, is_terminal: bool) -> list[str]:
+def print_lines(entries: tuple[ReportEntry, ...], *, is_terminal: bool) -> list[str]:
     out = StringIO()
     console = Console(file=out, force_terminal=is_terminal, width=80, color_system=None)
     print_report(entries, console)
@@ -23,22 +23,22 @@ def printed(entries: tuple[ReportEntry, ...], *, is_terminal: bool) -> list[str]
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
-def test_report_ends_with_what_needs_a_look(is_terminal: bool) -> None:
-    lines = printed(ENTRIES, is_terminal=is_terminal)
+def test_report_ends_with_suspicious_entries(is_terminal: bool) -> None:
+    lines = print_lines(ENTRIES, is_terminal=is_terminal)
 
     assert [line.split()[0] for line in lines[-3:]] == ["applied", "ignored", "suspicious"]
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
-def test_report_shows_what_a_stranger_wrote_as_it_is(is_terminal: bool) -> None:
-    assert "[red]d[/red]" in "\n".join(printed(ENTRIES, is_terminal=is_terminal))
+def test_report_does_not_parse_markup(is_terminal: bool) -> None:
+    assert "[red]d[/red]" in "\n".join(print_lines(ENTRIES, is_terminal=is_terminal))
 
 
-def test_report_is_aligned_where_there_is_no_terminal() -> None:
-    lines = printed(ENTRIES, is_terminal=False)
+def test_report_is_aligned_without_a_terminal() -> None:
+    lines = print_lines(ENTRIES, is_terminal=False)
 
     assert lines[0].index("drive") == lines[2].index("no such joint")
 
 
-def test_report_that_is_empty_prints_nothing() -> None:
-    assert printed((), is_terminal=True) == []
+def test_empty_report_prints_nothing() -> None:
+    assert print_lines((), is_terminal=True) == []

@@ -1,4 +1,4 @@
-"""Any payload becomes plain values that can be printed, or words that say why not."""
+"""`zensim drive`, `echo` and `hz`, and the decoding of payloads."""
 
 import json
 import math
@@ -23,66 +23,64 @@ from zensim.spawner.cli.topic_commands import app, to_plain, to_yaml_lines
 FORWARD = Twist(Vector3(x=0.2), Vector3(z=-0.5))
 
 
-def heard_after(server: Server, *arguments: str, key: str = "r1/cmd_vel") -> list[Twist]:
-    """Drive while somebody listens, and tell what was heard."""
-    listener = server.bus.subscribe(key, 1000)
+def drive_and_receive(server: Server, *arguments: str, key: str = "r1/cmd_vel") -> list[Twist]:
+    """Drive with a subscriber, and return the received commands."""
+    subscription = server.bus.subscribe(key, 1000)
     try:
         done = run_at(server, app, "drive", *arguments)
         assert done.status == ExitCode.OK
-        return [decode(Twist, one.payload, one.encoding) for one in listener.take()]
+        return [decode(Twist, one.payload, one.encoding) for one in subscription.take()]
     finally:
-        listener.close()
+        subscription.close()
 
 
-def test_drive_sends_one_command_when_told_once(server: Server) -> None:
-    assert heard_after(server, "r1", "0.2", "-0.5", "--once") == [FORWARD]
+def test_drive_once_publishes_one_command(server: Server) -> None:
+    assert drive_and_receive(server, "r1", "0.2", "-0.5", "--once") == [FORWARD]
 
 
-def test_drive_sends_commands_for_a_while_and_then_stops_the_robot(server: Server) -> None:
-    heard = heard_after(server, "r1", "0.2", "-0.5", "--rate", "50", "--duration", "0.2")
+def test_drive_publishes_for_a_duration_and_stops_the_robot(server: Server) -> None:
+    received = drive_and_receive(server, "r1", "0.2", "-0.5", "--rate", "50", "--duration", "0.2")
 
-    assert heard == [*[FORWARD] * 10, Twist()]
+    assert received == [*[FORWARD] * 10, Twist()]
 
 
-def test_drive_takes_negative_speeds(server: Server) -> None:
-    assert heard_after(server, "r1", "-0.2", "--once") == [Twist(Vector3(x=-0.2))]
+def test_drive_accepts_negative_velocities(server: Server) -> None:
+    assert drive_and_receive(server, "r1", "-0.2", "--once") == [Twist(Vector3(x=-0.2))]
 
 
 @pytest.mark.parametrize("robot", ["team/r1", "/team/r1", "team/r1/"])
-def test_drive_takes_a_namespace_as_people_write_it(server: Server, robot: str) -> None:
-    heard = heard_after(server, robot, "0.2", "-0.5", "--once", key="team/r1/cmd_vel")
+def test_drive_strips_slashes_of_a_namespace(server: Server, robot: str) -> None:
+    received = drive_and_receive(server, robot, "0.2", "-0.5", "--once", key="team/r1/cmd_vel")
 
-    assert heard == [FORWARD]
+    assert received == [FORWARD]
 
 
-def test_drive_says_so_when_nobody_listens(server: Server) -> None:
+def test_drive_fails_without_a_subscriber(server: Server) -> None:
     done = run_at(server, app, "drive", "r9", "0.2", "--once")
 
-    assert_failed(done, ExitCode.FAILED, "zensim drive: FAILED (1): nobody listens on r9/cmd_vel")
-    assert "'zensim agent r9'" in done.err
+    assert_failed(done, ExitCode.FAILED, "zensim drive: FAILED (1): ", "r9/cmd_vel")
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "value"),
     [
-        (("r1", "nan"), "cannot be driven; use finite numbers"),
-        (("r1", "0.2", "inf"), "cannot be driven; use finite numbers"),
-        (("r1", "0.2", "--rate", "0"), "--rate 0 is no rate; use more than 0"),
-        (("", "0.2"), "key '/cmd_vel' is not valid; use names joined by '/'"),
-        (("a//b", "0.2"), "key 'a//b/cmd_vel' is not valid"),
+        (("r1", "nan"), "nan"),
+        (("r1", "0.2", "inf"), "inf"),
+        (("r1", "0.2", "--rate", "0"), "--rate"),
+        (("", "0.2"), "'/cmd_vel'"),
+        (("a//b", "0.2"), "'a//b/cmd_vel'"),
     ],
     ids=str,
 )
-def test_drive_is_refused_in_one_line_when_it_is_mistyped(
-    server: Server, arguments: tuple[str, ...], message: str
+def test_drive_refuses_invalid_arguments(
+    server: Server, arguments: tuple[str, ...], value: str
 ) -> None:
     done = run_at(server, app, "drive", *arguments)
 
-    assert_failed(done, ExitCode.USAGE, "zensim drive: USAGE (2): ")
-    assert message in done.err
+    assert_failed(done, ExitCode.USAGE, "zensim drive: USAGE (2): ", value)
 
 
-def test_echo_shows_telemetry_as_people_read_it(server: Server) -> None:
+def test_echo_prints_yaml(server: Server) -> None:
     done = run_at(server, app, "echo", "sim/default/clock", "--once")
 
     lines = done.out.splitlines()
@@ -92,7 +90,7 @@ def test_echo_shows_telemetry_as_people_read_it(server: Server) -> None:
     assert lines[-1] == "---"
 
 
-def test_echo_shows_telemetry_as_programs_read_it(server: Server) -> None:
+def test_echo_prints_json_lines(server: Server) -> None:
     done = run_at(server, app, "echo", "sim/*/stats", "--count", "2", "--json")
 
     first, second = (json.loads(line) for line in done.out.splitlines())
@@ -100,38 +98,34 @@ def test_echo_shows_telemetry_as_programs_read_it(server: Server) -> None:
     assert first["message"]["state"] == "paused"
 
 
-def test_echo_shows_a_last_value_that_was_put_before_it_came(server: Server) -> None:
+def test_echo_prints_a_latched_value(server: Server) -> None:
     queue = server.bus.serve("r1/robot_description")
     payload, encoding = encode(String("<robot/>"), Format.CDR), make_encoding(String, Format.CDR)
     arguments = ("echo", "r1/robot_description", "--once", "--connect", server.endpoint)
     try:
         with running(*arguments) as echo:
-            for call in eventually(lambda: queue.take() or None, 20.0, "a question"):
+            for call in eventually(lambda: queue.take() or None, 20.0, "a query"):
                 call.reply(payload, encoding)
-            said, _ = echo.communicate(timeout=20.0)
+            output, _ = echo.communicate(timeout=20.0)
     finally:
         queue.close()
 
-    assert said.splitlines() == ["# r1/robot_description", 'data: "<robot/>"', "---"]
+    assert output.splitlines() == ["# r1/robot_description", 'data: "<robot/>"', "---"]
 
 
 @pytest.mark.parametrize("key", ["r9/odom", "/r9/odom/"])
-def test_echo_gives_up_when_nothing_comes(server: Server, key: str) -> None:
+def test_echo_fails_after_its_timeout(server: Server, key: str) -> None:
     done = run_at(server, app, "echo", key, "--once", "--timeout", "0.05")
 
-    assert_failed(
-        done, ExitCode.TIMEOUT, f"zensim echo: TIMEOUT (5): nothing came on {key} within 0.05"
-    )
+    assert_failed(done, ExitCode.TIMEOUT, "zensim echo: TIMEOUT (5): ")
 
 
 @pytest.mark.parametrize("verb", ["echo", "hz"])
 @pytest.mark.parametrize("key", ["", "a//b", "a b#", "a*"])
-def test_key_is_refused_in_one_line_when_it_is_mistyped(
-    server: Server, verb: str, key: str
-) -> None:
+def test_invalid_key_is_refused(server: Server, verb: str, key: str) -> None:
     done = run_at(server, app, verb, key)
 
-    assert_failed(done, ExitCode.USAGE, f"zensim {verb}: USAGE (2): key {key!r} is not valid; use")
+    assert_failed(done, ExitCode.USAGE, f"zensim {verb}: USAGE (2): ")
 
 
 def test_hz_measures_the_rate_of_a_topic(server: Server) -> None:
@@ -145,17 +139,17 @@ def test_hz_measures_the_rate_of_a_topic(server: Server) -> None:
     assert figures["window"] > 50
 
 
-def test_hz_says_so_when_nothing_comes(server: Server) -> None:
+def test_hz_prints_a_note_without_messages(server: Server) -> None:
     done = run_at(server, app, "hz", "r9/odom", "--duration", "0.1")
 
     assert (done.status, done.out) == (ExitCode.OK, "")
-    assert done.err == "zensim hz: no new messages\n"
+    assert done.err.startswith("zensim hz: ")
 
 
-def test_command_says_so_when_nobody_listens_at_its_endpoint() -> None:
+def test_command_fails_when_nothing_listens() -> None:
     done = run(app, "echo", "r1/odom", "--connect", NOWHERE)
 
-    assert_failed(done, ExitCode.UNREACHABLE, "zensim echo: UNREACHABLE (4): nobody listens at")
+    assert_failed(done, ExitCode.UNREACHABLE, "zensim echo: UNREACHABLE (4): ")
 
 
 ENCODINGS = [
@@ -169,16 +163,16 @@ ENCODINGS = [
 KEYS = ["r1/odom", "sim/default/snapshot", "sim/default/drive/a/command", "sim/x", ""]
 
 
-def a_sample(message: msgspec.Struct, format_: Format, key: str = "r1/topic") -> Sample:
+def make_sample(message: msgspec.Struct, format_: Format, key: str = "r1/topic") -> Sample:
     return Sample(key, encode(message, format_), make_encoding(message, format_))
 
 
-def lines_of(plain: object) -> list[str]:
+def format_lines(plain: object) -> list[str]:
     return list(to_yaml_lines(plain))
 
 
-def test_cdr_is_read_by_the_type_of_its_encoding() -> None:
-    plain = to_plain(a_sample(Twist(Vector3(x=0.5)), Format.CDR))
+def test_cdr_is_decoded_by_the_type_in_its_encoding() -> None:
+    plain = to_plain(make_sample(Twist(Vector3(x=0.5)), Format.CDR))
 
     assert plain == {
         "linear": {"x": 0.5, "y": 0.0, "z": 0.0},
@@ -186,55 +180,55 @@ def test_cdr_is_read_by_the_type_of_its_encoding() -> None:
     }
 
 
-def test_cdr_of_unknown_type_is_said_in_words() -> None:
+def test_cdr_of_an_unknown_type_is_described() -> None:
     plain = to_plain(
         Sample("r1/scan", b"\0\1\0\0abcd", "application/cdr;sensor_msgs/msg/LaserScan")
     )
 
     assert isinstance(plain, str)
-    assert plain.startswith("8 bytes that cannot be read: CDR of unknown type")
+    assert plain.startswith("8 bytes")
     assert "LaserScan" in plain
 
 
 @pytest.mark.parametrize("format_", [Format.MSGPACK, Format.JSON])
 @pytest.mark.parametrize("message", [WorldClock(step=3), Event("spawned", "r1"), Stats(world="w")])
-def test_telemetry_is_read_by_its_key(message: msgspec.Struct, format_: Format) -> None:
+def test_telemetry_is_decoded_by_its_key(message: msgspec.Struct, format_: Format) -> None:
     topic = {WorldClock: "clock", Event: "events", Stats: "stats"}[type(message)]
 
-    plain = to_plain(a_sample(message, format_, f"sim/w/{topic}"))
+    plain = to_plain(make_sample(message, format_, f"sim/w/{topic}"))
 
     assert plain == msgspec.to_builtins(message)
 
 
-def test_arrays_are_told_as_numbers() -> None:
+def test_arrays_are_decoded_to_numbers() -> None:
     snapshot = Snapshot(1, 2, 3, 4, ("r",), floats([1.0, 2.0]), floats([0.5]))
     command = DriveCommand(1, 2, b"\1\0\0\0\2\0\0\0", floats([3.0]))
 
-    told = to_plain(a_sample(snapshot, Format.MSGPACK, "sim/w/snapshot"))
-    taken = to_plain(a_sample(command, Format.MSGPACK, "sim/w/drive/a/command"))
+    state = to_plain(make_sample(snapshot, Format.MSGPACK, "sim/w/snapshot"))
+    targets = to_plain(make_sample(command, Format.MSGPACK, "sim/w/drive/a/command"))
 
-    assert isinstance(told, dict)
-    assert isinstance(taken, dict)
-    assert (told["base"], told["joint_positions"]) == ([1.0, 2.0], [0.5])
-    assert (taken["claims"], taken["targets"]) == ([1, 2], [3.0])
+    assert isinstance(state, dict)
+    assert isinstance(targets, dict)
+    assert (state["base"], state["joint_positions"]) == ([1.0, 2.0], [0.5])
+    assert (targets["claims"], targets["targets"]) == ([1, 2], [3.0])
 
 
 @pytest.mark.parametrize("field", ["base", "joint_positions"])
-def test_arrays_of_an_odd_length_are_said_in_words(field: str) -> None:
+def test_arrays_of_an_odd_length_are_described(field: str) -> None:
     snapshot = Snapshot(1, 2, 3, 4, (), b"", b"")
     broken = msgspec.structs.replace(snapshot, **{field: b"12345"})
 
-    plain = to_plain(a_sample(broken, Format.MSGPACK, "sim/w/snapshot"))
+    plain = to_plain(make_sample(broken, Format.MSGPACK, "sim/w/snapshot"))
 
     assert isinstance(plain, str)
-    assert "cannot be read" in plain
+    assert plain.startswith(f"{len(encode(broken, Format.MSGPACK))} bytes")
 
 
-def test_json_of_any_kind_is_read() -> None:
+def test_any_json_is_decoded() -> None:
     assert to_plain(Sample("a/b", b'{"n": [1, null]}', "")) == {"n": [1, None]}
 
 
-def test_lines_are_laid_out_as_yaml() -> None:
+def test_lines_are_yaml() -> None:
     plain = {
         "name": "r1",
         "pose": {"x": 1.0, "frames": []},
@@ -244,7 +238,7 @@ def test_lines_are_laid_out_as_yaml() -> None:
         "empty": {},
     }
 
-    assert lines_of(plain) == [
+    assert format_lines(plain) == [
         'name: "r1"',
         "pose:",
         "  x: 1",
@@ -263,20 +257,20 @@ def test_lines_are_laid_out_as_yaml() -> None:
     ("number", "shown"),
     [(math.inf, ".Inf"), (-math.inf, "-.Inf"), (math.nan, ".nan"), (1e-9, "1e-09"), (0.1, "0.1")],
 )
-def test_lines_tell_numbers_as_yaml_does(number: float, shown: str) -> None:
-    assert lines_of({"x": number}) == [f"x: {shown}"]
+def test_lines_format_numbers_as_yaml(number: float, shown: str) -> None:
+    assert format_lines({"x": number}) == [f"x: {shown}"]
 
 
-def test_lines_quote_text_that_would_be_read_as_something_else() -> None:
-    assert lines_of({"a": "true", "b": "x: y\nz"}) == ['a: "true"', 'b: "x: y\\nz"']
+def test_lines_quote_text() -> None:
+    assert format_lines({"a": "true", "b": "x: y\nz"}) == ['a: "true"', 'b: "x: y\\nz"']
 
 
-def test_odometry_and_text_are_laid_out() -> None:
-    odometry = to_plain(a_sample(Odometry(), Format.CDR))
-    text = to_plain(a_sample(String("hello"), Format.CDR))
+def test_odometry_and_text_are_formatted() -> None:
+    odometry = to_plain(make_sample(Odometry(), Format.CDR))
+    text = to_plain(make_sample(String("hello"), Format.CDR))
 
-    assert "pose:" in lines_of(odometry)
-    assert lines_of(text) == ['data: "hello"']
+    assert "pose:" in format_lines(odometry)
+    assert format_lines(text) == ['data: "hello"']
 
 
 @given(
@@ -319,5 +313,5 @@ def test_any_bytes_can_be_printed(payload: bytes, encoding: str, key: str) -> No
 def test_odd_bytes_can_be_printed(payload: bytes, key: str) -> None:
     plain = to_plain(Sample(key, payload, ""))
 
-    assert lines_of(plain)
+    assert format_lines(plain)
     assert msgspec.json.encode({"message": plain})

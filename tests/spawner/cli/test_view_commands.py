@@ -1,3 +1,5 @@
+"""`zensim view` without its packages."""
+
 import subprocess
 import sys
 

@@ -30,14 +30,13 @@ from zensim.spawner.spawn.spawn_client import (
     SpawnOutcome,
     hold_bond,
     make_bond_name,
-    make_pose,
     make_resource,
     read_description,
     spawn_bonded,
     spawn_fleet,
     wait_for_entity,
 )
-from zensim.spawner.spawn.spawn_poses import RobotPlacement
+from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
 
 
 def refusal(code: ResultCode) -> ServiceError:
