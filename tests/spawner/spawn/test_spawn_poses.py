@@ -63,7 +63,7 @@ def test_neighbours_stand_the_spacing_apart(
 def test_fleet_is_refused_when_it_is_none(
     layout: FleetLayout, count: int, spacing_m: float
 ) -> None:
-    with pytest.raises(ValueError, match="is no fleet; use at least 1 robot and more than 0 m"):
+    with pytest.raises(ValueError, match="spacing"):
         make_fleet_layout("r", count, layout, spacing_m)
 
 
