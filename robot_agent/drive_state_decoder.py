@@ -10,35 +10,48 @@ import msgspec
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import STATE_COLUMNS, DriveState
 
+CLAIM_BYTES = 4
+
+
+def unpack_claims(claims: bytes) -> tuple[int, ...]:
+    """Unpack the claims of a drive state.
+
+    Raises:
+        MalformedPayload: They are not whole numbers of 4 bytes.
+    """
+    if len(claims) % CLAIM_BYTES:
+        raise MalformedPayload(f"{len(claims)} bytes of claims; each has {CLAIM_BYTES}")
+    return struct.unpack(f"<{len(claims) // CLAIM_BYTES}I", claims)
+
 
 class RobotState(msgspec.Struct, frozen=True, gc=False):
-    """What one drive state says of one robot."""
+    """State of one robot at one step."""
 
     time_ns: int
     base: tuple[float, ...]
-    """Of the root link: `STATE_COLUMNS` numbers."""
+    """Of the root link, `STATE_COLUMNS` numbers."""
     positions: tuple[float, ...]
     """Of all joints, in the order of `Model.joints`."""
     velocities: tuple[float, ...]
 
 
 class DriveStateLayout:
-    """Where each robot's numbers stand in a drive state."""
+    """Positions of each robot's numbers in a drive state."""
 
     def __init__(self, joint_counts: Sequence[int]) -> None:
         ends = tuple(accumulate(joint_counts))
         self._joints = tuple(
             slice(end - count, end) for end, count in zip(ends, joint_counts, strict=True)
         )
-        # For a handful of robots half the cost of an array that is then made into floats.
+        # For a few robots half the cost of arrays that are converted to floats.
         self._base = struct.Struct(f"<{STATE_COLUMNS * len(joint_counts)}d")
         self._all_joints = struct.Struct(f"<{ends[-1] if ends else 0}d")
 
-    def readings(self, state: DriveState) -> list[RobotState]:
-        """Cut a drive state.
+    def split(self, state: DriveState) -> list[RobotState]:
+        """Split a drive state by robots.
 
         Raises:
-            MalformedPayload: It has not the numbers that its claims call for.
+            MalformedPayload: The count of numbers does not match the claims.
         """
         try:
             base = self._base.unpack(state.base)
@@ -58,17 +71,17 @@ class DriveStateLayout:
 
 
 class StateOrder:
-    """Tells what is new from what is late: time goes back only with a higher epoch."""
+    """Order of drive states: time goes back only with a higher epoch."""
 
     def __init__(self) -> None:
         self._latest: tuple[int, int] | None = None
 
     def forget(self) -> None:
-        """Take whatever comes next as it is: another server has its own time."""
+        """Accept any next state: another server has its own time."""
         self._latest = None
 
     def place(self, epoch: int, step: int) -> Literal["next", "reset", "stale"]:
-        """Place a state after the one before."""
+        """Compare a state with the one before."""
         latest = self._latest
         if latest is not None and (epoch, step) < latest:
             return "stale"

@@ -19,7 +19,14 @@ from zensim.proto.messages.standard_messages import (
 from zensim.proto.rate_limiter import RateLimiter
 from zensim.proto.rigid_transforms import find_yaw, from_axis_angle
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.topic_catalog import JOINT_STATES, ODOM, ROBOT_DESCRIPTION, TF, TF_STATIC
+from zensim.proto.topic_catalog import (
+    JOINT_STATES,
+    ODOM,
+    ROBOT_DESCRIPTION,
+    TF,
+    TF_STATIC,
+    TopicSpec,
+)
 from zensim.proto.topic_endpoints import LazyTopicPublisher, MakePayload, TopicFactory
 from zensim.robot_agent import message_templates
 from zensim.robot_agent.base_controller import find_motion_rates, get_drive, make_rate_limiter
@@ -33,34 +40,41 @@ from zensim.robot_agent.robot_frames import (
     list_moving_joints,
     list_published_joints,
 )
-from zensim.robot_agent.topic_remapping import resolve_odom_key, resolve_topic_key
+from zensim.robot_agent.topic_remapping import RobotTopicKeys, find_topic_keys
 
 MakeValue: TypeAlias = Callable[[TFMessage], MakePayload]
+StaticMessage: TypeAlias = tuple[TopicSpec, str, TFMessage | String]
+"""Topic, key and message."""
 
 
 def make_tf_publishers(
-    faces: TopicFactory, namespace: str, own_key: str, *, template: TFMessage, value_of: MakeValue
+    factory: TopicFactory,
+    namespace: str,
+    topic_keys: RobotTopicKeys,
+    *,
+    template: TFMessage,
+    value_of: MakeValue,
 ) -> list[LazyTopicPublisher]:
-    """Declare a robot's transforms that move.
+    """Declare a robot's moving transforms, on its own topic and on the shared one.
 
     Args:
-        faces: Where.
+        factory: Declares topics.
         namespace: Of the robot.
-        own_key: Of its own topic.
-        template: The transforms before they have moved, with frames as described.
-        value_of: Makes what is told of a template: of that one, or with other names of frames.
+        topic_keys: Its keys; without a key there is no publisher.
+        template: The transforms, with frames as described.
+        value_of: Makes the payload of a template: of this one, or of one with prefixed frames.
     """
-    outlets = []
-    if faces.settings.has_namespaced_tf:
-        outlets.append(LazyTopicPublisher(faces, TF.at(own_key), value_of(template)))
-    if faces.settings.has_global_tf:
+    publishers = []
+    if topic_keys.tf:
+        publishers.append(LazyTopicPublisher(factory, TF.at(topic_keys.tf), value_of(template)))
+    if topic_keys.shared_tf:
         shared = value_of(prefix_frames(template, namespace))
-        outlets.append(LazyTopicPublisher(faces, TF.root(), shared, is_shared=True))
-    return outlets
+        publishers.append(LazyTopicPublisher(factory, TF.root(), shared, is_shared=True))
+    return publishers
 
 
 def prefix_frames(message: TFMessage, namespace: str) -> TFMessage:
-    """Let frames begin with the namespace, but for those that do already."""
+    """Prefix frames with the namespace, unless they start with it."""
     return TFMessage(tuple(_prefix_transform(edge, f"{namespace}/") for edge in message.transforms))
 
 
@@ -75,55 +89,53 @@ def _prefix_frame_id(frame_id: str, prefix: str) -> str:
     return frame_id if frame_id.startswith(prefix) else prefix + frame_id
 
 
-def make_tf_static_publishers(
-    faces: TopicFactory, claim: Claim, fixed: TFMessage
-) -> list[LazyTopicPublisher]:
-    """Declare a robot's transforms that never change."""
-    outlets = []
-    for key, message in list_tf_static(claim, fixed, faces.settings):
-        topic = TF_STATIC.at(key)
-        outlets.append(
-            LazyTopicPublisher(
-                faces, topic, partial(_return_message, message), is_shared=key == TF_STATIC.suffix
-            )
-        )
-    return outlets
+def make_fixed_transforms(model: Model) -> TFMessage:
+    """Make the transforms that never change, stamped 0."""
+    edges = list_fixed_edges(model, find_base_frame(model))
+    return TFMessage(tuple(edge.to_message(Time()) for edge in edges))
 
 
-def list_tf_static(
+def list_static_messages(
     claim: Claim, fixed: TFMessage, ros: RosSettings
-) -> Iterator[tuple[str, TFMessage]]:
-    """Find which topics tell of a robot's fixed transforms, and what."""
+) -> Iterator[StaticMessage]:
+    """List the messages of a robot that never change: tf_static and robot_description.
+
+    Args:
+        claim: The robot.
+        fixed: Its fixed transforms; see `make_fixed_transforms`.
+        ros: Scope and root frame of tf.
+    """
     if ros.has_namespaced_tf and fixed.transforms:
-        yield TF_STATIC.key(claim.namespace), fixed
-    shared = prefix_frames(fixed, claim.namespace).transforms + _make_root_transform(
-        claim, ros.tf_root
-    )
+        yield TF_STATIC, TF_STATIC.key(claim.namespace), fixed
+    root = _make_root_transform(claim, ros.tf_root)
+    shared = prefix_frames(fixed, claim.namespace).transforms + root
     if ros.has_global_tf and shared:
-        yield TF_STATIC.suffix, TFMessage(shared)
+        yield TF_STATIC, TF_STATIC.suffix, TFMessage(shared)
+    if claim.robot_description:
+        description = String(claim.robot_description)
+        yield ROBOT_DESCRIPTION, ROBOT_DESCRIPTION.key(claim.namespace), description
 
 
 def _make_root_transform(claim: Claim, root: str) -> tuple[TransformStamped, ...]:
-    """Hang a robot's odometry frame, its namespace before it, from the shared frame.
+    """Make the transform from the shared root frame to a robot's prefixed odometry frame.
 
     Args:
         claim: The robot.
         root: The shared frame; empty for none.
 
     Returns:
-        One transform that never changes; none without a root, or when tf has no odometry frame.
+        One transform; none without a root, or if tf has no odometry frame.
     """
     drive = get_drive(claim.model)
     if not root or not drive.publish_odom_tf:
         return ()
     origin = Origin() if drive.encoder is None else _find_odom_origin(claim)
     edge = FrameEdge(root, f"{claim.namespace}/{drive.odometry_frame}", origin)
-    # Stamped 0: it holds from the beginning of time.
     return (edge.to_message(Time()),)
 
 
 def _find_odom_origin(claim: Claim) -> Origin:
-    """Find where encoders counted from: the spawn, upright."""
+    """Find the origin of encoder odometry: the spawn pose, upright."""
     if not claim.spawn_state:
         return Origin()
     base = BaseMotion(
@@ -133,79 +145,72 @@ def _find_odom_origin(claim: Claim) -> Origin:
     return Origin(base.position, from_axis_angle(Z_AXIS, yaw))
 
 
-def _return_message(message: TFMessage) -> TFMessage:
-    return message
-
-
 class MotionTelemetry:
-    """Odometry and tf of one robot, at the rate of its drive."""
+    """Odometry and tf of one robot, at the rates of its drive."""
 
-    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
+    def __init__(self, factory: TopicFactory, claim: Claim) -> None:
         model, drive = claim.model, get_drive(claim.model)
-        self._reading: RobotState | None = None
+        topic_keys = find_topic_keys(claim, factory.settings)
+        self._state: RobotState | None = None
         self._motion = BaseMotion()
         self._moving = list_moving_joints(model)
         self._has_odom_tf = drive.publish_odom_tf
         self.publishers: list[LazyTopicPublisher] = []
         self._limiters: list[RateLimiter | None] = []
         _, odometry_hz, tf_hz = find_motion_rates(drive)
-        if drive.publish_odom:
-            key = resolve_odom_key(claim.namespace, drive)
-            self.publishers.append(
-                LazyTopicPublisher(faces, ODOM.at(key), self._make_odometry(model))
-            )
+        if topic_keys.odom:
+            topic = ODOM.at(topic_keys.odom)
+            self.publishers.append(LazyTopicPublisher(factory, topic, self._make_odometry(model)))
             self._limiters.append(make_rate_limiter(odometry_hz))
-        if self._moving or self._has_odom_tf:
-            told = make_tf_publishers(
-                faces,
-                claim.namespace,
-                resolve_topic_key(claim.namespace, TF.suffix, drive.ros),
-                template=message_templates.make_tf_template(model),
-                value_of=self._make_transforms,
-            )
-            self.publishers += told
-            self._limiters += [make_rate_limiter(tf_hz) for _ in told]
+        tf_publishers = make_tf_publishers(
+            factory,
+            claim.namespace,
+            topic_keys,
+            template=message_templates.make_tf_template(model),
+            value_of=self._make_transforms,
+        )
+        self.publishers += tf_publishers
+        self._limiters += [make_rate_limiter(tf_hz) for _ in tf_publishers]
 
     def reset(self) -> None:
         """Forget the last motion; time may have gone back."""
-        self._reading = None
-        for gate in self._limiters:
-            if gate is not None:
-                gate.reset()
+        self._state = None
+        for limiter in self._limiters:
+            if limiter is not None:
+                limiter.reset()
 
-    def publish(self, reading: RobotState, motion: BaseMotion) -> None:
-        """Tell where the base is, how it moves, and where what hangs on it is."""
-        self._reading, self._motion = reading, motion
-        for outlet, gate in zip(self.publishers, self._limiters, strict=True):
-            if gate is None or gate.elapsed_s(reading.time_ns) is not None:
-                outlet.publish()
+    def publish(self, state: RobotState, motion: BaseMotion) -> None:
+        """Publish odometry and transforms if they are due."""
+        self._state, self._motion = state, motion
+        for publisher, limiter in zip(self.publishers, self._limiters, strict=True):
+            if limiter is None or limiter.elapsed_s(state.time_ns) is not None:
+                publisher.publish()
 
     def _make_odometry(self, model: Model) -> MakePayload:
-        template = message_templates.make_odometry_template(model)
-        image = CdrTemplate(
-            template,
+        template = CdrTemplate(
+            message_templates.make_odometry_template(model),
             numbers=message_templates.ODOMETRY_PATHS,
             stamps=message_templates.HEADER_STAMP,
         )
-        return lambda: self._fill_template(image, self._odometry)
+        return lambda: self._fill_template(template, self._list_odometry)
 
-    def _make_transforms(self, template: TFMessage) -> MakePayload:
-        count = len(template.transforms)
-        image = CdrTemplate(
-            template,
+    def _make_transforms(self, message: TFMessage) -> MakePayload:
+        count = len(message.transforms)
+        template = CdrTemplate(
+            message,
             numbers=message_templates.list_tf_paths(count),
             stamps=message_templates.list_tf_stamps(count),
         )
-        return lambda: self._fill_template(image, self._transforms)
+        return lambda: self._fill_template(template, self._list_transforms)
 
     def _fill_template(
-        self, image: CdrTemplate, numbers: Callable[[RobotState], Sequence[float]]
+        self, template: CdrTemplate, list_numbers: Callable[[RobotState], Sequence[float]]
     ) -> bytes | None:
-        if (reading := self._reading) is None:
+        if (state := self._state) is None:
             return None
-        return image.payload(reading.time_ns, numbers(reading))
+        return template.payload(state.time_ns, list_numbers(state))
 
-    def _odometry(self, _: RobotState) -> Sequence[float]:
+    def _list_odometry(self, _: RobotState) -> Sequence[float]:
         motion = self._motion
         return (
             *motion.position,
@@ -215,68 +220,70 @@ class MotionTelemetry:
             motion.angular_z,
         )
 
-    def _transforms(self, reading: RobotState) -> Sequence[float]:
+    def _list_transforms(self, state: RobotState) -> Sequence[float]:
         numbers: list[float] = []
         if self._has_odom_tf:
             numbers += self._motion.position + self._motion.orientation
         for joint in self._moving:
-            numbers += joint.pose(reading.positions[joint.index])
+            numbers += joint.pose(state.positions[joint.index])
         return numbers
 
 
 class JointTelemetry:
     """Joint states of one robot, at a rate of their own."""
 
-    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
-        publisher = claim.model.joint_state or DEFAULT_JOINT_STATE_PUBLISHER
-        self._reading: RobotState | None = None
-        self._limiter = RateLimiter(publisher.update_rate_hz)
+    def __init__(self, factory: TopicFactory, claim: Claim) -> None:
+        settings = claim.model.joint_state or DEFAULT_JOINT_STATE_PUBLISHER
+        self._state: RobotState | None = None
+        self._limiter = RateLimiter(settings.update_rate_hz)
         self._joints = list_published_joints(claim.model)
         self.publishers: list[LazyTopicPublisher] = []
-        if self._joints:
-            key = resolve_topic_key(claim.namespace, JOINT_STATES.suffix, publisher.ros)
-            topic = JOINT_STATES.at(key)
-            self.publishers.append(
-                LazyTopicPublisher(faces, topic, self._make_joint_states(claim.model))
-            )
+        if key := find_topic_keys(claim, factory.settings).joint_states:
+            value = self._make_joint_states(claim.model)
+            self.publishers.append(LazyTopicPublisher(factory, JOINT_STATES.at(key), value))
 
     def reset(self) -> None:
-        """Forget the last reading; time may have gone back."""
-        self._reading = None
+        """Forget the last state; time may have gone back."""
+        self._state = None
         self._limiter.reset()
 
-    def publish(self, reading: RobotState) -> None:
-        """Tell positions and velocities if they are due."""
-        if self._limiter.elapsed_s(reading.time_ns) is None:
+    def publish(self, state: RobotState) -> None:
+        """Publish positions and velocities if they are due."""
+        if self._limiter.elapsed_s(state.time_ns) is None:
             return
-        self._reading = reading
-        for outlet in self.publishers:
-            outlet.publish()
+        self._state = state
+        for publisher in self.publishers:
+            publisher.publish()
 
     def _make_joint_states(self, model: Model) -> MakePayload:
-        image = CdrTemplate(
+        template = CdrTemplate(
             message_templates.make_joint_states_template(model, self._joints),
             numbers=message_templates.list_joint_paths(len(self._joints)),
             stamps=message_templates.HEADER_STAMP,
         )
-        return lambda: self._joint_states(image)
+        return lambda: self._fill_joint_states(template)
 
-    def _joint_states(self, image: CdrTemplate) -> bytes | None:
-        if (reading := self._reading) is None:
+    def _fill_joint_states(self, template: CdrTemplate) -> bytes | None:
+        if (state := self._state) is None:
             return None
-        positions = [reading.positions[index] for index in self._joints]
-        velocities = [reading.velocities[index] for index in self._joints]
-        return image.payload(reading.time_ns, positions + velocities)
+        positions = [state.positions[index] for index in self._joints]
+        velocities = [state.velocities[index] for index in self._joints]
+        return template.payload(state.time_ns, positions + velocities)
 
 
-def make_static_publishers(faces: TopicFactory, claim: Claim) -> list[LazyTopicPublisher]:
-    """Declare what never changes: fixed transforms, and the description."""
-    # Stamped 0: it holds from the beginning of time.
-    edges = list_fixed_edges(claim.model, find_base_frame(claim.model))
-    fixed = TFMessage(tuple(edge.to_message(Time()) for edge in edges))
-    outlets = make_tf_static_publishers(faces, claim, fixed)
-    if claim.robot_description:
-        key = ROBOT_DESCRIPTION.key(claim.namespace)
-        topic, description = ROBOT_DESCRIPTION.at(key), String(claim.robot_description)
-        outlets.append(LazyTopicPublisher(faces, topic, lambda: description))
-    return outlets
+def make_static_publishers(factory: TopicFactory, claim: Claim) -> list[LazyTopicPublisher]:
+    """Declare the topics of a robot whose message never changes."""
+    fixed = make_fixed_transforms(claim.model)
+    return [
+        LazyTopicPublisher(
+            factory,
+            topic.at(key),
+            partial(_return_message, message),
+            is_shared=key == TF_STATIC.suffix,
+        )
+        for topic, key, message in list_static_messages(claim, fixed, factory.settings)
+    ]
+
+
+def _return_message(message: TFMessage | String) -> TFMessage | String:
+    return message

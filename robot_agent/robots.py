@@ -2,7 +2,7 @@
 
 import logging
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload
@@ -12,68 +12,71 @@ from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
 from zensim.proto.ros2.ros_graph import RosGraph
 from zensim.proto.topic_catalog import CMD_VEL
 from zensim.proto.topic_endpoints import LazyTopicPublisher, TopicFactory, make_topic_factory
-from zensim.robot_agent.base_controller import BaseController, get_drive
-from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState
+from zensim.robot_agent.base_controller import BaseController
+from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState, unpack_claims
 from zensim.robot_agent.robot_telemetry import (
     JointTelemetry,
     MotionTelemetry,
     make_static_publishers,
 )
-from zensim.robot_agent.topic_remapping import resolve_cmd_vel_key
+from zensim.robot_agent.topic_remapping import find_topic_keys
 from zensim.robot_agent.true_odometry import TrueOdometryTelemetry
 
 CMD_VEL_DEPTH = 8
-"""A bad message does not hide the good one before it."""
+"""A malformed message does not hide the valid one before it."""
 ZERO_TWIST = Twist()
+NODE_NAME = "agent"
+"""Name of a robot's ROS 2 node, in the robot's namespace."""
+LOG = logging.getLogger("zensim.agent")
 
 
 class CmdVelSubscriber:
-    """The twist that holds now; a standing robot until a first one has come."""
+    """The current velocity command; zero until the first one."""
 
     def __init__(self, subscription: Subscription, timeout_ns: int) -> None:
-        """Take the channel.
+        """Take the subscription.
 
         Args:
             subscription: To cmd_vel.
-            timeout_ns: Simulation time that a twist holds after it was first seen; 0 = for ever.
+            timeout_ns: Simulation time for which a command is valid; 0 = for ever.
         """
         self.malformed = 0
-        """Messages that were no velocity command, since the start."""
+        """Number of malformed messages since the start."""
         self._reported = 0
         self._fault = ""
         self._subscription = subscription
         self._timeout_ns = timeout_ns
         self.twist = ZERO_TWIST
-        """As it was when it was asked for last."""
-        self._seen_ns = 0
+        """As of the last call of `at`."""
+        self._received_ns = 0
 
     def reset(self) -> None:
-        """Forget the twist; one that waits in the channel still counts."""
+        """Forget the command; one that waits in the subscription still counts."""
         self.twist = ZERO_TWIST
 
     def at(self, time_ns: int) -> Twist:
-        """Find the twist at a moment of simulation time."""
+        """Find the command at a simulation time."""
         for sample in reversed(self._subscription.take()):
-            twist = self._read(sample)
+            twist = self._decode(sample)
             if twist is not None:
-                self.twist, self._seen_ns = twist, time_ns
+                self.twist, self._received_ns = twist, time_ns
                 break
-        if self._timeout_ns and time_ns - self._seen_ns > self._timeout_ns:
+        if self._timeout_ns and time_ns - self._received_ns > self._timeout_ns:
             self.twist = ZERO_TWIST
         return self.twist
 
     def take_malformed_report(self) -> str:
-        """Say what was malformed since the last time; empty when nothing was."""
+        """Describe the malformed messages since the last call; empty if there are none."""
         if self.malformed == self._reported:
             return ""
         self._reported = self.malformed
         return f"malformed={self.malformed} reason={self._fault!r}"
 
     def close(self) -> None:
-        """Stop listening."""
+        """Close the subscription."""
         self._subscription.close()
 
-    def _read(self, sample: Sample) -> Twist | None:
+    def _decode(self, sample: Sample) -> Twist | None:
         try:
             return decode_twist(sample.payload, sample.encoding)
         except MalformedPayload as error:
@@ -82,112 +85,112 @@ class CmdVelSubscriber:
             return None
 
 
-NODE_NAME = "agent"
-"""What a robot's node is called in ROS 2, within the robot's namespace."""
-
-
 class Robot:
-    """Turns readings into targets, then into telemetry; without a drive, only the latter."""
+    """One robot: states to targets and telemetry; without a drive only telemetry."""
 
-    def __init__(self, faces: TopicFactory, claim: Claim, cmd_vel_timeout_ns: int) -> None:
+    def __init__(self, factory: TopicFactory, claim: Claim, cmd_vel_timeout_ns: int) -> None:
         self.entity = claim.entity
-        self._faces = faces
+        self._factory = factory
         self.joint_count = len(claim.model.joints)
         self.target_count = claim.model.target_count
-        self.commanded: CmdVelSubscriber | None = None
-        """None without a drive: there is nothing to command."""
+        self.cmd_vel: CmdVelSubscriber | None = None
+        """None without a drive."""
         self._base = BaseController(claim.model)
-        self._motion = MotionTelemetry(faces, claim)
-        self._joints = JointTelemetry(faces, claim)
-        self._truth = TrueOdometryTelemetry(faces, claim)
-        self._constant = make_static_publishers(faces, claim)
-        self._reading: RobotState | None = None
+        self._motion = MotionTelemetry(factory, claim)
+        self._joints = JointTelemetry(factory, claim)
+        self._true_odometry = TrueOdometryTelemetry(factory, claim)
+        self._static = make_static_publishers(factory, claim)
+        self._state: RobotState | None = None
         self._is_motion_new = False
         if claim.model.drive is not None:
-            key = resolve_cmd_vel_key(claim.namespace, get_drive(claim.model))
-            heard = faces.subscription(key, CMD_VEL.messages, CMD_VEL_DEPTH)
-            self.commanded = CmdVelSubscriber(heard, cmd_vel_timeout_ns)
+            key = find_topic_keys(claim, factory.settings).cmd_vel
+            subscription = factory.subscription(key, CMD_VEL.messages, CMD_VEL_DEPTH)
+            self.cmd_vel = CmdVelSubscriber(subscription, cmd_vel_timeout_ns)
 
     def reset(self) -> None:
-        """Start again at a reset of the world: stand, forget, let time go back."""
+        """Start again at a reset of the world; time may have gone back."""
         self._base.reset()
         self._motion.reset()
         self._joints.reset()
-        self._truth.reset()
-        if self.commanded is not None:
-            self.commanded.reset()
+        self._true_odometry.reset()
+        if self.cmd_vel is not None:
+            self.cmd_vel.reset()
 
-    def advance(self, reading: RobotState) -> tuple[float, ...]:
-        """Take a reading and find the numbers for `Model.actuators`."""
-        twist = self.commanded.at(reading.time_ns) if self.commanded else ZERO_TWIST
-        self._reading = reading
-        self._is_motion_new = self._base.update(reading, twist)
+    def advance(self, state: RobotState) -> tuple[float, ...]:
+        """Take a state and find the targets of `Model.actuators`."""
+        twist = self.cmd_vel.at(state.time_ns) if self.cmd_vel else ZERO_TWIST
+        self._state = state
+        self._is_motion_new = self._base.update(state, twist)
         return self._base.targets
 
     @property
     def targets(self) -> tuple[float, ...]:
-        """Numbers for `Model.actuators`, as of the last reading."""
+        """Targets of `Model.actuators`, as of the last state."""
         return self._base.targets
 
     def revise(self) -> bool:
-        """Heed a new twist as if it had come before the last reading; tell whether one did."""
-        if self.commanded is None or self._reading is None:
+        """Apply a command that came after the last state; return whether there was one."""
+        if self.cmd_vel is None or self._state is None:
             return False
-        before = self.commanded.twist
-        twist = self.commanded.at(self._reading.time_ns)
+        before = self.cmd_vel.twist
+        twist = self.cmd_vel.at(self._state.time_ns)
         return twist != before and self._base.revise(twist)
 
     def publish(self) -> None:
-        """Publish what the last reading made due."""
-        if self._reading is None:
+        """Publish what is due at the last state."""
+        if self._state is None:
             return
         if self._is_motion_new:
-            self._motion.publish(self._reading, self._base.motion)
-        self._joints.publish(self._reading)
-        self._truth.publish(self._reading)
+            self._motion.publish(self._state, self._base.motion)
+        self._joints.publish(self._state)
+        self._true_odometry.publish(self._state)
 
     def announce(self) -> None:
-        """Publish what never changes to those who have begun to listen."""
-        for outlet in self._constant:
-            outlet.announce()
+        """Publish static topics to new subscribers."""
+        for publisher in self._static:
+            publisher.announce()
 
     def answer(self) -> None:
-        """Tell last values to those who have asked."""
-        for outlet in self._outlets():
-            outlet.answer()
+        """Reply to queries with the last values."""
+        for publisher in self._list_publishers():
+            publisher.answer()
 
     def close(self) -> None:
-        """Withdraw everything."""
-        for outlet in self._outlets():
-            outlet.close()
-        if self.commanded is not None:
-            self.commanded.close()
-        self._faces.close()
+        """Undeclare all topics."""
+        for publisher in self._list_publishers():
+            publisher.close()
+        if self.cmd_vel is not None:
+            self.cmd_vel.close()
+        self._factory.close()
 
-    def _outlets(self) -> list[LazyTopicPublisher]:
+    def _list_publishers(self) -> list[LazyTopicPublisher]:
         return [
             *self._motion.publishers,
             *self._joints.publishers,
-            *self._truth.publishers,
-            *self._constant,
+            *self._true_odometry.publishers,
+            *self._static,
         ]
 
 
-LOG = logging.getLogger("zensim.agent")
+def log_malformed_commands(robots: Iterable[Robot]) -> None:
+    """Log the malformed commands of robots."""
+    for robot in robots:
+        if robot.cmd_vel and (report := robot.cmd_vel.take_malformed_report()):
+            LOG.warning("cmd_vel entity=%s %s", robot.entity, report)
 
 
 class IndividualRobots:
-    """Robots by claim; each drive state says which of them are left."""
+    """Robots by claim; each drive state lists the claims that are still valid."""
 
     def __init__(
         self, network: AgentNetwork, timeout_ns: int, graph: RosGraph | None = None
     ) -> None:
-        """Hold nobody yet.
+        """Create an empty set.
 
         Args:
-            network: Where robots hear and tell.
-            timeout_ns: Simulation time that a command holds; 0 = for ever.
-            graph: Where robots are nodes of ROS 2.
+            network: Session of all topics.
+            timeout_ns: Simulation time for which a command is valid; 0 = for ever.
+            graph: ROS 2 graph of the robots' nodes.
         """
         self._network = network
         self._graph = graph
@@ -195,22 +198,22 @@ class IndividualRobots:
         self._robots: dict[int, Robot] = {}
         self._claims: bytes | None = None
         self.newest_claim = 0
-        """The newest claim that is held; 0 without any."""
+        """0 without claims."""
         self._robots_in_order: tuple[Robot, ...] = ()
         self._state: DriveState | None = None
-        """That was answered last."""
+        """The last one that was answered."""
         self._state_layout = DriveStateLayout(())
 
     @property
     def robots(self) -> tuple[Robot, ...]:
-        """All robots that are held."""
+        """All robots."""
         return tuple(self._robots.values())
 
     def add_claims(self, claims: Sequence[Claim]) -> None:
-        """Hold what was claimed."""
+        """Add the robots of new claims."""
         for claim in claims:
-            faces = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
-            robot = Robot(faces, claim, self._timeout_ns)
+            factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
+            robot = Robot(factory, claim, self._timeout_ns)
             robot.announce()
             self.hold(claim.claim, robot)
 
@@ -221,10 +224,10 @@ class IndividualRobots:
         self._claims = None
 
     def release_all_except(self, claims: bytes) -> tuple[str, ...]:
-        """Let go the robots that are not among these claims, and name them."""
+        """Release the robots that are not among these claims; return their entities."""
         if claims == self._claims and len(self._robots_in_order) == len(self._robots):
             return ()
-        kept = set(_unpack_claims(claims))
+        kept = set(unpack_claims(claims))
         lost = {claim: robot for claim, robot in self._robots.items() if claim not in kept}
         for claim, robot in lost.items():
             robot.close()
@@ -235,76 +238,68 @@ class IndividualRobots:
         return tuple(robot.entity for robot in lost.values())
 
     def holds(self, claims: bytes) -> bool:
-        """Whether all these claims are held; a state of a claim given up is not for this fleet.
+        """Whether all these claims are held; a state with a released claim is obsolete.
 
         Raises:
             MalformedPayload: They are not whole numbers of 4 bytes.
         """
         return claims == self._claims or all(
-            claim in self._robots for claim in _unpack_claims(claims)
+            claim in self._robots for claim in unpack_claims(claims)
         )
 
     def reset(self) -> None:
-        """Start all robots again."""
+        """Reset all robots."""
         for robot in self._robots.values():
             robot.reset()
 
     def advance(self, state: DriveState) -> DriveCommand:
-        """Drive every robot of a state by one control period.
+        """Drive each robot of a state by one control period.
 
         Raises:
             MalformedPayload: The state does not fit the robots.
         """
         if state.claims != self._claims:
             self._robots_in_order = tuple(
-                self._robots[claim] for claim in _unpack_claims(state.claims)
+                self._robots[claim] for claim in unpack_claims(state.claims)
             )
             self._state_layout = DriveStateLayout(
                 [robot.joint_count for robot in self._robots_in_order]
             )
             self._claims = state.claims
-        readings = self._state_layout.readings(state)
-        for robot, reading in zip(self._robots_in_order, readings, strict=True):
-            robot.advance(reading)
+        states = self._state_layout.split(state)
+        for robot, robot_state in zip(self._robots_in_order, states, strict=True):
+            robot.advance(robot_state)
         self._state = state
-        return self._command(state)
+        return self._make_command(state)
 
     def revise(self) -> DriveCommand | None:
-        """Answer the last state anew if a twist has come since that changes the answer."""
+        """Answer the last state again if a command that came since changes the answer."""
         if self._state is None or self._state.claims != self._claims:
             return None
-        # All are asked: each takes what it hears.
+        # A list, so that every robot takes its commands.
         is_revised = [robot.revise() for robot in self._robots_in_order]
-        return self._command(self._state) if any(is_revised) else None
+        return self._make_command(self._state) if any(is_revised) else None
 
     def publish(self) -> None:
-        """Publish what the last state made due."""
+        """Publish what is due at the last state."""
         for robot in self._robots_in_order:
             robot.publish()
 
-    def _command(self, state: DriveState) -> DriveCommand:
+    def _make_command(self, state: DriveState) -> DriveCommand:
         targets = [target for robot in self._robots_in_order for target in robot.targets]
         packed = struct.pack(f"<{len(targets)}d", *targets)
         return DriveCommand(state.epoch, state.step, state.claims, packed)
 
     def answer(self) -> None:
-        """Tell last values to those who have asked."""
+        """Reply to queries with the last values."""
         for robot in self._robots.values():
             robot.answer()
 
     def announce(self) -> None:
-        """Publish what never changes to those who have begun to listen."""
+        """Publish static topics to new subscribers."""
         for robot in self._robots.values():
             robot.announce()
 
     def log_malformed(self) -> None:
-        """Log which commands were malformed."""
-        for robot in self._robots.values():
-            if robot.commanded and (complaint := robot.commanded.take_malformed_report()):
-                LOG.warning("cmd_vel entity=%s %s", robot.entity, complaint)
-
-
-def _unpack_claims(claims: bytes) -> tuple[int, ...]:
-    if len(claims) % 4:
-        raise MalformedPayload(f"{len(claims)} bytes of claims; each has 4")
-    return struct.unpack(f"<{len(claims) // 4}I", claims)
+        """Log malformed commands."""
+        log_malformed_commands(self._robots.values())

@@ -19,19 +19,19 @@ TWIST_BYTES = 52
 TWIST_DTYPE = np.dtype([("header", "S4"), ("numbers", "<f8", TWIST_COLUMNS)])
 LITTLE_ENDIAN = b"\x00\x01"
 PLAIN_ENCODINGS = frozenset({make_encoding(Twist, Format.CDR), Format.CDR.value, "zenoh/bytes", ""})
-"""With these, 52 bytes of CDR are a Twist."""
+"""Encodings with which 52 bytes of CDR are a Twist."""
 
 
 class FleetCmdVel:
-    """The twists that hold now, a row a robot; robots stand until they are told."""
+    """The current velocity commands, a row per robot; zero until the first one."""
 
     def __init__(self, network: AgentNetwork, timeout_ns: int, domain: int | None = None) -> None:
-        """Begin to listen to nobody.
+        """Create it without subscriptions.
 
         Args:
-            network: Where.
-            timeout_ns: Simulation time that a twist holds after it was first seen; 0 = for ever.
-            domain: Where ROS 2 is heard too; None = nowhere.
+            network: Session of the subscriptions.
+            timeout_ns: Simulation time for which a command is valid; 0 = for ever.
+            domain: ROS 2 domain to subscribe in, too; None = none.
         """
         self._domain = domain
         self._network = network
@@ -39,11 +39,11 @@ class FleetCmdVel:
         self._subscriptions: dict[str, TopicSubscription] = {}
         self._rows: dict[str, tuple[int, ...]] = {}
         self._twists = np.zeros((0, TWIST_COLUMNS))
-        self._seen_ns = np.zeros(0, dtype=np.int64)
+        self._received_ns = np.zeros(0, dtype=np.int64)
         self._faults: dict[str, tuple[int, str]] = {}
 
     def listen(self, key: str) -> None:
-        """Hear a key from now on; its robot gets a row later."""
+        """Subscribe to a key; its robot gets a row later."""
         pattern = keys.make_pattern(key)
         if pattern not in self._subscriptions:
             self._subscriptions[pattern] = self._subscribe(pattern)
@@ -52,23 +52,23 @@ class FleetCmdVel:
         plain = self._network.subscribe(pattern, FLEET_CMD_VEL_DEPTH)
         if self._domain is None:
             return TopicSubscription(plain, ())
-        forms = [
+        ros_keys = [
             make_data_key(self._domain, pattern, kind.ros_type, ANY_HASH)
             for kind in (Twist, TwistStamped)
         ]
         return TopicSubscription(
-            plain, [self._network.subscribe(one, FLEET_CMD_VEL_DEPTH) for one in forms]
+            plain, [self._network.subscribe(one, FLEET_CMD_VEL_DEPTH) for one in ros_keys]
         )
 
     def remap(self, robots: Sequence[str], before: IntArray) -> None:
-        """Carry rows over; see `rows.carried`.
+        """Remap rows; see `remap_floats`.
 
         Args:
-            robots: The key of each row; empty for one that is not commanded here.
-            before: Where each row was.
+            robots: The key of each row; empty for a robot that is not in a group.
+            before: Former row of each.
         """
         self._twists = remap_floats(self._twists, before)
-        self._seen_ns = remap_ints(self._seen_ns, before)
+        self._received_ns = remap_ints(self._received_ns, before)
         self._rows = {}
         for row, key in enumerate(robots):
             if not key:
@@ -80,45 +80,47 @@ class FleetCmdVel:
             self._subscriptions.pop(pattern).close()
 
     def reset(self) -> None:
-        """Forget all twists; those that wait in a channel still count."""
+        """Forget all commands; those that wait in a subscription still count."""
         self._twists[:] = 0.0
 
     def at(self, time_ns: int) -> FloatArray:
-        """Find the twists (n, 6) at a moment of simulation time."""
-        heard = self._take_samples()
-        if heard:
-            self._read(heard, time_ns)
+        """Find the commands (n, 6) at a simulation time."""
+        received = self._take_samples()
+        if received:
+            self._store_newest(received, time_ns)
         if self._timeout_ns:
-            self._twists[time_ns - self._seen_ns > self._timeout_ns] = 0.0
+            self._twists[time_ns - self._received_ns > self._timeout_ns] = 0.0
         return self._twists
 
     def take_malformed_reports(self) -> Iterator[tuple[str, str]]:
-        """Say which keys had malformed commands since the last time, and what was wrong."""
+        """Describe the malformed commands since the last call, by key."""
         faults, self._faults = self._faults, {}
         for key, (count, reason) in faults.items():
             yield key, f"malformed={count} reason={reason!r}"
 
     def _take_samples(self) -> dict[tuple[int, ...], list[Sample]]:
-        heard: dict[tuple[int, ...], list[Sample]] = {}
+        received: dict[tuple[int, ...], list[Sample]] = {}
         for subscription in self._subscriptions.values():
             for sample in subscription.take():
-                # The robots of other pools are heard too.
+                # The pattern matches robots of other pools, too.
                 if (rows := self._rows.get(sample.key)) is not None:
-                    heard.setdefault(rows, []).append(sample)
-        return heard
+                    received.setdefault(rows, []).append(sample)
+        return received
 
-    def _read(self, heard: dict[tuple[int, ...], list[Sample]], time_ns: int) -> None:
-        plain = {rows: samples for rows, samples in heard.items() if _is_plain_twist(samples[-1])}
+    def _store_newest(self, received: dict[tuple[int, ...], list[Sample]], time_ns: int) -> None:
+        plain = {
+            rows: samples for rows, samples in received.items() if _is_plain_twist(samples[-1])
+        }
         if plain:
-            image = b"".join([samples[-1].payload for samples in plain.values()])
-            numbers = np.frombuffer(image, dtype=TWIST_DTYPE)["numbers"]
+            packed = b"".join([samples[-1].payload for samples in plain.values()])
+            numbers = np.frombuffer(packed, dtype=TWIST_DTYPE)["numbers"]
             is_finite = np.isfinite(numbers).all(axis=1)
             for rows, fits in zip(list(plain), is_finite.tolist(), strict=True):
                 if not fits:
                     del plain[rows]
             self._store(list(plain), numbers[is_finite], time_ns)
-        for rows in heard.keys() - plain.keys():
-            if (twist := self._newest_good(heard[rows])) is not None:
+        for rows in received.keys() - plain.keys():
+            if (twist := self._decode_newest(received[rows])) is not None:
                 linear, angular = twist.linear, twist.angular
                 row = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z]
                 self._store([rows], np.array([row]), time_ns)
@@ -128,16 +130,16 @@ class FleetCmdVel:
         if len(rows) != len(robots):
             twists = np.repeat(twists, [len(several) for several in robots], axis=0)
         self._twists[rows] = twists
-        self._seen_ns[rows] = time_ns
+        self._received_ns[rows] = time_ns
 
-    def _newest_good(self, samples: list[Sample]) -> Twist | None:
-        """Read the newest that is a command: a bad one does not hide the good one before it."""
+    def _decode_newest(self, samples: list[Sample]) -> Twist | None:
+        """Decode the newest valid command: a malformed one does not hide the one before it."""
         for sample in reversed(samples):
-            if (twist := self._read_one(sample)) is not None:
+            if (twist := self._decode(sample)) is not None:
                 return twist
         return None
 
-    def _read_one(self, sample: Sample) -> Twist | None:
+    def _decode(self, sample: Sample) -> Twist | None:
         try:
             return decode_twist(sample.payload, sample.encoding)
         except MalformedPayload as error:

@@ -137,16 +137,16 @@ class GroupDrive:
 
 
 class GroupBaseController:
-    """Keeps drives and odometries at their own rates."""
+    """Drives and odometry of a group, each at its own update rate."""
 
-    def __init__(self, kind: GroupKey) -> None:
-        drive = kind.drive
-        self.targets = np.zeros((0, kind.target_count))
-        """Numbers for `Model.actuators`, a row a robot."""
+    def __init__(self, group_key: GroupKey) -> None:
+        drive = group_key.drive
+        self.targets = np.zeros((0, group_key.target_count))
+        """Targets of `Model.actuators`, a row per robot."""
         self.motions = np.zeros((0, MOTION_COLUMNS))
-        """As of each row's last odometry; see `motions`."""
-        self._kind = kind
-        self._measured = list(kind.measured)
+        """As of each row's last odometry."""
+        self._group_key = group_key
+        self._measured = list(group_key.measured)
         self._drive = GroupDrive(drive)
         self._limiters = GroupRateLimiter(drive.update_rate_hz)
         motion_hz = find_motion_rates(drive)[0]
@@ -157,7 +157,7 @@ class GroupBaseController:
             self._encoders = GroupEncoderOdometry(pair, is_speed_unsigned=is_unsigned)
 
     def remap(self, before: IntArray) -> None:
-        """Carry rows over; see `rows.carried`."""
+        """Remap rows; see `remap_floats`."""
         self.targets = remap_floats(self.targets, before)
         self.motions = remap_floats(self.motions, before)
         self.motions[before < 0] = REST_MOTION
@@ -166,7 +166,7 @@ class GroupBaseController:
                 part.remap(before)
 
     def reset(self) -> None:
-        """Start again: time may have gone back."""
+        """Reset all; time may have gone back."""
         self.targets[:] = 0.0
         self.motions[:] = REST_MOTION
         for part in (self._drive, self._limiters, self._motion_limiter, self._encoders):
@@ -182,20 +182,20 @@ class GroupBaseController:
         velocities: FloatArray,
         twists: FloatArray,
     ) -> IntArray:
-        """Take a state.
+        """Update targets and motions that are due.
 
         Args:
             time_ns: Simulation time.
             base: States of root links, (n, STATE_COLUMNS).
-            positions: Of all joints of each robot [rad or m], (n, joint_count).
-            velocities: The same, a second.
+            positions: Of all joints [rad or m], (n, joint_count).
+            velocities: [rad/s or m/s].
             twists: As commanded, (n, 6).
 
         Returns:
-            The rows whose motion is new.
+            Rows with a new motion.
         """
-        if self._encoders is not None and self._kind.encoder is not None:
-            self._encoders.update(positions[:, list(self._kind.encoder)], time_ns)
+        if self._encoders is not None and self._group_key.encoder is not None:
+            self._encoders.update(positions[:, list(self._group_key.encoder)], time_ns)
         rows, elapsed_s = self._limiters.open(time_ns)
         if len(rows):
             self.targets[rows] = self._drive.update(
@@ -214,5 +214,5 @@ class GroupBaseController:
     def _new_motions(self, rows: IntArray, base: FloatArray) -> FloatArray:
         if self._encoders is not None:
             return self._encoders.motions[rows]
-        motion = find_world_motion(base[rows].T, self._kind.base_in_root, ARRAY_MATH)
+        motion = find_world_motion(base[rows].T, self._group_key.base_in_root, ARRAY_MATH)
         return _stack_motion(len(rows), motion)

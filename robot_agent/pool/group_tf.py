@@ -1,4 +1,4 @@
-"""tf of a group: joint and odometry transforms in arrays, one message per robot or one for all on /tf."""
+"""tf of a group: transforms in arrays, one message per robot, or one for many robots on /tf."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -34,14 +34,10 @@ POSE_COLUMNS = 7
 
 
 class JointTransforms:
-    """Transforms of some joints at any positions, as `frames.MovingJoint` has them."""
+    """Transforms of some joints at any positions; see `MovingJoint`."""
 
     def __init__(self, joints: Sequence[Joint]) -> None:
-        """Take the joints.
-
-        Args:
-            joints: Those that move.
-        """
+        """Stack the constants of joints that move."""
         self.count = len(joints)
         self._at = np.array([joint.origin.position for joint in joints]).reshape(-1, 3)
         self._turned = np.array([joint.origin.orientation for joint in joints]).reshape(-1, 4)
@@ -74,17 +70,17 @@ class JointTransforms:
 
 
 EMPTY_TRANSFORM = TransformStamped()
-"""Stands for the transforms of others."""
+"""Stands for the transforms of other robots."""
 COUNT_STRUCT = struct.Struct("<I")
 FIRST_OFFSET = HEADER_BYTES + COUNT_STRUCT.size
 LATER_OFFSET = len(encode(TFMessage((EMPTY_TRANSFORM,))))
 
 
 class TfMessageBatch:
-    """Transforms of a row each, as many in each row."""
+    """CDR messages of the transforms of many rows, with an equal count per row."""
 
     def __init__(self, templates: Sequence[TFMessage]) -> None:
-        """Write the messages, one a row, with any numbers."""
+        """Encode a message per row, with any numbers."""
         self._count = len(templates[0].transforms) if templates else 0
         self._first = CdrBatch(templates, list_tf_paths(self._count), list_tf_stamps(self._count))
         shifted = [TFMessage((EMPTY_TRANSFORM, *one.transforms)) for one in templates]
@@ -94,11 +90,11 @@ class TfMessageBatch:
         )
 
     def message(self, rows: IntArray, poses: FloatArray, times_ns: IntArray) -> bytes:
-        """Write the transforms of some rows, at least one.
+        """Write one message with the transforms of some rows, at least one.
 
         Args:
-            rows: In the order of the message, none twice; (m,).
-            poses: (m, 7 * transforms of a row).
+            rows: In the order of the message, without duplicates; (m,).
+            poses: (m, 7 * transforms per row).
             times_ns: Stamps, (m,).
         """
         self._first.fill(rows[:1], poses[:1], times_ns[:1])
@@ -113,45 +109,44 @@ class TfMessageBatch:
         return b"".join(parts)
 
     def size(self, row: int) -> int:
-        """Tell how many bytes a row takes."""
+        """Find the size of a row [bytes]."""
         return len(self._later.payload(row)) - LATER_OFFSET
 
 
 class GroupFramePoses:
-    """Remembers joints as they were when they were due; each row has a beat of its own."""
+    """Poses of a group's frames, as of when each row was due."""
 
-    def __init__(self, kind: GroupKey, bases: GroupBaseController) -> None:
-        """Take whose they are, and their motions."""
+    def __init__(self, group_key: GroupKey, bases: GroupBaseController) -> None:
         self._bases = bases
-        rate_hz = find_motion_rates(kind.drive)[2]
+        rate_hz = find_motion_rates(group_key.drive)[2]
         self._limiters = None if rate_hz is None else GroupRateLimiter(rate_hz)
-        self._has_odometry = kind.drive.publish_odom_tf
+        self._has_odometry = group_key.drive.publish_odom_tf
         self._frames = JointTransforms(
-            msgspec.msgpack.decode(kind.geometry, type=tuple[Joint, ...])
+            msgspec.msgpack.decode(group_key.geometry, type=tuple[Joint, ...])
         )
-        self._moving = list(kind.moving)
-        self._positions = np.zeros((0, len(kind.moving)))
+        self._moving = list(group_key.moving)
+        self._positions = np.zeros((0, len(group_key.moving)))
         self._found: tuple[IntArray, FloatArray] | None = None
 
     def remap_rows(self, before: IntArray) -> None:
-        """Carry rows over; see `rows.carried`."""
+        """Remap rows; see `remap_floats`."""
         self._found = None
         if self._limiters is not None:
             self._limiters.remap(before)
         self._positions = remap_floats(self._positions, before)
 
     def reset(self) -> None:
-        """Start again: time may have gone back."""
+        """Forget the cached poses; time may have gone back."""
         self._found = None
         if self._limiters is not None:
             self._limiters.reset()
 
     def take(self, rows: IntArray, positions: FloatArray, time_ns: int) -> IntArray:
-        """Take the joints of those rows that are due, and return these.
+        """Take the joints of the rows that are due; return these rows.
 
         Args:
-            rows: Whose motion is new.
-            positions: Of all joints of all rows, (n, joint_count).
+            rows: Rows with a new motion.
+            positions: Of all joints [rad or m], (n, joint_count).
             time_ns: Simulation time.
         """
         self._found = None
@@ -162,7 +157,7 @@ class GroupFramePoses:
         return rows
 
     def of(self, rows: IntArray) -> FloatArray:
-        """Find the poses of some rows' frames, (m, 7 * frames); for the same rows but once."""
+        """Find the poses of some rows' frames, (m, 7 * frames); cached for the same rows."""
         if self._found is None or self._found[0] is not rows:
             self._found = rows, self._poses(rows)
         return self._found[1]
@@ -175,16 +170,16 @@ class GroupFramePoses:
 
 
 MAX_TF_MESSAGE_BYTES = 32768
-"""About as much as a message has at most: one that is cut in pieces is lost with any of them."""
+"""Approximate limit: a message sent in fragments is lost with any of them."""
 
 
 class GroupTfTopic(GroupTopic):
-    """A message a robot, with its frames as described."""
+    """Transforms on each robot's own topic, with frames as described."""
 
-    def __init__(self, poses: GroupFramePoses, outlet: FleetTopicPublisher, count: int) -> None:
-        """Take whose frames, where they are told, and how many each robot has."""
+    def __init__(self, poses: GroupFramePoses, publisher: FleetTopicPublisher, count: int) -> None:
+        """Create a topic with this count of transforms per robot."""
         super().__init__(
-            outlet,
+            publisher,
             numbers=poses.of,
             paths=message_templates.list_tf_paths(count),
             stamps=message_templates.list_tf_stamps(count),
@@ -192,70 +187,70 @@ class GroupTfTopic(GroupTopic):
 
 
 class SharedTfTopic:
-    """Messages of many robots, with frames that begin with their namespaces."""
+    """Transforms of many robots on the shared topic, with prefixed frames."""
 
     def __init__(
-        self, poses: GroupFramePoses, outlet: FleetTopicPublisher, node: RosNode | None
+        self, poses: GroupFramePoses, publisher: FleetTopicPublisher, node: RosNode | None
     ) -> None:
         """Declare the topic.
 
         Args:
             poses: Of the frames.
-            outlet: Where they leave.
-            node: Who tells it in ROS 2, and nothing else.
+            publisher: Publishes the messages.
+            node: ROS 2 node that publishes this topic only.
         """
         self._node = node
         self._poses = poses
-        self._outlet = outlet
-        self._line = TopicMember(TF.suffix, self, node=node)
-        outlet.add(self._line)
+        self._publisher = publisher
+        self._member = TopicMember(TF.suffix, self, node=node)
+        publisher.add(self._member)
         self._templates: Sequence[TFMessage] = ()
-        self._images: TfMessageBatch | None = None
+        self._batch: TfMessageBatch | None = None
         self._has_value = np.zeros(0, dtype=np.bool_)
-        self._told_ns = np.zeros(0, dtype=np.int64)
+        self._published_ns = np.zeros(0, dtype=np.int64)
 
-    def remap(self, written: Sequence[TFMessage], before: IntArray) -> None:
-        """Take the robots as they are now: a message of each; see `rows.carried`."""
-        self._templates, self._images = written, None
+    def remap(self, templates: Sequence[TFMessage], before: IntArray) -> None:
+        """Set the robots' messages, one per row; for `before` see `remap_floats`."""
+        self._templates, self._batch = templates, None
         self._has_value = remap_flags(self._has_value, before)
-        self._told_ns = remap_ints(self._told_ns, before)
+        self._published_ns = remap_ints(self._published_ns, before)
 
     def reset(self) -> None:
-        """Forget all values: time may have gone back."""
+        """Forget all values; time may have gone back."""
         self._has_value[:] = False
 
     def publish(self, rows: IntArray, time_ns: int) -> None:
-        """Tell the frames of some rows."""
+        """Publish the transforms of some rows."""
         if not len(rows):
             return
         self._has_value[rows] = True
-        self._told_ns[rows] = time_ns
-        if self._outlet.is_wanted:
+        self._published_ns[rows] = time_ns
+        if self._publisher.is_wanted:
             for message in self._messages(rows):
-                self._outlet.put((self._line,), (message,))
+                self._publisher.put((self._member,), (message,))
 
     def payload(self, row: int) -> bytes | None:  # noqa: ARG002 - of the protocol
-        """Write the last values of all; see `outlet.Values`."""
+        """Write the last transforms of all rows; see `LastValues`."""
         rows = np.flatnonzero(self._has_value)
         if not len(rows):
             return None
-        return self._written().message(rows, self._poses.of(rows), self._told_ns[rows])
+        return self._get_batch().message(rows, self._poses.of(rows), self._published_ns[rows])
 
     def close(self) -> None:
-        """Withdraw the topic."""
-        self._outlet.remove(self._line)
+        """Undeclare the topic."""
+        self._publisher.remove(self._member)
         if self._node is not None:
             self._node.close()
 
     def _messages(self, rows: IntArray) -> Iterator[bytes]:
-        images, poses, told_ns = self._written(), self._poses.of(rows), self._told_ns[rows]
-        most = max(1, MAX_TF_MESSAGE_BYTES // images.size(int(rows[0])))
+        batch, poses, times_ns = self._get_batch(), self._poses.of(rows), self._published_ns[rows]
+        most = max(1, MAX_TF_MESSAGE_BYTES // batch.size(int(rows[0])))
         for start in range(0, len(rows), most):
             part = slice(start, start + most)
-            yield images.message(rows[part], poses[part], told_ns[part])
+            yield batch.message(rows[part], poses[part], times_ns[part])
 
-    def _written(self) -> TfMessageBatch:
-        # Only when somebody wants them: fleets come robot by robot.
-        if self._images is None:
-            self._images = TfMessageBatch(self._templates)
-        return self._images
+    def _get_batch(self) -> TfMessageBatch:
+        # Only for subscribers: robots of a fleet are claimed one by one.
+        if self._batch is None:
+            self._batch = TfMessageBatch(self._templates)
+        return self._batch

@@ -20,65 +20,63 @@ from zensim.robot_agent.pool.robot_rows import (
 
 WORD_BYTES = 8
 MAX_CACHED_TEMPLATES = 8192
-"""Where numbers go in messages that were written before: robots come and go one by one."""
+"""Templates are encoded once more when robots come and go, which they do one by one."""
 
 
 class CdrBatch:
-    """A message a row, each byte as `zensim.proto.codec.cdr.encode` writes it."""
+    """A CDR message per row, with the bytes of `zensim.proto.codec.cdr.encode`."""
 
     def __init__(
         self, templates: Sequence[msgspec.Struct], numbers: Sequence[str], stamps: Sequence[str]
     ) -> None:
-        """Write the messages.
+        """Encode the messages.
 
         Args:
-            templates: One a row, of one type, with sequences of the same lengths.
-            numbers: Paths of their float64 numbers that change; see `zensim.proto.codec.cdr_layout`.
-            stamps: Paths of their `Time`s.
+            templates: One per row, of one type, with sequences of equal lengths.
+            numbers: Paths of the float64 fields to fill in; see `proto.codec.cdr_layout`.
+            stamps: Paths of the `Time` fields to fill in.
         """
         paths = tuple(numbers), tuple(stamps)
-        images = {one: _encode_template(one, *paths) for one in dict.fromkeys(templates)}
-        rows = [images[one] for one in templates]
+        encoded = {one: _encode_template(one, *paths) for one in dict.fromkeys(templates)}
+        rows = [encoded[one] for one in templates]
         starts, end = [], 0
-        for image in rows:
-            # The header goes before the word that the message begins at, so that it is aligned.
+        for one in rows:
+            # The header ends at a word boundary, so that the fields are aligned.
             starts.append(end + WORD_BYTES - HEADER_BYTES)
-            end = -(-(starts[-1] + len(image.payload)) // WORD_BYTES) * WORD_BYTES
+            end = -(-(starts[-1] + len(one.payload)) // WORD_BYTES) * WORD_BYTES
         self._buffer = bytearray(end)
-        for image, start in zip(rows, starts, strict=True):
-            self._buffer[start : start + len(image.payload)] = image.payload
+        for one, start in zip(rows, starts, strict=True):
+            self._buffer[start : start + len(one.payload)] = one.payload
         self._views = [
-            memoryview(self._buffer)[start : start + len(image.payload)]
-            for image, start in zip(rows, starts, strict=True)
+            memoryview(self._buffer)[start : start + len(one.payload)]
+            for one, start in zip(rows, starts, strict=True)
         ]
         at = np.array(starts, dtype=np.int64)[:, None]
         self._floats = np.frombuffer(self._buffer, dtype="<f8")
         self._words = np.frombuffer(self._buffer, dtype="<u4")
-        self._number_at = (
-            at + _stack_offsets([image.numbers for image in rows], len(numbers))
-        ) // 8
-        self._sec_at = (at + _stack_offsets([image.stamps for image in rows], len(stamps))) // 4
+        self._number_at = (at + _stack_offsets([one.numbers for one in rows], len(numbers))) // 8
+        self._sec_at = (at + _stack_offsets([one.stamps for one in rows], len(stamps))) // 4
 
     def fill(self, rows: IntArray, numbers: FloatArray, times_ns: IntArray) -> None:
-        """Write numbers (m, numbers) and stamps [ns], (m,), into some rows."""
+        """Fill numbers (m, numbers) and stamps [ns] (m,) into some rows."""
         sec, nanosec = np.divmod(times_ns, NANOSECONDS)
         self._floats[self._number_at[rows]] = numbers
         self._words[self._sec_at[rows]] = sec[:, None]
         self._words[self._sec_at[rows] + 1] = nanosec[:, None]
 
     def payload(self, row: int) -> bytes:
-        """Take one message as it is."""
+        """Return one message."""
         return self._views[row].tobytes()
 
     def payloads(self, rows: IntArray) -> list[bytes]:
-        """Take some messages as they are."""
+        """Return some messages."""
         if len(rows) == len(self._views):
             return [view.tobytes() for view in self._views]
         return [self._views[row].tobytes() for row in rows.tolist()]
 
 
 class _EncodedTemplate:
-    """One message, and where its numbers are."""
+    """An encoded message and the offsets of its fields."""
 
     def __init__(
         self, template: msgspec.Struct, numbers: Sequence[str], stamps: Sequence[str]
@@ -105,91 +103,91 @@ FindNumbers = Callable[[IntArray], FloatArray]
 
 
 class GroupTopic:
-    """Keeps when each row was told, and writes messages only when somebody wants them."""
+    """A topic of each robot of a group; messages are filled only for subscribers."""
 
     def __init__(
         self,
-        outlet: FleetTopicPublisher,
+        publisher: FleetTopicPublisher,
         *,
         numbers: FindNumbers,
         paths: Sequence[str],
         stamps: Sequence[str],
         rate_hz: float | None = None,
     ) -> None:
-        """Take what the messages are made of.
+        """Create a topic without rows.
 
         Args:
-            outlet: Where they leave.
-            numbers: See there.
+            publisher: Publishes the messages.
+            numbers: Finds the numbers of rows.
             paths: Of the numbers in a message.
-            stamps: Paths of its `Time`s.
-            rate_hz: How often a row is told at most; None = whenever asked, 0 = at every state.
+            stamps: Paths of its `Time` fields.
+            rate_hz: Maximum rate of a row; None = at every call, 0 = at every state.
         """
         self._rates = None if rate_hz is None else GroupRateLimiter(rate_hz)
-        self.outlet = outlet
+        self.publisher = publisher
         self._numbers = numbers
         self._paths, self._stamps = paths, stamps
-        self._images = CdrBatch((), paths, stamps)
-        self._lines: list[TopicMember] = []
+        self._batch = CdrBatch((), paths, stamps)
+        self._members: list[TopicMember] = []
         self._has_value = np.zeros(0, dtype=np.bool_)
-        self._told_ns = np.zeros(0, dtype=np.int64)
+        self._published_ns = np.zeros(0, dtype=np.int64)
 
     def remap(
-        self, lines: Sequence[TopicMember], templates: Sequence[msgspec.Struct], before: IntArray
+        self, members: Sequence[TopicMember], templates: Sequence[msgspec.Struct], before: IntArray
     ) -> None:
-        """Take the robots as they are now.
+        """Set the robots and their messages.
 
         Args:
-            lines: One a row.
-            templates: A message of each, with any numbers.
-            before: Where each row was; see `rows.carried`.
+            members: One per row.
+            templates: One per row, with any numbers.
+            before: Former row of each, see `remap_floats`.
         """
-        self._lines = list(lines)
-        for row, line in enumerate(lines):
-            line.row = row
-        self._images = CdrBatch(templates, self._paths, self._stamps)
+        self._members = list(members)
+        for row, member in enumerate(members):
+            member.row = row
+        self._batch = CdrBatch(templates, self._paths, self._stamps)
         self.remap_rows(before)
 
     def remap_rows(self, before: IntArray) -> None:
-        """Carry rows over; see `rows.carried`."""
+        """Remap rows; see `remap_floats`."""
         self._has_value = remap_flags(self._has_value, before)
-        self._told_ns = remap_ints(self._told_ns, before)
+        self._published_ns = remap_ints(self._published_ns, before)
         if self._rates is not None:
             self._rates.remap(before)
 
     def reset(self) -> None:
-        """Forget all values: time may have gone back."""
+        """Forget all values; time may have gone back."""
         self._has_value[:] = False
         if self._rates is not None:
             self._rates.reset()
 
     def due(self, rows: IntArray, time_ns: int) -> IntArray:
-        """Find which of some rows its rate lets through."""
+        """Find the rows that are due by the rate."""
         if self._rates is None or not len(rows):
             return rows
         found, _ = self._rates.open(time_ns)
         return np.intersect1d(rows, found, assume_unique=True)
 
     def publish(self, rows: IntArray, time_ns: int) -> None:
-        """Tell the values of some rows."""
+        """Publish some rows."""
         if not len(rows):
             return
         self._has_value[rows] = True
-        self._told_ns[rows] = time_ns
-        if not self.outlet.is_wanted:
+        self._published_ns[rows] = time_ns
+        if not self.publisher.is_wanted:
             return
         self._fill(rows)
-        lines = self._lines
-        if len(rows) < len(lines):
-            lines = [lines[row] for row in rows.tolist()]
-        self.outlet.put(lines, self._images.payloads(rows))
+        members = self._members
+        if len(rows) < len(members):
+            members = [members[row] for row in rows.tolist()]
+        self.publisher.put(members, self._batch.payloads(rows))
 
     def payload(self, row: int) -> bytes | None:
-        """See `outlet.Values`."""
+        """See `LastValues`."""
         if not self._has_value[row]:
             return None
         self._fill(np.array([row]))
-        return self._images.payload(row)
+        return self._batch.payload(row)
 
     def _fill(self, rows: IntArray) -> None:
-        self._images.fill(rows, self._numbers(rows), self._told_ns[rows])
+        self._batch.fill(rows, self._numbers(rows), self._published_ns[rows])

@@ -13,13 +13,12 @@ from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS
 from zensim.proto.topic_catalog import CMD_VEL, TopicSpec
 from zensim.proto.topic_endpoints import make_topic_factory
-from zensim.robot_agent.drive_state_decoder import RobotState
+from zensim.robot_agent.drive_state_decoder import RobotState, unpack_claims
 from zensim.robot_agent.pool.fleet_cmd_vel import FleetCmdVel
 from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, RosFleetPublisher
 from zensim.robot_agent.pool.group_key import (
     GroupKey,
     can_be_grouped,
-    find_topic_keys,
     make_group_key,
 )
 from zensim.robot_agent.pool.group_telemetry import StaticTopics
@@ -28,10 +27,10 @@ from zensim.robot_agent.pool.robot_group import (
     PoolDriveState,
     PoolStateLayout,
     RobotGroup,
-    unpack_claims,
 )
 from zensim.robot_agent.pool.robot_rows import NEW_ROW, FloatArray
-from zensim.robot_agent.robots import NODE_NAME, Robot
+from zensim.robot_agent.robots import NODE_NAME, Robot, log_malformed_commands
+from zensim.robot_agent.topic_remapping import find_topic_keys
 
 LOG = logging.getLogger("zensim.agent")
 GROUP_NODE_PREFIX = "zensim_pool"
@@ -39,7 +38,7 @@ GROUP_NODE_PREFIX = "zensim_pool"
 
 @dataclass(frozen=True)
 class _SingleRobot:
-    """A robot that is driven by itself, and where it stands in the arrays of its pool."""
+    """A robot that no group can hold, and its indices in the arrays of its pool."""
 
     robot: Robot
     place: int
@@ -48,25 +47,25 @@ class _SingleRobot:
 
 
 class PooledRobots:
-    """Robots by claim, in squads of one kind; those that no squad can drive, one by one."""
+    """Robots by claim, in groups; robots that no group can hold are driven one by one."""
 
     def __init__(
         self,
         network: AgentNetwork,
         timeout_ns: int,
         graph: RosGraph | None = None,
-        ears: AgentNetwork | None = None,
+        rx_session: AgentNetwork | None = None,
     ) -> None:
-        """Hold nobody yet.
+        """Create an empty pool.
 
         Args:
-            network: Where robots tell.
-            timeout_ns: Simulation time that a command holds; 0 = for ever.
-            graph: Where robots are nodes of ROS 2.
-            ears: A session without publishers, where commands are heard; None = `network`.
+            network: Session of the publishers.
+            timeout_ns: Simulation time for which a command is valid; 0 = for ever.
+            graph: ROS 2 graph of the robots' nodes.
+            rx_session: Session without publishers, for commands; None = `network`.
         """
         self.newest_claim = 0
-        """The newest claim that is held; 0 without any."""
+        """0 without claims."""
         self._network = network
         self._graph = graph
         self._ros = graph.settings if graph else NO_ROS
@@ -74,34 +73,37 @@ class PooledRobots:
         self._timeout_ns = timeout_ns
         self._members: dict[int, GroupMember] = {}
         self._robots: dict[int, Robot] = {}
-        self._outlets: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
-        self._constants = StaticTopics(self._find_publisher, self._ros)
-        self._commands = FleetCmdVel(ears or network, timeout_ns, graph.domain if graph else None)
+        self._publishers: dict[tuple[str, TopicSpec], FleetTopicPublisher] = {}
+        self._static_topics = StaticTopics(self._find_publisher, self._ros)
+        self._commands = FleetCmdVel(
+            rx_session or network, timeout_ns, graph.domain if graph else None
+        )
         self._groups: dict[GroupKey, RobotGroup] = {}
         self._claims: bytes | None = None
         self._layout = PoolStateLayout((), ())
         self._singles: tuple[_SingleRobot, ...] = ()
 
     def add_claims(self, claims: Sequence[Claim]) -> None:
-        """Hold what was claimed: it is heard from now on, and told of from its first state on."""
+        """Subscribe to commands of new robots, which publish from their first state on."""
         for claim in claims:
             if can_be_grouped(claim.model):
-                topics = find_topic_keys(claim, self._ros)
-                self._commands.listen(topics.cmd_vel)
-                member = GroupMember(claim, make_group_key(claim.model, topics), topics)
-                member.node = self._join_ros_graph(claim.namespace, topics.cmd_vel)
-                member.constants = self._constants.add(claim, member.node)
+                topic_keys = find_topic_keys(claim, self._ros)
+                self._commands.listen(topic_keys.cmd_vel)
+                group_key = make_group_key(claim.model, topic_keys)
+                member = GroupMember(claim, group_key, topic_keys)
+                member.node = self._join_ros_graph(claim.namespace, topic_keys.cmd_vel)
+                member.static_topics = self._static_topics.add(claim, member.node)
                 self._members[claim.claim] = member
             else:
-                faces = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
-                robot = Robot(faces, claim, self._timeout_ns)
+                factory = make_topic_factory(self._network, self._graph, claim.namespace, NODE_NAME)
+                robot = Robot(factory, claim, self._timeout_ns)
                 robot.announce()
                 self._robots[claim.claim] = robot
         self._claims = None
         self.newest_claim = max((*self._members, *self._robots), default=0)
 
     def release_all_except(self, claims: bytes) -> tuple[str, ...]:
-        """Let go the robots that are not among these claims, and name them."""
+        """Release the robots that are not among these claims; return their entities."""
         if claims == self._claims:
             return ()
         held = (*self._members, *self._robots)
@@ -113,10 +115,11 @@ class PooledRobots:
         self.newest_claim = max((*self._members, *self._robots), default=0)
         if not self.newest_claim:
             self._remap(b"")
+            self._static_topics.forget()
         return lost
 
     def holds(self, claims: bytes) -> bool:
-        """Whether all these claims are held; a state of a claim given up is not for this fleet.
+        """Whether all these claims are held; a state with a released claim is obsolete.
 
         Raises:
             MalformedPayload: They are not whole numbers of 4 bytes.
@@ -128,15 +131,15 @@ class PooledRobots:
         )
 
     def reset(self) -> None:
-        """Start all robots again."""
+        """Reset all robots."""
         self._commands.reset()
-        for squad in self._groups.values():
-            squad.reset()
+        for group in self._groups.values():
+            group.reset()
         for robot in self._robots.values():
             robot.reset()
 
     def advance(self, state: DriveState) -> DriveCommand:
-        """Drive every robot of a state by one control period.
+        """Drive each robot of a state by one control period.
 
         Raises:
             MalformedPayload: The state does not fit the robots.
@@ -145,97 +148,95 @@ class PooledRobots:
             self._remap(state.claims)
         read = self._layout.read(state, self._commands.at(state.time_ns))
         targets = np.zeros(self._layout.target_total)
-        for squad in self._groups.values():
-            squad.advance(read, targets)
-        for loner in self._singles:
-            targets[loner.targets] = loner.robot.advance(_extract_state(loner, read))
+        for group in self._groups.values():
+            group.advance(read, targets)
+        for single in self._singles:
+            targets[single.targets] = single.robot.advance(_extract_state(single, read))
         return DriveCommand(state.epoch, state.step, state.claims, _pack_floats(targets))
 
     def revise(self) -> None:
-        """Answer states only: for one robot's command, arrays of all would be made anew."""
+        """Return nothing: one robot's command would need new arrays of all."""
 
     def publish(self) -> None:
-        """Publish what the last state made due."""
-        for squad in self._groups.values():
-            squad.publish()
-        for loner in self._singles:
-            loner.robot.publish()
+        """Publish what is due at the last state."""
+        for group in self._groups.values():
+            group.publish()
+        for single in self._singles:
+            single.robot.publish()
 
     def answer(self) -> None:
-        """Tell last values to those who have asked; declare some of what is to be declared."""
-        for outlet in tuple(self._outlets.values()):
-            outlet.declare_some()
-            outlet.announce_some()
-            outlet.answer()
+        """Reply to queries with the last values; declare some of the missing publishers."""
+        for publisher in tuple(self._publishers.values()):
+            publisher.declare_some()
+            publisher.announce_some()
+            publisher.answer()
         for robot in self._robots.values():
             robot.answer()
 
     def announce(self) -> None:
-        """Publish what never changes to those who have begun to listen."""
-        for (_, topic), outlet in self._outlets.items():
+        """Publish static topics to new subscribers."""
+        for (_, topic), publisher in self._publishers.items():
             if topic.is_latched:
-                outlet.announce()
+                publisher.announce()
         for robot in self._robots.values():
             robot.announce()
 
     def log_malformed(self) -> None:
-        """Log which commands were malformed."""
-        for key, complaint in self._commands.take_malformed_reports():
-            LOG.warning("cmd_vel key=%s %s", key, complaint)
-        for robot in self._robots.values():
-            if robot.commanded and (complaint := robot.commanded.take_malformed_report()):
-                LOG.warning("cmd_vel entity=%s %s", robot.entity, complaint)
+        """Log malformed commands."""
+        for key, report in self._commands.take_malformed_reports():
+            LOG.warning("cmd_vel key=%s %s", key, report)
+        log_malformed_commands(self._robots.values())
 
     def _release(self, claim: int) -> str:
         if (robot := self._robots.pop(claim, None)) is not None:
             robot.close()
             return robot.entity
         member = self._members.pop(claim)
-        self._constants.remove(member.constants)
-        if member.kind in self._groups:
-            self._groups[member.kind].release(member)
+        self._static_topics.remove(member.static_topics)
+        if member.group_key in self._groups:
+            self._groups[member.group_key].release(member)
         if member.node is not None:
             member.node.close()
         return member.claim.entity
 
     def _remap(self, claims: bytes) -> None:
-        """Take the robots in the order of a state, and carry over what each remembers."""
+        """Put the robots into the order of a state; rows of robots that stay keep their values."""
         order = unpack_claims(claims)
         self._layout, self._claims = self._make_layout(order), claims
         members = [self._members.get(one) for one in order]
         self._commands.remap(
-            [member.topics.cmd_vel if member else "" for member in members],
+            [member.topic_keys.cmd_vel if member else "" for member in members],
             np.array([member.place if member else NEW_ROW for member in members], dtype=np.int64),
         )
-        squads: dict[GroupKey, list[GroupMember]] = {}
+        groups: dict[GroupKey, list[GroupMember]] = {}
         for place, member in enumerate(members):
             if member is not None:
                 member.place = place
-                squads.setdefault(member.kind, []).append(member)
-        for kind in [kind for kind in self._groups if kind not in squads]:
-            self._groups.pop(kind).close()
-        self._groups = {kind: self._update_group(kind, cast) for kind, cast in squads.items()}
+                groups.setdefault(member.group_key, []).append(member)
+        for key in [key for key in self._groups if key not in groups]:
+            self._groups.pop(key).close()
+        self._groups = {key: self._update_group(key, group) for key, group in groups.items()}
         self._singles = tuple(
             _SingleRobot(self._robots[one], place, *self._layout.find_slices(place))
             for place, one in enumerate(order)
             if one in self._robots
         )
-        for key in [key for key, outlet in self._outlets.items() if outlet.is_empty]:
-            self._outlets.pop(key).close()
+        for topic in [one for one, publisher in self._publishers.items() if publisher.is_empty]:
+            self._publishers.pop(topic).close()
 
-    def _update_group(self, kind: GroupKey, members: Sequence[GroupMember]) -> RobotGroup:
-        squad = self._groups.get(kind) or RobotGroup(
-            kind, self._find_publisher, self._make_group_node()
+    def _update_group(self, key: GroupKey, members: Sequence[GroupMember]) -> RobotGroup:
+        group = self._groups.get(key) or RobotGroup(
+            key, self._find_publisher, self._make_group_node()
         )
-        squad.remap(members, self._layout.find_group_slots([member.place for member in members]))
-        return squad
+        group.remap(members, self._layout.find_group_slots([member.place for member in members]))
+        return group
 
     def _make_layout(self, order: Sequence[int]) -> PoolStateLayout:
         joints, targets = [], []
         for one in order:
             if (member := self._members.get(one)) is not None:
-                joints.append(member.kind.joint_count)
-                targets.append(member.kind.target_count)
+                joints.append(member.group_key.joint_count)
+                targets.append(member.group_key.target_count)
             else:
                 joints.append(self._robots[one].joint_count)
                 targets.append(self._robots[one].target_count)
@@ -243,11 +244,11 @@ class PooledRobots:
 
     def _find_publisher(self, pattern: str, topic: TopicSpec) -> FleetTopicPublisher:
         key = (pattern, topic)
-        if key not in self._outlets:
+        if key not in self._publishers:
             endpoint = topic.at(pattern)
             ros = self._make_ros_publisher(endpoint)
-            self._outlets[key] = FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
-        return self._outlets[key]
+            self._publishers[key] = FleetTopicPublisher(self._network, pattern, endpoint.kind, ros)
+        return self._publishers[key]
 
     def _make_ros_publisher(self, topic: Topic) -> RosFleetPublisher | None:
         if self._graph is None or self._graph.domain is None:
@@ -255,14 +256,14 @@ class PooledRobots:
         return RosFleetPublisher(self._network, self._graph, topic)
 
     def _make_group_node(self) -> RosNode | None:
-        """Add to ROS 2's graph who tells what a squad's robots share."""
+        """Add the node that publishes the shared topic of a group to the ROS 2 graph."""
         if self._graph is None:
             return None
         number = next(self._numbers)
         return self._graph.add_node("", f"{GROUP_NODE_PREFIX}_{self._graph.zid[:8]}_{number}")
 
     def _join_ros_graph(self, namespace: str, cmd_vel: str) -> RosNode | None:
-        """Let a robot into ROS 2's graph: as a node that hears commands."""
+        """Add a robot to the ROS 2 graph, as a node that subscribes to commands."""
         node = self._graph.add_node(namespace, NODE_NAME) if self._graph else None
         if node is not None:
             for kind in CMD_VEL.messages:
@@ -270,12 +271,12 @@ class PooledRobots:
         return node
 
 
-def _extract_state(loner: _SingleRobot, read: PoolDriveState) -> RobotState:
+def _extract_state(single: _SingleRobot, read: PoolDriveState) -> RobotState:
     return RobotState(
         read.time_ns,
-        tuple(read.base[loner.place].tolist()),
-        tuple(read.positions[loner.joints].tolist()),
-        tuple(read.velocities[loner.joints].tolist()),
+        tuple(read.base[single.place].tolist()),
+        tuple(read.positions[single.joints].tolist()),
+        tuple(read.velocities[single.joints].tolist()),
     )
 
 

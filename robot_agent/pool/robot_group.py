@@ -1,6 +1,5 @@
-"""A group of equal robots with an array row each, and where rows stand in drive states and commands."""
+"""A group of equal robots with an array row each, and their places in states and commands."""
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,35 +12,36 @@ from zensim.proto.messages.standard_messages import TFMessage
 from zensim.proto.ros2.ros_graph import RosNode
 from zensim.robot_agent.pool.fleet_publisher import TopicMember
 from zensim.robot_agent.pool.group_bases import GroupBaseController
-from zensim.robot_agent.pool.group_key import GroupKey, RobotTopicKeys
+from zensim.robot_agent.pool.group_key import GroupKey
 from zensim.robot_agent.pool.group_telemetry import FindPublisher, GroupTelemetry
 from zensim.robot_agent.pool.robot_rows import NEW_ROW, FloatArray, IntArray
+from zensim.robot_agent.topic_remapping import RobotTopicKeys
 
 
 @dataclass(eq=False)
 class GroupMember:
-    """One robot of a squad."""
+    """One robot of a group."""
 
     claim: Claim
-    kind: GroupKey
-    topics: RobotTopicKeys
+    group_key: GroupKey
+    topic_keys: RobotTopicKeys
     row: int = NEW_ROW
-    """In its squad."""
+    """In its group."""
     place: int = NEW_ROW
     """In its pool."""
-    lines: tuple[TopicMember, ...] = ()
-    constants: tuple[TopicMember, ...] = ()
+    topics: tuple[TopicMember, ...] = ()
+    static_topics: tuple[TopicMember, ...] = ()
     templates: Sequence[msgspec.Struct] = ()
-    """A message a line."""
+    """One per topic."""
     shared_tf: TFMessage | None = None
-    """What it has on the topic that all share."""
+    """Its transforms on the shared topic."""
     node: RosNode | None = None
-    """In ROS 2's graph."""
+    """In the ROS 2 graph."""
 
 
 @dataclass(frozen=True)
 class PoolDriveState:
-    """What one drive state says, in arrays; flat where robots differ in how much there is."""
+    """A drive state in arrays; flat where robots differ in the count of numbers."""
 
     time_ns: int
     base: FloatArray
@@ -54,7 +54,7 @@ class PoolDriveState:
 
 @dataclass(frozen=True)
 class GroupSlots:
-    """Where the rows of a squad stand in the arrays of its pool."""
+    """Indices of a group's rows in the arrays of its pool."""
 
     places: IntArray
     """(n,)."""
@@ -66,7 +66,7 @@ class GroupSlots:
 
 @dataclass(frozen=True)
 class _DueTelemetry:
-    """What `tell` has to tell."""
+    """Telemetry that is due at the last state."""
 
     rows: IntArray
     positions: FloatArray
@@ -75,51 +75,50 @@ class _DueTelemetry:
 
 
 class RobotGroup:
-    """Turns states into targets, then into telemetry."""
+    """States of equal robots to targets and telemetry."""
 
     def __init__(
-        self, kind: GroupKey, find_publisher: FindPublisher, node: RosNode | None = None
+        self, group_key: GroupKey, find_publisher: FindPublisher, node: RosNode | None = None
     ) -> None:
-        self._kind = kind
-        self._bases = GroupBaseController(kind)
-        self._telemetry = GroupTelemetry(kind, self._bases, find_publisher, node)
+        self._bases = GroupBaseController(group_key)
+        self._telemetry = GroupTelemetry(group_key, self._bases, find_publisher, node)
         self._slots: GroupSlots | None = None
         self._due: _DueTelemetry | None = None
 
-    def remap(self, members: Sequence[GroupMember], seats: GroupSlots) -> None:
-        """Take the robots as they are now, and where they stand."""
+    def remap(self, members: Sequence[GroupMember], slots: GroupSlots) -> None:
+        """Set the robots, one per row, and their indices in the pool."""
         before = np.array([member.row for member in members], dtype=np.int64)
-        self._slots, self._due = seats, None
+        self._slots, self._due = slots, None
         self._bases.remap(before)
         for row, member in enumerate(members):
             member.row = row
-            if not member.lines:
-                member.lines = self._lines(member)
+            if not member.topics:
+                member.topics = self._declare_topics(member)
         self._remap_topics(members, before)
 
     def reset(self) -> None:
-        """Start again: time may have gone back."""
+        """Reset all robots; time may have gone back."""
         self._due = None
         self._bases.reset()
         self._telemetry.reset()
 
     def advance(self, state: PoolDriveState, targets: FloatArray) -> None:
         """Take a state; write the targets of its robots into those of the pool."""
-        if (seats := self._slots) is None:
+        if (slots := self._slots) is None:
             return
-        positions, velocities = state.positions[seats.joints], state.velocities[seats.joints]
+        positions, velocities = state.positions[slots.joints], state.velocities[slots.joints]
         rows = self._bases.update(
             state.time_ns,
-            base=state.base[seats.places],
+            base=state.base[slots.places],
             positions=positions,
             velocities=velocities,
-            twists=state.twists[seats.places],
+            twists=state.twists[slots.places],
         )
-        targets[seats.targets] = self._bases.targets
+        targets[slots.targets] = self._bases.targets
         self._due = _DueTelemetry(rows, positions, velocities, state.time_ns)
 
     def publish(self) -> None:
-        """Publish what the last state made due."""
+        """Publish what is due at the last state."""
         if (due := self._due) is not None:
             self._due = None
             self._telemetry.publish(
@@ -127,35 +126,35 @@ class RobotGroup:
             )
 
     def release(self, member: GroupMember) -> None:
-        """Withdraw what a robot tells."""
-        for topic, line in zip(self._telemetry.topics, member.lines, strict=False):
-            topic.outlet.remove(line)
-        member.lines = ()
+        """Undeclare a robot's topics."""
+        for topic, topic_member in zip(self._telemetry.topics, member.topics, strict=False):
+            topic.publisher.remove(topic_member)
+        member.topics = ()
 
     def close(self) -> None:
-        """Withdraw what its robots share; they have been dismissed, or are in other squads."""
+        """Undeclare the shared topic; robots were released, or are in other groups."""
         self._telemetry.close()
 
-    def _lines(self, member: GroupMember) -> tuple[TopicMember, ...]:
-        named = self._telemetry.list_keys(member.topics)
-        lines = []
-        for topic, key in zip(self._telemetry.topics, named, strict=True):
-            lines.append(TopicMember(key, topic, node=member.node))
-            topic.outlet.add(lines[-1])
-        return tuple(lines)
+    def _declare_topics(self, member: GroupMember) -> tuple[TopicMember, ...]:
+        found = []
+        listed = self._telemetry.list_keys(member.topic_keys)
+        for topic, key in zip(self._telemetry.topics, listed, strict=True):
+            found.append(TopicMember(key, topic, node=member.node))
+            topic.publisher.add(found[-1])
+        return tuple(found)
 
     def _remap_topics(self, members: Sequence[GroupMember], before: IntArray) -> None:
         new = [member for member in members if not member.templates]
         models = {id(one.claim.model): one.claim.model for one in new}
-        written = {key: self._telemetry.make_templates(model) for key, model in models.items()}
+        templates = {key: self._telemetry.make_templates(model) for key, model in models.items()}
         for one in new:
-            one.templates = written[id(one.claim.model)]
+            one.templates = templates[id(one.claim.model)]
             one.shared_tf = self._telemetry.make_shared_template(
                 one.claim.model, one.claim.namespace
             )
         for number, topic in enumerate(self._telemetry.topics):
             topic.remap(
-                [member.lines[number] for member in members],
+                [member.topics[number] for member in members],
                 [member.templates[number] for member in members],
                 before,
             )
@@ -167,7 +166,7 @@ FLOAT_BYTES = 8
 
 
 class PoolStateLayout:
-    """Robots in the order of a state's claims, and where their joints and targets begin."""
+    """Robots in the order of a state's claims, and the start of their joints and targets."""
 
     def __init__(self, joint_counts: Sequence[int], target_counts: Sequence[int]) -> None:
         self._joints = np.concatenate([[0], np.cumsum(joint_counts)]).astype(np.int64)
@@ -175,11 +174,11 @@ class PoolStateLayout:
 
     @property
     def target_total(self) -> int:
-        """How many numbers a command has."""
+        """Count of numbers in a command."""
         return int(self._targets[-1])
 
     def find_group_slots(self, places: Sequence[int]) -> GroupSlots:
-        """Find the seats of robots that all have as many joints and targets."""
+        """Find the indices of robots with equal counts of joints and targets."""
         at = np.array(places, dtype=np.int64)
         joints, targets = self._joints, self._targets
         return GroupSlots(
@@ -189,15 +188,15 @@ class PoolStateLayout:
         )
 
     def find_slices(self, place: int) -> tuple[slice, slice]:
-        """Find where the joints and the targets of one robot are."""
+        """Find the joints and the targets of one robot."""
         joints, targets = self._joints[place : place + 2], self._targets[place : place + 2]
         return slice(*joints.tolist()), slice(*targets.tolist())
 
     def read(self, state: DriveState, twists: FloatArray) -> PoolDriveState:
-        """Lay a state out in arrays.
+        """Unpack a state into arrays.
 
         Raises:
-            MalformedPayload: It has not the numbers that its claims call for.
+            MalformedPayload: The count of numbers does not match the claims.
         """
         rows, joints = len(self._joints) - 1, int(self._joints[-1])
         return PoolDriveState(
@@ -207,17 +206,6 @@ class PoolStateLayout:
             _unpack_floats(state.joint_velocities, joints),
             twists,
         )
-
-
-def unpack_claims(claims: bytes) -> list[int]:
-    """Read the claims of a state.
-
-    Raises:
-        MalformedPayload: They are not whole numbers of 4 bytes.
-    """
-    if len(claims) % 4:
-        raise MalformedPayload(f"{len(claims)} bytes of claims; each has 4")
-    return list(struct.unpack(f"<{len(claims) // 4}I", claims))
 
 
 def _unpack_floats(numbers: bytes, count: int) -> FloatArray:

@@ -10,16 +10,16 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 NEW_ROW = -1
-"""Stands for a row that was not there before."""
+"""Former row of a robot that is new."""
 
 
 def remap_floats(column: FloatArray, before: IntArray, fresh: float = 0.0) -> FloatArray:
-    """Cut a column anew.
+    """Rearrange the rows of a column.
 
     Args:
         column: (n, ...).
-        before: Where each of the rows-to-be was, or `NEW_ROW`; (m,).
-        fresh: What new rows hold.
+        before: Former row of each new row, or `NEW_ROW`; (m,).
+        fresh: Value of new rows.
     """
     out = np.full((len(before), *column.shape[1:]), fresh)
     is_kept = before != NEW_ROW
@@ -28,7 +28,7 @@ def remap_floats(column: FloatArray, before: IntArray, fresh: float = 0.0) -> Fl
 
 
 def remap_ints(column: IntArray, before: IntArray) -> IntArray:
-    """Cut a column of whole numbers anew; new rows hold 0."""
+    """Rearrange the rows of a column of integers; new rows are 0."""
     out = np.zeros((len(before), *column.shape[1:]), dtype=np.int64)
     is_kept = before != NEW_ROW
     out[is_kept] = column[before[is_kept]]
@@ -36,7 +36,7 @@ def remap_ints(column: IntArray, before: IntArray) -> IntArray:
 
 
 def remap_flags(column: BoolArray, before: IntArray) -> BoolArray:
-    """Cut a column of flags anew; new rows are False."""
+    """Rearrange the rows of a column of flags; new rows are False."""
     out = np.zeros(len(before), dtype=np.bool_)
     is_kept = before != NEW_ROW
     out[is_kept] = column[before[is_kept]]
@@ -44,7 +44,7 @@ def remap_flags(column: BoolArray, before: IntArray) -> BoolArray:
 
 
 class GroupRateLimiter:
-    """A gate a row, all of one rate; each has a beat of its own."""
+    """A rate limiter per row, all of one rate; see `RateLimiter`."""
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(NANOSECONDS / rate_hz) if rate_hz > 0.0 else 0
@@ -53,20 +53,20 @@ class GroupRateLimiter:
         self._due_ns = np.zeros(0, dtype=np.int64)
 
     def remap(self, before: IntArray) -> None:
-        """Carry rows over; see `rows.carried`."""
+        """Remap rows; see `remap_floats`."""
         self._has_opened = remap_flags(self._has_opened, before)
         self._opened_ns = remap_ints(self._opened_ns, before)
         self._due_ns = remap_ints(self._due_ns, before)
 
     def reset(self) -> None:
-        """Forget when any was open."""
+        """Forget the last openings."""
         self._has_opened[:] = False
 
     def open(self, time_ns: int) -> tuple[IntArray, FloatArray]:
-        """Open those that are due.
+        """Open the rows that are due.
 
         Returns:
-            Their rows (m,), and the time [s] since each was open last, one period at first.
+            Their rows (m,), and the time [s] since their last opening, one period at first.
         """
         is_first = ~self._has_opened
         self._opened_ns[is_first] = time_ns - self._period_ns

@@ -15,14 +15,14 @@ def test_layout_cuts_a_state_robot_by_robot() -> None:
         joint_velocities=a_state(0, positions=(4.0, 5.0, 6.0)).joint_positions,
     )
 
-    assert DriveStateLayout((1, 2)).readings(state) == [
+    assert DriveStateLayout((1, 2)).split(state) == [
         RobotState(50_000_000, AT_REST, (1.0,), (4.0,)),
         RobotState(50_000_000, AT_REST, (2.0, 3.0), (5.0, 6.0)),
     ]
 
 
 def test_layout_cuts_nothing_when_there_are_no_robots() -> None:
-    assert DriveStateLayout(()).readings(a_state(0, (), positions=(), velocities=())) == []
+    assert DriveStateLayout(()).split(a_state(0, (), positions=(), velocities=())) == []
 
 
 @pytest.mark.parametrize("field", ["base", "joint_positions", "joint_velocities"])
@@ -31,7 +31,7 @@ def test_layout_refuses_a_state_that_does_not_fit(field: str) -> None:
     short = msgspec.structs.replace(state, **{field: getattr(state, field)[:-1]})
 
     with pytest.raises(MalformedPayload):
-        DriveStateLayout((2,)).readings(short)
+        DriveStateLayout((2,)).split(short)
 
 
 def test_timeline_goes_on_with_each_step() -> None:

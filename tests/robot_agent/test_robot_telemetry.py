@@ -29,6 +29,7 @@ from zensim.robot_agent.robot_telemetry import (
     make_tf_publishers,
     prefix_frames,
 )
+from zensim.robot_agent.topic_remapping import find_topic_keys
 
 EDGE = TFMessage((TransformStamped(Header(frame_id="odom"), "base_link"),))
 
@@ -41,8 +42,13 @@ def told(scope: TfScope) -> dict[str, list[tuple[str, str]]]:
     bus = MemoryBus()
     heard = bus.subscribe("**", 8)
     faces = TopicFactory(bus, settings=RosSettings(tf=scope))
+    claim = msgspec.structs.replace(a_claim(), namespace="team/r1")
     outlets = make_tf_publishers(
-        faces, "team/r1", "team/r1/tf", template=EDGE, value_of=lambda message: lambda: message
+        faces,
+        "team/r1",
+        find_topic_keys(claim, faces.settings),
+        template=EDGE,
+        value_of=lambda message: lambda: message,
     )
     for outlet in outlets:
         outlet.publish()
@@ -73,7 +79,11 @@ def test_nothing_is_told_while_there_is_nothing() -> None:
 
     faces = TopicFactory(bus, settings=RosSettings())
     outlets = make_tf_publishers(
-        faces, "r1", "r1/tf", template=EDGE, value_of=lambda _: lambda: None
+        faces,
+        "r1",
+        find_topic_keys(a_claim(), faces.settings),
+        template=EDGE,
+        value_of=lambda _: lambda: None,
     )
     for outlet in outlets:
         outlet.publish()

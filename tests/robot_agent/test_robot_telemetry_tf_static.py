@@ -13,7 +13,11 @@ from zensim.proto.messages.drive_messages import DiffDrive
 from zensim.proto.messages.standard_messages import Header, TFMessage, TransformStamped
 from zensim.proto.ros2.ros_settings import RosSettings, TfScope
 from zensim.proto.topic_endpoints import TopicFactory
-from zensim.robot_agent.robot_telemetry import list_tf_static, make_tf_static_publishers
+from zensim.robot_agent.robot_telemetry import (
+    list_static_messages,
+    make_fixed_transforms,
+    make_static_publishers,
+)
 
 FIXED = TFMessage((TransformStamped(Header(frame_id="base_link"), "lidar"),))
 NOTHING = TFMessage()
@@ -33,12 +37,14 @@ def told(
     settings = RosSettings(tf=tf, tf_root=root)
     return {
         key: [(edge.header.frame_id, edge.child_frame_id) for edge in message.transforms]
-        for key, message in list_tf_static(claim, fixed, settings)
+        for _, key, message in list_static_messages(claim, fixed, settings)
+        if isinstance(message, TFMessage)
     }
 
 
 def root_of(claim: Claim) -> TransformStamped:
-    ((_, message),) = list_tf_static(claim, NOTHING, RosSettings(tf="global"))
+    ((_, _, message),) = list_static_messages(claim, NOTHING, RosSettings(tf="global"))
+    assert isinstance(message, TFMessage)
     return message.transforms[-1]
 
 
@@ -91,10 +97,14 @@ def test_encoders_of_a_robot_whose_spawn_nobody_told_begin_at_the_root() -> None
 
 def test_fixed_transforms_are_for_late_joiners_too() -> None:
     bus = MemoryBus()
-    outlets = make_tf_static_publishers(TopicFactory(bus, settings=RosSettings()), a_claim(), FIXED)
-    bus.pumps += [outlet.answer for outlet in outlets]
+    publishers = make_static_publishers(TopicFactory(bus, settings=RosSettings()), a_claim())
+    bus.pumps += [publisher.answer for publisher in publishers]
 
+    fixed = make_fixed_transforms(a_claim().model)
     (own,), (shared,) = bus.get("r1/tf_static"), bus.get("tf_static")
 
-    assert decode(TFMessage, own.payload, own.encoding) == FIXED
-    assert len(decode(TFMessage, shared.payload, shared.encoding).transforms) == 2
+    assert decode(TFMessage, own.payload, own.encoding) == fixed
+    assert (
+        len(decode(TFMessage, shared.payload, shared.encoding).transforms)
+        == len(fixed.transforms) + 1
+    )

@@ -90,7 +90,7 @@ def test_robot_without_a_drive_tells_its_joints_and_hears_nothing() -> None:
     listener = bus.subscribe("r1/*", 8)
     robot = a_robot(bus, two_wheeler(None))
 
-    assert robot.commanded is None
+    assert robot.cmd_vel is None
     assert robot.advance(reading(0)) == ()
     robot.publish()
 
