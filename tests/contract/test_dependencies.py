@@ -24,7 +24,8 @@ def outside_imports(path: Path) -> set[str]:
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.add(node.module)
-    ours = {*PACKAGES, "tests", *sys.stdlib_module_names}
+    # mypy knows typing_extensions; it is imported for type checking only.
+    ours = {*PACKAGES, "tests", "typing_extensions", *sys.stdlib_module_names}
     return {name.split(".")[0] for name in names} - ours
 
 
