@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 STORE_BUDGET_BYTES = 1 << 30
-"""Of all files; those not used for longest go first."""
+"""Bytes of all evictable files; the least recently used are evicted first."""
 MAX_UNFINISHED = 512
-MAX_CACHED_CORNERS = 256
-"""Meshes whose corners are kept in memory: 0.7 MB at most each, 7 kB when it is a hull."""
+MAX_CACHED_VERTICES = 256
+"""Meshes whose vertices are kept in memory: 0.7 MB at most each, 7 kB for a hull."""
 SHA256_PATTERN = re.compile(r"[0-9a-f]{64}")
 
 
@@ -40,26 +40,26 @@ class _PartialFile:
 
 
 class AssetStore:
-    """What was sent, and the meshes that were made of it."""
+    """Uploaded files, and the meshes that were generated from them."""
 
     def __init__(self, budget_bytes: int = STORE_BUDGET_BYTES) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="zensim-assets-"))
         self._budget_bytes = budget_bytes
         self._sizes: OrderedDict[str, int] = OrderedDict()
         self._pinned: dict[str, int] = {}
-        self._loose_bytes = 0
+        self._evictable_bytes = 0
         self._unfinished: OrderedDict[str, _PartialFile] = OrderedDict()
-        self._corners: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
+        self._vertices: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
 
     def __contains__(self, sha256: str) -> bool:
-        """Whether the whole file is here."""
+        """Whether the file is complete."""
         return sha256 in self._sizes or sha256 in self._pinned
 
     def missing(self, sha256s: Iterable[str]) -> list[tuple[str, int]]:
-        """List the files that are not here, each with how many of its bytes are.
+        """List the files that are incomplete, each with the number of its bytes that were received.
 
         Raises:
-            AssetRefused: There are too many, or one is no sha256.
+            AssetRefused: There are too many, or one is not a sha256.
         """
         wanted = dict.fromkeys(sha256s)
         if len(wanted) > MAX_BUNDLE_FILES:
@@ -72,18 +72,18 @@ class AssetStore:
         return [(name, partial[name].received if name in partial else 0) for name in absent]
 
     def put(self, sha256: str, *, offset: int, total: int, data: bytes) -> int:
-        """Take the next piece of a file; a piece that is here already changes nothing.
+        """Append a chunk to a file; a chunk that was received before has no effect.
 
         Returns:
-            How many bytes from the start are here.
+            How many bytes from the start were received.
 
         Raises:
-            AssetRefused: The piece does not fit, or the whole file has another sha256.
+            AssetRefused: The chunk does not fit, or the complete file has another sha256.
         """
         _check_sha256(sha256)
         if sha256 in self:
             return self.size(sha256)
-        self._check_piece(sha256, offset, total, len(data))
+        self._check_chunk(sha256, offset, total, len(data))
         file = self._unfinished.setdefault(sha256, _PartialFile(total))
         if offset + len(data) <= file.received and data:
             return file.received
@@ -93,40 +93,40 @@ class AssetStore:
         return file.received
 
     def keep(self, sha256: str, data: bytes) -> None:
-        """Keep a file that the server itself made."""
+        """Store a file that the server generated."""
         if sha256 not in self:
             self._path(sha256).write_bytes(data)
             self._add(sha256, len(data))
 
     def pin(self, sha256: str, data: bytes) -> None:
-        """Keep a file for as long as the server runs; it is no part of the budget."""
+        """Store a file that is never evicted; it does not count in the budget."""
         if sha256 in self._sizes:
-            self._loose_bytes -= self._sizes.pop(sha256)
+            self._evictable_bytes -= self._sizes.pop(sha256)
         self._path(sha256).write_bytes(data)
         self._pinned[sha256] = len(data)
 
     def pin_kept(self, sha256: str) -> None:
-        """Keep a file that is here for as long as the server runs.
+        """Never evict a stored file.
 
         Raises:
-            AssetRefused: It is not here.
+            AssetRefused: It is not stored.
         """
         size = self.size(sha256)
         if self._sizes.pop(sha256, None) is not None:
-            self._loose_bytes -= size
+            self._evictable_bytes -= size
             self._pinned[sha256] = size
 
     def size(self, sha256: str) -> int:
-        """Length of a file.
+        """Return the length of a file [bytes], and mark it as used.
 
         Raises:
-            AssetRefused: It is not here.
+            AssetRefused: It is not stored.
         """
         if sha256 in self._pinned:
             return self._pinned[sha256]
         if (size := self._sizes.get(sha256)) is None:
             raise AssetRefused(
-                f"no file {sha256[:80]!r} is here; send it by put_asset",
+                f"file {sha256[:80]!r} is not stored; send it by put_asset",
                 slug="bundle.unknown",
                 code=ResultCode.NOT_FOUND,
             )
@@ -134,10 +134,10 @@ class AssetStore:
         return size
 
     def read(self, sha256: str, offset: int, max_bytes: int) -> bytes:
-        """Read a piece of a file.
+        """Read a part of a file.
 
         Raises:
-            AssetRefused: It is not here, or is shorter.
+            AssetRefused: It is not stored, or is shorter.
         """
         if offset > (size := self.size(sha256)):
             raise AssetRefused(
@@ -147,24 +147,22 @@ class AssetStore:
             file.seek(offset)
             return file.read(max_bytes)
 
-    def corners(self, sha256: str) -> NDArray[np.float32]:
-        """Find the corners (n, 3) of a mesh that the server made, none twice; they are kept.
+    def vertices(self, sha256: str) -> NDArray[np.float32]:
+        """Read the distinct vertices (n, 3) of a generated mesh; they are cached.
 
         Raises:
-            AssetRefused: It is not here.
+            AssetRefused: It is not stored.
         """
-        if (found := self._corners.get(sha256)) is None:
-            found = self._corners[sha256] = _find_unique_corners(
-                read_corners(self.read(sha256, 0, -1))
-            )
-        self._corners.move_to_end(sha256)
-        while len(self._corners) > MAX_CACHED_CORNERS:
-            self._corners.popitem(last=False)
+        if (found := self._vertices.get(sha256)) is None:
+            found = self._vertices[sha256] = _drop_repeated(read_corners(self.read(sha256, 0, -1)))
+        self._vertices.move_to_end(sha256)
+        while len(self._vertices) > MAX_CACHED_VERTICES:
+            self._vertices.popitem(last=False)
         return found
 
     @property
     def folder(self) -> str:
-        """Where `<sha256>.stl` is for each mesh that the server made."""
+        """Folder of the files, named `<sha256>.stl`."""
         return str(self._folder)
 
     def close(self) -> None:
@@ -172,17 +170,17 @@ class AssetStore:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def _path(self, sha256: str) -> Path:
-        # Engines know a mesh by its ending.
+        # Engines recognize a mesh by its suffix.
         return self._folder / f"{sha256}.stl"
 
-    def _check_piece(self, sha256: str, offset: int, total: int, length: int) -> None:
+    def _check_chunk(self, sha256: str, offset: int, total: int, length: int) -> None:
         if not 0 < total <= MAX_FILE_BYTES:
             raise AssetRefused(
                 f"a file of {total} bytes; use 1 to {MAX_FILE_BYTES} bytes", slug="bundle.size"
             )
         if length > MAX_CHUNK_BYTES:
             raise AssetRefused(
-                f"a piece of {length} bytes; send {MAX_CHUNK_BYTES} at most", slug="bundle.chunk"
+                f"a chunk of {length} bytes; send at most {MAX_CHUNK_BYTES}", slug="bundle.chunk"
             )
         known = self._unfinished.get(sha256) or _PartialFile(total)
         if total != known.total or offset + length > total:
@@ -192,7 +190,7 @@ class AssetStore:
             )
         if offset > known.received:
             raise AssetRefused(
-                f"offset {offset} leaves a gap; go on from {known.received}", slug="bundle.offset"
+                f"offset {offset} leaves a gap; continue at {known.received}", slug="bundle.offset"
             )
 
     def _append(self, sha256: str, file: _PartialFile, data: bytes) -> None:
@@ -225,23 +223,23 @@ class AssetStore:
 
     def _add(self, sha256: str, size: int) -> None:
         self._sizes[sha256] = size
-        self._loose_bytes += size
-        while self._loose_bytes > self._budget_bytes and len(self._sizes) > 1:
+        self._evictable_bytes += size
+        while self._evictable_bytes > self._budget_bytes and len(self._sizes) > 1:
             oldest, freed = self._sizes.popitem(last=False)
-            self._loose_bytes -= freed
+            self._evictable_bytes -= freed
             self._path(oldest).unlink(missing_ok=True)
 
 
-def _find_unique_corners(corners: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Leave out what is repeated: triangles share corners, six a corner as a rule."""
-    whole = np.ascontiguousarray(corners).view(np.dtype((np.void, 3 * corners.itemsize)))
-    return np.unique(whole).view(np.float32).reshape(-1, 3)
+def _drop_repeated(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Drop repeated vertices: a vertex is shared by six triangles as a rule."""
+    rows = np.ascontiguousarray(vertices).view(np.dtype((np.void, 3 * vertices.itemsize)))
+    return np.unique(rows).view(np.float32).reshape(-1, 3)
 
 
 def _check_sha256(sha256: str) -> str:
     if SHA256_PATTERN.fullmatch(sha256) is None:
         raise AssetRefused(
-            f"{sha256[:80]!r} is no sha256; use 64 lower-case hexadecimal digits",
+            f"{sha256[:80]!r} is not a sha256; use 64 lower-case hexadecimal digits",
             slug="bundle.name",
         )
     return sha256

@@ -24,14 +24,15 @@ if TYPE_CHECKING:
 MAX_CACHED_MODELS = 512
 MAX_CACHED_CHARACTERS = 64 << 20
 MAX_MESHES_AT_ONCE = 16
-"""Collisions: so many hulls are made in a moment, be they of one mesh or of many."""
+"""Collision meshes whose hulls can be made between two steps."""
 REST_RATIO = 2
+"""Pause after a part of a preparation, as a multiple of its duration."""
 TRANSIENT_SLUGS = frozenset({"reader.crashed", "reader.timeout"})
-"""Faults that another try may not have."""
+"""Errors that a retry may avoid: they are not cached."""
 
 
 class ParseKey(NamedTuple):
-    """What is read: the same reading gives the same model."""
+    """Everything that the parsed model depends on."""
 
     text: str
     compat: Compat
@@ -42,216 +43,216 @@ class ParseKey(NamedTuple):
 
 @dataclass
 class CachedModel:
-    """A model, and the files that it names by sha256."""
+    """A model, and the sha256 of its meshes."""
 
     model: Model
     meshes: frozenset[str]
     is_prepared: bool
-    """Whether the engine can take it between two steps."""
+    """Whether the engine can add it between two steps."""
     unread_meshes: list[str] = field(default_factory=list)
-    """Meshes whose corners have to be read before; a spawn asks for them."""
+    """Meshes whose vertices must be read first, because a spawn needs them."""
 
 
 class DescriptionProvider(Protocol):
-    """Gives the model that a spawn asks for."""
+    """Parses the descriptions of spawn requests."""
 
-    def is_read(self, order: SpawnEntityOrder) -> bool:
-        """Whether `model` can answer now; if not, reading is under way."""
+    def is_parsed(self, order: SpawnEntityOrder) -> bool:
+        """Whether `model` has a result now; if not, parsing has been started."""
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
-        """Find the model and its text.
+        """Return the model and its text.
 
         Raises:
             ModelError: The description cannot be used.
         """
 
     def poll(self) -> bool:
-        """Go on; say whether something was read."""
+        """Process results of the parser; return whether there were any."""
 
     def find_parse_key(self, model: Model) -> ParseKey | None:
-        """Find what a model was read from, if that is still known."""
+        """Find the key of a cached model; None if it is not cached any more."""
 
-    def remember(self, reading: ParseKey, model: Model) -> None:
-        """Take over what another server has read."""
+    def remember(self, key: ParseKey, model: Model) -> None:
+        """Add a model that another server has parsed."""
 
-    def ask(self, request: ParseRequest, on_read: Callable[[ParseResult], None]) -> None:
-        """Have a text read besides; `poll` calls with the answer, once what it names is kept.
+    def parse(self, request: ParseRequest, on_parsed: Callable[[ParseResult], None]) -> None:
+        """Parse a text that is not cached.
 
         Args:
-            request: What to read; its number is chosen here.
-            on_read: Told once.
+            request: Its number is replaced.
+            on_parsed: Called once by `poll`, after the meshes have been stored.
         """
 
 
 class DescriptionCache:
-    """Descriptions that the reader process reads."""
+    """Descriptions parsed by the parser process."""
 
     def __init__(
         self,
-        reader: ParserClient,
+        parser: ParserClient,
         store: AssetStore,
         prepare: Callable[[Model], bool],
         now_ns: Callable[[], int],
     ) -> None:
-        self._reader = reader
+        self._parser = parser
         self._store = store
         self._prepare = prepare
         self._now_ns = now_ns
-        self._rest_until_ns = 0
+        self._paused_until_ns = 0
         self._unprepared: list[CachedModel] = []
-        self._read: OrderedDict[ParseKey, CachedModel | ModelError] = OrderedDict()
+        self._results: OrderedDict[ParseKey, CachedModel | ModelError] = OrderedDict()
         self._pending_keys: dict[int, ParseKey] = {}
         self._numbers: dict[ParseKey, int] = {}
         self._transient: list[ParseKey] = []
-        self._asked: dict[int, Callable[[ParseResult], None]] = {}
+        self._callbacks: dict[int, Callable[[ParseResult], None]] = {}
         self._next_number = 1
 
-    def is_read(self, order: SpawnEntityOrder) -> bool:
+    def is_parsed(self, order: SpawnEntityOrder) -> bool:
         """See `DescriptionProvider`."""
         try:
-            reading = self._reading_of(order)
+            key = self._make_key(order)
         except ModelError:
             return True
-        if not self._is_usable(reading) and reading not in self._numbers:
-            self._submit(reading)
-        found = self._read.get(reading)
+        if not self._is_usable(key) and key not in self._numbers:
+            self._submit(key)
+        found = self._results.get(key)
         return found.is_prepared if isinstance(found, CachedModel) else found is not None
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
         """See `DescriptionProvider`."""
-        reading = self._reading_of(order)
-        found = self._read[reading]
+        key = self._make_key(order)
+        found = self._results[key]
         if isinstance(found, ModelError):
             raise found
-        self._read.move_to_end(reading)
+        self._results.move_to_end(key)
         for mesh in found.meshes:
-            self._store.size(mesh)  # so that it is not the first to go
-        return found.model, reading.text
+            self._store.size(mesh)  # marks it as used
+        return found.model, key.text
 
     def poll(self) -> bool:
         """See `DescriptionProvider`."""
-        # Whoever waited for it has been told by now.
-        for reading in self._transient:
-            self._read.pop(reading, None)
+        # The requests that waited for them have been answered.
+        for key in self._transient:
+            self._results.pop(key, None)
         self._transient.clear()
-        messages = self._reader.poll()
+        messages = self._parser.poll()
         for message in messages:
             if isinstance(message, ParsedMesh):
                 self._store.keep(message.sha256, message.data)
             else:
-                self._note(message)
+                self._store_result(message)
         return self._prepare_next() or bool(messages)
 
     def find_parse_key(self, model: Model) -> ParseKey | None:
         """See `DescriptionProvider`."""
-        for reading, found in reversed(self._read.items()):
+        for key, found in reversed(self._results.items()):
             if isinstance(found, CachedModel) and found.model is model:
-                return reading
+                return key
         return None
 
-    def remember(self, reading: ParseKey, model: Model) -> None:
+    def remember(self, key: ParseKey, model: Model) -> None:
         """See `DescriptionProvider`."""
-        if reading not in self._read:
-            self._keep(reading, self._make_parsed_model(model))
+        if key not in self._results:
+            self._cache(key, self._make_parsed_model(model))
 
     def _prepare_next(self) -> bool:
-        """Prepare a part of a large model, and rest for twice as long: steps come first."""
-        if not self._unprepared or (start_ns := self._now_ns()) < self._rest_until_ns:
+        """Prepare a part of a large model, then pause for twice as long: steps come first."""
+        if not self._unprepared or (start_ns := self._now_ns()) < self._paused_until_ns:
             return False
-        read = self._unprepared[0]
-        read.is_prepared = not self._read_next_corners(read) and self._prepare(read.model)
+        cached = self._unprepared[0]
+        cached.is_prepared = not self._read_next_vertices(cached) and self._prepare(cached.model)
         end_ns = self._now_ns()
-        self._rest_until_ns = end_ns + REST_RATIO * (end_ns - start_ns)
-        if read.is_prepared:
+        self._paused_until_ns = end_ns + REST_RATIO * (end_ns - start_ns)
+        if cached.is_prepared:
             self._unprepared.pop(0)
-        return read.is_prepared
+        return cached.is_prepared
 
-    def _read_next_corners(self, read: CachedModel) -> bool:
-        """Read the corners of a mesh, if there is one left."""
-        if not read.unread_meshes:
+    def _read_next_vertices(self, cached: CachedModel) -> bool:
+        """Read the vertices of the next mesh, if one is left."""
+        if not cached.unread_meshes:
             return False
-        if (mesh := read.unread_meshes.pop()) in self._store:
-            self._store.corners(mesh)
+        if (mesh := cached.unread_meshes.pop()) in self._store:
+            self._store.vertices(mesh)
         return True
 
-    def ask(self, request: ParseRequest, on_read: Callable[[ParseResult], None]) -> None:
+    def parse(self, request: ParseRequest, on_parsed: Callable[[ParseResult], None]) -> None:
         """See `DescriptionProvider`."""
         number, self._next_number = self._next_number, self._next_number + 1
-        self._asked[number] = on_read
-        self._reader.submit(msgspec.structs.replace(request, number=number))
+        self._callbacks[number] = on_parsed
+        self._parser.submit(msgspec.structs.replace(request, number=number))
 
-    def _is_usable(self, reading: ParseKey) -> bool:
-        """Whether something is read, and the meshes of it are still here; else forget it."""
-        found = self._read.get(reading)
+    def _is_usable(self, key: ParseKey) -> bool:
+        """Whether it is cached with all its meshes; drop it if a mesh was evicted."""
+        found = self._results.get(key)
         if isinstance(found, CachedModel) and not all(mesh in self._store for mesh in found.meshes):
-            del self._read[reading]
-        return reading in self._read
+            del self._results[key]
+        return key in self._results
 
-    def _submit(self, reading: ParseKey) -> None:
+    def _submit(self, key: ParseKey) -> None:
         try:
-            files = self._files(reading.assets)
+            files = self._list_files(key.assets)
         except ModelError as error:
-            self._keep(reading, error)
+            self._cache(key, error)
             return
         number, self._next_number = self._next_number, self._next_number + 1
-        self._pending_keys[number] = reading
-        self._numbers[reading] = number
-        self._reader.submit(ParseRequest(number, *reading, files=files))
+        self._pending_keys[number] = key
+        self._numbers[key] = number
+        self._parser.submit(ParseRequest(number, *key, files=files))
 
-    def _files(self, assets: tuple[AssetRef, ...]) -> tuple[str, ...]:
+    def _list_files(self, assets: tuple[AssetRef, ...]) -> tuple[str, ...]:
         names = tuple(dict.fromkeys(ref.sha256 for ref in assets))
         total = sum(self._store.size(name) for name in names)
         if len(assets) > MAX_BUNDLE_FILES or total > MAX_BUNDLE_BYTES:
             raise ModelError(
-                f"{len(assets)} files of {total} bytes in all; at most {MAX_BUNDLE_FILES} files "
-                f"of {MAX_BUNDLE_BYTES} bytes are taken",
+                f"{len(assets)} files of {total} bytes in total; use at most {MAX_BUNDLE_FILES} "
+                f"files of {MAX_BUNDLE_BYTES} bytes",
                 slug="bundle.size",
             )
         return names
 
-    def _note(self, answer: ParseResult) -> None:
-        if (on_read := self._asked.pop(answer.number, None)) is not None:
-            on_read(answer)
+    def _store_result(self, result: ParseResult) -> None:
+        if (on_parsed := self._callbacks.pop(result.number, None)) is not None:
+            on_parsed(result)
             return
-        reading = self._pending_keys.pop(answer.number)
-        del self._numbers[reading]
-        if answer.model is not None:
-            self._keep(reading, self._make_parsed_model(answer.model))
+        key = self._pending_keys.pop(result.number)
+        del self._numbers[key]
+        if result.model is not None:
+            self._cache(key, self._make_parsed_model(result.model))
         else:
-            self._keep(reading, ModelError(answer.message, code=answer.code, slug=answer.slug))
-        if answer.slug in TRANSIENT_SLUGS:
-            self._transient.append(reading)
+            self._cache(key, ModelError(result.message, code=result.code, slug=result.slug))
+        if result.slug in TRANSIENT_SLUGS:
+            self._transient.append(key)
 
     def _make_parsed_model(self, model: Model) -> CachedModel:
         colliding = _list_collision_meshes(model)
         is_small = len(colliding) <= MAX_MESHES_AT_ONCE and not (model.is_static and colliding)
-        read = CachedModel(model, list_meshes(model), is_prepared=is_small)
+        cached = CachedModel(model, list_meshes(model), is_prepared=is_small)
         if not is_small:
-            read.unread_meshes.extend(set(colliding))
-            self._unprepared.append(read)
-        return read
+            cached.unread_meshes.extend(set(colliding))
+            self._unprepared.append(cached)
+        return cached
 
-    def _keep(self, reading: ParseKey, found: CachedModel | ModelError) -> None:
-        self._read[reading] = found
-        while len(self._read) > MAX_CACHED_MODELS or self._characters() > MAX_CACHED_CHARACTERS:
-            self._read.popitem(last=False)
+    def _cache(self, key: ParseKey, found: CachedModel | ModelError) -> None:
+        self._results[key] = found
+        while len(self._results) > MAX_CACHED_MODELS or self._characters() > MAX_CACHED_CHARACTERS:
+            self._results.popitem(last=False)
 
     def _characters(self) -> int:
-        return sum(len(reading.text) for reading in self._read)
+        return sum(len(key.text) for key in self._results)
 
-    def _reading_of(self, order: SpawnEntityOrder) -> ParseKey:
-        # Files that are not here are no part of it: once they come it is another reading.
+    def _make_key(self, order: SpawnEntityOrder) -> ParseKey:
+        # Missing files are left out: when they arrive the key is another.
         present = tuple(ref for ref in order.assets if ref.sha256 in self._store)
         text = resolve_resource(order.entity_resource)
         return ParseKey(text, order.compat, order.allow_missing, present, order.dynamics)
 
 
 def list_meshes(model: Model) -> frozenset[str]:
-    """List the sha256 of all meshes that a model names."""
+    """List the sha256 of all meshes of a model."""
     shapes = (shape for link in model.links for shape in (*link.collisions, *link.visuals))
     return frozenset(shape.mesh for shape in shapes if shape.mesh)
 
 
 def _list_collision_meshes(model: Model) -> list[str]:
-    """List the mesh of each collision: an engine makes a hull for every one of them anew."""
+    """List the mesh of each collision shape: an engine makes a hull for each of them."""
     return [shape.mesh for link in model.links for shape in link.collisions if shape.mesh]

@@ -1,6 +1,6 @@
 """The sandboxed parser process: no privileges, limited memory and CPU time.
 
-`python -m zensim.sim_server.parser_process.parser_worker`: request frames on stdin, result frames on stdout.
+Run with `python -m`: request frames on stdin, result frames on stdout.
 """
 
 import signal

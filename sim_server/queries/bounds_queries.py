@@ -33,11 +33,11 @@ MIN_HULL_POINTS = 3
 COLLINEAR_RATIO = 1e-9
 """Second singular value over the first, below which points are on one line."""
 ENTITIES_PER_TURN = 32
-"""Entities of one model that are looked at at once."""
+"""Entities of one model that are tested in one turn."""
 
 
 class BoundsRefused(SimError):
-    """Bounds that are none."""
+    """Bounds that are not valid."""
 
     slug = "filter.bounds"
 
@@ -50,22 +50,22 @@ class BoundsUnsupported(BoundsRefused):
 
 @dataclass(frozen=True)
 class Region:
-    """A convex part of the world.
+    """A convex region of the world.
 
     Attributes:
         low: Lowest coordinates (3,).
         high: Highest coordinates (3,).
-        is_box: Whether all between them is inside.
+        is_box: Whether it is the whole box between them.
     """
 
-    solid: ConvexShape
+    shape: ConvexShape
     low: FloatArray
     high: FloatArray
     is_box: bool
 
 
 def parse_bounds(bounds: Bounds) -> Region | None:
-    """Read bounds that are given in the world; None when they are empty.
+    """Convert bounds in the world frame to a region; None if they are empty.
 
     Raises:
         BoundsRefused: The points do not fit the type.
@@ -110,114 +110,112 @@ def _parse_points(bounds: Bounds) -> FloatArray:
 
 @dataclass(frozen=True)
 class PoseSnapshot:
-    """Where all entities are at one step: arrays that stay as they are while the world goes on."""
+    """States of all entities at one step; later steps do not change them."""
 
-    roster: EntityIndex
-    reading: BodyStates
-    corners: MeshVertices
+    index: EntityIndex
+    states: BodyStates
+    find_mesh_vertices: MeshVertices
 
     def links(self, model: Model, names: list[str]) -> dict[str, FloatArray]:
-        """Find where the links of entities of one model are; poses (n, 7) by name of the link."""
-        rows = [self.roster.row[name] for name in names]
-        joints = [self.reading.joint_positions[self.roster.joints_of(name)] for name in names]
-        return compute_link_poses(model, self.reading.base[rows, :7], np.array(joints))
+        """Compute the poses (n, 7) of links, by name, for entities of one model."""
+        rows = [self.index.row[name] for name in names]
+        joints = [self.states.joint_positions[self.index.joints_of(name)] for name in names]
+        return compute_link_poses(model, self.states.base[rows, :7], np.array(joints))
 
     def links_in_base(self, model: Model, name: str) -> dict[str, FloatArray]:
-        """Find where the links of an entity are in its root link; poses (1, 7) by name."""
-        positions = self.reading.joint_positions[self.roster.joints_of(name)]
+        """Compute the poses (1, 7) of links, by name, in the root link of an entity."""
+        positions = self.states.joint_positions[self.index.joints_of(name)]
         return compute_link_poses(model, IDENTITY_POSE[None], positions[None])
 
 
 def find_link_poses_at_zero(model: Model) -> dict[str, FloatArray]:
-    """Find where links are in the root link, all joints at zero; poses (1, 7) by name."""
+    """Compute the poses (1, 7) of links, by name, in the root link with all joints at zero."""
     return compute_link_poses(model, IDENTITY_POSE[None], np.zeros((1, len(model.joints))))
 
 
 def find_overlapping(
-    sight: PoseSnapshot, entities: list[Entity], region: Region
+    snapshot: PoseSnapshot, entities: list[Entity], region: Region
 ) -> Iterator[list[str]]:
-    """Name the entities that overlap a region, a few at each turn.
+    """Name the entities that overlap a region, a few in each item.
 
-    An entity that collides with nothing counts as a point, at its root.
+    An entity without collision shapes counts as a point at its root link.
     """
-    # By identity: to compare models in full takes long.
+    # By identity: comparing models by value is slow.
     groups: dict[int, list[Entity]] = {}
     for entity in entities:
         groups.setdefault(id(entity.model), []).append(entity)
     for group in groups.values():
-        names = _within_reach(sight, group, region)
+        names = _find_near(snapshot, group, region)
         for at in range(0, len(names), ENTITIES_PER_TURN):
             yield from _find_overlapping_of_model(
-                sight, group[0].model, names[at : at + ENTITIES_PER_TURN], region
+                snapshot, group[0].model, names[at : at + ENTITIES_PER_TURN], region
             )
 
 
-def _within_reach(sight: PoseSnapshot, group: list[Entity], region: Region) -> list[str]:
-    """Name the entities of one model whose root is so near that they may reach into a region."""
-    reach = find_bounding_radius(group[0].model, sight.corners)
-    rows = [sight.roster.row[entity.name] for entity in group]
-    roots = sight.reading.base[rows, :3]
+def _find_near(snapshot: PoseSnapshot, group: list[Entity], region: Region) -> list[str]:
+    """Name the entities of one model whose bounding spheres overlap the box around a region."""
+    radius = find_bounding_radius(group[0].model, snapshot.find_mesh_vertices)
+    rows = [snapshot.index.row[entity.name] for entity in group]
+    roots = snapshot.states.base[rows, :3]
     gap = np.maximum(np.maximum(region.low - roots, roots - region.high), 0.0)
-    is_near = (gap * gap).sum(axis=1) <= reach * reach
+    is_near = (gap * gap).sum(axis=1) <= radius * radius
     return [entity.name for entity, near in zip(group, is_near, strict=True) if near]
 
 
 def _find_overlapping_of_model(
-    sight: PoseSnapshot, model: Model, names: list[str], region: Region
+    snapshot: PoseSnapshot, model: Model, names: list[str], region: Region
 ) -> Iterator[list[str]]:
-    poses = sight.links(model, names)
-    solids = list(place_collision_shapes(model, poses, sight.corners))
-    if not solids:
-        solids = [(ConvexShape(np.zeros((1, 3))), poses[model.links[0].name])]
-    is_in: BoolArray = np.zeros(len(names), dtype=np.bool_)
-    doubts = []
-    for solid, places in solids:
-        low, high = solid.bounds_at(places)
+    poses = snapshot.links(model, names)
+    shapes = list(place_collision_shapes(model, poses, snapshot.find_mesh_vertices))
+    if not shapes:
+        shapes = [(ConvexShape(np.zeros((1, 3))), poses[model.links[0].name])]
+    is_overlapping: BoolArray = np.zeros(len(names), dtype=np.bool_)
+    tested = []
+    for shape, shape_poses in shapes:
+        low, high = shape.bounds_at(shape_poses)
         is_near = _all_of_row((low <= region.high) & (high >= region.low))
-        is_in |= is_near & _is_within(region, low, high)
-        doubts.append((solid, places, is_near))
-    yield [name for name, known in zip(names, is_in, strict=True) if known]
-    for row in np.flatnonzero(~is_in):
-        near = [
-            solid.transformed_by(places[row]) for solid, places, is_near in doubts if is_near[row]
-        ]
+        is_overlapping |= is_near & _is_within(region, low, high)
+        tested.append((shape, shape_poses, is_near))
+    yield [name for name, overlaps in zip(names, is_overlapping, strict=True) if overlaps]
+    for row in np.flatnonzero(~is_overlapping):
+        near = [shape.transformed_by(at[row]) for shape, at, is_near in tested if is_near[row]]
         if near:
-            yield [names[row]] if any(are_overlapping(one, region.solid) for one in near) else []
+            yield [names[row]] if any(are_overlapping(one, region.shape) for one in near) else []
 
 
 def _is_within(region: Region, low: FloatArray, high: FloatArray) -> BoolArray:
-    """Whether boxes are wholly inside a region; False where that is not easily told."""
+    """Test quickly whether boxes are inside a region; False may also mean undecided."""
     if region.is_box:
         return _all_of_row((low >= region.low) & (high <= region.high))
-    if region.solid.sphere_radius_m:
-        centre = region.solid.points[0]
+    if region.shape.sphere_radius_m:
+        centre = region.shape.points[0]
         far = np.maximum(np.abs(low - centre), np.abs(high - centre))
-        return np.asarray((far * far).sum(axis=1) <= region.solid.sphere_radius_m**2)
+        return np.asarray((far * far).sum(axis=1) <= region.shape.sphere_radius_m**2)
     return np.zeros(len(low), dtype=np.bool_)
 
 
 def _all_of_row(tests: BoolArray) -> BoolArray:
-    """Whether all of each row (n, 3) hold."""
+    """Reduce each row (n, 3) to whether all its values are true."""
     return np.asarray(tests.all(axis=1), dtype=np.bool_)
 
 
-def make_bounds(solids: list[tuple[ConvexShape, FloatArray]], wanted: BoundsType) -> Bounds:
-    """Wrap solids, each with its pose (1, 7), in a box along the axes, a hull or a sphere."""
-    if not solids or wanted == BoundsType.EMPTY:
+def make_bounds(shapes: list[tuple[ConvexShape, FloatArray]], wanted: BoundsType) -> Bounds:
+    """Bound shapes, each with its pose (1, 7), by an axis-aligned box, a hull or a sphere."""
+    if not shapes or wanted == BoundsType.EMPTY:
         return Bounds()
-    reaches = [solid.bounds_at(pose) for solid, pose in solids]
-    low = np.min([reach[0][0] for reach in reaches], axis=0)
-    high = np.max([reach[1][0] for reach in reaches], axis=0)
+    boxes = [shape.bounds_at(pose) for shape, pose in shapes]
+    low = np.min([box[0][0] for box in boxes], axis=0)
+    high = np.max([box[1][0] for box in boxes], axis=0)
     if wanted == BoundsType.BOX:
         return Bounds(wanted, (_to_vector(high), _to_vector(low)))
     if wanted == BoundsType.SPHERE:
         radius = float(np.linalg.norm(high - low)) / 2.0
         return Bounds(wanted, (_to_vector((low + high) / 2.0), Vector3(radius)))
-    return Bounds(wanted, _make_hull(solids))
+    return Bounds(wanted, _make_hull(shapes))
 
 
-def _make_hull(solids: list[tuple[ConvexShape, FloatArray]]) -> tuple[Vector3, ...]:
-    points = np.vstack([solid.transformed_by(pose[0]).vertices() for solid, pose in solids])
+def _make_hull(shapes: list[tuple[ConvexShape, FloatArray]]) -> tuple[Vector3, ...]:
+    points = np.vstack([shape.transformed_by(pose[0]).vertices() for shape, pose in shapes])
     return tuple(_to_vector(point) for point in find_extreme_points(points))
 
 

@@ -22,25 +22,25 @@ from zensim.sim_server.world.simulated_world import World
 
 MAX_PATTERN_CHARACTERS = 1024
 MAX_AUTOMATON_BYTES = 1 << 16
-"""Of memory for the automata of one pattern: bounds the time that each character takes."""
+"""Memory for the automata of one pattern; it bounds the time that each character takes."""
 MAX_NAMES_PER_TURN = 256
 INSTRUCTIONS_PER_TURN = 4096
-"""Of the automaton, times the names that it is run on before anybody else gets a turn."""
+"""Instructions of the automaton times names that are searched in one turn."""
 
 
 class PatternRefused(SimError):
-    """A regular expression that is none."""
+    """A regular expression that is not valid."""
 
     slug = "filter.pattern"
 
 
 class PosixPattern:
-    """A regular expression that is looked for in names, anywhere within.
+    """A POSIX extended regular expression that is searched for in names.
 
-    Its engine knows no backtracking: time is linear in the names, whatever the pattern.
+    RE2 does not backtrack: time is linear in the length of the names for any pattern.
 
     Raises:
-        PatternRefused: It is no POSIX extended regular expression, too long or too large.
+        PatternRefused: It is not valid, too long or too large.
     """
 
     def __init__(self, text: str) -> None:
@@ -49,17 +49,17 @@ class PosixPattern:
                 f"{len(text)} characters are too many; use at most {MAX_PATTERN_CHARACTERS}"
             )
         try:
-            re2.compile(text, _make_options())  # by itself, so that its brackets match within it
+            re2.compile(text, _make_options())  # alone, so that its brackets balance
             self._lines = re2.compile(f"^.*({text}).*$", _make_options())
         except (re2.error, UnicodeEncodeError) as error:
             raise PatternRefused(
-                f"{text[:80]!r} is no POSIX extended regular expression: {_format_reason(error)}"
+                f"{text[:80]!r} is not a POSIX extended regular expression: {_format_reason(error)}"
             ) from error
         finally:
             re2.purge()
 
     def search(self, names: Sequence[str]) -> Iterator[list[str]]:
-        """Name those that hold a match, from some names at each turn: fewer for large patterns."""
+        """Yield the names that match, some names in each turn: fewer for large patterns."""
         count = INSTRUCTIONS_PER_TURN // max(self._lines.programsize, 1)
         count = min(max(count, 1), MAX_NAMES_PER_TURN)
         for at in range(0, len(names), count):
@@ -79,26 +79,26 @@ def _make_options() -> re2.Options:
 
 
 def _format_reason(error: Exception) -> str:
-    said = error.args[0] if error.args else ""
-    return said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said)
+    reason = error.args[0] if error.args else ""
+    return reason.decode("utf-8", "replace") if isinstance(reason, bytes) else str(reason)
 
 
 FilterResponse = TypeVar("FilterResponse", bound=msgspec.Struct)
 
 SEARCH_SLICE_NS = 2 * NANOSECONDS // 1000
-"""What a search takes of each turn of the loop, or a quarter of a step where that is more."""
+"""Least time that a search takes of each turn of the loop; a quarter of a step if that is more."""
 MAX_SEARCH_NS = NANOSECONDS
-"""What a search may take in all."""
+"""Most time that a search may take in total."""
 
 
 class TagsRefused(SimError):
-    """A filter of tags that is none."""
+    """A tags filter that is not valid."""
 
     slug = "filter.tags"
 
 
 class SearchTooLong(SimError):
-    """A search that was given up."""
+    """A search that took too long."""
 
     slug = "filter.time"
 
@@ -108,11 +108,11 @@ def filter_entities(
     store: AssetStore,
     pacing: Pacing,
     filters: EntityFilters,
-    answer: Callable[[tuple[str, ...]], FilterResponse],
+    make_response: Callable[[tuple[str, ...]], FilterResponse],
 ) -> FilterResponse | DeferredResponse[FilterResponse]:
-    """Answer with the names that pass, in the order of spawning: at once, or some turns later.
+    """Respond with the names that pass, in the order of spawning: at once, or some turns later.
 
-    Either way they are those that pass at the moment of asking.
+    The entities are filtered as they are now in both cases.
 
     Raises:
         SimError: A filter is refused.
@@ -121,48 +121,48 @@ def filter_entities(
     pattern = PosixPattern(filters.filter) if filters.filter else None
     found = _filter_by_info(world.entities, filters)
     if region is None and pattern is None:
-        return answer(tuple(entity.name for entity in found))
-    sight = PoseSnapshot(world.entities.index, world.states(), store.corners)
+        return make_response(tuple(entity.name for entity in found))
+    snapshot = PoseSnapshot(world.entities.index, world.states(), store.vertices)
     search = _EntitySearch(
-        sight, found, pacing.now_ns, pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS)
+        snapshot, found, pacing.now_ns, pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS)
     )
-    search.begin(pattern, region)
-    if search.go_on():
-        return answer(search.outcome())
-    return DeferredResponse(search.go_on, lambda: answer(search.outcome()))
+    search.start(pattern, region)
+    if search.advance():
+        return make_response(search.outcome())
+    return DeferredResponse(search.advance, lambda: make_response(search.outcome()))
 
 
 class _EntitySearch:
-    """Goes on a little whenever it is asked whether it is over."""
+    """A search that advances by one time slice in each call."""
 
     def __init__(
         self,
-        sight: PoseSnapshot,
+        snapshot: PoseSnapshot,
         entities: Sequence[Entity],
         now_ns: Callable[[], int],
         slice_ns: int,
     ) -> None:
-        self._sight = sight
+        self._snapshot = snapshot
         self._entities = {entity.name: entity for entity in entities}
         self._now_ns = now_ns
         self._slice_ns = slice_ns
-        self._taken_ns = 0
+        self._elapsed_ns = 0
         self._work: Iterator[None] = iter(())
 
-    def begin(self, pattern: PosixPattern | None, region: Region | None) -> None:
+    def start(self, pattern: PosixPattern | None, region: Region | None) -> None:
         self._work = self._run_filters(pattern, region)
 
-    def go_on(self) -> bool:
+    def advance(self) -> bool:
         start_ns = self._now_ns()
         for _ in self._work:
-            took_ns = self._now_ns() - start_ns
-            if took_ns >= self._slice_ns:
-                self._taken_ns += took_ns
-                return self._taken_ns > MAX_SEARCH_NS
+            passed_ns = self._now_ns() - start_ns
+            if passed_ns >= self._slice_ns:
+                self._elapsed_ns += passed_ns
+                return self._elapsed_ns > MAX_SEARCH_NS
         return True
 
     def outcome(self) -> tuple[str, ...]:
-        if self._taken_ns > MAX_SEARCH_NS:
+        if self._elapsed_ns > MAX_SEARCH_NS:
             raise SearchTooLong(
                 f"the filters took more than {MAX_SEARCH_NS / NANOSECONDS:g} s; use simpler ones"
             )
@@ -170,11 +170,13 @@ class _EntitySearch:
 
     def _run_filters(self, pattern: PosixPattern | None, region: Region | None) -> Iterator[None]:
         if pattern is not None:
-            yield from self._keep(pattern.search(list(self._entities)))
+            yield from self._keep_found(pattern.search(list(self._entities)))
         if region is not None:
-            yield from self._keep(find_overlapping(self._sight, [*self._entities.values()], region))
+            yield from self._keep_found(
+                find_overlapping(self._snapshot, [*self._entities.values()], region)
+            )
 
-    def _keep(self, found: Iterator[list[str]]) -> Iterator[None]:
+    def _keep_found(self, found: Iterator[list[str]]) -> Iterator[None]:
         kept: set[str] = set()
         for names in found:
             kept.update(names)
@@ -194,7 +196,7 @@ def _filter_by_info(entities: Iterable[Entity], filters: EntityFilters) -> list[
 
 
 def make_tags_test(wanted: TagsFilter) -> Callable[[Sequence[str]], bool]:
-    """Make the test that tags pass a filter.
+    """Make a function that tests tags against a filter.
 
     Raises:
         TagsRefused: There are too many tags, or the mode is not known.

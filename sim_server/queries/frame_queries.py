@@ -17,6 +17,10 @@ SCOPE_SEPARATOR = "::"
 MAX_SHOWN_CHARACTERS = 80
 
 
+def _shorten(name: str) -> str:
+    return name[:MAX_SHOWN_CHARACTERS]
+
+
 class FrameNotFound(SimError):
     """No frame has this name."""
 
@@ -25,25 +29,25 @@ class FrameNotFound(SimError):
 
     def __init__(self, frame_id: str) -> None:
         super().__init__(
-            f"frame {frame_id[:MAX_SHOWN_CHARACTERS]!r} does not exist; use 'world', 'map', an entity, "
+            f"frame {_shorten(frame_id)!r} does not exist; use 'world', 'map', an entity, "
             "'entity::link' or 'namespace/link'"
         )
 
 
 class FrameAmbiguous(SimError):
-    """A name means more than one frame."""
+    """More than one frame has this name."""
 
     slug = "frame.ambiguous"
 
     def __init__(self, frame_id: str, entities: list[str]) -> None:
         super().__init__(
-            f"frame {frame_id[:MAX_SHOWN_CHARACTERS]!r} is one of each of {', '.join(entities)[:MAX_SHOWN_CHARACTERS]}; "
-            "write it as 'entity::link'"
+            f"frame {_shorten(frame_id)!r} is a link of each of {_shorten(', '.join(entities))}; "
+            "use 'entity::link'"
         )
 
 
 def find_frame_pose(world: World, frame_id: str) -> FloatArray:
-    """Find where a frame is in the world (7,).
+    """Find the pose (7,) of a frame in the world.
 
     Raises:
         FrameNotFound: There is none.
@@ -67,35 +71,35 @@ def find_frame_pose(world: World, frame_id: str) -> FloatArray:
 
 
 def pose_to_world(world: World, frame_id: str, pose: FloatArray) -> FloatArray:
-    """Turn a pose (7,) given in a frame into the world's; raises as `frame_pose` does."""
+    """Express a pose (7,) given in a frame in the world; raises as `find_frame_pose` does."""
     if frame_id in WORLD_FRAMES:
         return pose
     return compose(find_frame_pose(world, frame_id), pose)
 
 
 def twist_to_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray:
-    """Turn a twist (6,) with the axes of a frame; how the frame moves itself is left out."""
+    """Rotate a twist (6,) from the axes of a frame to the world's; ignores motion of the frame."""
     if frame_id in WORLD_FRAMES:
         return twist
     return rotate_twist(find_frame_pose(world, frame_id), twist)
 
 
 def states_to_frame(frame: FloatArray, rows: FloatArray) -> FloatArray:
-    """Express state rows (n, 13) of the world in a frame (7,); its own motion is left out."""
-    back = conjugate(frame[3:])
+    """Express state rows (n, 13) of the world in a frame (7,); ignores motion of the frame."""
+    to_frame = conjugate(frame[3:])
     return np.concatenate(
         [
-            rotate(back, rows[:, :3] - frame[:3]),
-            multiply(np.broadcast_to(back, (len(rows), 4)), rows[:, 3:7]),
-            rotate(back, rows[:, 7:10]),
-            rotate(back, rows[:, 10:13]),
+            rotate(to_frame, rows[:, :3] - frame[:3]),
+            multiply(np.broadcast_to(to_frame, (len(rows), 4)), rows[:, 3:7]),
+            rotate(to_frame, rows[:, 7:10]),
+            rotate(to_frame, rows[:, 10:13]),
         ],
         axis=1,
     )
 
 
 def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:
-    """List the entities whose name, or whose namespace, the frame begins with."""
+    """List entities whose name or namespace the frame starts with, and the rest of the frame."""
     found: list[tuple[Entity, str]] = []
     for entity in world.entities:
         heads = [entity.name + SCOPE_SEPARATOR]
@@ -108,9 +112,9 @@ def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:
 
 
 def _find_link_pose(world: World, entity: Entity, link: str) -> FloatArray | None:
-    reading, roster = world.states(), world.entities.index
-    base = reading.base[roster.row[entity.name], :7]
-    positions = reading.joint_positions[roster.joints_of(entity.name)]
+    states, index = world.states(), world.entities.index
+    base = states.base[index.row[entity.name], :7]
+    positions = states.joint_positions[index.joints_of(entity.name)]
     pose = compute_link_poses(entity.model, base[None], positions[None]).get(link)
     return None if pose is None else pose[0]
 
@@ -120,7 +124,7 @@ MAX_SUGGESTED_NAMES = 5
 
 @dataclass(frozen=True)
 class ScopedLink:
-    """A link that moves by itself.
+    """A moving link of an entity.
 
     Attributes:
         number: Index among `Model.links`.
@@ -131,7 +135,7 @@ class ScopedLink:
 
     @property
     def link(self) -> Link:
-        """What the model says of it."""
+        """Its description in the model."""
         return self.entity.model.links[self.number]
 
 
@@ -148,7 +152,7 @@ class ScopedJoint:
 
     @property
     def joint(self) -> Joint:
-        """What the model says of it."""
+        """Its description in the model."""
         return self.entity.model.joints[self.number]
 
 
@@ -157,7 +161,7 @@ def find_link(world: World, name: str) -> ScopedLink:
 
     Raises:
         EntityNotFound: There is no such entity.
-        Refused: There is no such link, or it was merged into another.
+        RequestRefused: There is no such link, or it was merged into its parent.
     """
     owner, _, inner = name.partition(SCOPE_SEPARATOR)
     entity = world.entities.find(owner)
@@ -168,20 +172,20 @@ def find_link(world: World, name: str) -> ScopedLink:
         if frame.name == inner:
             raise RequestRefused(
                 ResultCode.NOT_FOUND,
-                f"link {name[:MAX_SHOWN_CHARACTERS]!r} does not move by itself: it is merged into its parent, as "
-                f"fixed joints are; use '{owner}{SCOPE_SEPARATOR}{_find_moving_parent(entity, frame.parent)}'",
+                f"link {_shorten(name)!r} is merged into its parent by a fixed joint; use "
+                f"'{owner}{SCOPE_SEPARATOR}{_find_moving_parent(entity, frame.parent)}'",
             )
     raise RequestRefused(
-        ResultCode.NOT_FOUND, f"link {name[:MAX_SHOWN_CHARACTERS]!r} {_suggest_names(owner, names)}"
+        ResultCode.NOT_FOUND, f"link {_shorten(name)!r} {_suggest_names(owner, names)}"
     )
 
 
 def find_joint(world: World, name: str) -> ScopedJoint:
-    """Find a joint by its scoped name, or by its own where one entity only has it.
+    """Find a joint by its scoped name, or by its plain name if only one entity has it.
 
     Raises:
         EntityNotFound: There is no such entity.
-        Refused: There is no such joint, or more than one.
+        RequestRefused: There is no such joint, or more than one.
     """
     owner, scope, inner = name.partition(SCOPE_SEPARATOR)
     entities = (world.entities.find(owner),) if scope else tuple(world.entities)
@@ -200,17 +204,17 @@ def find_joint(world: World, name: str) -> ScopedJoint:
         )
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"{len(found)} entities have a joint {name[:MAX_SHOWN_CHARACTERS]!r}; use {owners}",
+            f"{len(found)} entities have a joint {_shorten(name)!r}; use {owners}",
         )
     if scope:
         names = [joint.name for joint in entities[0].model.joints]
         raise RequestRefused(
             ResultCode.NOT_FOUND,
-            f"joint {name[:MAX_SHOWN_CHARACTERS]!r} {_suggest_names(owner, names)}",
+            f"joint {_shorten(name)!r} {_suggest_names(owner, names)}",
         )
     raise RequestRefused(
         ResultCode.NOT_FOUND,
-        f"no entity has a joint {name[:MAX_SHOWN_CHARACTERS]!r}; name it as 'entity{SCOPE_SEPARATOR}joint'",
+        f"no entity has a joint {_shorten(name)!r}; use 'entity{SCOPE_SEPARATOR}joint'",
     )
 
 
@@ -225,17 +229,17 @@ def find_state(world: World, name: str) -> FloatArray:
     entity = world.entities.find(owner)
     if not scope:
         return world.state_of(name)
-    reading, roster = world.states(), world.entities.index
-    joints = roster.joints_of(owner)
-    states = compute_link_states(
+    states, index = world.states(), world.entities.index
+    joints = index.joints_of(owner)
+    link_states = compute_link_states(
         entity.model,
-        reading.base[roster.row[owner]][None],
-        reading.joint_positions[joints][None],
-        reading.joint_velocities[joints][None],
+        states.base[index.row[owner]][None],
+        states.joint_positions[joints][None],
+        states.joint_velocities[joints][None],
     )
-    if inner not in states:
-        find_frame_pose(world, name)  # says what is wrong with it
-    return np.asarray(states[inner][0])
+    if inner not in link_states:
+        find_frame_pose(world, name)  # raises
+    return np.asarray(link_states[inner][0])
 
 
 def _find_moving_parent(entity: Entity, name: str) -> str:

@@ -44,9 +44,9 @@ def get_entity_bounds(
             f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
             f"or {entity_messages.ANY_BOUNDS} (any)"
         )
-    sight = PoseSnapshot(world.entities.index, world.states(), store.corners)
+    sight = PoseSnapshot(world.entities.index, world.states(), store.vertices)
     links = sight.links_in_base(entity.model, entity.name)
-    solids = list(place_collision_shapes(entity.model, links, store.corners))
+    solids = list(place_collision_shapes(entity.model, links, store.vertices))
     return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(solids, BoundsType(wanted)))
 
 

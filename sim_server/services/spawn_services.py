@@ -124,10 +124,10 @@ def spawn_entity_when_parsed(
     spawning: Spawning, order: SpawnEntityOrder
 ) -> SpawnEntityReport | DeferredResponse[SpawnEntityReport]:
     """Spawn now, or once the description has been read; raises as `spawn` does."""
-    if spawning.descriptions.provider.is_read(order):
+    if spawning.descriptions.provider.is_parsed(order):
         return spawn_entity(spawning, order)
     return DeferredResponse(
-        lambda: spawning.descriptions.has_new and spawning.descriptions.provider.is_read(order),
+        lambda: spawning.descriptions.has_new and spawning.descriptions.provider.is_parsed(order),
         lambda: spawn_entity(spawning, order),
     )
 
@@ -174,7 +174,7 @@ def _resolve_pose(
     qx, qy, qz, qw = pose[3:7].tolist()
     # Not -clearance, which is -0 for a model without collisions.
     standing = 0.0 - find_ground_clearance(
-        model, (qx, qy, qz, qw), spawning.descriptions.store.corners
+        model, (qx, qy, qz, qw), spawning.descriptions.store.vertices
     )
     if request.snap_to_ground:
         pose[2] = standing
@@ -252,7 +252,7 @@ class _SpawnBatch:
         """Whether the description of an order is read; it is kept until all is over."""
         # Orders that share a resource share the object; to compare texts would take long.
         number = id(order.entity_resource)
-        if number not in self._read and self._spawning.descriptions.provider.is_read(order):
+        if number not in self._read and self._spawning.descriptions.provider.is_parsed(order):
             try:
                 self._read[number] = self._spawning.descriptions.provider.model(order)
             except SimError as error:
@@ -406,7 +406,7 @@ def get_spawnables(
 
     def is_read() -> bool:
         # Not by all(): each has to be asked for, so that all are read meanwhile.
-        return sum(descriptions.provider.is_read(order) for order in orders) == len(orders)
+        return sum(descriptions.provider.is_parsed(order) for order in orders) == len(orders)
 
     return (
         answer()
@@ -420,7 +420,7 @@ def _make_spawnable(
 ) -> spawn_messages.Spawnable:
     model, _ = descriptions.provider.model(order)
     solids = list(
-        place_collision_shapes(model, find_link_poses_at_zero(model), descriptions.store.corners)
+        place_collision_shapes(model, find_link_poses_at_zero(model), descriptions.store.vertices)
     )
     bounds = make_bounds(solids, BoundsType.BOX)
     return spawn_messages.Spawnable(order.entity_resource, _describe_model(model), bounds)

@@ -64,7 +64,7 @@ def load_world(
         loading.replace_world(founded, model, found.resource)
         return world_messages.LoadWorldReport(Result(), found.resource, model.report)
 
-    return DeferredResponse(lambda: building.go_on(reading.answer), put)
+    return DeferredResponse(lambda: building.go_on(reading.result), put)
 
 
 class _WorldBuild:
@@ -143,7 +143,7 @@ def get_available_worlds(
         )
     search = loading.catalog.search(sources)
     return DeferredResponse(
-        lambda: search.is_over or search.go_on(), lambda: _make_worlds_response(search, request)
+        lambda: search.is_over or search.advance(), lambda: _make_worlds_response(search, request)
     )
 
 

@@ -9,18 +9,18 @@ from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.world.entity import Entity
 
 MAX_APPLIED_FORCES = 4096
-"""That last at one time."""
+"""Most forces that are active or pending."""
 
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """From a time to another, the end not in it; None = for ever."""
+    """Simulation time from start to end, the end excluded; None = for ever."""
 
     start_ns: int
     end_ns: int | None
 
-    def holds(self, time_ns: int) -> bool:
-        """Whether a time is in it."""
+    def contains(self, time_ns: int) -> bool:
+        """Whether it contains a time."""
         return self.start_ns <= time_ns and not self.is_over(time_ns)
 
     def is_over(self, time_ns: int) -> bool:
@@ -42,7 +42,7 @@ class LinkWrench:
     span: TimeSpan
 
     def apply(self, engine: Engine, body: int) -> None:
-        """Push for one step."""
+        """Apply it in the next step."""
         engine.apply_link_wrench(body, self.link, self.wrench)
 
 
@@ -60,7 +60,7 @@ class JointEffort:
     span: TimeSpan
 
     def apply(self, engine: Engine, body: int) -> None:
-        """Push for one step."""
+        """Apply it in the next step."""
         engine.apply_joint_effort(body, self.joint, self.effort)
 
 
@@ -70,11 +70,11 @@ AppliedForce = LinkWrench | JointEffort
 def make_time_span(
     *, now_ns: int, start_ns: int, duration_ns: int, step_ns: int
 ) -> TimeSpan | None:
-    """Find when a push acts: at once if its start is over, for a step at least; None = never.
+    """Find when a force acts: from now on if its start is past, for at least a step; None = never.
 
     Args:
         now_ns: Simulation time.
-        start_ns: When it is to begin.
+        start_ns: Requested start.
         duration_ns: Negative = for ever, 0 = not at all.
         step_ns: Length of a step.
     """
@@ -85,59 +85,59 @@ def make_time_span(
 
 
 class AppliedForces:
-    """All that last or are still to come, in the order of asking."""
+    """Active and pending forces, in the order of requests."""
 
     def __init__(self) -> None:
-        self._pushes: list[AppliedForce] = []
+        self._forces: list[AppliedForce] = []
 
     def __len__(self) -> int:
-        return len(self._pushes)
+        return len(self._forces)
 
-    def add(self, push: AppliedForce) -> None:
-        """Begin one, beside the others.
+    def add(self, force: AppliedForce) -> None:
+        """Add a force.
 
         Raises:
-            Refused: There are too many.
+            RequestRefused: There are too many.
         """
-        if len(self._pushes) >= MAX_APPLIED_FORCES:
+        if len(self._forces) >= MAX_APPLIED_FORCES:
             raise RequestRefused(
                 ResultCode.OPERATION_FAILED,
-                f"{MAX_APPLIED_FORCES} wrenches and efforts last already; clear some first",
+                f"{MAX_APPLIED_FORCES} wrenches and efforts are active already; clear some first",
             )
-        self._pushes.append(push)
+        self._forces.append(force)
 
     def apply(self, engine: Engine, entities: Mapping[str, Entity], time_ns: int) -> None:
-        """Push what is to be pushed in the step that begins now, and forget what is over."""
-        self._pushes = [push for push in self._pushes if not push.span.is_over(time_ns)]
-        for push in self._pushes:
-            if push.span.holds(time_ns):
-                push.apply(engine, entities[push.entity].body)
+        """Apply the active forces in the next step, and drop those that have ended."""
+        self._forces = [force for force in self._forces if not force.span.is_over(time_ns)]
+        for force in self._forces:
+            if force.span.contains(time_ns):
+                force.apply(engine, entities[force.entity].body)
 
     def clear_link(self, entity: str, link: int) -> int:
-        """End all wrenches on a link; say how many there were."""
+        """Remove all wrenches on a link; return their number."""
         return self._keep(
-            lambda push: (
-                not (isinstance(push, LinkWrench) and (push.entity, push.link) == (entity, link))
+            lambda one: (
+                not (isinstance(one, LinkWrench) and (one.entity, one.link) == (entity, link))
             )
         )
 
     def clear_joint(self, entity: str, joint: int) -> int:
-        """End all efforts on a joint; say how many there were."""
+        """Remove all efforts on a joint; return their number."""
         return self._keep(
-            lambda push: (
-                not (isinstance(push, JointEffort) and (push.entity, push.joint) == (entity, joint))
+            lambda one: (
+                not (isinstance(one, JointEffort) and (one.entity, one.joint) == (entity, joint))
             )
         )
 
     def forget(self, entity: str) -> None:
-        """End all on an entity."""
-        self._keep(lambda push: push.entity != entity)
+        """Remove all forces on an entity."""
+        self._keep(lambda force: force.entity != entity)
 
     def forget_all(self) -> None:
-        """End all."""
-        self._pushes = []
+        """Remove all forces."""
+        self._forces = []
 
     def _keep(self, is_kept: Callable[[AppliedForce], bool]) -> int:
-        before = len(self._pushes)
-        self._pushes = [push for push in self._pushes if is_kept(push)]
-        return before - len(self._pushes)
+        before = len(self._forces)
+        self._forces = [force for force in self._forces if is_kept(force)]
+        return before - len(self._forces)

@@ -146,7 +146,7 @@ class ClaimRegistry:
         return self._claimed
 
     def command(self, agent: str, claimed: ClaimedEntities | None, command: DriveCommand) -> bool:
-        """Keep the targets of an agent until they are taken; drop those that do not match its claims."""
+        """Keep the targets of an agent until they are taken, if they match its claims."""
         targets = None if claimed is None else _decode_targets(claimed, command)
         if targets is None:
             self.dropped += 1

@@ -12,17 +12,17 @@ from zensim.sim_server.physics.engine import FloatArray
 MAX_POSITION_M = 1e5
 MAX_SPEED = 1e4
 MIN_QUATERNION_NORM, MAX_QUATERNION_NORM = 1e-6, 1e6
-"""Lengths of a quaternion that still tell a direction."""
+"""Accepted norms; outside of them the direction is lost to rounding."""
 WORLD_FRAMES = frozenset({"", "world", "map", "/map", "/world"})
 
 
 def is_zero_quaternion(orientation: Quaternion) -> bool:
-    """Whether all four numbers are 0, as clients send that never set it."""
+    """Whether all four numbers are 0: the message default, sent by clients that do not set it."""
     return orientation.x == orientation.y == orientation.z == orientation.w == 0.0
 
 
 def pose_to_row(pose: Pose) -> FloatArray:
-    """Turn a pose into (7,): position, unit quaternion; an all-zero quaternion becomes identity.
+    """Convert a pose to (7,): position, unit quaternion; an all-zero quaternion becomes identity.
 
     Raises:
         PoseRefused: A number is not finite, the position is out of range, or the quaternion has
@@ -49,7 +49,7 @@ def pose_to_row(pose: Pose) -> FloatArray:
 
 
 def twist_to_row(twist: Twist) -> FloatArray:
-    """Turn a twist into (6,): linear, angular.
+    """Convert a twist to (6,): linear, angular.
 
     Raises:
         PoseRefused: A number is not finite or out of range.
@@ -69,12 +69,12 @@ def rotate_twist(frame: FloatArray, twist: FloatArray) -> FloatArray:
 
 
 def pose_from_row(row: FloatArray) -> Pose:
-    """Read the pose of a state row."""
+    """Extract the pose of a state row."""
     x, y, z, qx, qy, qz, qw = row[:7].tolist()
     return Pose(Point(x, y, z), Quaternion(qx, qy, qz, qw))
 
 
 def twist_from_row(row: FloatArray) -> Twist:
-    """Read the twist of a state row."""
+    """Extract the twist of a state row."""
     vx, vy, vz, wx, wy, wz = row[7:13].tolist()
     return Twist(Vector3(vx, vy, vz), Vector3(wx, wy, wz))

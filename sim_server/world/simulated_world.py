@@ -134,7 +134,7 @@ class World:
         self.entities.replace(replace(self.entities.find(name), info=info))
 
     def check_overlaps(self, spawn: ValidatedSpawn) -> list[str]:
-        """Name the entities that a spawn would overlap; nothing is added. Raises as `spawn` does."""
+        """Name the entities that a spawn would overlap; raises as `spawn` does."""
         self.resolve_names_for(spawn)
         body = self.engine.add(spawn.model, spawn.base)
         try:
@@ -330,7 +330,7 @@ class World:
     def drive_states(
         self, except_agents: AbstractSet[str] = frozenset()
     ) -> Iterator[tuple[str, DriveState]]:
-        """Make the state message of each agent; an agent without claims left gets one that is empty."""
+        """Make the state message of each agent; an empty one after its last claim has ended."""
         clock = self.clock
         now = (clock.epoch, clock.steps, clock.time_ns)
         if self.claimed_by_agent().keys() - except_agents:

@@ -42,7 +42,10 @@ def explain_refused_transition(wanted: int, present: State) -> str:
     )
     if present == State.NO_WORLD:
         offered += ", or load_world first"
-    return f"the simulation is {STATE_NAMES[present]} and cannot become {named}; use {offered or 'none'}"
+    return (
+        f"the simulation is {STATE_NAMES[present]} and cannot become {named}; "
+        f"use {offered or 'none'}"
+    )
 
 
 class SimulationClock:

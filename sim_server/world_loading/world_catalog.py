@@ -23,24 +23,24 @@ WORLD_SUFFIXES = (".world", ".sdf")
 WORLD_SCHEMES = ("zensim://", "file://")
 ONLINE_SCHEMES = ("http://", "https://")
 HEAD_BYTES = 64 << 10
-"""Of a file: what is said of the world stands at its beginning."""
+"""Bytes of a file that are searched for the metadata of its world."""
 MAX_VISITED_FILES = 10_000
-"""Files and folders that one listing looks at."""
+"""Files and folders that one listing visits."""
 FILES_PER_TURN = 8
-"""Opened and read at each turn of the loop: 1 ms."""
+"""Files read in one turn of the loop: 1 ms."""
 MAX_TAGS = 32
 _WORLD_TAG = re.compile(r"<world\s[^<>]{0,500}?name\s{0,9}=\s{0,9}[\"']([^\"'<>]{1,200})[\"']")
 _CONTENT_TAG = re.compile(r"<(?:frame|model)\b")
-"""What follows the words of the world itself; frames have words of their own."""
+"""The first element that may have metadata of its own."""
 _METADATA_TAG = re.compile(r"<zensim:(description|tags)>([^<]{0,1000})</zensim:")
 
 
 @dataclass(frozen=True)
 class SearchFailure:
-    """A place that could not be looked into.
+    """A folder that could not be searched.
 
     Attributes:
-        is_own: Whether the operator gave it, not a request.
+        is_own: Whether it is configured by the operator, not named by a request.
     """
 
     reason: str
@@ -48,11 +48,11 @@ class SearchFailure:
 
 
 SearchFinding = WorldResource | SearchFailure | None
-"""What one file came to."""
+"""Result of one file or folder."""
 
 
 class WorldSearch:
-    """Looks for worlds, a few files at a time."""
+    """A search for worlds that visits a few files in each call."""
 
     def __init__(self, findings: Iterator[SearchFinding]) -> None:
         self.worlds: list[WorldResource] = []
@@ -60,25 +60,25 @@ class WorldSearch:
         self.is_over = False
         self._findings = findings
 
-    def go_on(self, files: int | None = FILES_PER_TURN) -> bool:
-        """Look at so many more files, or at all; say whether there are no more."""
-        looked_at = 0
+    def advance(self, files: int | None = FILES_PER_TURN) -> bool:
+        """Visit this many more files, or all; return whether none is left."""
+        visited = 0
         for finding in islice(self._findings, files):
-            looked_at += 1
+            visited += 1
             if isinstance(finding, WorldResource):
                 self.worlds.append(finding)
             elif finding is not None:
                 self.failures.append(finding)
-        self.is_over = files is None or looked_at < files
+        self.is_over = files is None or visited < files
         return self.is_over
 
 
 @dataclass(frozen=True)
 class WorldText:
-    """A world before it is read.
+    """A world before it is parsed.
 
     Attributes:
-        folders: Where its models and meshes may be.
+        folders: Folders to search for its models and meshes.
     """
 
     resource: WorldResource
@@ -90,16 +90,21 @@ class WorldCatalog:
     """Finds worlds by name."""
 
     def __init__(self, folders: Sequence[Path], start: Path | None = None) -> None:
-        """Take the operator's folders, and the file that the server was started with, if any."""
+        """Make a catalog.
+
+        Args:
+            folders: Configured by the operator.
+            start: World file that the server was started with.
+        """
         self._folders = tuple(folder.resolve() for folder in folders)
         self._start = start.resolve() if start is not None else None
         self._start_name = str(start)
 
     def find(self, resource: Resource) -> WorldText:
-        """Find what a request asks for.
+        """Find the world that a request names.
 
         Raises:
-            Refused: It names nothing that may be loaded.
+            RequestRefused: There is no such world, or it must not be loaded.
         """
         if not (resource.uri or resource.resource_string):
             raise RequestRefused(
@@ -116,25 +121,25 @@ class WorldCatalog:
         return self._from_file(name, resource.uri)
 
     def find_start_world(self, name: str, model_name: str) -> WorldResource:
-        """Say how to ask for the world that a server has at its start.
+        """Describe the world that a server starts with.
 
         Args:
-            name: That its command line gives.
-            model_name: Of the world; another one when a journal brought it back.
+            name: World name or file on the command line.
+            model_name: Name in the world file; it differs if a journal restored another world.
         """
         try:
             found = self.find(Resource(name)).resource
-        except RequestRefused:  # restored, and its file has gone
+        except RequestRefused:  # restored, and its file was deleted
             found = WorldResource()
         if found.name == model_name:
             return found
         search = self.search()
-        search.go_on(None)
-        alike = (world for world in search.worlds if world.name == model_name)
-        return next(alike, WorldResource(model_name))
+        search.advance(None)
+        same_name = (world for world in search.worlds if world.name == model_name)
+        return next(same_name, WorldResource(model_name))
 
     def search(self, sources: Sequence[str] = ()) -> WorldSearch:
-        """Look for what ships, in the operator's folders, and in further ones below those."""
+        """Search the built-in worlds, the operator's folders, and these folders below them."""
         return WorldSearch(self._findings(sources))
 
     def _findings(self, sources: Sequence[str]) -> Iterator[SearchFinding]:
@@ -145,15 +150,15 @@ class WorldCatalog:
         for folder in self._folders:
             yield from _search_folder(folder, folder)
         for source in sources:
-            yield from self._below(source)
+            yield from self._search_source(source)
 
-    def _below(self, source: str) -> Iterator[SearchFinding]:
+    def _search_source(self, source: str) -> Iterator[SearchFinding]:
         name = _strip_world_scheme(source)
         for root in self._folders:
-            if (folder := _resolve_inside(root, name)) is not None and folder.is_dir():
+            if (folder := resolve_below(root, name)) is not None and folder.is_dir():
                 yield from _search_folder(folder, root)
                 return
-        reason = f"source {source[:120]!r} is no folder below those of --model-path"
+        reason = f"source {source[:120]!r} is not a folder below --model-path"
         yield SearchFailure(reason, is_own=False)
 
     def _from_file(self, name: str, uri: str) -> WorldText:
@@ -161,8 +166,8 @@ class WorldCatalog:
         if file is None:
             raise RequestRefused(
                 ResultCode.NOT_FOUND,
-                f"no world {uri[:120]!r} comes with the server or lies below --model-path; "
-                "get_available_worlds lists those that do",
+                f"world {uri[:120]!r} is neither built in nor below --model-path; "
+                "get_available_worlds lists all worlds",
             )
         if file.suffix not in WORLD_SUFFIXES:
             raise RequestRefused(
@@ -189,30 +194,28 @@ class WorldCatalog:
             return (start if start.is_file() else None), (start.parent, *self._folders)
         for root in self._folders:
             for ending in ("", *WORLD_SUFFIXES):
-                if (file := _resolve_inside(root, name + ending)) is not None and file.is_file():
+                if (file := resolve_below(root, name + ending)) is not None and file.is_file():
                     return file, (file.parent, *self._folders)
         return None, ()
 
 
 def find_start_file(name: str) -> Path | None:
-    """Find the file that a server is started with; None when its world is a shipped one."""
+    """Find the world file that a server is started with; None for a built-in world."""
     return None if name in list_builtin_worlds() else Path(name)
 
 
 def read_world_metadata(resource: Resource, text: str) -> WorldResource:
-    """Say what a world's file says of itself: its name, `<zensim:description>`, `<zensim:tags>`."""
+    """Read name, `<zensim:description>` and `<zensim:tags>` of a world file."""
     head = text[:HEAD_BYTES]
     named = _WORLD_TAG.search(head)
     begin = named.end() if named else len(head)
     content = _CONTENT_TAG.search(head, begin)
-    said: dict[str, str] = {}
-    for what, words in _METADATA_TAG.findall(
-        head, begin, content.start() if content else len(head)
-    ):
-        said.setdefault(what, " ".join(words.split()))
-    tags = tuple(said.get("tags", "").replace(",", " ").split()[:MAX_TAGS])
+    metadata: dict[str, str] = {}
+    for key, value in _METADATA_TAG.findall(head, begin, content.start() if content else len(head)):
+        metadata.setdefault(key, " ".join(value.split()))
+    tags = tuple(metadata.get("tags", "").replace(",", " ").split()[:MAX_TAGS])
     name = named[1] if named else Path(resource.uri).stem
-    return WorldResource(name, resource, said.get("description", ""), tags)
+    return WorldResource(name, resource, metadata.get("description", ""), tags)
 
 
 def _strip_world_scheme(uri: str) -> str:
@@ -221,17 +224,18 @@ def _strip_world_scheme(uri: str) -> str:
     return uri
 
 
-def _resolve_inside(root: Path, name: str) -> Path | None:
+def resolve_below(root: Path, name: str) -> Path | None:
+    """Resolve a path below a folder; None if it does not exist or is outside of the folder."""
     try:
-        place = (root / name).resolve()
-        return place if place.is_relative_to(root) and place.exists() else None
-    except (OSError, ValueError):  # a name too long, or one that no file can have
+        path = (root / name).resolve()
+        return path if path.is_relative_to(root) and path.exists() else None
+    except (OSError, ValueError):  # the name is too long or not valid
         return None
 
 
 def _search_folder(folder: Path, root: Path) -> Iterator[SearchFinding]:
     if not os.access(folder, os.R_OK | os.X_OK):
-        yield SearchFailure(f"folder {str(folder)!r} cannot be looked into")
+        yield SearchFailure(f"folder {str(folder)!r} cannot be read")
         return
     left = MAX_VISITED_FILES
     for place, folders, files in os.walk(folder):
@@ -247,14 +251,14 @@ def _search_folder(folder: Path, root: Path) -> Iterator[SearchFinding]:
 
 
 def _is_inside(root: Path, path: Path) -> bool:
-    """Whether a path is still below a folder once links are followed."""
+    """Whether a path is below a folder after links are resolved."""
     return path.resolve().is_relative_to(root)
 
 
 def _read_listed_file(file: Path, uri: str) -> WorldResource | None:
     try:
-        with file.open(encoding="utf-8", errors="replace") as opened:
-            head = opened.read(HEAD_BYTES)
+        with file.open(encoding="utf-8", errors="replace") as stream:
+            head = stream.read(HEAD_BYTES)
     except OSError:
         return None
     return read_world_metadata(Resource(uri), head) if _WORLD_TAG.search(head) else None

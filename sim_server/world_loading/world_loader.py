@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class BuiltWorld:
-    """A world that is ready to take the place of another, and how fast it is to go."""
+    """A world that is ready to replace the current one, and its real-time factor."""
 
     world: World
     real_time_factor: float
 
 
 WorldFactory = Callable[[WorldModel], Iterator[BuiltWorld | None]]
-"""Makes an engine and puts a world's models into it, a part at a time; the world comes last.
+"""Builds a world in steps; the last item is the world. Raises SimError.
 
-Raises SimError. Who does not go on to the end closes it.
+Close the iterator if the world is not needed any more.
 """
 
 
@@ -43,14 +43,14 @@ COMMAND = make_module_command("zensim.sim_server.world_loading.world_loader_proc
 
 
 class LoadedWorld(msgspec.Struct, frozen=True):
-    """A world, and the meshes that its models name, by sha256."""
+    """A world and the meshes of its models by sha256."""
 
     model: WorldModel
     meshes: dict[str, bytes] = {}
 
 
 class WorldLoaderRequest(msgspec.Struct, frozen=True):
-    """What is to be read: a shipped world or a file, and where the files that it names may be."""
+    """The name of a built-in world or a world file, and the folders of its models and meshes."""
 
     name: str
     model_paths: tuple[str, ...] = ()
@@ -58,24 +58,24 @@ class WorldLoaderRequest(msgspec.Struct, frozen=True):
 
 
 class WorldLoaderResult(msgspec.Struct, frozen=True):
-    """The world, or why there is none."""
+    """The world, or the error."""
 
     loaded: LoadedWorld | None = None
     fault: str = ""
 
 
-def load_world_in_process(order: WorldLoaderRequest) -> LoadedWorld:
-    """Have a world read by a process of its own: parsers of files and meshes are large.
+def load_world_in_process(request: WorldLoaderRequest) -> LoadedWorld:
+    """Load a world in a child process: parsers of files and meshes need much memory.
 
     Raises:
-        ConfigError: There is none, or it cannot be read.
+        ConfigError: There is no such world, or it cannot be parsed.
     """
-    if order.name in list_builtin_worlds():
-        return LoadedWorld(read_world(read_builtin_world(order.name)))
-    outcome = run_process(COMMAND, msgspec.msgpack.encode(order))
+    if request.name in list_builtin_worlds():
+        return LoadedWorld(read_world(read_builtin_world(request.name)))
+    outcome = run_process(COMMAND, msgspec.msgpack.encode(request))
     if outcome.status:
         raise ConfigError(
-            f"world '{order.name}' ended the process that read it (status {outcome.status}); "
+            f"world '{request.name}' crashed the process that loaded it (status {outcome.status}); "
             "make it simpler"
         )
     result = msgspec.msgpack.decode(outcome.output, type=WorldLoaderResult)
@@ -85,21 +85,21 @@ def load_world_in_process(order: WorldLoaderRequest) -> LoadedWorld:
 
 
 def list_warnings(report: Iterable[ReportEntry]) -> list[str]:
-    """List what is suspicious."""
+    """List the suspicious entries of a report."""
     return [f"{entry.subject}: {entry.reason}" for entry in report if entry.status == "suspicious"]
 
 
 def spawn_models(world: World, model: WorldModel) -> None:
-    """Put the models of a world file where they stand; raises as `furnishing` does."""
+    """Spawn the models of a world file; raises as `spawn_models_stepwise` does."""
     for _ in spawn_models_stepwise(world, model):
         pass
 
 
 def spawn_models_stepwise(world: World, model: WorldModel) -> Iterator[None]:
-    """Put the models of a world file where they stand, a part of one at a time.
+    """Spawn the models of a world file, a part of one in each step.
 
     Raises:
-        ConfigError: The engine cannot simulate one.
+        ConfigError: The engine refuses one.
     """
     for placed in model.models:
         while not world.prepare(placed.model):
@@ -116,10 +116,10 @@ def spawn_models_stepwise(world: World, model: WorldModel) -> Iterator[None]:
 def make_world_factory(
     config: ServerConfig, make_engine: Callable[[ServerConfig, WorldModel], Engine]
 ) -> WorldFactory:
-    """Make worlds as this server makes them: what its start did not fix, each world chooses."""
+    """Make a factory of worlds; a world file chooses what the command line does not."""
     asked = config.asked or config
 
-    def found(model: WorldModel) -> Iterator[BuiltWorld | None]:
+    def build(model: WorldModel) -> Iterator[BuiltWorld | None]:
         pace = model.pace
         chosen = fill_pace(asked, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
         world = World(
@@ -128,15 +128,15 @@ def make_world_factory(
             step_ns=chosen.step_ns,
             control_steps=chosen.control_steps,
         )
-        is_whole = False
+        is_complete = False
         try:
             yield from spawn_models_stepwise(world, model)
-            is_whole = True
+            is_complete = True
         except ConfigError as error:
             raise RequestRefused(ResultCode.OPERATION_FAILED, str(error)) from error
         finally:
-            if not is_whole:
+            if not is_complete:
                 world.close()
         yield BuiltWorld(world, chosen.real_time_factor or 0.0)
 
-    return found
+    return build

@@ -1,6 +1,6 @@
 """Loads a world file and its resources in a separate process.
 
-`python -m sim_server.world_loading.world_loader_process`: a request on stdin, the result on stdout.
+Run with `python -m`: a request on stdin, the result on stdout.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 MAX_SHOWN_WARNINGS = 5
-"""Entries of the report that a refusal repeats."""
+"""Report entries that an error message repeats."""
 
 
 def main() -> None:
-    """Read the world that is asked for."""
+    """Load the requested world."""
     die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    order = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=WorldLoaderRequest)
+    request = msgspec.msgpack.decode(sys.stdin.buffer.read(), type=WorldLoaderRequest)
     try:
-        loaded = load_world_file(order.name, order.model_paths, is_strict=order.is_strict)
-        outcome = WorldLoaderResult(loaded)
+        loaded = load_world_file(request.name, request.model_paths, is_strict=request.is_strict)
+        result = WorldLoaderResult(loaded)
     except ConfigError as error:
-        outcome = WorldLoaderResult(fault=str(error))
-    sys.stdout.buffer.write(msgspec.msgpack.encode(outcome))
+        result = WorldLoaderResult(fault=str(error))
+    sys.stdout.buffer.write(msgspec.msgpack.encode(result))
 
 
 def load_world_file(
     name: str, model_paths: Iterable[str] = (), *, is_strict: bool = False
 ) -> LoadedWorld:
-    """Read a shipped world by name, or a world file by path, and the files that it names.
+    """Load a built-in world or a world file, and the models and meshes that it names.
 
     Args:
-        name: Of the world.
-        model_paths: Folders to look for models and meshes in, beside that of the world file.
-        is_strict: Refuse a world of which something was left out or is suspicious.
+        name: Name of a built-in world, or path of a world file.
+        model_paths: Folders of models and meshes besides that of the world file.
+        is_strict: Whether to refuse a world with warnings.
 
     Raises:
-        ConfigError: There is none, or it cannot be read.
+        ConfigError: There is no such world, or it cannot be parsed.
     """
     folders = [Path(path) for path in model_paths]
     try:
@@ -71,14 +71,14 @@ def load_world_file(
     except SimError as error:
         raise ConfigError(f"world '{name}': {error}") from error
     except (OSError, UnicodeDecodeError) as error:
-        shipped = ", ".join(list_builtin_worlds())
-        raise ConfigError(f"world '{name}' is neither a file nor one of {shipped}") from error
-    if is_strict and (faults := list_warnings(loaded.model.report)):
+        builtin = ", ".join(list_builtin_worlds())
+        raise ConfigError(f"world '{name}' is neither a file nor one of {builtin}") from error
+    if is_strict and (warnings := list_warnings(loaded.model.report)):
         raise ConfigError(
-            f"world '{name}' is refused by --strict: {'; '.join(faults[:MAX_SHOWN_WARNINGS])}"
+            f"world '{name}' is refused by --strict: {'; '.join(warnings[:MAX_SHOWN_WARNINGS])}"
             + (
-                f"; and {len(faults) - MAX_SHOWN_WARNINGS} more"
-                if len(faults) > MAX_SHOWN_WARNINGS
+                f"; and {len(warnings) - MAX_SHOWN_WARNINGS} more"
+                if len(warnings) > MAX_SHOWN_WARNINGS
                 else ""
             )
         )
@@ -93,8 +93,8 @@ def _parse_world(text: str, folders: Sequence[Path]) -> LoadedWorld:
         data = read(uri)
         return None if data is None else (sha256(data).hexdigest(), data)
 
-    described = parse_world(text, resolve=make_model_resolver(folders), find_mesh=find_mesh)
-    return LoadedWorld(described.world, described.meshes)
+    parsed = parse_world(text, resolve=make_model_resolver(folders), find_mesh=find_mesh)
+    return LoadedWorld(parsed.world, parsed.meshes)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Models and meshes that a world names, found in the operator's folders for its parse job."""
+"""Finds the models and meshes of a world in the operator's folders, and runs its parse job."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.sim_server.description.strict_parsing import MAX_BYTES, parse_xml
 from zensim.sim_server.errors import ModelError
 from zensim.sim_server.parser_process.parser_protocol import ParseRequest, ParseResult
+from zensim.sim_server.world_loading.world_catalog import resolve_below
 
 if TYPE_CHECKING:
     from zensim.sim_server.description.sdf.sdf_includes import ResolveInclude
@@ -29,53 +30,49 @@ MODEL_CONFIG_FILE = "model.config"
 DEFAULT_MODEL_FILE = "model.sdf"
 
 FindFile = Callable[[str], Path | None]
-"""The file that a URI stands for; None when it is not here."""
+"""Finds the file of a URI; None if there is none."""
 
 
 def make_model_resolver(folders: Sequence[Path]) -> ResolveInclude:
-    """Look for models below these folders, the first that has one counts.
+    """Make a function that reads the SDF text of a model from the first folder that has it.
 
-    `model://NAME` is the folder NAME, whose model.config says which file; `model://NAME/FILE` is
-    that file; a relative path is below a folder. Nothing outside the folders is read.
+    `model://NAME` is the folder NAME, whose model.config names the file; `model://NAME/FILE` is
+    that file; a relative path is below a folder. Files outside the folders are not read.
     """
     roots = [folder.resolve() for folder in folders]
 
     def resolve(uri: str) -> str | None:
         part = _strip_scheme(uri)
-        places = [
-            place for root in roots if part and (place := _resolve_below(root, part)) is not None
-        ]
-        return next(
-            (text for place in places if (text := _read_model_text(place)) is not None), None
-        )
+        paths = [path for root in roots if part and (path := resolve_below(root, part)) is not None]
+        return next((text for path in paths if (text := _read_model_text(path)) is not None), None)
 
     return resolve
 
 
 def make_file_finder(folders: Sequence[Path]) -> FindFile:
-    """Look for files below these folders, the first that has one counts.
+    """Make a function that finds a file in the first folder that has it.
 
     `model://NAME/FILE` and `package://NAME/FILE` are NAME/FILE below a folder, or FILE below a
-    folder called NAME; a relative path is below a folder. Nothing outside the folders is there.
+    folder called NAME; a relative path is below a folder. Files outside are not found.
     """
     roots = [folder.resolve() for folder in folders]
 
     def find(uri: str) -> Path | None:
         part = _strip_scheme(uri)
         name, _, inside = part.partition("/")
-        places = (
-            _resolve_below(root, path)
+        paths = (
+            resolve_below(root, path)
             for root in roots
             for path in (part, inside if name == root.name and part != uri else "")
             if path
         )
-        return next((place for place in places if place is not None and place.is_file()), None)
+        return next((path for path in paths if path is not None and path.is_file()), None)
 
     return find
 
 
 def make_file_reader(folders: Sequence[Path]) -> Callable[[str], bytes | None]:
-    """Read files below these folders, found as `files_in` does; None when too large or not here."""
+    """Make a function that reads what `make_file_finder` finds; None if missing or too large."""
     find = make_file_finder(folders)
 
     def read(uri: str) -> bytes | None:
@@ -94,27 +91,19 @@ def _strip_scheme(uri: str) -> str:
     return "" if "://" in uri else uri
 
 
-def _resolve_below(root: Path, part: str) -> Path | None:
-    try:
-        place = (root / part).resolve()
-        return place if place.is_relative_to(root) and place.exists() else None
-    except (OSError, ValueError):  # a name too long, or one that no file can have
-        return None
-
-
-def _read_model_text(place: Path) -> str | None:
-    if place.is_dir():
-        named = _resolve_below(place, _find_model_file(place))
+def _read_model_text(path: Path) -> str | None:
+    if path.is_dir():
+        named = resolve_below(path, _find_model_file(path))
         return _read_model_text(named) if named is not None and named.is_file() else None
     try:
-        return place.read_text(encoding="utf-8") if place.stat().st_size <= MAX_BYTES else None
+        return path.read_text(encoding="utf-8") if path.stat().st_size <= MAX_BYTES else None
     except (OSError, UnicodeDecodeError):
         return None
 
 
 def _find_model_file(folder: Path) -> str:
-    """Name the SDF file of a model's folder: the newest version that its model.config lists."""
-    config = _resolve_below(folder, MODEL_CONFIG_FILE)
+    """Choose the SDF file of a model folder: the newest version in its model.config."""
+    config = resolve_below(folder, MODEL_CONFIG_FILE)
     text = _read_model_text(config) if config is not None and config.is_file() else None
     if text is None:
         return DEFAULT_MODEL_FILE
@@ -134,11 +123,11 @@ def _parse_version(text: str) -> tuple[int, ...]:
 
 
 MAX_PARSE_ROUNDS = 20
-"""Each may bring models that name others: includes nest 16 deep."""
+"""Each may add models that include others, nested 16 deep."""
 
 
 class WorldParseJob:
-    """Reads one world; files come from the operator's folders and from nowhere else."""
+    """Parses one world; files are read from the operator's folders only."""
 
     def __init__(
         self,
@@ -149,8 +138,8 @@ class WorldParseJob:
         *,
         allow_missing: bool,
     ) -> None:
-        self.answer: ParseResult | None = None
-        """What came of it, once it is over."""
+        self.result: ParseResult | None = None
+        """None until the job is done."""
         self._text = text
         self._allow_missing = allow_missing
         self._resolve, self._find = make_model_resolver(folders), make_file_reader(folders)
@@ -163,32 +152,32 @@ class WorldParseJob:
 
     def _submit(self) -> None:
         self._rounds += 1
-        self._descriptions.ask(
+        self._descriptions.parse(
             ParseRequest(
                 0,
                 self._text,
-                # Only once there is nothing more to give may something be missing.
+                # Files may be missing only in the last round.
                 allow_missing=self._is_final_round,
                 assets=tuple(AssetRef(uri, name) for uri, name in self._supplied.items()),
                 files=tuple(dict.fromkeys(self._supplied.values())),
                 is_world=True,
             ),
-            self._note,
+            self._on_parsed,
         )
 
-    def _note(self, answer: ParseResult) -> None:
-        new = [uri for uri in answer.wanted if uri not in self._supplied and self._supply(uri)]
+    def _on_parsed(self, result: ParseResult) -> None:
+        new = [uri for uri in result.wanted if uri not in self._supplied and self._supply(uri)]
         if new and self._rounds < MAX_PARSE_ROUNDS:
             self._submit()
         elif (
-            answer.code == SpawnCode.MISSING_ASSETS
+            result.code == SpawnCode.MISSING_ASSETS
             and self._allow_missing
             and not self._is_final_round
         ):
             self._is_final_round = True
             self._submit()
         else:
-            self.answer = answer
+            self.result = result
 
     def _supply(self, uri: str) -> bool:
         text = self._resolve(uri)

@@ -93,7 +93,7 @@ class InlineParser:
         self.store = store or AssetStore()
         self.unread: list[tuple[ParseResult, Callable[[ParseResult], None]]] = []
 
-    def is_read(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
+    def is_parsed(self, order: SpawnEntityOrder) -> bool:  # noqa: ARG002
         return not self.is_slow
 
     def model(self, order: SpawnEntityOrder) -> tuple[Model, str]:
@@ -111,19 +111,19 @@ class InlineParser:
     def remember(self, reading: ParseKey, model: Model) -> None:
         self.remembered[id(model)] = reading
 
-    def ask(self, request: ParseRequest, on_read: Callable[[ParseResult], None]) -> None:
+    def parse(self, request: ParseRequest, on_parsed: Callable[[ParseResult], None]) -> None:
         files = {name: self.store.read(name, 0, self.store.size(name)) for name in request.files}
         answer, meshes = parse_request(request, files)
         for name, data in meshes.items():
             self.store.keep(name, data)
-        self.unread.append((answer, on_read))
+        self.unread.append((answer, on_parsed))
 
     def poll(self) -> bool:
         if self.is_slow:
             return False
         unread, self.unread = self.unread, []
-        for answer, on_read in unread:
-            on_read(answer)
+        for answer, on_parsed in unread:
+            on_parsed(answer)
         return True
 
 

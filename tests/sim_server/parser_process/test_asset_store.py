@@ -114,10 +114,10 @@ def test_store_tells_each_corner_of_a_mesh_once(store: AssetStore) -> None:
     square = np.array([[[0, 0, 1], [2, 0, 1], [2, 2, 1]], [[0, 0, 1], [2, 2, 1], [0, 2, 1]]])
     name = put(store, write_corners(square))
 
-    found = store.corners(name)
+    found = store.vertices(name)
 
     assert sorted(found.tolist()) == [[0, 0, 1], [0, 2, 1], [2, 0, 1], [2, 2, 1]]
-    assert store.corners(name) is found
+    assert store.vertices(name) is found
 
 
 def test_store_refuses_to_look_for_more_files_than_a_bundle_has(store: AssetStore) -> None:

@@ -51,7 +51,7 @@ class Reading:
 
         def is_read() -> bool:
             self.descriptions.poll()
-            return self.descriptions.is_read(order)
+            return self.descriptions.is_parsed(order)
 
         eventually(is_read, WITHIN_S, "a model")
         return self.descriptions.model(order)[0]
@@ -81,7 +81,7 @@ def mesh_of(model: Model) -> str:
 def test_description_is_read_once_for_all_that_ask(roomy: Reading) -> None:
     first = roomy.model(roomy.order())
 
-    assert roomy.descriptions.is_read(roomy.order())
+    assert roomy.descriptions.is_parsed(roomy.order())
     assert roomy.model(roomy.order()) is first
 
 
@@ -122,7 +122,7 @@ def test_large_model_is_prepared_part_by_part_with_rests(roomy: Reading) -> None
     order = SpawnEntityOrder(entity_resource=Resource(resource_string=scene), assets=refs)
 
     def is_begun() -> bool:
-        roomy.descriptions.is_read(order)
+        roomy.descriptions.is_parsed(order)
         roomy.descriptions.poll()
         return roomy.parts_left == 2
 
@@ -131,7 +131,7 @@ def test_large_model_is_prepared_part_by_part_with_rests(roomy: Reading) -> None
     for _ in range(30):
         roomy.wall.sleep(0.001)
         done.append(
-            (roomy.descriptions.poll(), roomy.parts_left, roomy.descriptions.is_read(order))
+            (roomy.descriptions.poll(), roomy.parts_left, roomy.descriptions.is_parsed(order))
         )
 
     assert done[8] == (False, 2, False)
@@ -150,13 +150,13 @@ def test_corners_of_a_large_model_are_read_before_it_is_ready(
     def is_read() -> bool:
         roomy.wall.sleep(1.0)
         roomy.descriptions.poll()
-        return roomy.descriptions.is_read(order)
+        return roomy.descriptions.is_parsed(order)
 
     eventually(is_read, WITHIN_S, "a model")
 
     with monkeypatch.context() as patch:
         patch.setattr(roomy.store, "read", None)
-        assert len(roomy.store.corners(mesh_of(roomy.descriptions.model(order)[0])))
+        assert len(roomy.store.vertices(mesh_of(roomy.descriptions.model(order)[0])))
 
 
 def test_moving_model_of_many_collisions_is_prepared_though_they_are_one_mesh(
@@ -173,7 +173,7 @@ def test_moving_model_of_many_collisions_is_prepared_though_they_are_one_mesh(
     def is_prepared() -> bool:
         roomy.wall.sleep(1.0)
         roomy.descriptions.poll()
-        return roomy.descriptions.is_read(order)
+        return roomy.descriptions.is_parsed(order)
 
     eventually(is_prepared, WITHIN_S, "a model")
 
@@ -197,7 +197,7 @@ def test_description_that_another_server_read_is_not_read_again(roomy: Reading) 
 
     other.remember(reading, model)
 
-    assert other.is_read(order)
+    assert other.is_parsed(order)
     assert other.model(order)[0] is model
     assert other.find_parse_key(model) == reading
     assert other.find_parse_key(Model("stranger", ())) is None

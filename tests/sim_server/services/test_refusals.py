@@ -141,7 +141,7 @@ REFUSED = {
     "filter": (
         entity_messages.GetEntitiesRequest(entity_messages.EntityFilters("r(")),
         ResultCode.OPERATION_FAILED,
-        r"'r\(' is no POSIX extended regular expression",
+        r"'r\('",
     ),
     "ask for the state of nobody": (
         entity_messages.GetEntityStateOrder("r7"),

@@ -58,8 +58,8 @@ def test_span_covers_its_duration_to_the_step(now: int, start: int, duration: in
     made = last - first
     assert made >= 1
     assert abs(made - max(1, duration / STEP_NS)) <= 1
-    assert span.holds(first * STEP_NS)
-    assert not span.holds(last * STEP_NS)
+    assert span.contains(first * STEP_NS)
+    assert not span.contains(last * STEP_NS)
 
 
 def test_span_is_none_without_duration_and_endless_when_it_is_negative() -> None:

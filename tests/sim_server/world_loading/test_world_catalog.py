@@ -34,7 +34,7 @@ def test_file_of_the_start_is_asked_for_as_it_was_given_or_by_its_name(
     for name in (str(yard), again):
         assert atlas.find(Resource(name)).text == YARD
     search = atlas.search()
-    assert search.go_on(None)
+    assert search.advance(None)
     assert "a_yard.world" in [world.world_resource.uri for world in search.worlds]
 
 
