@@ -1,4 +1,7 @@
-"""The Zenoh boundary, and the only module that imports zenoh: endpoints, sessions, publishers, subscriptions, queries, liveliness tokens and service calls."""
+"""Zenoh sessions, publishers, subscriptions, queries, liveliness tokens and service calls.
+
+No other module imports zenoh.
+"""
 
 import json
 import re
@@ -31,7 +34,7 @@ MAX_PORT: Final = 65535
 
 
 def check_endpoint(endpoint: str) -> str:
-    """Return the endpoint if Zenoh can use it.
+    """Return the endpoint if it is valid.
 
     Raises:
         ValueError: Not `protocol/host:port`.
@@ -45,7 +48,7 @@ def check_endpoint(endpoint: str) -> str:
 
 
 def with_free_port(endpoint: str) -> str:
-    """Replace port 0 by one that is free on that host now."""
+    """Replace port 0 by a free port of that host."""
     match = ENDPOINT_PATTERN.fullmatch(check_endpoint(endpoint))
     if match is None or int(match["port"]) != 0:
         return endpoint
@@ -58,20 +61,19 @@ def with_free_port(endpoint: str) -> str:
 
 
 MAX_REQUEST_BYTES = 3 << 20
-"""Of any request as it is sent: decoding a longer one would make physics late."""
-
+"""Encoded size limit: decoding a larger request would delay the physics step."""
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
 MAX_TAKEN_BYTES: Final = 1 << 20
-"""Of requests at once, so that who takes them can do something else in between."""
+"""Size limit of the requests that one `take` returns."""
 QUERY_OVERHEAD_BYTES: Final = MAX_TAKEN_BYTES // 32
-"""What a request counts for beside its payload."""
+"""Added to the payload size of each request."""
 EMPTY_PAYLOAD: Final = zenoh.ZBytes(b"")
 
 
 class BusPublisher:
-    """One key to put on. Never blocks: what a slow network cannot take is dropped."""
+    """Publisher on one key. Never blocks: a congested network drops messages."""
 
     def __init__(self, publisher: zenoh.Publisher) -> None:
         self._publisher = publisher
@@ -81,9 +83,9 @@ class BusPublisher:
 
     @property
     def is_matched(self) -> bool:
-        """Whether anybody listens."""
+        """Whether there is a subscriber."""
         if self._changes is None:
-            # To ask each time costs ten times as much as to be told of changes.
+            # A query of the status costs ten times as much as a listener.
             self._changes = self._publisher.declare_matching_listener(RingChannel(1))
             # The stub says bool; it is a MatchingStatus.
             self._was_matched = self._publisher.matching_status.matching  # type: ignore[attr-defined]
@@ -92,8 +94,8 @@ class BusPublisher:
         return self._was_matched
 
     def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
-        """Put one message; who hears two of one stamp takes them for one."""
-        # Each argument costs as much as a tenth of the put.
+        """Publish a message; subscribers drop a second one with the same timestamp."""
+        # Each argument costs a tenth of the put.
         if stamp is not None:
             self._put(
                 payload, attachment=attachment or None, timestamp=cast("zenoh.Timestamp", stamp)
@@ -104,31 +106,31 @@ class BusPublisher:
             self._put(payload)
 
     def close(self) -> None:
-        """Withdraw the publisher."""
+        """Undeclare the publisher."""
         if self._changes is not None:
             self._changes.undeclare()
         self._publisher.undeclare()
 
 
 class BusSubscription:
-    """Messages on a key expression; when nobody takes them the oldest are dropped."""
+    """Subscription on a key expression; a full queue drops the oldest messages."""
 
     def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
         self._subscriber = subscriber
 
     def take(self) -> list[Sample]:
-        """Take all that have come, oldest first."""
+        """Take all queued messages, oldest first."""
         return list(self._drain())
 
     def newest(self) -> Sample | None:
-        """Take all and keep the last."""
+        """Take all queued messages and return the last."""
         found = None
         for found in self._drain():  # noqa: B007  the last one is the result
             pass
         return found
 
     def close(self) -> None:
-        """Stop listening."""
+        """Undeclare the subscription."""
         self._subscriber.undeclare()
 
     def _drain(self) -> Iterator[Sample]:
@@ -137,21 +139,21 @@ class BusSubscription:
 
 
 class BusQuery:
-    """A request that waits for its answer; reply once, or the caller gets nothing."""
+    """A query that waits for its reply."""
 
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
         self.key = str(query.key_expr)
         payload = query.payload or EMPTY_PAYLOAD
         self.size = len(payload)
-        # Of one that is too large nobody wants the copy.
+        # A request that is too large is refused by its size.
         self.payload = payload.to_bytes() if self.size <= MAX_REQUEST_BYTES else b""
         self.encoding = str(query.encoding) if query.encoding else ""
         self.request_id = query.attachment.to_bytes() if query.attachment else b""
 
     @property
     def name(self) -> str:
-        """The service asked for: the last chunk of the key."""
+        """Service name: the last chunk of the key."""
         return keys.last_chunk(self.key)
 
     def read(self, kind: type[Message]) -> Message:
@@ -163,16 +165,16 @@ class BusQuery:
         return decode(kind, self.payload, self.encoding)
 
     def covers(self, key: str) -> bool:
-        """Whether this asks for that key, perhaps among others."""
+        """Whether the queried key expression includes the key."""
         return bool(zenoh.KeyExpr(self.key).intersects(key))
 
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
-        """Answer, and let the caller go; `key` when the request's is a pattern."""
+        """Reply once and finish the query; give `key` if the queried one is a pattern."""
         with self._query as query:
             query.reply(key or self.key, payload, encoding=encoding, attachment=attachment or None)
 
     def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
-        """Answer with many values, each on a key of its own, and let the caller go."""
+        """Reply with several values, each on its own key, and finish the query."""
         with self._query as query:
             for key, payload in answers:
                 query.reply(key, payload, encoding=encoding)
@@ -180,10 +182,7 @@ class BusQuery:
     def add_reply(
         self, key: str, payload: bytes, encoding: str, attachment: bytes, stamp: Stamp
     ) -> None:
-        """Answer with one sample of several; `drop` ends the answer.
-
-        A caller who does not take samples of that key gets none.
-        """
+        """Send one reply of several, if the query accepts its key; `drop` finishes the query."""
         with suppress(zenoh.ZError):
             self._query.reply(
                 key,
@@ -194,18 +193,18 @@ class BusQuery:
             )
 
     def drop(self) -> None:
-        """Let the caller go without an answer."""
+        """Finish the query."""
         self._query.drop()
 
 
 class BusQueryQueue:
-    """Requests on a key expression; when nobody takes them the oldest are let go unanswered."""
+    """Queue of queries on a key expression; a full queue drops the oldest without a reply."""
 
     def __init__(self, queryable: "zenoh.Queryable[Handler[zenoh.Query]]") -> None:
         self._queryable = queryable
 
     def take(self) -> list[BusQuery]:
-        """Take what has come, oldest first; of very much, the beginning."""
+        """Take queued queries, oldest first, up to `MAX_TAKEN_BYTES`."""
         calls: list[BusQuery] = []
         room = MAX_TAKEN_BYTES
         while room > 0 and (query := self._queryable.try_recv()) is not None:
@@ -214,41 +213,41 @@ class BusQueryQueue:
         return calls
 
     def close(self) -> None:
-        """Stop serving."""
+        """Undeclare the queryable."""
         self._queryable.undeclare()
 
 
 class LivelinessToken:
-    """Says that this process is alive, until closed or until the process is gone."""
+    """Liveliness token of this process, until it is closed or the process ends."""
 
     def __init__(self, token: zenoh.LivelinessToken) -> None:
         self._token = token
 
     def close(self) -> None:
-        """Withdraw the token."""
+        """Undeclare the token."""
         self._token.undeclare()
 
 
 class LivelinessWatch:
-    """Comings and goings of tokens."""
+    """Changes of liveliness tokens."""
 
     def __init__(self, subscriber: "zenoh.Subscriber[Handler[zenoh.Sample]]") -> None:
         self._subscriber = subscriber
 
     def take(self) -> list[tuple[str, bool]]:
-        """Take all changes: key, and whether it is alive."""
+        """Take all queued changes: key, and whether it is alive."""
         changes = []
         while (sample := self._subscriber.try_recv()) is not None:
             changes.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT))
         return changes
 
     def close(self) -> None:
-        """Stop watching."""
+        """Undeclare the subscription."""
         self._subscriber.undeclare()
 
 
 def to_sample(sample: zenoh.Sample) -> Sample:
-    """Take over what came."""
+    """Convert a Zenoh sample."""
     attachment = sample.attachment
     return Sample(
         str(sample.key_expr),
@@ -279,50 +278,50 @@ __all__ = [
 
 MAX_MESSAGE_BYTES: Final = 16 * 1024 * 1024
 RETRY_AFTER_S: Final = (0.01, 0.03, 0.1, 0.2, 0.0)
-"""After a reconnect a query may end empty at first (zenoh#2767): ask again with the same id."""
+"""A query may return nothing after a reconnect (zenoh#2767): retry with the same id."""
 MAX_REPLIES: Final = 16384
-"""To one question, kept in a queue: a ring loses what is left in it when the last has come."""
+"""Queue length for the replies to a query; a ring channel loses replies when the query ends."""
 LATEST: Final = 1
-"""Subscription depth that keeps only the newest sample: for one publisher on one key."""
+"""Subscription depth that keeps only the newest sample, for one publisher on one key."""
 
 
 class BusError(Exception):
-    """The network does not do what was asked."""
+    """A network operation failed."""
 
 
 class Unreachable(BusError):
-    """No router or server at the endpoints."""
+    """No router or server listens at the endpoints."""
 
 
 class EndpointTaken(BusError):
-    """Another process listens there."""
+    """Another process listens at the endpoint."""
 
 
 class NoServer(BusError):
-    """A router is there, but nothing answers for this key."""
+    """No queryable replies on this key."""
 
 
 class BusConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """How to join the network; loopback, no scouting, no gossip unless told otherwise."""
+    """Session settings; defaults to loopback without scouting and gossip."""
 
     mode: Literal["client", "peer", "router"] = "client"
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     lease_ms: int = 2000
-    """A process that is stopped, not killed, is missed after about this long."""
+    """A stopped process loses its tokens after about this time."""
     max_message_bytes: int = MAX_MESSAGE_BYTES
     open_timeout_s: float = 2.0
 
 
 class Bus:
-    """One session on the network. Close it: use `with open_bus(...) as bus`."""
+    """A Zenoh session: `with open_bus(...) as bus`."""
 
     def __init__(self, session: zenoh.Session, config: BusConfig) -> None:
         self._session = session
         self.config = config
 
     def __enter__(self) -> "Bus":
-        """Return the bus itself."""
+        """Return the bus."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -331,33 +330,33 @@ class Bus:
 
     @property
     def endpoint(self) -> str:
-        """Where this bus listens, or else connects."""
+        """First endpoint to listen at, else to connect to."""
         return (self.config.listen or self.config.connect or ("",))[0]
 
     @property
     def zid(self) -> str:
-        """The session's own id, in hexadecimal digits."""
+        """Session id, in hexadecimal digits."""
         return str(self._session.info.zid())
 
     def stamp(self) -> Stamp:
-        """Make a stamp of now."""
+        """Make a timestamp of now."""
         return Stamp(self._session.new_timestamp())
 
     def open_session(self) -> "Bus":
-        """Open another session to the same network; close it too.
+        """Open another session to the same network; the caller closes it.
 
         Raises:
-            BusError: As `open_bus` does.
+            BusError: See `open_bus`.
         """
         at = self.config.listen if self.config.mode == "router" else self.config.connect
         return open_bus(msgspec.structs.replace(self.config, mode="client", connect=at, listen=()))
 
     def close(self) -> None:
-        """End the session; tokens go, queues close."""
+        """Close the session and all that it declared."""
         self._session.close()
 
     def advertise(self, key: str, encoding: str) -> BusPublisher:
-        """Declare a publisher whose payloads have this encoding."""
+        """Declare a publisher; `encoding` is the Zenoh Encoding of its payloads."""
         declared = self._session.declare_publisher(
             _to_key_expression(key),
             encoding=encoding,
@@ -366,18 +365,18 @@ class Bus:
         return BusPublisher(declared)
 
     def subscribe(self, key: str, depth: int = LATEST) -> BusSubscription:
-        """Listen to a key expression, keeping the newest `depth` messages in all."""
+        """Subscribe to a key expression; the queue keeps the newest `depth` messages."""
         return BusSubscription(
             self._session.declare_subscriber(_to_key_expression(key), RingChannel(depth))
         )
 
     def serve(self, key: str, depth: int = 4096, *, is_complete: bool = True) -> BusQueryQueue:
-        """Answer requests on a key expression.
+        """Declare a queryable.
 
         Args:
-            key: What may be asked for.
-            depth: How many requests may wait.
-            is_complete: Nobody else has a part of the answer; otherwise all who serve are asked.
+            key: Key expression.
+            depth: Queue length.
+            is_complete: Whether no other queryable has a part of the reply; else Zenoh queries all.
         """
         declared = self._session.declare_queryable(
             _to_key_expression(key), RingChannel(depth), complete=is_complete
@@ -385,21 +384,21 @@ class Bus:
         return BusQueryQueue(declared)
 
     def token(self, key: str) -> LivelinessToken:
-        """Declare this process alive under a key."""
+        """Declare a liveliness token."""
         return LivelinessToken(self._session.liveliness().declare_token(key))
 
     def watch_tokens(self, key: str, depth: int = 16384) -> LivelinessWatch:
-        """Watch tokens, those that are up already first."""
+        """Watch liveliness tokens, beginning with the present ones."""
         liveliness = self._session.liveliness()
         return LivelinessWatch(liveliness.declare_subscriber(key, RingChannel(depth), history=True))
 
     def list_tokens(self, key: str, timeout_s: float = 1.0) -> list[str]:
-        """List the tokens that are up now."""
+        """List the present liveliness tokens."""
         replies = self._session.liveliness().get(key, FifoChannel(MAX_REPLIES), timeout=timeout_s)
         return [str(reply.ok.key_expr) for reply in replies if reply.ok]
 
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
-        """Ask a key expression for its values and collect the answers."""
+        """Query a key expression and collect the replies."""
         replies = self._session.get(
             _to_key_expression(key),
             FifoChannel(MAX_REPLIES),
@@ -417,13 +416,13 @@ class Bus:
         timeout_s: float = 5.0,
         request_id: str = "",
     ) -> Response:
-        """Call a service and return its response; the same `request_id` marks a retry.
+        """Call a service; a retry has the same `request_id`.
 
         Raises:
-            ServiceError: The server refused.
-            TimeoutError: A server is there, but did not answer in time.
-            NoServer: Nothing serves this world.
-            MalformedPayload: The answer is not a response of this service.
+            ServiceError: The server refused the request.
+            TimeoutError: The server did not reply in time.
+            NoServer: No server of this world is running.
+            MalformedPayload: The reply is not a response of this service.
         """
         payload = encode(request, Format.MSGPACK)
         if len(payload) > self.config.max_message_bytes:
@@ -435,8 +434,8 @@ class Bus:
             )
         key = keys.service(world, service.name)
         encoding = make_encoding(request, Format.MSGPACK)
-        answer = self._query(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
-        response = decode(service.response, answer.payload, answer.encoding)
+        reply = self._query(key, payload, encoding, timeout_s, request_id or uuid.uuid4().hex)
+        response = decode(service.response, reply.payload, reply.encoding)
         _raise_unless_ok(service, response)
         return response
 
@@ -454,17 +453,19 @@ class Bus:
             ):
                 if reply.ok:
                     return to_sample(reply.ok)
-                raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
+                raise TimeoutError(f"no reply from {key} within {timeout_s:g} s")
             time.sleep(pause_s)
-        raise NoServer(f"nothing answers {key} at {self.endpoint}; start one with 'zensim serve'")
+        raise NoServer(
+            f"no server replies on {key} at {self.endpoint}; start one with 'zensim serve'"
+        )
 
 
 def open_bus(config: BusConfig) -> Bus:
     """Open a session.
 
     Raises:
-        Unreachable: Nobody listens at the endpoints to connect to.
-        EndpointTaken: The endpoint to listen at is in use.
+        Unreachable: No router or server listens at the endpoints to connect to.
+        EndpointTaken: Another process listens at an endpoint to listen at.
         ValueError: An endpoint is not valid.
     """
     listen = tuple(with_free_port(endpoint) for endpoint in config.listen)
@@ -479,7 +480,7 @@ def open_bus(config: BusConfig) -> Bus:
 
 
 def to_zenoh_json(config: BusConfig) -> str:
-    """Write a configuration as JSON, as Zenoh's own router takes it."""
+    """Write a configuration as JSON for `zenohd`."""
     return str(_make_zenoh_config(config))
 
 
@@ -502,7 +503,7 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "scouting/delay": 0,
-        # Its pools cost every process 20 MB.
+        # Shared memory pools use 20 MB per process.
         "transport/shared_memory/enabled": False,
         "transport/link/tx/lease": config.lease_ms,
         "transport/link/rx/max_message_size": config.max_message_bytes,
@@ -516,14 +517,16 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
 def _make_open_error(config: BusConfig, text: str) -> BusError:
     if "in use" in text:
         return EndpointTaken(
-            f"{config.listen[0]} is taken by another process; stop it, use --listen with another "
-            "port, or --connect to it"
+            f"another process listens at {config.listen[0]}; stop it, use --listen with another port, "
+            "or --connect to it"
         )
     if "listener" in text:
         reason = text.partition(" at /")[0]
         return BusError(f"cannot listen at {', '.join(config.listen)}: {reason}")
     where = ", ".join(config.connect)
-    return Unreachable(f"nobody listens at {where}; start one with 'zensim serve' or use --connect")
+    return Unreachable(
+        f"no server listens at {where}; start one with 'zensim serve' or use --connect"
+    )
 
 
 def _raise_unless_ok(service: Service[Request, Response], response: Response) -> None:
@@ -534,14 +537,14 @@ def _raise_unless_ok(service: Service[Request, Response], response: Response) ->
 
 
 OPEN_TIMEOUTS_S = (0.25, 0.25, 0.25, 0.25, 2.0)
-"""Short, so that a router is found as soon as it is up; now and then long, for a far one."""
+"""Short, to find a new router soon; sometimes long, for a distant one."""
 
 
 def open_bus_with_retry(config: BusConfig, wait_s: float) -> Bus:
-    """Open a session as soon as somebody listens at the endpoints.
+    """Open a session as soon as a router or server listens at the endpoints.
 
     Raises:
-        Unreachable: Nobody did within the wait.
+        Unreachable: None did within `wait_s`.
         BusError: See `open_bus`.
     """
     deadline_s = time.monotonic() + wait_s

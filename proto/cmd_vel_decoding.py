@@ -14,11 +14,11 @@ from zensim.proto.codec.message_codec import (
 from zensim.proto.messages.standard_messages import Header, Twist, TwistStamped
 
 MIN_STAMPED_BYTES = 68
-"""CDR of a TwistStamped without frame_id; that of a Twist is 52."""
+"""CDR size of a TwistStamped without frame_id; a Twist has 52 bytes."""
 
 
 class _EitherTwist(Twist, frozen=True):
-    """The keys of both types; a stamped one tells itself by its own."""
+    """Union of the fields of both types."""
 
     header: Header | UnsetType = UNSET
     twist: Twist | UnsetType = UNSET
@@ -27,11 +27,11 @@ class _EitherTwist(Twist, frozen=True):
 def decode_twist(payload: bytes, encoding: str = "") -> Twist:
     """Read a velocity command, stamped or not.
 
-    CDR without a type in its Encoding is told by its length, MessagePack and JSON by the keys
-    `header` and `twist`.
+    CDR without a type in its Encoding is distinguished by its length, MessagePack and JSON by the
+    keys `header` and `twist`.
 
     Raises:
-        MalformedPayload: It is neither, or a number is NaN or infinite.
+        MalformedPayload: It is neither type, or a number is NaN or infinite.
     """
     if detect_format(payload, encoding) is Format.CDR:
         twist = _from_cdr(payload, encoding)

@@ -12,7 +12,7 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 
 
 class ExitCode(IntEnum):
-    """How a command ended."""
+    """Exit status of a command."""
 
     OK = 0
     FAILED = 1
@@ -25,11 +25,11 @@ class ExitCode(IntEnum):
 
 
 EXPECTED_FAILURES = (ServiceError, BusError, TimeoutError, ValueError, OSError)
-"""What a command may run into and ends with one line for."""
+"""Failures that a command reports in one line."""
 
 
 def choose_exit_code(error: Exception) -> ExitCode:
-    """Choose the exit status for a failure; a `code` of NOT_FOUND decides where there is one."""
+    """Choose the exit status of a failure; a `code` of NOT_FOUND takes precedence."""
     if getattr(error, "code", None) == ResultCode.NOT_FOUND:
         return ExitCode.NOT_FOUND
     for kinds, status in _EXIT_CODES:
@@ -42,13 +42,13 @@ _EXIT_CODES: tuple[tuple[tuple[type[Exception], ...], ExitCode], ...] = (
     ((NoServer, Unreachable), ExitCode.UNREACHABLE),
     ((TimeoutError,), ExitCode.TIMEOUT),
     ((FileNotFoundError,), ExitCode.NOT_FOUND),
-    ((MalformedPayload,), ExitCode.FAILED),  # what somebody sent, not what was typed
+    ((MalformedPayload,), ExitCode.FAILED),  # received, not typed
     ((ValueError,), ExitCode.USAGE),
 )
 
 
 def format_failure(error: Exception) -> str:
-    """Say a failure in one line, with its code."""
+    """Write a failure in one line, with its code."""
     text = " ".join(str(error).split())
     if isinstance(error, ServiceError):
         return text
@@ -60,11 +60,11 @@ def format_failure(error: Exception) -> str:
 
 @contextmanager
 def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
-    """End the command with one line on standard error and a status when something fails inside.
+    """Report a failure of the body in one line on standard error, and exit.
 
     Args:
-        command: The verb, as the line names it.
-        also: Failures to expect besides `EXPECTED_FAILURES`.
+        command: Name of the command in the line.
+        also: Failures to report besides `EXPECTED_FAILURES`; others propagate.
 
     Raises:
         SystemExit: With one of `ExitCode`.
@@ -72,7 +72,7 @@ def exit_on_failure(command: str, *also: type[Exception]) -> Iterator[None]:
     try:
         yield
     except BrokenPipeError:
-        # The reader has gone, as `| head` does: nothing is wrong, and nothing more can be written.
+        # The reader closed the pipe, as `| head` does: not a failure, but stdout is unusable.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         raise SystemExit(ExitCode.OK) from None
     except Exception as error:

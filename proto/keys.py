@@ -1,18 +1,21 @@
-"""Every Zenoh key expression, built and parsed; names are validated by the names module first."""
+"""Zenoh key expressions of services, liveliness tokens and robots; for topics see `topic_catalog`.
+
+Names are validated before: see `zensim.proto.names`.
+"""
 
 
 def service(world: str, name: str) -> str:
-    """A service's queryable."""
+    """Key of a service."""
     return f"sim/{world}/{name}"
 
 
 def services(world: str) -> str:
-    """All services of one world."""
+    """All services of a world."""
     return f"sim/{world}/*"
 
 
 def drive_commands(world: str) -> str:
-    """All agents to the server."""
+    """Drive commands of all agents of a world."""
     return f"sim/{world}/drive/*/command"
 
 
@@ -22,43 +25,43 @@ def alive_server(world: str) -> str:
 
 
 def alive_agent(world: str, agent: str) -> str:
-    """Liveliness token of one agent."""
+    """Liveliness token of an agent."""
     return f"sim/{world}/alive/agent/{agent}"
 
 
 def alive_agents(world: str) -> str:
-    """Liveliness tokens of all agents."""
+    """Liveliness tokens of all agents of a world."""
     return f"sim/{world}/alive/agent/*"
 
 
 def bond(world: str, name: str) -> str:
-    """Liveliness token that keeps entities alive."""
+    """Liveliness token to which the existence of entities is bound."""
     return f"sim/{world}/bond/{name}"
 
 
 def bonds(world: str) -> str:
-    """All bonds."""
+    """All bonds of a world."""
     return f"sim/{world}/bond/*"
 
 
 def robot(namespace: str, topic: str) -> str:
-    """A robot's topic."""
+    """Topic of a robot."""
     return f"{namespace}/{topic}"
 
 
 def robot_topics(namespace: str) -> str:
-    """All topics of one robot."""
+    """All topics of a robot."""
     return f"{namespace}/*"
 
 
 def make_pattern(key: str) -> str:
-    """The pattern of all keys that are as long as a key and end as it does: `*/odom`."""
+    """Replace all chunks but the last by `*`: `*/odom` for `r1/odom`."""
     *before, last = key.split("/")
     return "/".join([*("*" for _ in before), last])
 
 
 def parse_agent(key: str) -> str:
-    """The agent that a drive or alive key belongs to; empty when it is neither."""
+    """Return the agent of a drive or alive key; empty for other keys."""
     match key.split("/"):
         case ["sim", _, "drive", agent, _] | ["sim", _, "alive", "agent", agent]:
             return agent
@@ -66,5 +69,5 @@ def parse_agent(key: str) -> str:
 
 
 def last_chunk(key: str) -> str:
-    """The service or topic that a key ends with."""
+    """Return the last chunk: the name of a service or topic."""
     return key.rsplit("/", 1)[-1]

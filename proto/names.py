@@ -7,17 +7,17 @@ FRAME_PATTERN = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_./-]{0,255}")
 RESERVED_NAMES = frozenset({"sim", "world"})
 MAX_NAMESPACE_CHUNKS = 8
 MAX_NAMESPACE_LENGTH = 200
-"""ROS 2 refuses names of topics beyond 247 characters; this leaves room for a topic."""
+"""ROS 2 limits topic names to 247 characters; the rest is for the topic."""
 MAX_SHOWN = 80
-"""Characters of a bad name that an error repeats."""
+"""Characters of an invalid name that an error message quotes."""
 
 
 class InvalidName(ValueError):
-    """A name that cannot stand in a key expression and in ROS 2 alike."""
+    """A name that is not valid in key expressions and in ROS 2."""
 
 
 def check_name(name: str, what: str = "name") -> str:
-    """Return the name if it is one.
+    """Return the name if it is valid.
 
     Raises:
         InvalidName: Not `[A-Za-z][A-Za-z0-9_]{0,63}`.
@@ -33,8 +33,8 @@ def check_namespace(namespace: str) -> str:
     """Return the namespace without a leading slash.
 
     Raises:
-        InvalidName: A chunk is no name, there are more than 8, it is longer than 200 characters, or
-            the first is reserved.
+        InvalidName: A chunk is not a name, there are more than 8 chunks or 200 characters, or the
+            first chunk is reserved.
     """
     bare = namespace.removeprefix("/")
     chunks = bare.split("/")
@@ -58,10 +58,10 @@ def check_namespace(namespace: str) -> str:
 
 
 def check_frame(frame_id: str) -> str:
-    """Return the frame_id if tf accepts it (no leading slash, no spaces).
+    """Return the frame_id if it is valid in tf: no leading slash, no spaces.
 
     Raises:
-        InvalidName: It is not one.
+        InvalidName: It has other characters or more than 256.
     """
     if FRAME_PATTERN.fullmatch(frame_id):
         return frame_id

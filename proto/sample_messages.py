@@ -10,16 +10,16 @@ from msgspec import inspect
 Message = TypeVar("Message", bound=msgspec.Struct)
 
 MAX_NUMBER = 100
-"""Numbers count from 1 to here, so that they fit every width."""
+"""Numbers count from 1 up to here, to fit every width."""
 ITEMS_PER_SEQUENCE = 2
-"""How many items a sequence holds."""
+"""Length of sequences without a fixed length."""
 
 
 def make_sample_message(message_type: type[Message]) -> Message:
-    """Fill every field with a value that tells itself from its neighbours.
+    """Fill each field with a value that differs from its neighbours.
 
     Raises:
-        TypeError: A field has a type that no message has had so far.
+        TypeError: A field has an unsupported type.
     """
     return cast("Message", _fill(inspect.type_info(message_type), "", cycle(range(1, MAX_NUMBER))))
 
@@ -67,5 +67,5 @@ def _fill_scalar(info: inspect.Type, name: str, numbers: Iterator[int]) -> objec
     if isinstance(info, inspect.LiteralType):
         return info.values[0]
     raise TypeError(
-        f"field '{name}' is a {type(info).__name__}; say in proto.sample_messages how to fill it"
+        f"field '{name}' is a {type(info).__name__}; add the type to proto.sample_messages"
     )

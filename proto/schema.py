@@ -1,4 +1,4 @@
-"""Export and check of the wire description: JSON schemas, services, keys, codes and golden bytes."""
+"""Writes and checks the description of the wire: schemas, services, keys, codes, golden bytes."""
 
 import inspect
 import json
@@ -62,14 +62,14 @@ def list_messages() -> dict[str, type[msgspec.Struct]]:
 
 
 def list_top_level_types() -> list[type[msgspec.Struct]]:
-    """List the types that travel by themselves: on topics, as requests, as responses."""
+    """List the messages of topics and the requests and responses of services."""
     on_topics = {kind for topic in TOPICS.values() for kind in topic.messages}
     in_services = {kind for one in SERVICES.values() for kind in (one.request, one.response)}
     return sorted(on_topics | in_services, key=lambda kind: kind.__name__)
 
 
 def make_artefacts() -> dict[str, str]:
-    """Write everything as text, by file name."""
+    """Write the text of each file, by name."""
     contents = {
         "messages.json": make_message_schemas(),
         "services.json": list_services(),
@@ -84,7 +84,7 @@ def make_artefacts() -> dict[str, str]:
 
 
 def make_message_schemas() -> dict[str, object]:
-    """Describe every message by JSON Schema; properties stand in the order of CDR."""
+    """Describe every message by JSON Schema, with properties in the order of CDR."""
     kinds = list_messages()
     _, described = msgspec.json.schema_components(kinds.values())
     for name, kind in kinds.items():
@@ -97,7 +97,7 @@ def make_message_schemas() -> dict[str, object]:
 
 
 def list_services() -> dict[str, object]:
-    """Name each service's key, messages, codes and formats."""
+    """List key, messages, codes and formats of each service."""
     return {
         name: {
             "key": keys.service("default", name),
@@ -144,7 +144,7 @@ def _make_example_key(topic: TopicSpec) -> str:
 
 
 def list_codes() -> dict[str, object]:
-    """List every number that has a name, by enumeration."""
+    """List the members of each enumeration."""
     return {
         family.__name__: {member.name: member.value for member in family}
         for family in _find_defined(IntEnum)
@@ -152,7 +152,7 @@ def list_codes() -> dict[str, object]:
 
 
 def make_golden() -> dict[str, object]:
-    """Write one example of each type that travels: CDR and MessagePack as hex, JSON as text."""
+    """Encode one sample of each top-level type: CDR and MessagePack as hex, JSON as text."""
     return {kind.__name__: _encode_sample(kind) for kind in list_top_level_types()}
 
 
@@ -174,7 +174,7 @@ def _list_formats(*kinds: type[msgspec.Struct]) -> list[str]:
 
 
 def _find_defined(parent: type[Kind]) -> list[type[Kind]]:
-    """List the subclasses that the message modules define, by name."""
+    """List the subclasses in the message modules, by name."""
     found = [
         member
         for module in MESSAGE_MODULES
@@ -187,7 +187,7 @@ def _find_defined(parent: type[Kind]) -> list[type[Kind]]:
 
 
 def find_stale(folder: Path = SCHEMAS) -> list[str]:
-    """Name the committed files that are not what the types say now."""
+    """List the committed files that differ from the types."""
     wanted = make_artefacts()
     present = {path.name for path in folder.glob("*.json")}
     return sorted(
@@ -200,7 +200,7 @@ def find_stale(folder: Path = SCHEMAS) -> list[str]:
 
 
 def write(folder: Path = SCHEMAS) -> None:
-    """Write every artefact."""
+    """Write all files."""
     folder.mkdir(exist_ok=True)
     for name, text in make_artefacts().items():
         (folder / name).write_text(text, encoding="utf-8")
@@ -216,7 +216,7 @@ def main(arguments: list[str], folder: Path = SCHEMAS) -> int:
         write(folder)
         return 0
     if arguments != ["--check"]:
-        sys.stdout.write(f"arguments are {' '.join(arguments)}; use --check or none\n")
+        sys.stdout.write(f"unknown arguments: {' '.join(arguments)}; use --check or none\n")
         return 2
     stale = find_stale(folder)
     for name in stale:

@@ -51,18 +51,18 @@ Response = TypeVar("Response", bound=msgspec.Struct)
 
 
 class NoCodes(IntEnum):
-    """A service with no codes of its own."""
+    """Codes of a service that has only those of `ResultCode`."""
 
 
 class Service(msgspec.Struct, Generic[Request, Response], frozen=True):
-    """One service: what to send and what comes back."""
+    """Name, messages and result codes of a service."""
 
     name: str
     request: type[Request]
     response: type[Response]
     codes: type[IntEnum] = NoCodes
     is_mutating: bool = False
-    """Whether the same request twice would do something twice."""
+    """Whether a repeated request would have a second effect."""
 
     def code_name(self, code: int) -> str:
         """Name a result code of this service."""

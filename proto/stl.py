@@ -1,4 +1,4 @@
-"""Binary STL, the format in which the server stores and sends generated meshes; needs NumPy only."""
+"""Binary STL files, in which the server stores and sends generated meshes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STL_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attri
 
 
 def stl_size(triangles: int) -> int:
-    """Length of a file of so many triangles."""
+    """Compute the file size [bytes]."""
     return STL_HEAD + triangles * STL_RECORD.itemsize
 
 
@@ -26,10 +26,10 @@ def write_corners(corners: NDArray[np.floating]) -> bytes:
 
 
 def read_corners(data: bytes, count: int = -1) -> NDArray[np.float32]:
-    """Read the corners (3 f, 3) of the first `count` triangles; of all by default.
+    """Read the corners (3 f, 3) of the first `count` triangles; -1 = all.
 
     Raises:
-        ValueError: The bytes do not hold them.
+        ValueError: The data is too short.
     """
     corners = np.frombuffer(data, STL_RECORD, count, STL_HEAD)["corners"]
     return corners.reshape(-1, 3)

@@ -6,7 +6,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopFlag:
-    """Set by the first stop signal; until `arm`, that one also interrupts what waits."""
+    """Set by the first stop signal, which also raises KeyboardInterrupt before `arm`."""
 
     def __init__(self, *, is_armed: bool = True) -> None:
         self.is_set = False
@@ -15,7 +15,7 @@ class StopFlag:
             signal.signal(number, self._set)
 
     def arm(self) -> None:
-        """From now on only set the flag."""
+        """Let signals only set the flag from now on."""
         self._is_armed = True
 
     def __call__(self) -> bool:

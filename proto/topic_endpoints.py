@@ -24,7 +24,7 @@ from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 
 CACHE_DEPTH: Final = 64
 CACHE_SUFFIX: Final = "@adv/pub"
-"""Where subscribers of transient_local topics ask for what was before them."""
+"""Late subscribers of transient_local topics query this suffix."""
 QUERY_DEPTH: Final = 64
 PayloadFactory: TypeAlias = Callable[[], bytes | None]
 """Makes the last value; None while there is none."""
@@ -33,7 +33,7 @@ MakePayload: TypeAlias = Callable[[], msgspec.Struct | bytes | None]
 
 
 class KeyPublisher:
-    """One form of a topic: a publisher, and what ROS 2 attaches to its messages."""
+    """Publisher of a topic on one key, with the attachments of ROS 2 if it has an endpoint."""
 
     def __init__(
         self,
@@ -41,12 +41,12 @@ class KeyPublisher:
         endpoint: GraphEndpoint | None = None,
         stamp: Callable[[], Stamp] | None = None,
     ) -> None:
-        """Take where it is put.
+        """Wrap a publisher.
 
         Args:
-            publisher: Puts it.
-            endpoint: Of ROS 2; None on a plain key.
-            stamp: Makes the stamps of a latched topic's values.
+            publisher: Publisher on the key.
+            endpoint: In the ROS 2 graph; None on a plain key.
+            stamp: Makes the timestamps of a latched topic; None for other topics.
         """
         self._publisher = publisher
         self._make_stamp = stamp
@@ -57,39 +57,39 @@ class KeyPublisher:
 
     @property
     def is_matched(self) -> bool:
-        """Whether anybody listens."""
+        """Whether there is a subscriber."""
         return self._publisher.is_matched
 
     def send(self, payload: bytes) -> None:
-        """Put one message."""
+        """Publish a message."""
         self._sent += 1
         self._publisher.send(payload, self.attachment(), self._find_stamp(payload))
 
     def attachment(self) -> bytes:
-        """Write what goes with the last message, or will with the first."""
+        """Write the attachment of the last message; of the first, if there was none."""
         if not self._gid:
             return b""
         number = max(self._sent, 1)
         return write_attachment(Attachment(number, time.time_ns(), self._gid))
 
     def add_reply(self, call: Query, key: str, payload: bytes, encoding: str) -> None:
-        """Tell the value to somebody who came late; who hears it twice takes it for one."""
+        """Reply with the value; a subscriber drops a second sample with the same timestamp."""
         if (stamp := self._find_stamp(payload)) is not None:
             call.add_reply(key, payload, encoding, self.attachment(), stamp)
 
     def publish_to_new(self, payload: PayloadFactory) -> None:
-        """Put the value if somebody has begun to listen since the last time."""
+        """Publish the value if a subscriber has appeared since the last call."""
         is_matched = self._publisher.is_matched
         if is_matched and not self._was_matched and (value := payload()) is not None:
             self.send(value)
         self._was_matched = is_matched
 
     def close(self) -> None:
-        """Withdraw the publisher."""
+        """Undeclare the publisher."""
         self._publisher.close()
 
     def _find_stamp(self, payload: bytes) -> Stamp | None:
-        """Find the stamp of a value: the same as long as it is, since a stamp is heard once."""
+        """Find the timestamp of a value, which is the same until the value changes."""
         if self._make_stamp is None:
             return None
         if self._last_stamped is None or self._last_stamped[0] != payload:
@@ -98,98 +98,98 @@ class KeyPublisher:
 
 
 class LatchedCache:
-    """Tells the last value on ROS 2's face to those who come late."""
+    """Replies with the last value on a ROS 2 key to late subscribers."""
 
-    def __init__(self, queue: QueryQueue, face: KeyPublisher, key: str, encoding: str) -> None:
+    def __init__(self, queue: QueryQueue, publisher: KeyPublisher, key: str, encoding: str) -> None:
         self._queue = queue
-        self._publisher = face
+        self._publisher = publisher
         self._key = key
         self._encoding = encoding
 
     def reply_to_late_joiners(self, payload: PayloadFactory) -> None:
-        """Tell everybody who has asked."""
+        """Reply to all queued queries."""
         for call in self._queue.take():
             if (value := payload()) is not None:
                 self._publisher.add_reply(call, self._key, value, self._encoding)
             call.drop()
 
     def close(self) -> None:
-        """Stop telling."""
+        """Undeclare the queryable."""
         self._queue.close()
 
 
 class TopicPublisher:
-    """One topic, on all its faces."""
+    """Publisher of a topic on its plain key and on its ROS 2 key."""
 
-    def __init__(self, faces: Sequence[KeyPublisher], caches: Sequence[LatchedCache]) -> None:
-        self._publishers = tuple(faces)
+    def __init__(self, publishers: Sequence[KeyPublisher], caches: Sequence[LatchedCache]) -> None:
+        self._publishers = tuple(publishers)
         self._caches = tuple(caches)
 
     @property
     def is_matched(self) -> bool:
-        """Whether anybody listens to any face."""
-        return any(face.is_matched for face in self._publishers)
+        """Whether any key has a subscriber."""
+        return any(publisher.is_matched for publisher in self._publishers)
 
     def send(self, payload: bytes) -> None:
-        """Put one message where somebody listens."""
-        for face in self._publishers:
-            if face.is_matched:
-                face.send(payload)
+        """Publish a message on the keys that have a subscriber."""
+        for publisher in self._publishers:
+            if publisher.is_matched:
+                publisher.send(payload)
 
     def publish(self, payload: PayloadFactory) -> None:
-        """Make the value, if there is one, and put it where somebody listens."""
+        """Make the value and publish it on the keys that have a subscriber."""
         value = None
-        for face in self._publishers:
-            if face.is_matched:
+        for publisher in self._publishers:
+            if publisher.is_matched:
                 if value is None and (value := payload()) is None:
                     return
-                face.send(value)
+                publisher.send(value)
 
     def publish_to_new(self, payload: PayloadFactory) -> None:
-        """Put the value on faces that somebody has begun to listen to."""
-        for face in self._publishers:
-            face.publish_to_new(payload)
+        """Publish the value on keys that have a new subscriber."""
+        for publisher in self._publishers:
+            publisher.publish_to_new(payload)
 
     def reply_to_late_joiners(self, payload: PayloadFactory) -> None:
-        """Tell the value to those who come late; only latched topics have any."""
+        """Reply with the value to late subscribers, if the topic is latched."""
         for cache in self._caches:
             cache.reply_to_late_joiners(payload)
 
     def close(self) -> None:
-        """Withdraw the topic."""
-        for face in self._publishers:
-            face.close()
+        """Undeclare the topic."""
+        for publisher in self._publishers:
+            publisher.close()
         for cache in self._caches:
             cache.close()
 
 
 class TopicSubscription:
-    """Messages of one topic, whichever face they come by."""
+    """Subscription of a topic on its plain key and on its ROS 2 keys."""
 
     def __init__(self, plain: Subscription, ros: Sequence[Subscription]) -> None:
         self._plain = plain
         self._ros = tuple(ros)
 
     def take(self) -> list[Sample]:
-        """Take all that have come, oldest first on each face."""
+        """Take all queued messages, oldest first on each key."""
         taken = self._plain.take()
         for subscription in self._ros:
             taken += [to_plain_sample(sample) for sample in subscription.take()]
         return taken
 
     def newest(self) -> Sample | None:
-        """Take all and keep the last."""
+        """Take all queued messages and return the last."""
         taken = self.take()
         return taken[-1] if taken else None
 
     def close(self) -> None:
-        """Stop listening."""
+        """Undeclare the subscriptions."""
         for subscription in (self._plain, *self._ros):
             subscription.close()
 
 
 class TopicFactory:
-    """Declares topics for one node of ROS 2, or for nobody there."""
+    """Declares topics of one node; on plain keys only, if there is no ROS 2 node."""
 
     def __init__(
         self, network: TopicNetwork, node: RosNode | None = None, settings: RosSettings = NO_ROS
@@ -199,52 +199,52 @@ class TopicFactory:
         self._node = node
 
     def publisher(self, topic: Topic) -> TopicPublisher:
-        """Declare a topic that is told; its messages are CDR."""
+        """Declare a publisher of CDR messages."""
         encoding = topic.encoding
-        faces = [KeyPublisher(self._network.advertise(topic.key, encoding))]
+        publishers = [KeyPublisher(self._network.advertise(topic.key, encoding))]
         if (node := self._node) is None:
-            return TopicPublisher(faces, ())
+            return TopicPublisher(publishers, ())
         key, endpoint = node.data_key(topic), node.add_topic_endpoint("MP", topic)
         publisher = self._network.advertise(key, encoding)
         if not topic.is_latched:
-            return TopicPublisher([*faces, KeyPublisher(publisher, endpoint)], ())
-        faces.append(KeyPublisher(publisher, endpoint, self._network.stamp))
+            return TopicPublisher([*publishers, KeyPublisher(publisher, endpoint)], ())
+        publishers.append(KeyPublisher(publisher, endpoint, self._network.stamp))
         queue = self._network.serve(
             f"{key}/{CACHE_SUFFIX}/{node.graph.zid}/{endpoint.number}/_", CACHE_DEPTH
         )
-        return TopicPublisher(faces, [LatchedCache(queue, faces[1], key, encoding)])
+        return TopicPublisher(publishers, [LatchedCache(queue, publishers[1], key, encoding)])
 
     def subscription(
         self, key: str, kinds: Sequence[type[msgspec.Struct]], depth: int
     ) -> TopicSubscription:
-        """Listen to a topic of any of these types; each sample says its type by its encoding."""
+        """Subscribe to a topic of any of these types; samples name theirs in the encoding."""
         plain = self._network.subscribe(key, depth)
         if (node := self._node) is None:
             return TopicSubscription(plain, ())
-        heard = []
+        ros = []
         for kind in kinds:
             endpoint = node.add_topic_endpoint("MS", Topic(key, kind))
-            # Of any hash: humble's publishers have none.
+            # Any hash: publishers of humble have none.
             ros_key = make_data_key(endpoint.node.domain, key, endpoint.ros_type, ANY_HASH)
-            heard.append(self._network.subscribe(ros_key, depth))
-        return TopicSubscription(plain, heard)
+            ros.append(self._network.subscribe(ros_key, depth))
+        return TopicSubscription(plain, ros)
 
     def serve(self, key: str, depth: int, *, is_complete: bool = True) -> QueryQueue:
-        """Answer requests for a topic's value, on its bare key."""
+        """Declare a queryable on a plain key."""
         return self._network.serve(key, depth, is_complete=is_complete)
 
     def close(self) -> None:
-        """Withdraw the node; its topics are closed by who has them."""
+        """Remove the node from the ROS 2 graph; the owner of a topic closes it."""
         if self._node is not None:
             self._node.close()
 
 
 class LazyTopicPublisher:
-    """A topic whose value is made only when it is wanted."""
+    """Publisher that encodes only if there is a subscriber, and replies to get with the last value."""
 
     def __init__(
         self,
-        faces: TopicFactory,
+        topics: TopicFactory,
         topic: Topic,
         value: MakePayload,
         *,
@@ -253,27 +253,27 @@ class LazyTopicPublisher:
         """Declare the topic.
 
         Args:
-            faces: Where.
-            topic: What to put on, and to be asked for.
-            value: What is told.
-            is_shared: Whether others tell this topic too, so that who asks has to ask all.
+            topics: Declares publisher and queryable.
+            topic: Key, type and QoS.
+            value: Makes the value.
+            is_shared: Whether other programs publish on this key, so that a get collects replies of all.
         """
         self._key = topic.key
         self._encoding = topic.encoding
         self._value = value
-        self._publisher = faces.publisher(topic)
-        self._queries = faces.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
+        self._publisher = topics.publisher(topic)
+        self._queries = topics.serve(topic.key, QUERY_DEPTH, is_complete=not is_shared)
 
     def publish(self) -> None:
-        """Put the value if anybody listens."""
+        """Publish the value if there is a subscriber."""
         self._publisher.publish(self._payload)
 
     def announce(self) -> None:
-        """Put the value now, and later each time that somebody begins to listen."""
+        """Publish the value to subscribers that are new since the last call."""
         self._publisher.publish_to_new(self._payload)
 
     def answer(self) -> None:
-        """Tell the value to everybody who has asked."""
+        """Reply to all queued queries."""
         for call in self._queries.take():
             payload = self._payload()
             if payload is None:
@@ -283,7 +283,7 @@ class LazyTopicPublisher:
         self._publisher.reply_to_late_joiners(self._payload)
 
     def close(self) -> None:
-        """Withdraw the topic."""
+        """Undeclare the topic."""
         self._publisher.close()
         self._queries.close()
 
@@ -295,14 +295,14 @@ class LazyTopicPublisher:
 def make_topic_factory(
     network: TopicNetwork, graph: RosGraph | None, namespace: str, name: str
 ) -> TopicFactory:
-    """Make faces for a node that is new in the graph, if there is one."""
+    """Make a factory for a new node of the graph; on plain keys only, if the graph is None."""
     if graph is None:
         return TopicFactory(network)
     return TopicFactory(network, graph.add_node(namespace, name), graph.settings)
 
 
 def to_plain_sample(sample: Sample) -> Sample:
-    """Say a sample of ROS 2's face as one of the bare key; its type goes into its encoding."""
+    """Convert a sample of a ROS 2 key to its plain key, with its type in the encoding."""
     parsed = parse_data_key(sample.key)
     if parsed is None:
         return sample

@@ -30,13 +30,13 @@ from zensim.proto.codec.cdr_layout import (
 DecodedMessage = TypeVar("DecodedMessage", bound=msgspec.Struct)
 Found = TypeVar("Found")
 ReadOne: TypeAlias = Callable[[bytes, int], tuple[Found, int]]
-"""Reads at a place, returns what it found and where that ends."""
+"""Reads a value at an offset; returns it and the offset of its end."""
 ReadStep: TypeAlias = Callable[[bytes, int, Values], int]
-"""Reads at a place, adds what it found to the values, returns where that ends."""
+"""Reads at an offset and appends to the values; returns the offset of the end."""
 
 
 class MalformedPayload(ValueError):
-    """These bytes are not that message."""
+    """The bytes do not encode the expected message."""
 
 
 @cache
@@ -117,7 +117,7 @@ def _make_length_reader(byte_order: str) -> ReadOne[int]:
 def _make_text_reader(read_length: ReadOne[int]) -> ReadOne[str]:
     def read(payload: bytes, at: int) -> tuple[str, int]:
         count, start = read_length(payload, at)
-        if not count:  # Some writers leave out the NUL of an empty string.
+        if not count:  # Some writers omit the NUL of an empty string.
             return "", start
         end = start + count
         _require_bytes(payload, start, count)
@@ -172,7 +172,7 @@ def _make_sequence_reader(
 
 
 def _to_read_code(code: str) -> str:
-    """Read booleans as numbers: `?` would take any byte for true."""
+    """Read booleans as numbers: `?` would accept any byte as true."""
     return "B" if code == "?" else code
 
 
@@ -185,17 +185,17 @@ def _to_boolean(number: object) -> bool:
 def _require_bytes(payload: bytes, at: int, count: int) -> None:
     if at + count > len(payload):
         raise MalformedPayload(
-            f"{count} bytes are due at byte {at}, but the payload has {len(payload)} bytes"
+            f"{count} bytes are expected at byte {at}, but the payload has {len(payload)} bytes"
         )
 
 
 Write: TypeAlias = Callable[[msgspec.Struct, bytearray], None]
-"""Adds a message to what is written already, 4 bytes of header first."""
+"""Appends a message to the output, which begins with the header of 4 bytes."""
 Item = TypeVar("Item")
 Gather: TypeAlias = Callable[[msgspec.Struct], Iterable[object]]
 
 LENGTH_STRUCTS = tuple(struct.Struct(f"<{-phase % 4}xI") for phase in range(4))
-"""A length after its padding, by the place it begins at, modulo 4."""
+"""Padding and length, by the offset modulo 4."""
 
 
 @cache
@@ -279,7 +279,7 @@ def _write_each(
 
 
 def _make_gatherer(run: list[FixedLeaf]) -> Gather:
-    """Compile the collector of a run's values: neighbouring plain ones by a single look."""
+    """Compile the collector of a run's values, with one getter for adjacent scalars."""
     parts: list[Gather] = []
     for are_plain, group in groupby(run, key=lambda leaf: leaf.length is None):
         leaves = [leaf for leaf in group if leaf.path]
@@ -359,13 +359,13 @@ def _describe_range(code: str) -> str:
 
 HEADER = b"\x00\x01\x00\x00"
 MAX_PADDING = 3
-"""Bytes that some writers add after the last field."""
+"""Bytes that some writers append to the last field."""
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
 
 def encode(message: msgspec.Struct) -> bytes:
-    """Write a message.
+    """Encode a message.
 
     Raises:
         TypeError: Its type is not expressible in CDR.
@@ -377,11 +377,11 @@ def encode(message: msgspec.Struct) -> bytes:
 
 
 def decode(message_type: type[Message], payload: bytes) -> Message:
-    """Read a message.
+    """Decode a message.
 
     Raises:
         TypeError: The type is not expressible in CDR.
-        MalformedPayload: The bytes are not that message.
+        MalformedPayload: The bytes do not encode this type.
     """
     message, end = compile_reader(message_type, _parse_byte_order(payload))(payload, len(HEADER))
     if len(payload) - end > MAX_PADDING:
@@ -393,7 +393,7 @@ def decode(message_type: type[Message], payload: bytes) -> Message:
 
 @cache
 def is_expressible(message_type: type[msgspec.Struct]) -> bool:
-    """Whether CDR has a form for this type."""
+    """Whether the type can be encoded as CDR."""
     try:
         compile_writer(message_type)
     except TypeError:

@@ -1,4 +1,4 @@
-"""The CDR layout of a struct type as a flat list of leaves, and the byte offset of each number of a message."""
+"""CDR layout of a struct type as a flat list of leaves, and the byte offsets of a message."""
 
 import struct
 from collections.abc import Callable, Sequence
@@ -10,7 +10,7 @@ import msgspec
 from msgspec import inspect
 
 Values: TypeAlias = list[object]
-"""What a reader found, leaf by leaf; a fixed array takes as many places as it is long."""
+"""Values that were read, leaf by leaf; a fixed array has one slot per item."""
 Build: TypeAlias = Callable[[Values], object]
 
 
@@ -18,17 +18,17 @@ class FixedLeaf(msgspec.Struct, frozen=True):
     """A number or boolean, a fixed array of them, or the dummy byte of an empty struct."""
 
     path: str
-    """Dotted, from the message; empty for the dummy."""
+    """Dotted path from the message; empty for the dummy."""
     slot: int
-    """Place of its first value among the values."""
+    """Index of its first value."""
     code: str
-    """Of the `struct` module; `?` boolean, `x` dummy."""
+    """Format character of `struct`; `?` boolean, `x` dummy."""
     length: int | None = None
-    """None = a plain value."""
+    """None = a scalar."""
 
     @property
     def slots(self) -> range:
-        """Places of its values."""
+        """Indices of its values."""
         return range(self.slot, self.slot + (self.length or 1))
 
 
@@ -65,17 +65,17 @@ class StructsLeaf(msgspec.Struct, frozen=True):
 
 
 SizedLeaf: TypeAlias = StringLeaf | BytesLeaf | NumbersLeaf | StringsLeaf | StructsLeaf
-"""A leaf that begins with its own length."""
+"""A leaf that begins with its length."""
 Leaf: TypeAlias = FixedLeaf | SizedLeaf
 Run: TypeAlias = list[FixedLeaf] | SizedLeaf
-"""Neighbouring fixed leaves, or one that is not."""
+"""Adjacent fixed leaves, or one other leaf."""
 
 BYTES_OF_CODE = {code: struct.calcsize(f"<{code}") for code in "x?bBhHiIqQfd"}
 LENGTH_BYTES = 4
 
 
 class CdrLayout:
-    """The leaves of one struct type in wire order, and how to build a message from their values.
+    """Leaves of a struct type in wire order, and the builder of a message from their values.
 
     Raises:
         TypeError: The type is not expressible in CDR.
@@ -94,7 +94,7 @@ class CdrLayout:
 
     @property
     def min_bytes(self) -> int:
-        """Bytes of the smallest message, padding not counted."""
+        """Size of the smallest message [bytes], without padding."""
         return sum(
             BYTES_OF_CODE[leaf.code] * (leaf.length or 1)
             if isinstance(leaf, FixedLeaf)
@@ -128,7 +128,7 @@ class CdrLayout:
 
 @cache
 def find_ros_class(message_type: type) -> type:
-    """Find the class that names the ROS interface; what a subclass adds isn't in CDR.
+    """Find the class that names the ROS interface; fields of its subclasses are not in CDR.
 
     Raises:
         TypeError: No class of the MRO defines `ros_type`.
@@ -193,7 +193,7 @@ def _build_array(run: slice) -> Build:
 
 
 def group_runs(leaves: list[Leaf]) -> list[Run]:
-    """Join neighbouring fixed leaves: each run is read and written in one go."""
+    """Group adjacent fixed leaves: one struct reads and writes each run."""
     joined: list[Run] = []
     for leaf in leaves:
         if not isinstance(leaf, FixedLeaf):
@@ -206,7 +206,7 @@ def group_runs(leaves: list[Leaf]) -> list[Run]:
 
 
 def compile_structs(run: list[FixedLeaf], byte_order: str) -> tuple[struct.Struct, ...]:
-    """Compile a run for each of the 8 places, modulo 8, that it can begin at."""
+    """Compile a run for each offset modulo 8."""
     return tuple(struct.Struct(byte_order + _make_struct_format(run, phase)) for phase in range(8))
 
 
@@ -225,10 +225,10 @@ HEADER_BYTES = 4
 
 
 def find_offsets(message: msgspec.Struct) -> dict[str, int]:
-    """Find the byte at which each number begins, by its path.
+    """Find the byte offset of each number, by its path.
 
-    A path is dotted, with `[0]` for items of arrays and sequences. Another message of the type has
-    its numbers at the same places if its texts and sequences are as long.
+    A path is dotted, with `[0]` for items of arrays and sequences. Messages of one type whose
+    strings and sequences have equal lengths have equal offsets.
 
     Raises:
         TypeError: The type is not expressible in CDR.
@@ -246,7 +246,7 @@ def _walk_message(message: msgspec.Struct, prefix: str, at: int, found: dict[str
 
 @cache
 def _cached_layout(message_type: type[msgspec.Struct]) -> CdrLayout:
-    """Read a type once: for each of a thousand messages anew it would take ten seconds."""
+    """Cache the layout: a thousand compilations take ten seconds."""
     return CdrLayout(message_type)
 
 

@@ -21,13 +21,13 @@ __all__ = [
 ]
 
 MAX_DETAIL = 200
-"""Characters of a decoder's complaint that are passed on; the sender chose some of them."""
+"""Characters of a decoder's message that are passed on; part of them is chosen by the sender."""
 
 Message = TypeVar("Message", bound=msgspec.Struct)
 
 
 class Format(Enum):
-    """How a message is written; the value is its Zenoh Encoding."""
+    """Serialization format; the value is the Zenoh Encoding."""
 
     CDR = "application/cdr"
     MSGPACK = "application/msgpack"
@@ -51,12 +51,12 @@ _WRITE_JSON = msgspec.json.Encoder().encode
 
 
 def encode(message: msgspec.Struct, format: Format) -> bytes:
-    """Write a message.
+    """Encode a message.
 
-    NaN and infinity become null in JSON, which `decode` refuses where a number is due.
+    NaN and infinity become null in JSON, which `decode` rejects for a number.
 
     Raises:
-        TypeError: The format is CDR, which does not offer this type.
+        TypeError: The format is CDR, and the type is not expressible in it.
         ValueError: A value does not fit its field.
     """
     try:
@@ -70,12 +70,12 @@ def encode(message: msgspec.Struct, format: Format) -> bytes:
 
 
 def decode(message_type: type[Message], payload: bytes, encoding: str = "") -> Message:
-    """Read a message; the Zenoh Encoding, or else the first byte, tells the format.
+    """Decode a message; the Zenoh Encoding, else the first byte, selects the format.
 
-    No bytes at all are the message whose fields all have their defaults.
+    An empty payload is the message with default fields.
 
     Raises:
-        MalformedPayload: The bytes are not that message, or not what the Encoding says.
+        MalformedPayload: The bytes do not encode this type, or do not fit the Encoding.
     """
     format_ = detect_format(payload, encoding)
     try:
@@ -94,10 +94,10 @@ def decode(message_type: type[Message], payload: bytes, encoding: str = "") -> M
 
 
 def detect_format(payload: bytes, encoding: str = "") -> Format:
-    """Tell the format by the Zenoh Encoding, or else by the first byte; MessagePack when empty.
+    """Detect the format by the Zenoh Encoding, else by the first byte; MessagePack if empty.
 
     Raises:
-        MalformedPayload: The first byte begins no message, or not one of the Encoding.
+        MalformedPayload: The first byte is of no format, or not of that of the Encoding.
     """
     declared = FORMAT_OF_ENCODING.get(encoding.partition(";")[0])
     if not payload:
@@ -105,7 +105,7 @@ def detect_format(payload: bytes, encoding: str = "") -> Format:
     found = FORMAT_OF_FIRST_BYTE.get(payload[0])
     if found is None:
         raise MalformedPayload(
-            f"first byte 0x{payload[0]:02x} begins no message; use CDR (0x00), a MessagePack map"
+            f"first byte 0x{payload[0]:02x} is of no known format; use CDR (0x00), a MessagePack map"
             " or a JSON object"
         )
     if declared in (None, found):
@@ -114,20 +114,20 @@ def detect_format(payload: bytes, encoding: str = "") -> Format:
 
 
 def parse_schema_name(encoding: str) -> str:
-    """Tell the ROS type that a CDR Encoding names; empty when it names none."""
+    """Return the ROS type in a CDR Encoding; empty if there is none."""
     format_, _, schema = encoding.partition(";")
     return schema if format_ == Format.CDR.value else ""
 
 
 def make_encoding(message: msgspec.Struct | type[msgspec.Struct], format: Format) -> str:
-    """Tell the Zenoh Encoding of a message or type; that of CDR names the ROS type."""
+    """Write the Zenoh Encoding of a message or type; for CDR with the ROS type."""
     if format is not Format.CDR:
         return str(format.value)
     return _cdr_encoding(message if isinstance(message, type) else type(message))
 
 
 def supports_format(message_type: type[msgspec.Struct], format: Format) -> bool:
-    """Whether messages of this type can be written so; all can in MessagePack and JSON."""
+    """Whether the type can be encoded in a format; MessagePack and JSON support all types."""
     return format is not Format.CDR or cdr.is_expressible(message_type)
 
 
@@ -140,18 +140,18 @@ def _make_default(message_type: type[Message]) -> Message:
 
 def _from_cdr(message_type: type[Message], payload: bytes, encoding: str) -> Message:
     if not cdr.is_expressible(message_type):
-        raise MalformedPayload("CDR is not offered for it; use MessagePack or JSON")
+        raise MalformedPayload("the type is not expressible in CDR; use MessagePack or JSON")
     if encoding != _cdr_encoding(message_type):
         schema = parse_schema_name(encoding)
         if schema not in ("", _find_type_name(message_type)):
-            raise MalformedPayload(f"the Encoding names {schema}; name this type or none")
+            raise MalformedPayload(f"the Encoding names {schema}; use this type or none")
     return cdr.decode(message_type, payload)
 
 
 def _from_json(message_type: type[Message], payload: bytes) -> Message:
     message = _json_decoder(message_type).decode(payload)
     try:
-        _WRITE_MSGPACK(message)  # JSON alone knows integers beyond 64 bits.
+        _WRITE_MSGPACK(message)  # Only JSON has integers beyond 64 bits.
     except OverflowError as error:
         raise MalformedPayload("an integer is beyond 64 bits") from error
     return cast("Message", message)
@@ -173,5 +173,5 @@ def _json_decoder(message_type: type[Message]) -> msgspec.json.Decoder[Message]:
 
 
 def _find_type_name(message_type: type[msgspec.Struct]) -> str:
-    """Name a type as ROS does, nearest class first."""
+    """Return the ROS type, else the class name."""
     return str(getattr(message_type, "ros_type", message_type.__name__))

@@ -17,7 +17,7 @@ OnRelease = Literal["stop", "keep", "delete"]
 
 
 class ClaimEntityRequest(msgspec.Struct, frozen=True):
-    """Ask to be the only driver of these entities, all or none of them."""
+    """Claim entities for exclusive control, all or none."""
 
     ros_type: ClassVar[str] = "zensim/srv/ClaimEntity_Request"
 
@@ -28,20 +28,20 @@ class ClaimEntityRequest(msgspec.Struct, frozen=True):
 
 
 class Claim(msgspec.Struct, frozen=True):
-    """What an agent needs to know of one entity that it drives; it travels as a `Grant`."""
+    """An entity that an agent controls; encoded as a `Grant`."""
 
     claim: UInt32
-    """Never used twice by one server: a command under an old claim is dropped."""
+    """Unique per server: commands of old claims are dropped."""
     entity: str
     namespace: str
     model: Model
     robot_description: str = ""
     spawn_state: tuple[float, ...] = ()
-    """State at spawn, `STATE_COLUMNS` numbers."""
+    """State at spawn; `STATE_COLUMNS` numbers."""
 
 
 class Grant(msgspec.Struct, frozen=True):
-    """A claim as it travels: what many entities share is said once, beside it."""
+    """A claim that refers to the shared models and descriptions of the response."""
 
     claim: UInt32
     entity: str
@@ -54,7 +54,7 @@ class Grant(msgspec.Struct, frozen=True):
 
 
 class ClaimEntityResponse(msgspec.Struct, frozen=True):
-    """The claims, each model and text once, and the clock that the drive runs by."""
+    """Granted claims, their models and descriptions, and the timing of drive states."""
 
     ros_type: ClassVar[str] = "zensim/srv/ClaimEntity_Response"
 
@@ -68,10 +68,10 @@ class ClaimEntityResponse(msgspec.Struct, frozen=True):
 
 
 class ClaimShareRequest(msgspec.Struct, frozen=True):
-    """Ask, as a pool, for a fair share of all robots that nobody drives by name.
+    """Claim a fair share of all robots that no agent has claimed by name.
 
-    The shares of all pools that are up differ by one robot at most, but for `limit`; what a pool
-    has beyond its share goes to the pool that asks.
+    The shares of all running pools differ by at most one robot, except for `limit`; robots beyond a
+    pool's share are transferred to the caller.
     """
 
     ros_type: ClassVar[str] = "zensim/srv/ClaimShare_Request"
@@ -79,21 +79,21 @@ class ClaimShareRequest(msgspec.Struct, frozen=True):
     agent: str = ""
     """Unique; its liveliness token must be up."""
     limit: UInt32 = 0
-    """Most robots that it drives; 0 = any number."""
+    """Maximum number of robots; 0 = unlimited."""
     on_release: OnRelease = "stop"
 
 
 class ClaimShareResponse(ClaimEntityResponse, frozen=True):
-    """What was granted now, beside what the pool has already."""
+    """Claims that are granted in addition to those of the pool."""
 
     ros_type: ClassVar[str] = "zensim/srv/ClaimShare_Response"
 
     is_more: bool = False
-    """Whether the rest of the share waits for another request: replies have a largest size."""
+    """Whether the rest of the share needs another request: the reply size is limited."""
 
 
 class _SharedTables:
-    """Models and texts, each once, and where each stands."""
+    """Distinct models and texts, with their indices."""
 
     def __init__(self) -> None:
         self.models: list[Model] = []
@@ -102,25 +102,25 @@ class _SharedTables:
         self._index_by_bytes: dict[bytes, int] = {}
 
     def model(self, model: Model) -> int:
-        """Find the place of a model; two that say the same are one."""
+        """Return the index of a model; equal models have one."""
         if (place := self._index_by_id.get(id(model))) is None:
-            said = msgspec.msgpack.encode(model)
+            encoded = msgspec.msgpack.encode(model)
             place = self._index_by_id[id(model)] = self._index_by_bytes.setdefault(
-                said, len(self.models)
+                encoded, len(self.models)
             )
             if place == len(self.models):
                 self.models.append(model)
         return place
 
     def text(self, text: str) -> int:
-        """Find the place of a text."""
+        """Return the index of a text."""
         return self.texts.setdefault(text, len(self.texts))
 
 
 def make_grants(
     claims: Sequence[Claim],
 ) -> tuple[tuple[Grant, ...], tuple[Model, ...], tuple[str, ...]]:
-    """Write claims down for a response: grants, models and texts."""
+    """Convert claims to the fields of a response: grants, models and descriptions."""
     shared = _SharedTables()
     grants = tuple(
         Grant(
@@ -137,10 +137,10 @@ def make_grants(
 
 
 def expand_grants(response: ClaimEntityResponse) -> tuple[Claim, ...]:
-    """Read the claims of a response; those of one model share it.
+    """Convert the fields of a response to claims.
 
     Raises:
-        MalformedPayload: A grant speaks of a model or text that is not there.
+        MalformedPayload: A grant has an index without a model or description.
     """
     models, texts = response.models, response.robot_descriptions
     try:
@@ -156,11 +156,11 @@ def expand_grants(response: ClaimEntityResponse) -> tuple[Claim, ...]:
             for one in response.grants
         )
     except IndexError as error:
-        raise MalformedPayload("a grant speaks of a model or text that is not there") from error
+        raise MalformedPayload("a grant has an index without a model or description") from error
 
 
 class DriveState(msgspec.Struct, frozen=True):
-    """Everything that one agent drives, at one step."""
+    """State of all robots of an agent, at one step."""
 
     ros_type: ClassVar[str] = "zensim/msg/DriveState"
 
@@ -175,23 +175,23 @@ class DriveState(msgspec.Struct, frozen=True):
     """`<f8`, all joints of all claims, model by model in the order of `Model.joints`."""
     joint_velocities: bytes
     newest_claim: UInt32 = 0
-    """The newest of all claims when this was told: an older state says nothing of a newer claim."""
+    """Newest claim of the server when this was published: newer claims are missing in `claims`."""
     is_awaited: bool = False
-    """Time stands until the answer comes: what the state makes due is published before it."""
+    """Whether the server waits for the command; publish what is due before it."""
 
 
 class DriveCommand(msgspec.Struct, frozen=True):
-    """Targets for everything that one agent drives; the newest wins.
+    """Targets of all robots of an agent; the newest is applied.
 
-    An awaited state is answered by the command of its own epoch, step and claims, by no other.
+    Only a command with the epoch, step and claims of an awaited state completes it.
     """
 
     ros_type: ClassVar[str] = "zensim/msg/DriveCommand"
 
     epoch: UInt32
     step: UInt64
-    """Of the drive state that it answers."""
+    """Step of the drive state."""
     claims: bytes
     """`<u4`, (n,)."""
     targets: bytes
-    """`<f8`, for each of `Model.actuators` as many numbers as its width, claim by claim."""
+    """`<f8`, claim by claim, `width` numbers for each of `Model.actuators`."""

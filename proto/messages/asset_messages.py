@@ -8,23 +8,23 @@ from zensim.proto.messages.result_messages import Result
 from zensim.proto.messages.scalar_types import UInt64
 
 MAX_CHUNK_BYTES = 1 << 20
-"""Of a file: hashing and keeping a longer one would make physics late."""
+"""Part of a file in one message: a longer one would delay the physics step."""
 MAX_FILE_BYTES = 64 << 20
 MAX_BUNDLE_BYTES = 256 << 20
 MAX_BUNDLE_FILES = 512
 
 
 class AssetRef(msgspec.Struct, frozen=True):
-    """A file that a description names."""
+    """A file that a description refers to."""
 
     uri: str
-    """As the description writes it, such as `package://robot/meshes/base.stl`; see `joined`."""
+    """As in the description, such as `package://robot/meshes/base.stl`; see `resolve_include_uri`."""
     sha256: str
-    """Of the file's bytes; 64 lower-case hex digits."""
+    """64 lower-case hex digits."""
 
 
 class MissingAssetsRequest(msgspec.Struct, frozen=True):
-    """Ask which files the server does not have."""
+    """Find files that the server does not have."""
 
     ros_type: ClassVar[str] = "zensim/srv/MissingAssets_Request"
 
@@ -32,18 +32,18 @@ class MissingAssetsRequest(msgspec.Struct, frozen=True):
 
 
 class MissingAssetsResponse(msgspec.Struct, frozen=True):
-    """Files that it does not have, and how much of each it has already."""
+    """Missing files, and how many bytes of each the server has."""
 
     ros_type: ClassVar[str] = "zensim/srv/MissingAssets_Response"
 
     result: Result = Result()
     missing: tuple[str, ...] = ()
     received: tuple[UInt64, ...] = ()
-    """Bytes from the start that are there, by place in `missing`: go on from here."""
+    """Bytes from the start, in the order of `missing`: continue at this offset."""
 
 
 class PutAssetRequest(msgspec.Struct, frozen=True):
-    """Send a piece of a file; pieces follow one another from offset 0."""
+    """Upload a part of a file; parts are in order, from offset 0."""
 
     ros_type: ClassVar[str] = "zensim/srv/PutAsset_Request"
 
@@ -51,23 +51,23 @@ class PutAssetRequest(msgspec.Struct, frozen=True):
     """Of the whole file."""
     offset: UInt64 = 0
     total: UInt64 = 0
-    """Length of the whole file; at most `MAX_FILE_BYTES`."""
+    """Size of the whole file; at most `MAX_FILE_BYTES`."""
     data: bytes = b""
     """At most `MAX_CHUNK_BYTES`."""
 
 
 class PutAssetResponse(msgspec.Struct, frozen=True):
-    """How much of the file is there."""
+    """Progress of an upload."""
 
     ros_type: ClassVar[str] = "zensim/srv/PutAsset_Response"
 
     result: Result = Result()
     received: UInt64 = 0
-    """Bytes from the start; equal to `total` when the file is there and its sha256 is right."""
+    """Bytes from the start; equal to `total` if the file is complete and its sha256 is correct."""
 
 
 class GetAssetRequest(msgspec.Struct, frozen=True):
-    """Ask for a file that was sent, or for a mesh that the server made of one."""
+    """Download an uploaded file, or a mesh that the server generated."""
 
     ros_type: ClassVar[str] = "zensim/srv/GetAsset_Request"
 
@@ -76,7 +76,7 @@ class GetAssetRequest(msgspec.Struct, frozen=True):
 
 
 class GetAssetResponse(msgspec.Struct, frozen=True):
-    """A piece of it, `MAX_CHUNK_BYTES` at most; a mesh in `Shape.mesh` is a binary STL."""
+    """Part of a file, at most `MAX_CHUNK_BYTES`; meshes of `Shape.mesh` are binary STL."""
 
     ros_type: ClassVar[str] = "zensim/srv/GetAsset_Response"
 
@@ -86,10 +86,10 @@ class GetAssetResponse(msgspec.Struct, frozen=True):
 
 
 def resolve_include_uri(include: str, uri: str) -> str:
-    """Say what a URI means in an SDF model that was included as `include`.
+    """Resolve a URI in an SDF model that was included as `include`.
 
-    A relative one is beside the included file: `meshes/a.stl` in `model://crate`, or in
-    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`. Any other is itself.
+    A relative one is relative to the included file: `meshes/a.stl` in `model://crate`, or in
+    `model://crate/model.sdf`, is `model://crate/meshes/a.stl`. Others are returned unchanged.
     """
     folder = include.rpartition("/")[0] if include.endswith(".sdf") else include.rstrip("/")
     is_relative = uri and not uri.startswith("/") and "://" not in uri

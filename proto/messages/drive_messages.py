@@ -1,4 +1,4 @@
-"""Drive parameters, as a description states them, and the actuators that a drive command addresses."""
+"""Drive parameters of a description, and the actuators of drive commands."""
 
 from typing import Literal
 
@@ -7,11 +7,11 @@ import msgspec
 OdometrySource = Literal["encoder", "world"]
 ActuatorMode = Literal["velocity", "position", "twist"]
 Compat = Literal["fixed", "gazebo11"]
-"""Whether drives behave sanely, or with the documented quirks of Gazebo 11."""
+"""Corrected behaviour, or that of Gazebo 11 with its documented errors."""
 
 
 class RosBlock(msgspec.Struct, frozen=True):
-    """What the <ros> block of a plug-in asks for."""
+    """The `<ros>` element of a plug-in."""
 
     namespace: str = ""
     """Without a leading slash."""
@@ -20,21 +20,21 @@ class RosBlock(msgspec.Struct, frozen=True):
 
 
 class Actuator(msgspec.Struct, frozen=True):
-    """One thing that a drive command addresses.
+    """One actuator of a drive command.
 
-    `velocity` [rad/s] and `position` [rad] take one number for `joint`; `twist` takes three for the
-    root link: vx, vy [m/s] ahead and to its left, wz [rad/s].
+    `velocity` [rad/s] and `position` [rad] have one target, for `joint`; `twist` has three, for the
+    root link: vx, vy [m/s] forward and left, wz [rad/s].
     """
 
     mode: ActuatorMode
     joint: str = ""
     """Empty for a twist."""
     effort: float = 0.0
-    """Most that the motor gives [N m]; a twist knows no limit."""
+    """Maximum motor torque [N m]; not used for a twist."""
 
     @property
     def width(self) -> int:
-        """How many numbers address it."""
+        """Number of targets."""
         return 3 if self.mode == "twist" else 1
 
 
@@ -48,7 +48,7 @@ class WheelPair(msgspec.Struct, frozen=True):
 
 
 class Limits(msgspec.Struct, frozen=True):
-    """Bounds of one velocity and of its change, a second; None = unbounded."""
+    """Bounds of a velocity and of its acceleration; None = unbounded."""
 
     min_velocity: float | None = None
     max_velocity: float | None = None
@@ -57,14 +57,14 @@ class Limits(msgspec.Struct, frozen=True):
 
 
 class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """What every drive has: how often it works, its frames, and what it publishes."""
+    """Rates, frames, odometry and topics of every drive."""
 
     update_rate_hz: float = 100.0
-    """Of commands; 0 = every step that the agent is told of."""
+    """Of commands; 0 = at every drive state."""
     odometry_rate_hz: float | None = None
-    """None = as commands."""
+    """None = rate of commands."""
     tf_rate_hz: float | None = None
-    """None = as odometry."""
+    """None = rate of odometry."""
     odometry_source: OdometrySource = "world"
     odometry_frame: str = "odom"
     robot_base_frame: str = "base_footprint"
@@ -80,21 +80,21 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
     """In the robot's namespace; empty = odom."""
     ros: RosBlock = RosBlock()
     compat: Compat = "fixed"
-    """gazebo11: speed by encoders is never negative, and the two topics are not read."""
+    """gazebo11: encoder speed is never negative, and the two topics are ignored."""
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """What a command addresses, in order."""
+        """Actuators of a command, in order."""
         return ()
 
     @property
     def wheel_joints(self) -> tuple[str, ...]:
-        """Joints whose links roll on the ground."""
+        """Joints of wheels."""
         return ()
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Every joint that the drive names."""
+        """All joints of the drive."""
         return self.wheel_joints
 
     @property
@@ -104,12 +104,12 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def encoder(self) -> WheelPair | None:
-        """Wheels whose turns give odometry; None when the world gives it."""
+        """Wheels of encoder odometry; None if the odometry source is the world."""
         return None
 
 
 class DiffDrive(DriveSettings, frozen=True, tag="diff_drive", tag_field="kind"):
-    """Parameters of a differential drive, defaults as Gazebo's plug-in has them.
+    """Parameters of a differential drive, with the defaults of Gazebo's plug-in.
 
     Source: gazebo_ros_diff_drive of gazebo_ros_pkgs, ROS 2 branch; limits: DiffDrive of gz-sim.
     """
@@ -140,7 +140,7 @@ class DiffDrive(DriveSettings, frozen=True, tag="diff_drive", tag_field="kind"):
 
 
 class PlanarMove(DriveSettings, frozen=True, tag="planar_move", tag_field="kind"):
-    """A body that takes the commanded twist itself, sideways too; wheels or none.
+    """A body that moves with the commanded twist, in any direction; with or without wheels.
 
     Source: gazebo_ros_planar_move of gazebo_ros_pkgs, ROS 2 branch.
     """
@@ -156,7 +156,7 @@ class PlanarMove(DriveSettings, frozen=True, tag="planar_move", tag_field="kind"
 
 
 class AckermannDrive(DriveSettings, frozen=True, tag="ackermann_drive", tag_field="kind"):
-    """Parameters of a car: rear wheels drive, front wheels steer.
+    """Parameters of a car with driven rear wheels and steered front wheels.
 
     Source: gazebo_ros_ackermann_drive of gazebo_ros_pkgs, ROS 2 branch; lengths are measured from
     the links, as there.
@@ -170,11 +170,11 @@ class AckermannDrive(DriveSettings, frozen=True, tag="ackermann_drive", tag_fiel
     right_steering_joint: str = "right_steering_joint"
     steering_wheel_joint: str = ""
     wheel_radius_m: float = 0.3
-    """Of the rear wheels; > 0."""
+    """Radius of the rear wheels; > 0."""
     wheelbase_m: float = 1.0
-    """Between the axles; > 0."""
+    """Distance of the axles; > 0."""
     track_m: float = 0.5
-    """Between the front wheels; > 0."""
+    """Distance of the front wheels; > 0."""
     max_speed: float = 20.0
     """[m/s]."""
     max_steer: float = 0.6
@@ -220,7 +220,7 @@ class AckermannDrive(DriveSettings, frozen=True, tag="ackermann_drive", tag_fiel
 
 
 class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field="kind"):
-    """Parameters of a tricycle: one wheel drives and steers, two follow and count.
+    """Parameters of a tricycle: one driven and steered wheel, two passive wheels with encoders.
 
     Source: gazebo_ros_tricycle_drive of gazebo_ros_pkgs, ROS 2 branch.
     """
@@ -234,23 +234,23 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
     encoder_wheel_diameter_m: float = 0.15
     wheel_separation_m: float = 0.5
     max_torque_nm: float = 0.15
-    """Of the actuated wheel, and of steering by speed."""
+    """Of the actuated wheel, and of the steering joint if its speed is limited."""
     max_acceleration: float = 0.0
     """Of the actuated wheel [rad/s^2]; 0 = unlimited."""
     max_deceleration: float = 0.0
     """[rad/s^2]; 0 = unlimited."""
     speed_tolerance: float = 0.01
-    """A wheel this close to its speed [rad/s] has reached it."""
+    """Tolerance [rad/s] of the wheel speed."""
     max_steering_speed: float = 0.0
-    """[rad/s]; 0 = the angle is set."""
+    """[rad/s]; 0 = the steering joint is position controlled."""
     angle_tolerance: float = 0.01
     """[rad]."""
     steering_effort_nm: float = 100.0
-    """Where the angle is set."""
+    """Of a position controlled steering joint."""
 
     @property
     def wheel_joints(self) -> tuple[str, ...]:
-        """The wheel that drives, then the two that count."""
+        """The driven wheel, then the two with encoders."""
         return (
             self.actuated_wheel_joint,
             self.encoder_wheel_left_joint,
@@ -259,7 +259,7 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
 
     @property
     def steering_joints(self) -> tuple[str, ...]:
-        """Joint that steers the wheel that drives."""
+        """Steering joint of the driven wheel."""
         return (self.steering_joint,)
 
     @property
@@ -269,7 +269,7 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """Speed of the actuated wheel, then the steering: its speed when that is limited."""
+        """Speed of the driven wheel, then angle or speed of the steering joint."""
         steering = (
             Actuator("velocity", self.steering_joint, self.max_torque_nm)
             if self.max_steering_speed > 0.0
@@ -279,7 +279,7 @@ class TricycleDrive(DriveSettings, frozen=True, tag="tricycle_drive", tag_field=
 
     @property
     def encoder(self) -> WheelPair | None:
-        """The two wheels that count."""
+        """The two passive wheels."""
         if self.odometry_source != "encoder":
             return None
         return WheelPair(

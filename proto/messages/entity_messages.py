@@ -1,4 +1,4 @@
-"""Services about existing entities: list, filter, info, bounds, state (simulation_interfaces 2.1)."""
+"""Services of simulation_interfaces 2.1 on entities: list, filter, info, bounds, state."""
 
 from enum import IntEnum
 from typing import ClassVar, Final
@@ -27,7 +27,7 @@ class Category(IntEnum):
 
 
 class EntityCategory(msgspec.Struct, frozen=True):
-    """What kind of thing. Source: simulation_interfaces/msg/EntityCategory."""
+    """Category of an entity. Source: simulation_interfaces/msg/EntityCategory."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/EntityCategory"
 
@@ -35,9 +35,9 @@ class EntityCategory(msgspec.Struct, frozen=True):
 
 
 class EntityInfo(msgspec.Struct, frozen=True):
-    """Category, a word for people, tags for filters. Source: simulation_interfaces/msg/EntityInfo.
+    """Category, description, and tags for filters. Source: simulation_interfaces/msg/EntityInfo.
 
-    At most `MAX_TAGS` tags of `MAX_TAG_LENGTH` characters, and a description of `MAX_DESCRIPTION_LENGTH`.
+    Limits: `MAX_TAGS` tags of `MAX_TAG_LENGTH` characters, `MAX_DESCRIPTION_LENGTH`.
     """
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/EntityInfo"
@@ -48,14 +48,14 @@ class EntityInfo(msgspec.Struct, frozen=True):
 
 
 class FilterMode(IntEnum):
-    """How many of the tags must be there. Source: simulation_interfaces/msg/TagsFilter."""
+    """Number of tags that must match. Source: simulation_interfaces/msg/TagsFilter."""
 
     ANY = 0
     ALL = 1
 
 
 class TagsFilter(msgspec.Struct, frozen=True):
-    """Any or all of these tags. Source: simulation_interfaces/msg/TagsFilter."""
+    """Filter by tags. Source: simulation_interfaces/msg/TagsFilter."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/TagsFilter"
 
@@ -73,11 +73,10 @@ class BoundsType(IntEnum):
 
 
 class Bounds(msgspec.Struct, frozen=True):
-    """A region, in the frame that its owner names. Source: simulation_interfaces/msg/Bounds.
+    """A region, in a frame that its owner defines. Source: simulation_interfaces/msg/Bounds.
 
-    By type: empty (unbounded), no points; box along the axes, its upper and its lower corner;
-    convex hull, 3 points or more that are not on one line; sphere, its centre, and its radius as
-    the x of a second point.
+    Points by type: empty (unbounded), none; axis-aligned box, upper and lower corner; convex hull,
+    at least 3 that are not collinear; sphere, the centre, and a second point with the radius as x.
     """
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Bounds"
@@ -87,10 +86,10 @@ class Bounds(msgspec.Struct, frozen=True):
 
 
 class EntityFilters(msgspec.Struct, frozen=True):
-    """Which entities: those that pass all filters; an empty one lets all pass.
+    """Selects the entities that match all filters; an empty filter matches all.
 
-    `filter` is a POSIX extended regular expression found anywhere in the name; `bounds`, in the
-    world frame, are overlapped by the entity. Source: simulation_interfaces/msg/EntityFilters.
+    `filter` is a POSIX extended regular expression for any part of the name; the entity overlaps
+    `bounds`, in the world frame. Source: simulation_interfaces/msg/EntityFilters.
     """
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/EntityFilters"
@@ -102,7 +101,7 @@ class EntityFilters(msgspec.Struct, frozen=True):
 
 
 class GetEntitiesRequest(msgspec.Struct, frozen=True):
-    """Name the entities. Source: simulation_interfaces/srv/GetEntities."""
+    """List entities. Source: simulation_interfaces/srv/GetEntities."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntities_Request"
 
@@ -110,7 +109,7 @@ class GetEntitiesRequest(msgspec.Struct, frozen=True):
 
 
 class GetEntitiesResponse(msgspec.Struct, frozen=True):
-    """Names, in the order of spawning. Source: simulation_interfaces/srv/GetEntities."""
+    """Names, in spawn order. Source: simulation_interfaces/srv/GetEntities."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntities_Response"
 
@@ -130,7 +129,7 @@ class EntityState(msgspec.Struct, frozen=True):
 
 
 class GetEntityStateRequest(msgspec.Struct, frozen=True):
-    """Ask where one entity is. Source: simulation_interfaces/srv/GetEntityState."""
+    """Get the state of an entity. Source: simulation_interfaces/srv/GetEntityState."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntityState_Request"
 
@@ -147,7 +146,7 @@ class GetEntityStateResponse(msgspec.Struct, frozen=True):
 
 
 class SetEntityStateRequest(msgspec.Struct, frozen=True):
-    """Put an entity somewhere. Source: simulation_interfaces/srv/SetEntityState, 2.1."""
+    """Set the state of an entity. Source: simulation_interfaces/srv/SetEntityState, 2.1."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SetEntityState_Request"
 
@@ -159,7 +158,7 @@ class SetEntityStateRequest(msgspec.Struct, frozen=True):
 
 
 class SetEntityStateResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: simulation_interfaces/srv/SetEntityState."""
+    """Result of the request. Source: simulation_interfaces/srv/SetEntityState."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SetEntityState_Response"
 
@@ -167,11 +166,11 @@ class SetEntityStateResponse(msgspec.Struct, frozen=True):
 
 
 ANY_BOUNDS: Final = 255
-"""As the type of bounds that are asked for: the server chooses."""
+"""Requested type of bounds: the server chooses."""
 
 
 class GetEntitiesStatesRequest(msgspec.Struct, frozen=True):
-    """Ask where entities are. Source: simulation_interfaces/srv/GetEntitiesStates."""
+    """Get the states of entities. Source: simulation_interfaces/srv/GetEntitiesStates."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntitiesStates_Request"
 
@@ -179,14 +178,14 @@ class GetEntitiesStatesRequest(msgspec.Struct, frozen=True):
 
 
 class GetEntitiesStatesOrder(GetEntitiesStatesRequest, frozen=True):
-    """The same in a frame of choice."""
+    """Adds the reference frame."""
 
     reference_frame: str = ""
-    """Empty = the world's."""
+    """Empty = the world frame."""
 
 
 class GetEntitiesStatesResponse(msgspec.Struct, frozen=True):
-    """Names and states of one step. Source: simulation_interfaces/srv/GetEntitiesStates."""
+    """Names and states at one step. Source: simulation_interfaces/srv/GetEntitiesStates."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntitiesStates_Response"
 
@@ -196,14 +195,14 @@ class GetEntitiesStatesResponse(msgspec.Struct, frozen=True):
 
 
 class GetEntityStateOrder(GetEntityStateRequest, frozen=True):
-    """Ask where an entity is, in a frame of choice."""
+    """Adds the reference frame."""
 
     reference_frame: str = ""
-    """Empty = the world's."""
+    """Empty = the world frame."""
 
 
 class GetEntityInfoRequest(msgspec.Struct, frozen=True):
-    """Ask what an entity is. Source: simulation_interfaces/srv/GetEntityInfo."""
+    """Get the info of an entity. Source: simulation_interfaces/srv/GetEntityInfo."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntityInfo_Request"
 
@@ -211,7 +210,7 @@ class GetEntityInfoRequest(msgspec.Struct, frozen=True):
 
 
 class GetEntityInfoResponse(msgspec.Struct, frozen=True):
-    """What it is. Source: simulation_interfaces/srv/GetEntityInfo."""
+    """Info of the entity. Source: simulation_interfaces/srv/GetEntityInfo."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntityInfo_Response"
 
@@ -220,14 +219,14 @@ class GetEntityInfoResponse(msgspec.Struct, frozen=True):
 
 
 class GetEntityInfoReport(GetEntityInfoResponse, frozen=True):
-    """The same, and how it moves now."""
+    """Adds the current dynamics."""
 
     dynamics: TierName = "full"
-    """full: by forces and contacts; kinematic: as its drive says."""
+    """full: forces and contacts; kinematic: motion computed by the drive."""
 
 
 class SetEntityInfoRequest(msgspec.Struct, frozen=True):
-    """Say what an entity is, all of it anew. Source: simulation_interfaces/srv/SetEntityInfo."""
+    """Replace the info of an entity. Source: simulation_interfaces/srv/SetEntityInfo."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SetEntityInfo_Request"
 
@@ -236,7 +235,7 @@ class SetEntityInfoRequest(msgspec.Struct, frozen=True):
 
 
 class SetEntityInfoResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: simulation_interfaces/srv/SetEntityInfo."""
+    """Result of the request. Source: simulation_interfaces/srv/SetEntityInfo."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SetEntityInfo_Response"
 
@@ -244,7 +243,7 @@ class SetEntityInfoResponse(msgspec.Struct, frozen=True):
 
 
 class GetEntityBoundsRequest(msgspec.Struct, frozen=True):
-    """Ask how much room an entity takes. Source: simulation_interfaces/srv/GetEntityBounds."""
+    """Get the bounds of an entity. Source: simulation_interfaces/srv/GetEntityBounds."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntityBounds_Request"
 
@@ -252,16 +251,16 @@ class GetEntityBoundsRequest(msgspec.Struct, frozen=True):
 
 
 class GetEntityBoundsOrder(GetEntityBoundsRequest, frozen=True):
-    """The same in a shape of choice."""
+    """Adds the type of the bounds."""
 
     type: UInt8 = ANY_BOUNDS
     """One of `BoundsType`; 255 = a box."""
 
 
 class GetEntityBoundsResponse(msgspec.Struct, frozen=True):
-    """Of its collisions as the joints stand, in the frame of its base link.
+    """Bounds of its collisions at the current joint positions, in the frame of its base link.
 
-    Empty when it collides with nothing. Source: simulation_interfaces/srv/GetEntityBounds.
+    Empty if it has no collisions. Source: simulation_interfaces/srv/GetEntityBounds.
     """
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetEntityBounds_Response"

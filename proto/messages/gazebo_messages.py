@@ -19,37 +19,37 @@ from zensim.proto.messages.standard_messages import (
 
 
 class EmptyRequest(msgspec.Struct, frozen=True):
-    """Nothing to say. Source: std_srvs/srv/Empty."""
+    """Request without fields. Source: std_srvs/srv/Empty."""
 
     ros_type: ClassVar[str] = "std_srvs/srv/Empty_Request"
 
 
 class PausePhysicsRequest(EmptyRequest, frozen=True):
-    """Let time stand."""
+    """Pause the simulation."""
 
 
 class UnpausePhysicsRequest(EmptyRequest, frozen=True):
-    """Let time run."""
+    """Resume the simulation."""
 
 
 class ResetWorldRequest(EmptyRequest, frozen=True):
-    """Put every entity back where it was spawned; time goes on."""
+    """Reset every entity to its spawn pose, without resetting time."""
 
 
 class EmptyResponse(msgspec.Struct, frozen=True):
-    """Nothing to answer. Source: std_srvs/srv/Empty."""
+    """Response without fields. Source: std_srvs/srv/Empty."""
 
     ros_type: ClassVar[str] = "std_srvs/srv/Empty_Response"
 
 
 class EmptyReport(EmptyResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class GazeboEntityState(msgspec.Struct, frozen=True):
-    """Where a model or a link is, in a frame. Source: gazebo_msgs/msg/EntityState."""
+    """State of a model or a link, in a frame. Source: gazebo_msgs/msg/EntityState."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/msg/EntityState"
 
@@ -58,11 +58,11 @@ class GazeboEntityState(msgspec.Struct, frozen=True):
     pose: Pose = Pose()
     twist: Twist = Twist()
     reference_frame: str = ""
-    """`entity`, `entity::link`, or empty for the world's."""
+    """`entity`, `entity::link`, or empty for the world frame."""
 
 
 class GazeboGetEntityStateRequest(msgspec.Struct, frozen=True):
-    """Ask where a model or a link is. Source: gazebo_msgs/srv/GetEntityState."""
+    """Get the state of a model or a link. Source: gazebo_msgs/srv/GetEntityState."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/GetEntityState_Request"
 
@@ -71,7 +71,7 @@ class GazeboGetEntityStateRequest(msgspec.Struct, frozen=True):
 
 
 class GazeboGetEntityStateResponse(msgspec.Struct, frozen=True):
-    """Where it is. Source: gazebo_msgs/srv/GetEntityState."""
+    """State of the model or link. Source: gazebo_msgs/srv/GetEntityState."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/GetEntityState_Response"
 
@@ -81,13 +81,13 @@ class GazeboGetEntityStateResponse(msgspec.Struct, frozen=True):
 
 
 class GazeboGetEntityStateReport(GazeboGetEntityStateResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class GazeboSetEntityStateRequest(msgspec.Struct, frozen=True):
-    """Put an entity somewhere. Source: gazebo_msgs/srv/SetEntityState."""
+    """Set the state of an entity. Source: gazebo_msgs/srv/SetEntityState."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SetEntityState_Request"
 
@@ -95,7 +95,7 @@ class GazeboSetEntityStateRequest(msgspec.Struct, frozen=True):
 
 
 class GazeboSetEntityStateResponse(msgspec.Struct, frozen=True):
-    """Whether it is there. Source: gazebo_msgs/srv/SetEntityState."""
+    """Whether the state is set. Source: gazebo_msgs/srv/SetEntityState."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SetEntityState_Response"
 
@@ -103,13 +103,13 @@ class GazeboSetEntityStateResponse(msgspec.Struct, frozen=True):
 
 
 class GazeboSetEntityStateReport(GazeboSetEntityStateResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class ModelStates(msgspec.Struct, frozen=True):
-    """Every entity in the world frame. Source: gazebo_msgs/msg/ModelStates."""
+    """States of all entities in the world frame. Source: gazebo_msgs/msg/ModelStates."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/msg/ModelStates"
 
@@ -119,7 +119,7 @@ class ModelStates(msgspec.Struct, frozen=True):
 
 
 class LinkStates(msgspec.Struct, frozen=True):
-    """Every link, `entity::link`, in the world frame. Source: gazebo_msgs/msg/LinkStates."""
+    """States of all links, `entity::link`, in the world frame. Source: gazebo_msgs/msg/LinkStates."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/msg/LinkStates"
 
@@ -129,25 +129,25 @@ class LinkStates(msgspec.Struct, frozen=True):
 
 
 class ApplyLinkWrenchRequest(msgspec.Struct, frozen=True):
-    """Push a link for a while. Source: gazebo_msgs/srv/ApplyLinkWrench."""
+    """Apply a wrench to a link for a duration. Source: gazebo_msgs/srv/ApplyLinkWrench."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyLinkWrench_Request"
 
     link_name: str = ""
     """`entity::link`."""
     reference_frame: str = ""
-    """Whose axes the wrench has; empty = the world's."""
+    """Frame of the wrench; empty = the world frame."""
     reference_point: Point = Point()
-    """Where the force acts: in that frame; without one, from the centre of mass of the link."""
+    """In the reference frame; relative to the centre of mass of the link if that is empty."""
     wrench: Wrench = Wrench()
     start_time: Time = Time()
-    """Of simulation; a time that is over means now."""
+    """Simulation time; a time in the past means now."""
     duration: Duration = Duration()
-    """Of simulation; negative = for ever, 0 = not at all, else one step at least."""
+    """Simulation time; negative = unlimited, 0 = never, else at least one step."""
 
 
 class ApplyLinkWrenchResponse(msgspec.Struct, frozen=True):
-    """Whether it will be pushed. Source: gazebo_msgs/srv/ApplyLinkWrench."""
+    """Whether the wrench is accepted. Source: gazebo_msgs/srv/ApplyLinkWrench."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyLinkWrench_Response"
 
@@ -156,13 +156,13 @@ class ApplyLinkWrenchResponse(msgspec.Struct, frozen=True):
 
 
 class ApplyLinkWrenchReport(ApplyLinkWrenchResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class ClearLinkWrenchesRequest(msgspec.Struct, frozen=True):
-    """Push a link no more. Source: gazebo_msgs/srv/LinkRequest."""
+    """Remove the wrenches of a link. Source: gazebo_msgs/srv/LinkRequest."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/LinkRequest_Request"
 
@@ -170,24 +170,24 @@ class ClearLinkWrenchesRequest(msgspec.Struct, frozen=True):
 
 
 class ClearLinkWrenchesResponse(msgspec.Struct, frozen=True):
-    """Nothing to answer. Source: gazebo_msgs/srv/LinkRequest."""
+    """Response without fields. Source: gazebo_msgs/srv/LinkRequest."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/LinkRequest_Response"
 
 
 class ClearLinkWrenchesReport(ClearLinkWrenchesResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class ApplyJointEffortRequest(msgspec.Struct, frozen=True):
-    """Turn or slide a joint for a while. Source: gazebo_msgs/srv/ApplyJointEffort."""
+    """Apply an effort to a joint for a duration. Source: gazebo_msgs/srv/ApplyJointEffort."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyJointEffort_Request"
 
     joint_name: str = ""
-    """`entity::joint`, or `joint` where one entity only has it."""
+    """`entity::joint`, or `joint` if only one entity has it."""
     effort: float = 0.0
     """[N m] or [N]."""
     start_time: Time = Time()
@@ -195,7 +195,7 @@ class ApplyJointEffortRequest(msgspec.Struct, frozen=True):
 
 
 class ApplyJointEffortResponse(msgspec.Struct, frozen=True):
-    """Whether it will be turned. Source: gazebo_msgs/srv/ApplyJointEffort."""
+    """Whether the effort is accepted. Source: gazebo_msgs/srv/ApplyJointEffort."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/ApplyJointEffort_Response"
 
@@ -204,13 +204,13 @@ class ApplyJointEffortResponse(msgspec.Struct, frozen=True):
 
 
 class ApplyJointEffortReport(ApplyJointEffortResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class ClearJointEffortsRequest(msgspec.Struct, frozen=True):
-    """Turn a joint no more. Source: gazebo_msgs/srv/JointRequest."""
+    """Remove the efforts of a joint. Source: gazebo_msgs/srv/JointRequest."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/JointRequest_Request"
 
@@ -218,19 +218,19 @@ class ClearJointEffortsRequest(msgspec.Struct, frozen=True):
 
 
 class ClearJointEffortsResponse(msgspec.Struct, frozen=True):
-    """Nothing to answer. Source: gazebo_msgs/srv/JointRequest."""
+    """Response without fields. Source: gazebo_msgs/srv/JointRequest."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/JointRequest_Response"
 
 
 class ClearJointEffortsReport(ClearJointEffortsResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class JointType(IntEnum):
-    """How a joint moves. Source: gazebo_msgs/srv/GetJointProperties."""
+    """Kinds of joints. Source: gazebo_msgs/srv/GetJointProperties."""
 
     REVOLUTE = 0
     CONTINUOUS = 1
@@ -241,7 +241,7 @@ class JointType(IntEnum):
 
 
 class GetJointPropertiesRequest(msgspec.Struct, frozen=True):
-    """Ask about a joint. Source: gazebo_msgs/srv/GetJointProperties."""
+    """Get the properties of a joint. Source: gazebo_msgs/srv/GetJointProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/GetJointProperties_Request"
 
@@ -249,7 +249,7 @@ class GetJointPropertiesRequest(msgspec.Struct, frozen=True):
 
 
 class GetJointPropertiesResponse(msgspec.Struct, frozen=True):
-    """A number for each axis. Source: gazebo_msgs/srv/GetJointProperties."""
+    """Properties with one number per axis. Source: gazebo_msgs/srv/GetJointProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/GetJointProperties_Response"
 
@@ -262,7 +262,7 @@ class GetJointPropertiesResponse(msgspec.Struct, frozen=True):
 
 
 class GetJointPropertiesReport(GetJointPropertiesResponse, frozen=True):
-    """How it went, and what Gazebo does not tell."""
+    """Adds the result, and properties that gazebo_msgs does not have."""
 
     result: Result = Result()
     lower: tuple[float, ...] = ()
@@ -271,7 +271,7 @@ class GetJointPropertiesReport(GetJointPropertiesResponse, frozen=True):
 
 
 class ODEJointProperties(msgspec.Struct, frozen=True):
-    """Settings of a joint, one number for its axis; empty = as it is.
+    """Settings of a joint, one number for its axis; empty = unchanged.
 
     Source: gazebo_msgs/msg/ODEJointProperties.
     """
@@ -287,12 +287,12 @@ class ODEJointProperties(msgspec.Struct, frozen=True):
     stop_cfm: tuple[float, ...] = ()
     fudge_factor: tuple[float, ...] = ()
     fmax: tuple[float, ...] = ()
-    """Most effort against motion: the joint's friction."""
+    """Friction: maximum effort against motion."""
     vel: tuple[float, ...] = ()
 
 
 class SetJointPropertiesRequest(msgspec.Struct, frozen=True):
-    """Change a joint. Source: gazebo_msgs/srv/SetJointProperties."""
+    """Set the properties of a joint. Source: gazebo_msgs/srv/SetJointProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SetJointProperties_Request"
 
@@ -301,7 +301,7 @@ class SetJointPropertiesRequest(msgspec.Struct, frozen=True):
 
 
 class SetJointPropertiesResponse(msgspec.Struct, frozen=True):
-    """Whether it is changed. Source: gazebo_msgs/srv/SetJointProperties."""
+    """Whether the properties are set. Source: gazebo_msgs/srv/SetJointProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SetJointProperties_Response"
 
@@ -310,13 +310,13 @@ class SetJointPropertiesResponse(msgspec.Struct, frozen=True):
 
 
 class SetJointPropertiesReport(SetJointPropertiesResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class GetLinkPropertiesRequest(msgspec.Struct, frozen=True):
-    """Ask what a link weighs. Source: gazebo_msgs/srv/GetLinkProperties."""
+    """Get the mass properties of a link. Source: gazebo_msgs/srv/GetLinkProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/GetLinkProperties_Request"
 
@@ -324,12 +324,12 @@ class GetLinkPropertiesRequest(msgspec.Struct, frozen=True):
 
 
 class GetLinkPropertiesResponse(msgspec.Struct, frozen=True):
-    """What it weighs. Source: gazebo_msgs/srv/GetLinkProperties."""
+    """Mass properties of the link. Source: gazebo_msgs/srv/GetLinkProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/GetLinkProperties_Response"
 
     com: Pose = Pose()
-    """Of the centre of mass and the axes of the moments, in the link."""
+    """Pose of the centre of mass and of the axes of the moments, in the link."""
     gravity_mode: bool = True
     mass: float = 0.0
     ixx: float = 0.0
@@ -343,13 +343,13 @@ class GetLinkPropertiesResponse(msgspec.Struct, frozen=True):
 
 
 class GetLinkPropertiesReport(GetLinkPropertiesResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()
 
 
 class SetLinkPropertiesRequest(msgspec.Struct, frozen=True):
-    """Change what a link weighs; every field counts. Source: gazebo_msgs/srv/SetLinkProperties."""
+    """Set all mass properties of a link. Source: gazebo_msgs/srv/SetLinkProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SetLinkProperties_Request"
 
@@ -366,7 +366,7 @@ class SetLinkPropertiesRequest(msgspec.Struct, frozen=True):
 
 
 class SetLinkPropertiesResponse(msgspec.Struct, frozen=True):
-    """Whether it is changed. Source: gazebo_msgs/srv/SetLinkProperties."""
+    """Whether the properties are set. Source: gazebo_msgs/srv/SetLinkProperties."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SetLinkProperties_Response"
 
@@ -375,6 +375,6 @@ class SetLinkPropertiesResponse(msgspec.Struct, frozen=True):
 
 
 class SetLinkPropertiesReport(SetLinkPropertiesResponse, frozen=True):
-    """How it went."""
+    """Adds the result."""
 
     result: Result = Result()

@@ -54,7 +54,7 @@ ReportStatus = Literal["applied", "ignored", "unknown", "suspicious"]
 
 
 class ReportEntry(msgspec.Struct, frozen=True):
-    """What became of one tag, plug-in or argument of a description."""
+    """How one tag, plug-in or argument of a description was processed."""
 
     status: ReportStatus
     subject: str
@@ -62,21 +62,21 @@ class ReportEntry(msgspec.Struct, frozen=True):
 
 
 class Origin(msgspec.Struct, frozen=True):
-    """A fixed pose: position [m] and orientation (x, y, z, w) in the frame that the owner names."""
+    """A fixed pose: position [m] and orientation (x, y, z, w), in a frame that the owner defines."""
 
     position: Vec3 = ZERO
     orientation: Quat = IDENTITY
 
 
 class Contact(msgspec.Struct, frozen=True):
-    """How a collision yields, and slides across a direction. Source: ODE's surface parameters."""
+    """Compliance and anisotropic friction of a collision. Source: ODE's surface parameters."""
 
     stiffness: float = 0.0
-    """[N/m] (kp) of each point of contact; 0 = rigid."""
+    """[N/m] (kp) per contact point; 0 = rigid."""
     damping: float = 0.0
-    """[N s/m] (kd); means nothing where rigid."""
+    """[N s/m] (kd); not used if rigid."""
     direction: Vec3 = ZERO
-    """Unit vector in the link (fdir1), along which `Shape.friction` holds; 0 = every way."""
+    """Unit vector in the link (fdir1) to which `Shape.friction` applies; 0 = all directions."""
     friction_across: float = 0.0
     """Coulomb coefficient (mu2) across `direction`."""
 
@@ -110,39 +110,39 @@ class Inertial(msgspec.Struct, frozen=True):
 
 
 class Decay(msgspec.Struct, frozen=True):
-    """How fast velocities die down by themselves [1/s]: dv/dt = -rate v."""
+    """Velocity decay rates [1/s]: dv/dt = -rate v."""
 
     linear: float = 0.0
     angular: float = 0.0
 
 
 class Link(msgspec.Struct, frozen=True):
-    """A rigid part that moves by itself once fixed joints are lumped."""
+    """A rigid body after fixed joints are merged."""
 
     name: str
     inertial: Inertial = Inertial()
     collisions: tuple[Shape, ...] = ()
     visuals: tuple[Shape, ...] = ()
     weightless: Inertial = Inertial()
-    """The share of `inertial` that gravity does not pull; its moments are not used."""
+    """Part of `inertial` on which gravity does not act; its moments are not used."""
     decay: Decay = Decay()
     self_collides: bool = False
-    """It touches other links of its model too, but for those it is joined to."""
+    """Whether it collides with other links of its model, except those that it is joined to."""
 
 
 Dynamics = Literal["", "full", "kinematic", "auto"]
-"""How an entity moves: by forces and contacts; as its drive says, stopped by what is in its way; or
-either, as need be. Empty = as its world says.
+"""How an entity moves: by forces and contacts; as its drive computes, stopped by obstacles; or
+either, chosen by the server. Empty = default of the world.
 """
 
 TierName = Literal["full", "kinematic"]
-"""How an entity moves at a moment."""
+"""How an entity moves now."""
 
 JointKind = Literal["revolute", "continuous", "prismatic", "floating", "planar", "fixed"]
 
 
 class Mimic(msgspec.Struct, frozen=True):
-    """A joint that follows another: position = multiplier * the other's + offset [rad or m]."""
+    """Coupling to another joint: position = multiplier * other position + offset [rad or m]."""
 
     joint: str
     multiplier: float = 1.0
@@ -150,7 +150,7 @@ class Mimic(msgspec.Struct, frozen=True):
 
 
 class Joint(msgspec.Struct, frozen=True):
-    """How a link moves in its parent; axis in the joint's (= child's) frame."""
+    """A joint; its axis is in the joint frame, which is the child frame."""
 
     name: str
     kind: JointKind
@@ -168,7 +168,7 @@ class Joint(msgspec.Struct, frozen=True):
 
 
 class Frame(msgspec.Struct, frozen=True):
-    """A link that lumping merged into `parent`; kept for tf."""
+    """A link that was merged into `parent`; used for tf."""
 
     name: str
     parent: str
@@ -176,7 +176,7 @@ class Frame(msgspec.Struct, frozen=True):
 
 
 class JointStatePublisher(msgspec.Struct, frozen=True):
-    """Which joints are published, and how often. Source: gazebo_ros_joint_state_publisher."""
+    """Joints and rate of `joint_states`. Source: gazebo_ros_joint_state_publisher."""
 
     joints: tuple[str, ...] = ()
     update_rate_hz: float = 100.0
@@ -189,36 +189,36 @@ class GroundTruth(msgspec.Struct, frozen=True):
     body: str
     """A link, merged or not."""
     frame_id: str = "world"
-    """Of the message; a link of the same robot is what the pose is relative to."""
+    """Frame of the message; a link of the same robot makes the pose relative to it."""
     update_rate_hz: float = 0.0
-    """0 = every state that the agent is told of."""
+    """0 = at every drive state."""
     topic: str = "odom"
     """In the robot's namespace."""
     offset: Origin = Origin()
-    """Added to the position, turned before the orientation: as Gazebo does, in `frame_id`."""
+    """Position is added, orientation is multiplied from the left, in `frame_id`, as in Gazebo."""
     noise: float = 0.0
     """Standard deviation of each velocity, Gaussian [m/s, rad/s]; its square is the covariance."""
     ros: RosBlock = RosBlock()
     compat: Compat = "fixed"
-    """gazebo11: velocities are along the axes of `frame_id`, not of the body."""
+    """gazebo11: velocities are in `frame_id`, not in the body."""
 
 
 class Parameter(msgspec.Struct, frozen=True):
-    """One setting of a sensor, by its path of tags, such as `scan/horizontal/samples`."""
+    """One setting of a sensor, by the path of its tag, such as `scan/horizontal/samples`."""
 
     path: str
     value: str
 
 
 class Sensor(msgspec.Struct, frozen=True):
-    """A sensor that a description asks for; `origin` places it in `link`, which moves by itself."""
+    """A sensor of a description; `origin` is its pose in `link`, into which `frame` may be merged."""
 
     name: str
     kind: str
-    """As Gazebo calls it: imu, ray, gpu_ray, contact, camera, depth and others."""
+    """Type in Gazebo: imu, ray, gpu_ray, contact, camera, depth and others."""
     link: str
     frame: str
-    """The link that the description puts it on; it may be merged into `link`."""
+    """Link in the description."""
     origin: Origin = Origin()
     update_rate_hz: float = 0.0
     """0 = every step."""
@@ -229,9 +229,9 @@ class Sensor(msgspec.Struct, frozen=True):
 
 
 class Model(msgspec.Struct, frozen=True):
-    """What a description says, after lumping; shared by all entities spawned from it.
+    """A parsed description with merged fixed joints; shared by all entities spawned from it.
 
-    `links[0]` is the base; `joints[i]` moves `links[i + 1]`; parents come before children.
+    `links[0]` is the base; `joints[i]` moves `links[i + 1]`; parents precede children.
     """
 
     ros_type: ClassVar[str] = "zensim/msg/Model"
@@ -255,10 +255,10 @@ class Model(msgspec.Struct, frozen=True):
 
     @property
     def actuators(self) -> tuple[Actuator, ...]:
-        """What a drive command addresses, in order."""
+        """Actuators of a drive command, in order."""
         return self.drive.actuators if self.drive else ()
 
     @property
     def target_count(self) -> int:
-        """How many numbers a drive command has for this model."""
+        """Number of targets in a drive command."""
         return sum(actuator.width for actuator in self.actuators)

@@ -1,4 +1,4 @@
-"""Result codes of simulation_interfaces, the Result message, and the error raised to a refused caller."""
+"""Result codes of simulation_interfaces, the Result message, and the error of a refused request."""
 
 from enum import IntEnum
 from typing import ClassVar
@@ -9,7 +9,7 @@ from zensim.proto.messages.scalar_types import UInt8
 
 
 class ResultCode(IntEnum):
-    """Codes that every service may answer. Source: simulation_interfaces/msg/Result."""
+    """Codes of every service. Source: simulation_interfaces/msg/Result."""
 
     FEATURE_UNSUPPORTED = 0
     OK = 1
@@ -19,7 +19,7 @@ class ResultCode(IntEnum):
 
 
 class SpawnCode(IntEnum):
-    """Why a spawn was refused. Source: simulation_interfaces/srv/SpawnEntity."""
+    """Failures of a spawn. Source: simulation_interfaces/srv/SpawnEntity."""
 
     NAME_NOT_UNIQUE = 101
     NAME_INVALID = 102
@@ -33,19 +33,19 @@ class SpawnCode(IntEnum):
 
 
 class SpawnEntitiesCode(IntEnum):
-    """Why some or all of many spawns failed. Source: simulation_interfaces/srv/SpawnEntities."""
+    """Failures of several spawns. Source: simulation_interfaces/srv/SpawnEntities."""
 
     ENTITIES_SPAWN_FAILED = 150
 
 
 class SetEntityStateCode(IntEnum):
-    """Why a state was refused. Source: simulation_interfaces/srv/SetEntityState."""
+    """Failures of setting a state. Source: simulation_interfaces/srv/SetEntityState."""
 
     INVALID_POSE = 101
 
 
 class SetSimulationStateCode(IntEnum):
-    """Why a transition was refused. Source: simulation_interfaces/srv/SetSimulationState."""
+    """Failures of a transition. Source: simulation_interfaces/srv/SetSimulationState."""
 
     ALREADY_IN_TARGET_STATE = 101
     STATE_TRANSITION_ERROR = 102
@@ -53,7 +53,7 @@ class SetSimulationStateCode(IntEnum):
 
 
 class LoadWorldCode(IntEnum):
-    """Why a world was not loaded. Source: simulation_interfaces/srv/LoadWorld."""
+    """Failures of loading a world. Source: simulation_interfaces/srv/LoadWorld."""
 
     UNSUPPORTED_FORMAT = 101
     NO_RESOURCE = 102
@@ -64,25 +64,25 @@ class LoadWorldCode(IntEnum):
 
 
 class UnloadWorldCode(IntEnum):
-    """Why no world was unloaded. Source: simulation_interfaces/srv/UnloadWorld."""
+    """Failures of unloading a world. Source: simulation_interfaces/srv/UnloadWorld."""
 
     NO_WORLD_LOADED = 101
 
 
 class GetCurrentWorldCode(IntEnum):
-    """Why no world is told. Source: simulation_interfaces/srv/GetCurrentWorld."""
+    """Failures of reading the current world. Source: simulation_interfaces/srv/GetCurrentWorld."""
 
     NO_WORLD_LOADED = 101
 
 
 class GetAvailableWorldsCode(IntEnum):
-    """Why worlds are not listed. Source: simulation_interfaces/srv/GetAvailableWorlds."""
+    """Failures of listing worlds. Source: simulation_interfaces/srv/GetAvailableWorlds."""
 
     DEFAULT_SOURCES_FAILED = 101
 
 
 class ClaimCode(IntEnum):
-    """Why a claim was refused. Source: zensim."""
+    """Failures of a claim. Source: zensim."""
 
     ALREADY_CLAIMED = 101
     AGENT_INVALID = 102
@@ -90,7 +90,7 @@ class ClaimCode(IntEnum):
 
 
 class Result(msgspec.Struct, frozen=True):
-    """How a request went. Source: simulation_interfaces/msg/Result."""
+    """Result of a request. Source: simulation_interfaces/msg/Result."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Result"
 
@@ -99,7 +99,7 @@ class Result(msgspec.Struct, frozen=True):
 
 
 class ServiceError(Exception):
-    """A service refused the request; code, message and response are the server's own."""
+    """The server refused a request; code, message and response are those of the reply."""
 
     def __init__(
         self,

@@ -10,15 +10,15 @@ from zensim.proto.messages.scalar_types import UInt8, UInt16, UInt64
 from zensim.proto.messages.standard_messages import Time
 
 MAX_GOAL_ID_LENGTH = 64
-"""Characters of a goal's id."""
+"""Maximum length of a goal id."""
 
 StepsGoalStatus = Literal["executing", "succeeded", "canceled", "aborted"]
 
 
 class SimulateStepsRequest(msgspec.Struct, frozen=True):
-    """Advance a paused world by so many steps, with progress.
+    """Advance a paused world by a number of steps, with progress.
 
-    The same id and steps again join the goal, or fetch the result of one that is over.
+    A request with the id and steps of a goal attaches to it, or returns its result if it is over.
     Source: simulation_interfaces/action/SimulateSteps.
     """
 
@@ -26,11 +26,11 @@ class SimulateStepsRequest(msgspec.Struct, frozen=True):
 
     steps: UInt64 = 1
     goal_id: str = ""
-    """At most `MAX_GOAL_ID_LENGTH` printable characters; without one there is no progress to hear."""
+    """At most `MAX_GOAL_ID_LENGTH` printable characters; progress is published only with an id."""
 
 
 class SimulateStepsResponse(msgspec.Struct, frozen=True):
-    """Sent when the goal is over: all steps are made, or it was canceled or aborted."""
+    """Sent when the goal has succeeded, or was canceled or aborted."""
 
     ros_type: ClassVar[str] = "zensim/srv/SimulateSteps_Response"
 
@@ -42,7 +42,7 @@ class SimulateStepsResponse(msgspec.Struct, frozen=True):
 
 
 class StepsProgress(msgspec.Struct, frozen=True):
-    """How far a goal is; at most 10 times a second of wall time, and when it is over."""
+    """Progress of a goal, at most at 10 Hz of wall time, and at its end."""
 
     ros_type: ClassVar[str] = "zensim/msg/StepsProgress"
 
@@ -53,7 +53,7 @@ class StepsProgress(msgspec.Struct, frozen=True):
 
 
 class CancelStepsRequest(msgspec.Struct, frozen=True):
-    """End a goal before its last step; without an id, all goals."""
+    """Cancel a goal; all goals if there is no id."""
 
     ros_type: ClassVar[str] = "zensim/srv/CancelSteps_Request"
 
@@ -61,7 +61,7 @@ class CancelStepsRequest(msgspec.Struct, frozen=True):
 
 
 class CancelStepsResponse(msgspec.Struct, frozen=True):
-    """Which goals were ended."""
+    """Canceled goals."""
 
     ros_type: ClassVar[str] = "zensim/srv/CancelSteps_Response"
 
@@ -78,27 +78,27 @@ class RunToRequest(msgspec.Struct, frozen=True):
 
 
 class RunToResponse(msgspec.Struct, frozen=True):
-    """Sent when the time is reached."""
+    """Sent at that step."""
 
     ros_type: ClassVar[str] = "zensim/srv/RunTo_Response"
 
     result: Result = Result()
     time: Time = Time()
-    """Of the step where it stopped."""
+    """Simulation time of the last step."""
     completed_steps: UInt64 = 0
 
 
 class SetSpeedRequest(msgspec.Struct, frozen=True):
-    """Choose the real-time factor to hold from now on."""
+    """Set the target real-time factor."""
 
     ros_type: ClassVar[str] = "zensim/srv/SetSpeed_Request"
 
     real_time_factor: float = 1.0
-    """0 = as fast as it can, else 0.01 to 1000."""
+    """0 = unlimited, else 0.01 to 1000."""
 
 
 class SetSpeedResponse(msgspec.Struct, frozen=True):
-    """How it went."""
+    """Result of the request."""
 
     ros_type: ClassVar[str] = "zensim/srv/SetSpeed_Response"
 
@@ -106,7 +106,7 @@ class SetSpeedResponse(msgspec.Struct, frozen=True):
 
 
 class State(IntEnum):
-    """What the simulation does. Source: simulation_interfaces/msg/SimulationState."""
+    """States of the simulation. Source: simulation_interfaces/msg/SimulationState."""
 
     STOPPED = 0
     PLAYING = 1
@@ -125,13 +125,13 @@ class SimulationState(msgspec.Struct, frozen=True):
 
 
 class GetSimulationStateRequest(msgspec.Struct, frozen=True):
-    """Ask whether it plays. Source: simulation_interfaces/srv/GetSimulationState."""
+    """Get the state of the simulation. Source: simulation_interfaces/srv/GetSimulationState."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSimulationState_Request"
 
 
 class GetSimulationStateResponse(msgspec.Struct, frozen=True):
-    """The state. Source: simulation_interfaces/srv/GetSimulationState."""
+    """State of the simulation. Source: simulation_interfaces/srv/GetSimulationState."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSimulationState_Response"
 
@@ -148,7 +148,7 @@ class SetSimulationStateRequest(msgspec.Struct, frozen=True):
 
 
 class SetSimulationStateResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: simulation_interfaces/srv/SetSimulationState."""
+    """Result of the request. Source: simulation_interfaces/srv/SetSimulationState."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SetSimulationState_Response"
 
@@ -156,7 +156,7 @@ class SetSimulationStateResponse(msgspec.Struct, frozen=True):
 
 
 class StepSimulationRequest(msgspec.Struct, frozen=True):
-    """Advance a paused world by so many steps. Source: simulation_interfaces/srv/StepSimulation."""
+    """Advance a paused world by a number of steps. Source: simulation_interfaces/srv/StepSimulation."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/StepSimulation_Request"
 
@@ -164,7 +164,7 @@ class StepSimulationRequest(msgspec.Struct, frozen=True):
 
 
 class StepSimulationResponse(msgspec.Struct, frozen=True):
-    """Sent when the last step is done. Source: simulation_interfaces/srv/StepSimulation."""
+    """Sent after the last step. Source: simulation_interfaces/srv/StepSimulation."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/StepSimulation_Response"
 
@@ -172,7 +172,7 @@ class StepSimulationResponse(msgspec.Struct, frozen=True):
 
 
 class ResetScope(IntEnum):
-    """What a reset touches, as bits. Source: simulation_interfaces/srv/ResetSimulation."""
+    """Parts to reset, as bits. Source: simulation_interfaces/srv/ResetSimulation."""
 
     DEFAULT = 0
     TIME = 1
@@ -182,7 +182,7 @@ class ResetScope(IntEnum):
 
 
 class ResetSimulationRequest(msgspec.Struct, frozen=True):
-    """Go back to the start. Source: simulation_interfaces/srv/ResetSimulation."""
+    """Reset the simulation. Source: simulation_interfaces/srv/ResetSimulation."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/ResetSimulation_Request"
 
@@ -190,7 +190,7 @@ class ResetSimulationRequest(msgspec.Struct, frozen=True):
 
 
 class ResetSimulationResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: simulation_interfaces/srv/ResetSimulation."""
+    """Result of the request. Source: simulation_interfaces/srv/ResetSimulation."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/ResetSimulation_Response"
 
@@ -198,7 +198,7 @@ class ResetSimulationResponse(msgspec.Struct, frozen=True):
 
 
 class Feature(IntEnum):
-    """What this simulator can do. Source: simulation_interfaces/msg/SimulatorFeatures."""
+    """Supported features. Source: simulation_interfaces/msg/SimulatorFeatures."""
 
     SPAWNING = 0
     DELETING = 1
@@ -245,13 +245,13 @@ class SimulatorFeatures(msgspec.Struct, frozen=True):
 
 
 class GetSimulatorFeaturesRequest(msgspec.Struct, frozen=True):
-    """Ask what it can do. Source: simulation_interfaces/srv/GetSimulatorFeatures."""
+    """List the supported features. Source: simulation_interfaces/srv/GetSimulatorFeatures."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSimulatorFeatures_Request"
 
 
 class GetSimulatorFeaturesResponse(msgspec.Struct, frozen=True):
-    """The features. Source: simulation_interfaces/srv/GetSimulatorFeatures."""
+    """Supported features. Source: simulation_interfaces/srv/GetSimulatorFeatures."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSimulatorFeatures_Response"
 

@@ -1,4 +1,4 @@
-"""Services that spawn and delete entities, one or many, and list spawnables and named poses (simulation_interfaces 2.1)."""
+"""Services of simulation_interfaces 2.1: spawn, delete, spawnables, named poses."""
 
 from typing import ClassVar, Final
 
@@ -15,7 +15,7 @@ Compat = drive_messages.Compat
 
 
 class Resource(msgspec.Struct, frozen=True):
-    """A description by shipped name or as text. Source: simulation_interfaces/msg/Resource."""
+    """A description by uri or as text. Source: simulation_interfaces/msg/Resource."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Resource"
 
@@ -24,7 +24,7 @@ class Resource(msgspec.Struct, frozen=True):
 
 
 class SpawnEntityRequest(msgspec.Struct, frozen=True):
-    """Put one entity into the world. Source: simulation_interfaces/srv/SpawnEntity."""
+    """Spawn an entity. Source: simulation_interfaces/srv/SpawnEntity."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SpawnEntity_Request"
 
@@ -36,30 +36,30 @@ class SpawnEntityRequest(msgspec.Struct, frozen=True):
 
 
 class SpawnEntityOrder(SpawnEntityRequest, frozen=True):
-    """A spawn with wishes that simulation_interfaces has no field for."""
+    """Adds options that simulation_interfaces does not have."""
 
     snap_to_ground: bool = False
     """Move the entity along z until its lowest point touches z = 0."""
     strict: bool = False
-    """Refuse what the report would call suspicious."""
+    """Refuse a description that has suspicious entries in its report."""
     allow_missing: bool = False
-    """Leave out collisions whose mesh is not on the server."""
+    """Omit collisions whose mesh is not on the server."""
     dry_run: bool = False
-    """Check everything, say what would be done, and do nothing."""
+    """Validate the request and return the report without spawning."""
     compat: Compat = "fixed"
-    """Whether drives behave sanely, or with the documented quirks of Gazebo 11."""
+    """Corrected behaviour of drives, or that of Gazebo 11 with its documented errors."""
     bond: str = ""
-    """A name; the entity goes when the liveliness token `sim/<world>/bond/<name>` does."""
+    """Name of the liveliness token `sim/<world>/bond/<name>` whose end deletes the entity."""
     assets: tuple[AssetRef, ...] = ()
-    """Which file stands behind which uri of the description; sent before by `put_asset`."""
+    """Files of the uris in the description; upload them before with `put_asset`."""
     info: EntityInfo | None = None
-    """None = derived from the description, see `set_entity_info`."""
+    """None = derived from the description; see `set_entity_info`."""
     dynamics: Dynamics = ""
-    """Full, kinematic, or either as need be; empty = as the world is by default."""
+    """Empty = default of the world."""
 
 
 class SpawnEntityResponse(msgspec.Struct, frozen=True):
-    """The name that it got. Source: simulation_interfaces/srv/SpawnEntity."""
+    """Name of the entity. Source: simulation_interfaces/srv/SpawnEntity."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SpawnEntity_Response"
 
@@ -68,14 +68,14 @@ class SpawnEntityResponse(msgspec.Struct, frozen=True):
 
 
 class SpawnEntityReport(SpawnEntityResponse, frozen=True):
-    """What a spawn did besides its result: the namespace, and how the description was read."""
+    """Adds the namespace and the report on the description."""
 
     entity_namespace: str = ""
     report: tuple[ReportEntry, ...] = ()
 
 
 class DeleteEntityRequest(msgspec.Struct, frozen=True):
-    """Take one entity out. Source: simulation_interfaces/srv/DeleteEntity."""
+    """Delete an entity. Source: simulation_interfaces/srv/DeleteEntity."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/DeleteEntity_Request"
 
@@ -83,7 +83,7 @@ class DeleteEntityRequest(msgspec.Struct, frozen=True):
 
 
 class DeleteEntityResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: simulation_interfaces/srv/DeleteEntity."""
+    """Result of the request. Source: simulation_interfaces/srv/DeleteEntity."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/DeleteEntity_Response"
 
@@ -91,9 +91,9 @@ class DeleteEntityResponse(msgspec.Struct, frozen=True):
 
 
 MAX_SPAWNS: Final = 10_000
-"""In one request."""
+"""Limit of one request."""
 NOT_SPAWNED_PREFIX: Final = "not spawned because of"
-"""How the messages begin of those that could have been spawned, when all or none were."""
+"""Begin of the error messages of valid requests in an atomic spawn that failed."""
 
 
 class SpawnEntity(msgspec.Struct, frozen=True):
@@ -109,7 +109,7 @@ class SpawnEntity(msgspec.Struct, frozen=True):
 
 
 class SpawnEntitiesRequest(msgspec.Struct, frozen=True):
-    """Put entities into the world. Source: simulation_interfaces/srv/SpawnEntities."""
+    """Spawn entities. Source: simulation_interfaces/srv/SpawnEntities."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SpawnEntities_Request"
 
@@ -117,19 +117,19 @@ class SpawnEntitiesRequest(msgspec.Struct, frozen=True):
 
 
 class SpawnEntitiesOrder(SpawnEntitiesRequest, frozen=True):
-    """The same with wishes that simulation_interfaces has no field for."""
+    """Adds options that simulation_interfaces does not have."""
 
     atomic: bool = False
-    """All of them between two steps, or none of them."""
+    """Spawn all entities between two steps, or none."""
     common: SpawnEntityOrder = SpawnEntityOrder()
-    """What holds for all: the resource of those that name none, and every wish of a single spawn.
+    """Options of all entities, and the resource of those without one.
 
-    Its name, namespace and pose count for nothing.
+    Its name, namespace and pose are ignored.
     """
 
 
 class SpawnResult(msgspec.Struct, frozen=True):
-    """What became of one entity. Source: simulation_interfaces/msg/SpawnResult."""
+    """Result for one entity. Source: simulation_interfaces/msg/SpawnResult."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/SpawnResult"
 
@@ -147,27 +147,27 @@ class SpawnEntitiesResponse(msgspec.Struct, frozen=True):
 
 
 class Spawnable(msgspec.Struct, frozen=True):
-    """A description that a spawn may name. Source: simulation_interfaces/msg/Spawnable."""
+    """A description that can be spawned by uri. Source: simulation_interfaces/msg/Spawnable."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Spawnable"
 
     entity_resource: Resource = Resource()
     description: str = ""
     spawn_bounds: Bounds = Bounds()
-    """Of its collisions in the frame of its base link, joints at zero."""
+    """Bounds of its collisions in the frame of its base link, with all joints at zero."""
 
 
 class GetSpawnablesRequest(msgspec.Struct, frozen=True):
-    """Ask what can be spawned. Source: simulation_interfaces/srv/GetSpawnables."""
+    """List spawnable descriptions. Source: simulation_interfaces/srv/GetSpawnables."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSpawnables_Request"
 
     sources: tuple[str, ...] = ()
-    """Only `zensim://` is known: the robots that come with the server, listed anyway."""
+    """Only `zensim://` is supported: the built-in robots, which are always listed."""
 
 
 class GetSpawnablesResponse(msgspec.Struct, frozen=True):
-    """What can be spawned by uri. Source: simulation_interfaces/srv/GetSpawnables."""
+    """Spawnable descriptions. Source: simulation_interfaces/srv/GetSpawnables."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSpawnables_Response"
 
@@ -187,7 +187,7 @@ class NamedPose(msgspec.Struct, frozen=True):
 
 
 class GetNamedPosesRequest(msgspec.Struct, frozen=True):
-    """Ask for the named poses. Source: simulation_interfaces/srv/GetNamedPoses."""
+    """List the named poses. Source: simulation_interfaces/srv/GetNamedPoses."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetNamedPoses_Request"
 
@@ -195,7 +195,7 @@ class GetNamedPosesRequest(msgspec.Struct, frozen=True):
 
 
 class GetNamedPosesResponse(msgspec.Struct, frozen=True):
-    """Those of the world in order. Source: simulation_interfaces/srv/GetNamedPoses."""
+    """Named poses of the world, in order. Source: simulation_interfaces/srv/GetNamedPoses."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetNamedPoses_Response"
 
@@ -204,7 +204,7 @@ class GetNamedPosesResponse(msgspec.Struct, frozen=True):
 
 
 class GetNamedPoseBoundsRequest(msgspec.Struct, frozen=True):
-    """Ask how much room a named pose has. Source: simulation_interfaces/srv/GetNamedPoseBounds."""
+    """Get the free space of a named pose. Source: simulation_interfaces/srv/GetNamedPoseBounds."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetNamedPoseBounds_Request"
 
@@ -212,7 +212,7 @@ class GetNamedPoseBoundsRequest(msgspec.Struct, frozen=True):
 
 
 class GetNamedPoseBoundsResponse(msgspec.Struct, frozen=True):
-    """In the frame of the pose; empty = unbounded.
+    """Bounds in the frame of the pose; empty = unbounded.
 
     Source: simulation_interfaces/srv/GetNamedPoseBounds.
     """

@@ -1,4 +1,4 @@
-"""ROS 2 standard messages: builtin_interfaces, std_msgs, geometry_msgs, nav_msgs, sensor_msgs, tf2_msgs, rosgraph_msgs."""
+"""Standard messages of ROS 2: builtin_interfaces, std_msgs, geometry_msgs, nav_msgs and others."""
 
 from typing import ClassVar
 
@@ -28,7 +28,7 @@ class Duration(msgspec.Struct, frozen=True):
 
 
 class Header(msgspec.Struct, frozen=True):
-    """When and in which frame. Source: std_msgs/msg/Header."""
+    """Time and frame of a message. Source: std_msgs/msg/Header."""
 
     ros_type: ClassVar[str] = "std_msgs/msg/Header"
 
@@ -68,7 +68,7 @@ class Point(msgspec.Struct, frozen=True):
 
 
 class Quaternion(msgspec.Struct, frozen=True):
-    """An orientation, identity unless told. Source: geometry_msgs/msg/Quaternion."""
+    """An orientation; defaults to identity. Source: geometry_msgs/msg/Quaternion."""
 
     ros_type: ClassVar[str] = "geometry_msgs/msg/Quaternion"
 
@@ -88,7 +88,7 @@ class Pose(msgspec.Struct, frozen=True):
 
 
 class PoseStamped(msgspec.Struct, frozen=True):
-    """A pose with the frame it is given in. Source: geometry_msgs/msg/PoseStamped."""
+    """A pose in a frame, at a time. Source: geometry_msgs/msg/PoseStamped."""
 
     ros_type: ClassVar[str] = "geometry_msgs/msg/PoseStamped"
 
@@ -97,7 +97,7 @@ class PoseStamped(msgspec.Struct, frozen=True):
 
 
 class PoseWithCovariance(msgspec.Struct, frozen=True):
-    """A pose and how sure it is. Source: geometry_msgs/msg/PoseWithCovariance."""
+    """A pose and its covariance. Source: geometry_msgs/msg/PoseWithCovariance."""
 
     ros_type: ClassVar[str] = "geometry_msgs/msg/PoseWithCovariance"
 
@@ -115,7 +115,7 @@ class Twist(msgspec.Struct, frozen=True):
 
 
 class TwistStamped(msgspec.Struct, frozen=True):
-    """A twist with its frame and time. Source: geometry_msgs/msg/TwistStamped."""
+    """A twist in a frame, at a time. Source: geometry_msgs/msg/TwistStamped."""
 
     ros_type: ClassVar[str] = "geometry_msgs/msg/TwistStamped"
 
@@ -124,7 +124,7 @@ class TwistStamped(msgspec.Struct, frozen=True):
 
 
 class TwistWithCovariance(msgspec.Struct, frozen=True):
-    """A twist and how sure it is. Source: geometry_msgs/msg/TwistWithCovariance."""
+    """A twist and its covariance. Source: geometry_msgs/msg/TwistWithCovariance."""
 
     ros_type: ClassVar[str] = "geometry_msgs/msg/TwistWithCovariance"
 
@@ -181,7 +181,7 @@ class Odometry(msgspec.Struct, frozen=True):
 
 
 class TFMessage(msgspec.Struct, frozen=True):
-    """Transforms of one moment. Source: tf2_msgs/msg/TFMessage."""
+    """Transforms. Source: tf2_msgs/msg/TFMessage."""
 
     ros_type: ClassVar[str] = "tf2_msgs/msg/TFMessage"
 

@@ -1,4 +1,4 @@
-"""What the server publishes or reports: info, clock, stats, snapshot, events, models."""
+"""Telemetry of the server: info, clock, stats, snapshot, events, models."""
 
 from typing import ClassVar, Literal
 
@@ -14,13 +14,13 @@ StateName = Literal["stopped", "playing", "paused", "quitting", "no_world", "loa
 
 
 class InfoRequest(msgspec.Struct, frozen=True):
-    """Ask who is there."""
+    """Get the status of the server."""
 
     ros_type: ClassVar[str] = "zensim/srv/Info_Request"
 
 
 class Info(msgspec.Struct, frozen=True):
-    """The server in one line."""
+    """Status of the server."""
 
     ros_type: ClassVar[str] = "zensim/srv/Info_Response"
 
@@ -32,9 +32,9 @@ class Info(msgspec.Struct, frozen=True):
     epoch: UInt32 = 0
     step_ns: UInt64 = 0
     real_time_factor: float = 0.0
-    """Measured over the last second; 0 while paused."""
+    """Mean of the last second; 0 while paused."""
     target_real_time_factor: float = 0.0
-    """0 = as fast as it can."""
+    """0 = unlimited."""
     entities: UInt32 = 0
     agents: UInt32 = 0
     claimed: UInt32 = 0
@@ -43,18 +43,18 @@ class Info(msgspec.Struct, frozen=True):
     world_model: str = ""
     seed: UInt64 = 0
     is_lockstep: bool = False
-    """Whether each control step waits for the agents; requested steps always do."""
+    """Whether every control step waits for the agents; steps of goals always do."""
 
 
 class WorldClock(Clock, frozen=True):
-    """Simulation time with its step; time goes back only with a higher epoch."""
+    """Adds step and epoch; a reset of time increments the epoch."""
 
     step: UInt64 = 0
     epoch: UInt32 = 0
 
 
 class Stats(msgspec.Struct, frozen=True):
-    """How the loop is doing; wall times [s] over the last second."""
+    """Statistics of the server loop; wall times [s] over the last second."""
 
     ros_type: ClassVar[str] = "zensim/msg/Stats"
 
@@ -70,30 +70,29 @@ class Stats(msgspec.Struct, frozen=True):
     """Mean engine time of a step."""
     step_time_max_s: float = 0.0
     late_max_s: float = 0.0
-    """How late the latest step began against its deadline."""
+    """Maximum delay of a step after its deadline."""
     slipped_s: float = 0.0
-    """Wall time given up to overruns since start."""
+    """Wall time lost to overruns since start."""
     requests: UInt64 = 0
     commands: UInt64 = 0
     dropped: UInt64 = 0
-    """Payloads dropped since start because they were malformed, stale or not finite."""
+    """Commands dropped since start: malformed, stale or not finite."""
     ready_s: dict[str, float] = {}
     """Wall time from spawn to first command, by entity."""
     target_real_time_factor: float = 0.0
-    """0 = as fast as it can."""
+    """0 = unlimited."""
     awaited: tuple[str, ...] = ()
-    """Agents whose answers the loop waits for now."""
+    """Agents whose commands the loop waits for now."""
     misses: dict[str, UInt64] = {}
-    """Drive states that were not answered in time, by agent; of agents that hold something."""
+    """Drive states without a command in time, by agent; only agents with claims."""
     kinematic: UInt32 = 0
-    """Entities that move as their drives say, and not by forces and contacts."""
+    """Entities that move as their drives compute, not by forces and contacts."""
     busy_max_s: float = 0.0
-    """CPU time for which the loop's own work held a step up at most; the rest of `late_max_s` is
-    the machine's."""
+    """Maximum CPU time of the loop before a step; the rest of `late_max_s` is due to the host."""
 
 
 class Snapshot(msgspec.Struct, frozen=True):
-    """Every entity at one step."""
+    """State of all entities at one step."""
 
     ros_type: ClassVar[str] = "zensim/msg/Snapshot"
 
@@ -101,10 +100,10 @@ class Snapshot(msgspec.Struct, frozen=True):
     step: UInt64
     time_ns: UInt64
     roster: UInt32
-    """Changes whenever an entity comes or goes: ask for models again."""
+    """Changes with each spawn and deletion: call `get_models` again."""
     names: tuple[str, ...]
     base: bytes
-    """`<f8`, (n, 13), see `claims.STATE_COLUMNS`, in the order of `names`."""
+    """`<f8`, (n, 13), see `agent_messages.STATE_COLUMNS`, in the order of `names`."""
     joint_positions: bytes
     """`<f8`, all joints of all entities, model by model in the order of `Model.joints`."""
     real_time_factor: float = 0.0
@@ -130,7 +129,7 @@ EventKind = Literal[
 
 
 class Event(msgspec.Struct, frozen=True):
-    """Something happened once."""
+    """A change in the world."""
 
     ros_type: ClassVar[str] = "zensim/msg/Event"
 
@@ -143,7 +142,7 @@ class Event(msgspec.Struct, frozen=True):
 
 
 class GetModelsRequest(msgspec.Struct, frozen=True):
-    """Ask how entities look; empty means all."""
+    """Get the models of entities; all if empty."""
 
     ros_type: ClassVar[str] = "zensim/srv/GetModels_Request"
 
@@ -151,7 +150,7 @@ class GetModelsRequest(msgspec.Struct, frozen=True):
 
 
 class EntityModel(msgspec.Struct, frozen=True):
-    """One entity and which of the models it is."""
+    """An entity and its model."""
 
     entity: str
     namespace: str
@@ -162,7 +161,7 @@ class EntityModel(msgspec.Struct, frozen=True):
 
 
 class GetModelsResponse(msgspec.Struct, frozen=True):
-    """Each model once, and the entities that share it."""
+    """Distinct models, and the entities that use them."""
 
     ros_type: ClassVar[str] = "zensim/srv/GetModels_Response"
 
@@ -171,4 +170,4 @@ class GetModelsResponse(msgspec.Struct, frozen=True):
     entities: tuple[EntityModel, ...] = ()
     models: tuple[Model, ...] = ()
     scene: Scene = Scene()
-    """How the world that they are in looks."""
+    """Lights and colours of the world."""

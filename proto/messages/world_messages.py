@@ -14,7 +14,7 @@ DOWNWARD: Vec3 = (0.0, 0.0, -1.0)
 
 
 class Light(msgspec.Struct, frozen=True):
-    """A lamp of a world; `direction` is in the world."""
+    """A light of a world; `direction` is in the world frame."""
 
     name: str
     kind: LightKind
@@ -24,7 +24,7 @@ class Light(msgspec.Struct, frozen=True):
 
 
 class Scene(msgspec.Struct, frozen=True):
-    """Colours and lamps of a world; None where it does not say."""
+    """Colours and lights of a world; None = not specified."""
 
     ambient: Quat | None = None
     background: Quat | None = None
@@ -34,7 +34,7 @@ class Scene(msgspec.Struct, frozen=True):
 
 
 class WorldResource(msgspec.Struct, frozen=True):
-    """A world and how to ask for it. Source: simulation_interfaces/msg/WorldResource."""
+    """A world and its resource. Source: simulation_interfaces/msg/WorldResource."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/WorldResource"
 
@@ -45,18 +45,18 @@ class WorldResource(msgspec.Struct, frozen=True):
 
 
 class LoadWorldRequest(msgspec.Struct, frozen=True):
-    """Put another world in the place of this one. Source: simulation_interfaces/srv/LoadWorld."""
+    """Replace the current world. Source: simulation_interfaces/srv/LoadWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/LoadWorld_Request"
 
     world_resource: Resource = Resource()
-    """`uri`: a shipped world, or a file of the operator's; else `resource_string`: SDF."""
+    """`uri`: a built-in world or a file in a folder of the operator; else `resource_string`: SDF."""
     fail_on_unsupported_element: bool = False
     ignore_missing_or_unsupported_assets: bool = False
 
 
 class LoadWorldResponse(msgspec.Struct, frozen=True):
-    """The world that is there now. Source: simulation_interfaces/srv/LoadWorld."""
+    """The new world. Source: simulation_interfaces/srv/LoadWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/LoadWorld_Response"
 
@@ -65,19 +65,19 @@ class LoadWorldResponse(msgspec.Struct, frozen=True):
 
 
 class LoadWorldReport(LoadWorldResponse, frozen=True):
-    """How the world was read, besides."""
+    """Adds the report on the world file."""
 
     report: tuple[ReportEntry, ...] = ()
 
 
 class UnloadWorldRequest(msgspec.Struct, frozen=True):
-    """Take the world away with all entities. Source: simulation_interfaces/srv/UnloadWorld."""
+    """Remove the world and all entities. Source: simulation_interfaces/srv/UnloadWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/UnloadWorld_Request"
 
 
 class UnloadWorldResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: simulation_interfaces/srv/UnloadWorld."""
+    """Result of the request. Source: simulation_interfaces/srv/UnloadWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/UnloadWorld_Response"
 
@@ -85,13 +85,13 @@ class UnloadWorldResponse(msgspec.Struct, frozen=True):
 
 
 class GetCurrentWorldRequest(msgspec.Struct, frozen=True):
-    """Ask which world is there. Source: simulation_interfaces/srv/GetCurrentWorld."""
+    """Get the current world. Source: simulation_interfaces/srv/GetCurrentWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetCurrentWorld_Request"
 
 
 class GetCurrentWorldResponse(msgspec.Struct, frozen=True):
-    """The world, as it was asked for. Source: simulation_interfaces/srv/GetCurrentWorld."""
+    """The world, as in the request that loaded it. Source: simulation_interfaces/srv/GetCurrentWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetCurrentWorld_Response"
 
@@ -100,20 +100,20 @@ class GetCurrentWorldResponse(msgspec.Struct, frozen=True):
 
 
 class GetAvailableWorldsRequest(msgspec.Struct, frozen=True):
-    """Ask which worlds can be loaded. Source: simulation_interfaces/srv/GetAvailableWorlds."""
+    """List the worlds that can be loaded. Source: simulation_interfaces/srv/GetAvailableWorlds."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetAvailableWorlds_Request"
 
     additional_sources: tuple[str, ...] = ()
-    """Folders below those that the operator has given; no others are looked into."""
+    """Folders within those of the operator; others are refused."""
     filter: TagsFilter = TagsFilter()
     offline_only: bool = False
-    """Pass over additional sources that are online; no online one is ever looked into."""
+    """Skip online sources, which are never read."""
     continue_on_error: bool = False
 
 
 class GetAvailableWorldsResponse(msgspec.Struct, frozen=True):
-    """The worlds by name. Source: simulation_interfaces/srv/GetAvailableWorlds."""
+    """Worlds, by name. Source: simulation_interfaces/srv/GetAvailableWorlds."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetAvailableWorlds_Response"
 

@@ -1,4 +1,4 @@
-"""The SimulateSteps action in ROS 2: the messages, services and topics that rosidl generates for it."""
+"""Messages, services and topics that rosidl generates for the action SimulateSteps."""
 
 from enum import IntEnum
 from typing import Annotated, ClassVar, Final
@@ -24,7 +24,7 @@ Bytes16 = Annotated[
 
 
 class GoalStatusCode(IntEnum):
-    """How far a goal is. Source: action_msgs/msg/GoalStatus."""
+    """States of a goal. Source: action_msgs/msg/GoalStatus."""
 
     UNKNOWN = 0
     ACCEPTED = 1
@@ -36,7 +36,7 @@ class GoalStatusCode(IntEnum):
 
 
 class CancelCode(IntEnum):
-    """What became of a wish to cancel. Source: action_msgs/srv/CancelGoal."""
+    """Results of a cancel request. Source: action_msgs/srv/CancelGoal."""
 
     NONE = 0
     REJECTED = 1
@@ -45,7 +45,7 @@ class CancelCode(IntEnum):
 
 
 class GoalId(msgspec.Struct, frozen=True):
-    """Which goal. Source: unique_identifier_msgs/msg/UUID."""
+    """Id of a goal. Source: unique_identifier_msgs/msg/UUID."""
 
     ros_type: ClassVar[str] = "unique_identifier_msgs/msg/UUID"
 
@@ -53,7 +53,7 @@ class GoalId(msgspec.Struct, frozen=True):
 
 
 class GoalInfo(msgspec.Struct, frozen=True):
-    """Which goal, and since when. Source: action_msgs/msg/GoalInfo."""
+    """Id of a goal and the time of its acceptance. Source: action_msgs/msg/GoalInfo."""
 
     ros_type: ClassVar[str] = "action_msgs/msg/GoalInfo"
 
@@ -62,7 +62,7 @@ class GoalInfo(msgspec.Struct, frozen=True):
 
 
 class GoalStatusMessage(msgspec.Struct, frozen=True):
-    """How far one goal is. Source: action_msgs/msg/GoalStatus."""
+    """State of a goal. Source: action_msgs/msg/GoalStatus."""
 
     ros_type: ClassVar[str] = "action_msgs/msg/GoalStatus"
 
@@ -71,7 +71,7 @@ class GoalStatusMessage(msgspec.Struct, frozen=True):
 
 
 class GoalStatusArray(msgspec.Struct, frozen=True):
-    """How far all goals are. Source: action_msgs/msg/GoalStatusArray."""
+    """States of all goals. Source: action_msgs/msg/GoalStatusArray."""
 
     ros_type: ClassVar[str] = "action_msgs/msg/GoalStatusArray"
 
@@ -79,7 +79,7 @@ class GoalStatusArray(msgspec.Struct, frozen=True):
 
 
 class StepsGoal(msgspec.Struct, frozen=True):
-    """How many steps."""
+    """Number of steps."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_Goal"
 
@@ -87,7 +87,7 @@ class StepsGoal(msgspec.Struct, frozen=True):
 
 
 class SendGoalRequest(msgspec.Struct, frozen=True):
-    """Begin a goal."""
+    """Start a goal."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_SendGoal_Request"
 
@@ -96,7 +96,7 @@ class SendGoalRequest(msgspec.Struct, frozen=True):
 
 
 class SendGoalResponse(msgspec.Struct, frozen=True):
-    """Whether it has begun."""
+    """Whether the goal is accepted."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_SendGoal_Response"
 
@@ -105,7 +105,7 @@ class SendGoalResponse(msgspec.Struct, frozen=True):
 
 
 class StepsResult(msgspec.Struct, frozen=True):
-    """How it ended."""
+    """Result of a goal."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_Result"
 
@@ -121,7 +121,7 @@ class GetResultRequest(msgspec.Struct, frozen=True):
 
 
 class GetResultResponse(msgspec.Struct, frozen=True):
-    """Sent at the end."""
+    """Sent at the end of the goal."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_GetResult_Response"
 
@@ -130,7 +130,7 @@ class GetResultResponse(msgspec.Struct, frozen=True):
 
 
 class StepsFeedback(msgspec.Struct, frozen=True):
-    """How many steps are made, and left."""
+    """Completed and remaining steps."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_Feedback"
 
@@ -139,7 +139,7 @@ class StepsFeedback(msgspec.Struct, frozen=True):
 
 
 class FeedbackMessage(msgspec.Struct, frozen=True):
-    """How far a goal is."""
+    """Feedback with the id of its goal."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/action/SimulateSteps_FeedbackMessage"
 
@@ -148,7 +148,7 @@ class FeedbackMessage(msgspec.Struct, frozen=True):
 
 
 class CancelGoalRequest(msgspec.Struct, frozen=True):
-    """End a goal; without an id, all. Source: action_msgs/srv/CancelGoal."""
+    """Cancel a goal; all goals if there is no id. Source: action_msgs/srv/CancelGoal."""
 
     ros_type: ClassVar[str] = "action_msgs/srv/CancelGoal_Request"
 
@@ -156,7 +156,7 @@ class CancelGoalRequest(msgspec.Struct, frozen=True):
 
 
 class CancelGoalResponse(msgspec.Struct, frozen=True):
-    """Which goals end. Source: action_msgs/srv/CancelGoal."""
+    """Canceled goals. Source: action_msgs/srv/CancelGoal."""
 
     ros_type: ClassVar[str] = "action_msgs/srv/CancelGoal_Response"
 
@@ -174,4 +174,4 @@ ACTION_TOPICS: Final[dict[str, type[msgspec.Struct]]] = {
     FEEDBACK_TOPIC: FeedbackMessage,
     STATUS_TOPIC: GoalStatusArray,
 }
-"""What is told, by name."""
+"""Messages by name."""

@@ -1,7 +1,6 @@
-"""Liveliness tokens and QoS profiles with which rmw_zenoh and zenoh-bridge-ros2dds announce nodes and endpoints."""
+"""Liveliness tokens and QoS profiles of rmw_zenoh and zenoh-bridge-ros2dds."""
 
-import re
-from typing import Final, Literal, TypeVar, get_args
+from typing import Final, Literal, TypeVar
 
 import msgspec
 import xxhash
@@ -13,21 +12,21 @@ from zensim.proto.ros2.rmw_attachment import GID_BYTES
 BRIDGE_SLASH: Final = "§"
 BRIDGE_TOKEN_SPACE: Final = "@ros2_lv"
 BridgeKind = Literal["MP", "MS", "SS", "SC", "AS", "AC"]
-"""A publisher or subscription of a topic, a server or client of a service or of an action."""
+"""Publisher, subscription; service server, client; action server, client."""
 BRIDGE_TOPIC_KINDS: Final = ("MP", "MS")
 BRIDGE_RELIABILITY: Final = {"best_effort": 0, "reliable": 1}
 BRIDGE_DURABILITY: Final = {"volatile": 0, "transient_local": 1}
 BRIDGE_KEEP_LAST: Final = 0
-"""The numbers of CycloneDDS, which are not those of rmw."""
+"""Numbers of CycloneDDS, which differ from those of rmw."""
 
 
 class BridgeRoute(msgspec.Struct, frozen=True, kw_only=True):
-    """A topic, service or action that a bridge would carry."""
+    """A topic, service or action, as a bridge announces it."""
 
     zid: str
     kind: BridgeKind
     key: str
-    """As data goes by: the name without its first slash."""
+    """Name without the first slash."""
     ros_type: str
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
@@ -36,7 +35,7 @@ class BridgeRoute(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def make_bridge_token(zid: str) -> str:
-    """Say that there is a bridge; declare it before those of its routes."""
+    """Write the token of a bridge; declare it before those of its routes."""
     return f"@/{zid}/{BRIDGE_TOKEN_SPACE}"
 
 
@@ -58,16 +57,16 @@ def _replace_slashes(name: str) -> str:
 
 
 def _format_bridge_qos(route: BridgeRoute) -> str:
-    told = f"typehash={route.type_hash};" if route.type_hash else ""
+    type_hash = f"typehash={route.type_hash};" if route.type_hash else ""
     return ":".join(
         (
             "",
             str(BRIDGE_RELIABILITY[route.reliability]),
             str(BRIDGE_DURABILITY[route.durability]),
             f"{BRIDGE_KEEP_LAST},{route.depth}",
-            told,
+            type_hash,
         )
-    ).removesuffix("" if told else ":")
+    ).removesuffix("" if type_hash else ":")
 
 
 Reliability = Literal["reliable", "best_effort"]
@@ -87,14 +86,10 @@ RMW_LIVELINESS: Final[dict[Liveliness, int]] = {
 """Numbers of rmw."""
 
 INFINITE_NS: Final = (1 << 63) - 1
-SPAN_PATTERN: Final = "([0-9]{0,10}),([0-9]{0,10})"
-QOS_PATTERN: Final = re.compile(
-    rf"([12]?):([12]?):([12]?),([0-9]{{0,20}}):{SPAN_PATTERN}:{SPAN_PATTERN}:([123]?),{SPAN_PATTERN}(?::|$)"
-)
 
 
 class Qos(msgspec.Struct, frozen=True, kw_only=True):
-    """A profile; its defaults are those of rmw_zenoh."""
+    """QoS profile, with the defaults of rmw_zenoh."""
 
     reliability: Reliability = "reliable"
     durability: Durability = "volatile"
@@ -108,9 +103,9 @@ class Qos(msgspec.Struct, frozen=True, kw_only=True):
 
 DEFAULT_QOS: Final = Qos()
 RELIABLE_10: Final = Qos(depth=10)
-"""What `create_publisher(topic, 10)` and `create_service` of ROS 2 give."""
+"""Profile of `create_publisher(topic, 10)` and `create_service` in ROS 2."""
 LATCHED: Final = Qos(durability="transient_local", depth=1)
-"""The last value is for those too who come late."""
+"""Late subscribers get the last message."""
 
 
 def write_qos(qos: Qos) -> str:
@@ -128,30 +123,8 @@ def write_qos(qos: Qos) -> str:
     )
 
 
-def read_qos(text: str) -> Qos | None:
-    """Read what `write_qos` writes, and whatever follows; None when it is no profile."""
-    found = QOS_PATTERN.match(text)
-    if found is None:
-        return None
-    reliability, durability, history, depth, *spans, liveliness, lease_s, lease_ns = found.groups()
-    return Qos(
-        reliability=_parse_word(RMW_RELIABILITY, reliability, DEFAULT_QOS.reliability),
-        durability=_parse_word(RMW_DURABILITY, durability, DEFAULT_QOS.durability),
-        history=_parse_word(RMW_HISTORY, history, DEFAULT_QOS.history),
-        depth=int(depth or DEFAULT_QOS.depth),
-        deadline_ns=_parse_span(spans[0], spans[1]),
-        lifespan_ns=_parse_span(spans[2], spans[3]),
-        liveliness=_parse_word(RMW_LIVELINESS, liveliness, DEFAULT_QOS.liveliness),
-        lease_ns=_parse_span(lease_s, lease_ns),
-    )
-
-
 def _format_number(numbers: dict[Word, int], word: Word, default: Word) -> str:
     return "" if word == default else str(numbers[word])
-
-
-def _parse_word(numbers: dict[Word, int], number: str, default: Word) -> Word:
-    return next((word for word, known in numbers.items() if str(known) == number), default)
 
 
 def _format_span(span_ns: int) -> str:
@@ -159,43 +132,34 @@ def _format_span(span_ns: int) -> str:
     return "," if span_ns == INFINITE_NS else f"{seconds},{rest}"
 
 
-def _parse_span(seconds: str, rest: str) -> int:
-    if not (seconds or rest):
-        return INFINITE_NS
-    return int(seconds or 0) * NANOSECONDS + int(rest or 0)
-
-
 TOKEN_SPACE: Final = "@ros2_lv"
 NODE_KIND: Final = "NN"
 EndpointKind = Literal["MP", "MS", "SS", "SC"]
-"""A publisher, a subscription, a service's server, a service's client."""
-NODE_PARTS: Final = 9
-ENDPOINT_PARTS: Final = 13
-NUMBER_PATTERN: Final = re.compile("[0-9]{1,19}")
+"""Publisher, subscription, service server, service client."""
 
 
 class GraphNode(msgspec.Struct, frozen=True, kw_only=True):
-    """A node of ROS 2: who publishes and serves."""
+    """A ROS 2 node."""
 
     domain: int
     zid: str
-    """Of its session, in hexadecimal digits."""
+    """Session id, in hexadecimal digits."""
     number: int
-    """Unique in the session, endpoints counted too."""
+    """Unique among nodes and endpoints of the session."""
     namespace: str = "/"
     name: str
     enclave: str = ""
 
 
 class GraphEndpoint(msgspec.Struct, frozen=True, kw_only=True):
-    """A topic that a node publishes or hears, or a service that it offers or asks."""
+    """A publisher, subscription, service server or client of a node."""
 
     node: GraphNode
     number: int
-    """Unique in the session, nodes counted too."""
+    """Unique among nodes and endpoints of the session."""
     kind: EndpointKind
     name: str
-    """With its namespace, as `/box_bot0/odom`."""
+    """With namespace, as `/box_bot0/odom`."""
     ros_type: str
     type_hash: str
     qos: Qos = Qos()
@@ -210,7 +174,7 @@ def make_endpoint_token(endpoint: GraphEndpoint) -> str:
     """Write the token of an endpoint.
 
     Raises:
-        ValueError: Its type is no ROS type.
+        ValueError: `ros_type` is not valid.
     """
     return "/".join(
         (
@@ -224,38 +188,8 @@ def make_endpoint_token(endpoint: GraphEndpoint) -> str:
 
 
 def gid_from_token(token: str) -> bytes:
-    """Find the 16 bytes that ROS knows an endpoint by: XXH3 of its token, low half first."""
+    """Compute the gid (16 bytes) of an endpoint: XXH3 of its token, low half first."""
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(GID_BYTES, "little")
-
-
-def make_domain_pattern(domain: int) -> str:
-    """All tokens of one domain."""
-    return f"{TOKEN_SPACE}/{domain}/**"
-
-
-def make_kind_pattern(domain: int, kind: str) -> str:
-    """All tokens of nodes, or of one kind of endpoint, of one domain."""
-    return f"{TOKEN_SPACE}/{domain}/*/*/*/{kind}/**"
-
-
-def parse_token(key: str) -> GraphNode | GraphEndpoint | None:
-    """Read a token; None when it is not one. What follows the qos is left unread."""
-    parts = key.split("/")
-    if len(parts) < NODE_PARTS or parts[0] != TOKEN_SPACE:
-        return None
-    if not all(NUMBER_PATTERN.fullmatch(parts[place]) for place in (1, 3, 4)):
-        return None
-    node = GraphNode(
-        domain=int(parts[1]),
-        zid=parts[2],
-        number=int(parts[3]),
-        enclave=rmw_keys.demangle_name(parts[6]).removeprefix("/"),
-        namespace=rmw_keys.demangle_name(parts[7]),
-        name=rmw_keys.demangle_name(parts[8]),
-    )
-    if parts[5] == NODE_KIND:
-        return node
-    return _parse_endpoint(node, parts) if len(parts) >= ENDPOINT_PARTS else None
 
 
 def _make_token_prefix(node: GraphNode, number: int, kind: str) -> str:
@@ -272,19 +206,3 @@ def _make_token_prefix(node: GraphNode, number: int, kind: str) -> str:
             rmw_keys.mangle_name(node.name),
         )
     )
-
-
-def _parse_endpoint(node: GraphNode, parts: list[str]) -> GraphEndpoint | None:
-    qos, ros_type = read_qos(parts[12]), rmw_keys.parse_dds_type(parts[10])
-    for kind in get_args(EndpointKind):
-        if kind == parts[5] and qos is not None and ros_type:
-            return GraphEndpoint(
-                node=node,
-                number=int(parts[4]),
-                kind=kind,
-                name=rmw_keys.demangle_name(parts[9]),
-                ros_type=ros_type,
-                type_hash=parts[11],
-                qos=qos,
-            )
-    return None

@@ -10,14 +10,14 @@ ATTACHMENT_STRUCT: Final = struct.Struct(f"<qqB{GID_BYTES}s")
 
 
 class Attachment(msgspec.Struct, frozen=True):
-    """Which message of whom this is."""
+    """Identifies a message of a publisher."""
 
     sequence_number: int
-    """A publisher's first is 1; ROS takes a gap for messages lost."""
+    """Starts with 1 per publisher; ROS 2 interprets a gap as lost messages."""
     source_time_ns: int
-    """Wall time since 1970."""
+    """Unix time."""
     gid: bytes
-    """16 bytes that name the sender; an answer has those of who asked."""
+    """16 bytes: id of the publisher; a response has that of the client."""
 
 
 def write_attachment(attachment: Attachment) -> bytes:
@@ -28,7 +28,7 @@ def write_attachment(attachment: Attachment) -> bytes:
 
 
 def read_attachment(raw: bytes) -> Attachment | None:
-    """Read the 33 bytes; None when they are not that."""
+    """Read the 33 bytes; None if they are not an attachment."""
     if len(raw) != ATTACHMENT_STRUCT.size:
         return None
     sequence_number, source_time_ns, length, gid = ATTACHMENT_STRUCT.unpack(raw)

@@ -6,14 +6,14 @@ from typing import Final
 import msgspec
 
 EMPTY_CHUNK = "%"
-"""Stands for the root namespace, and for an enclave that nobody named."""
+"""The root namespace, or an empty enclave."""
 
 
 def to_dds_type(ros_type: str) -> str:
-    """Write `pkg/msg/Name` as DDS calls it: `pkg::msg::dds_::Name_`.
+    """Convert `pkg/msg/Name` to its DDS name, `pkg::msg::dds_::Name_`.
 
     Raises:
-        ValueError: It has not three parts.
+        ValueError: It does not have three parts.
     """
     parts = ros_type.split("/")
     if len(parts) != len(("package", "kind", "name")) or not all(parts):
@@ -23,7 +23,7 @@ def to_dds_type(ros_type: str) -> str:
 
 
 def parse_dds_type(dds: str) -> str:
-    """Read what `dds_type` writes; empty when it is not one."""
+    """Convert a DDS name to `pkg/msg/Name`; empty if it is not one."""
     match dds.split("::"):
         case [package, kind, "dds_", name] if package and kind and name.endswith("_"):
             return f"{package}/{kind}/{name[:-1]}"
@@ -31,54 +31,49 @@ def parse_dds_type(dds: str) -> str:
 
 
 def mangle_name(name: str) -> str:
-    """Write a name as one chunk of a key: `/box_bot0/odom` is `%box_bot0%odom`."""
+    """Convert a name to one chunk of a key: `%box_bot0%odom` for `/box_bot0/odom`."""
     return name.replace("/", "%") or EMPTY_CHUNK
 
 
-def demangle_name(chunk: str) -> str:
-    """Read what `mangled` writes; `%` is the root, `/`."""
-    return chunk.replace("%", "/")
-
-
 def qualify_name(namespace: str, name: str) -> str:
-    """Write a topic or service with its namespace: `/box_bot0/odom`; the root may be empty."""
+    """Join namespace and name: `/box_bot0/odom`."""
     return "/" + "/".join(part for part in (namespace.strip("/"), name.strip("/")) if part)
 
 
 MAX_DOMAIN: Final = 232
-"""ROS 2's own limit: beyond it DDS has no ports."""
+"""Limit of ROS 2, due to the ports of DDS."""
 OFF: Final = "off"
 NO_HASH: Final = "TypeHashNotSupported"
-"""What stands for the hash in humble, whose types have none."""
+"""Placeholder of the hash in humble, which has no type hashes."""
 ANY_HASH: Final = "*"
-"""Subscribes to every distribution."""
+"""Matches the hashes of all distributions."""
 DATA_KEY_PATTERN: Final = re.compile("([0-9]{1,3})/(.+)/([^/]+)/([^/]+)")
 
 
 class DataKey(msgspec.Struct, frozen=True):
-    """What a key of data says."""
+    """Parts of the data key of a topic or service."""
 
     domain: int
     name: str
-    """With its namespace, as `/box_bot0/odom`."""
+    """With namespace, as `/box_bot0/odom`."""
     ros_type: str
     type_hash: str
 
 
 def make_data_key(domain: int, name: str, ros_type: str, type_hash: str) -> str:
-    """Find where the data of a topic or service goes.
+    """Write the data key of a topic or service.
 
     Args:
         domain: See `check_domain`.
-        name: With its namespace; its slashes stay, but for the first.
-        ros_type: `pkg/msg/Name`; of a service `pkg/srv/Name`, without Request or Response.
+        name: With namespace; the first slash is removed.
+        ros_type: `pkg/msg/Name`; for a service `pkg/srv/Name`, without Request or Response.
         type_hash: See `zensim.proto.ros2.type_hash`; `NO_HASH` for humble.
     """
     return f"{domain}/{name.strip('/')}/{to_dds_type(ros_type)}/{type_hash}"
 
 
 def parse_data_key(key: str) -> DataKey | None:
-    """Read a key; None when it is not one of data."""
+    """Parse a data key; None if it is not one."""
     if (found := DATA_KEY_PATTERN.fullmatch(key)) is None:
         return None
     domain, name, dds, type_hash = found.groups()
@@ -86,21 +81,21 @@ def parse_data_key(key: str) -> DataKey | None:
     return DataKey(int(domain), f"/{name}", ros_type, type_hash) if ros_type else None
 
 
-def parse_domain(word: str) -> int | None:
-    """Read a domain as people write it; None for `off`: nothing of ROS 2.
+def parse_domain(text: str) -> int | None:
+    """Parse a domain id; None for `off`.
 
     Raises:
         ValueError: It is neither.
     """
-    if word == OFF:
+    if text == OFF:
         return None
-    if not word.isdecimal() or not word.isascii():
-        raise ValueError(f"ROS domain {word[:20]!r} is not valid; use 0 to {MAX_DOMAIN}, or {OFF}")
-    return check_domain(int(word[:4]))
+    if not text.isdecimal() or not text.isascii():
+        raise ValueError(f"ROS domain {text[:20]!r} is not valid; use 0 to {MAX_DOMAIN}, or {OFF}")
+    return check_domain(int(text[:4]))
 
 
 def check_domain(domain: int) -> int:
-    """Return the domain if ROS 2 has it.
+    """Return the domain id if it is valid.
 
     Raises:
         ValueError: It is negative or above 232.

@@ -22,14 +22,14 @@ from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.proto.ros2.type_hash import hash_type
 
 MAX_NODES_PER_SESSION: Final = 100
-"""Declaring tokens takes time by the square of how many a session has."""
+"""The time to declare a token grows with the number of tokens of its session."""
 
 ACTION_INFIX: Final = "/_action/"
-"""In the names of an action's services and topics, of which a bridge is not told one by one."""
+"""Infix of an action's services and topics, which are announced to a bridge as one action."""
 
 
 class GraphSession:
-    """A session, and how many nodes have their tokens there."""
+    """A session, and the number of nodes with tokens on it."""
 
     def __init__(self, session: TokenSession) -> None:
         self.session = session
@@ -37,13 +37,13 @@ class GraphSession:
 
 
 class RosGraph:
-    """The nodes of one process."""
+    """ROS 2 nodes of one process."""
 
     def __init__(self, session: TokenSession, settings: RosSettings) -> None:
         self.settings = settings
         self.zid = session.zid
         self.numbers = count()
-        """Nodes and endpoints are numbered together."""
+        """Ids of nodes and endpoints."""
         self.nodes: list[RosNode] = []
         self._sessions = [GraphSession(session)]
         self._bridge = (
@@ -54,11 +54,11 @@ class RosGraph:
 
     @property
     def domain(self) -> int | None:
-        """The ROS domain; None when there is nothing of ROS 2 here."""
+        """ROS domain id; None if there are no ROS 2 endpoints."""
         return self.settings.domain
 
     def add_node(self, namespace: str, name: str) -> "RosNode | None":
-        """Add a node; None when there is nothing of ROS 2 here."""
+        """Add a node; None if there are no ROS 2 endpoints."""
         if self.domain is None:
             return None
         node = GraphNode(
@@ -68,27 +68,27 @@ class RosGraph:
             namespace=f"/{namespace.strip('/')}",
             name=name,
         )
-        found = RosNode(self, node, self._find_free_session())
-        # A token goes when nobody holds it.
-        self.nodes.append(found)
-        return found
+        ros_node = RosNode(self, node, self._find_free_session())
+        # Zenoh undeclares tokens that are garbage collected.
+        self.nodes.append(ros_node)
+        return ros_node
 
     def data_key(self, topic: "Topic") -> str:
-        """Find the key of a topic's data, or the pattern of several, in ROS 2's form."""
+        """Write the ROS 2 data key of a topic, or of the pattern of several."""
         return rmw_keys.make_data_key(
             self.domain or 0, topic.key, topic.ros_type, self.find_type_hash(topic)
         )
 
     def find_type_hash(self, topic: "Topic") -> str:
-        """Find the hash of a topic's type, as the distribution has it."""
+        """Find the type hash of a topic in the distribution."""
         return hash_type(topic.kind) if self.settings.has_hashes else rmw_keys.NO_HASH
 
     def close(self) -> None:
-        """Withdraw all nodes, and end the sessions that were opened beside."""
+        """Close all nodes and the sessions that were opened for them."""
         for node in tuple(self.nodes):
             node.close()
-        for seat in self._sessions[1:]:
-            seat.session.close()
+        for opened in self._sessions[1:]:
+            opened.session.close()
         del self._sessions[1:]
         if self._bridge is not None:
             self._bridge.close()
@@ -99,15 +99,15 @@ class RosGraph:
         return self.settings.is_bridged and self.domain is not None
 
     def _find_free_session(self) -> GraphSession:
-        for seat in self._sessions:
-            if seat.nodes < MAX_NODES_PER_SESSION:
-                return seat
+        for open_session in self._sessions:
+            if open_session.nodes < MAX_NODES_PER_SESSION:
+                return open_session
         self._sessions.append(GraphSession(self._sessions[0].session.open_session()))
         return self._sessions[-1]
 
 
 class Topic(msgspec.Struct, frozen=True):
-    """A topic of one type, by its plain key."""
+    """ROS 2 endpoint description of a topic: plain key, type and QoS."""
 
     key: str
     kind: type[msgspec.Struct]
@@ -130,22 +130,22 @@ class Topic(msgspec.Struct, frozen=True):
 
 
 class RosNode:
-    """One node; closing it withdraws its endpoints, then itself."""
+    """A ROS 2 node and its endpoints."""
 
-    def __init__(self, graph: RosGraph, node: GraphNode, address: GraphSession) -> None:
+    def __init__(self, graph: RosGraph, node: GraphNode, session: GraphSession) -> None:
         self.graph = graph
         self.domain = node.domain
         self._node = node
-        self._session = address
-        address.nodes += 1
-        self._tokens = [address.session.token(make_node_token(node))]
+        self._session = session
+        session.nodes += 1
+        self._tokens = [session.session.token(make_node_token(node))]
 
     def data_key(self, topic: Topic) -> str:
-        """Find the key of a topic's data in ROS 2's form."""
+        """Write the ROS 2 data key of a topic."""
         return self.graph.data_key(topic)
 
     def add_topic_endpoint(self, kind: EndpointKind, topic: Topic) -> GraphEndpoint:
-        """Say that the node publishes a topic, or hears it."""
+        """Announce a publisher or subscription of the node."""
         return self.add_endpoint(
             kind,
             topic.key,
@@ -164,7 +164,7 @@ class RosNode:
         qos: Qos = RELIABLE_10,
         bridge_key: str = "",
     ) -> GraphEndpoint:
-        """Say that the node has an endpoint, by its plain key; a bridge may see another key."""
+        """Announce an endpoint by its plain key; `bridge_key` is that for a bridge, if different."""
         endpoint = GraphEndpoint(
             node=self._node,
             number=next(self.graph.numbers),
@@ -182,7 +182,7 @@ class RosNode:
         return endpoint
 
     def announce_action(self, key: str, ros_type: str) -> None:
-        """Tell a bridge of an action, whose services and topics are one to it."""
+        """Announce an action to a bridge, which sees no single services and topics of it."""
         if self.graph.settings.is_bridged:
             route = liveliness_tokens.BridgeRoute(
                 zid=self._node.zid, kind="AS", key=key, ros_type=ros_type
@@ -192,7 +192,7 @@ class RosNode:
             )
 
     def close(self) -> None:
-        """Withdraw all tokens, the node's last; once is enough."""
+        """Undeclare all tokens, that of the node last; further calls do nothing."""
         if self in self.graph.nodes:
             self.graph.nodes.remove(self)
             self._session.nodes -= 1
@@ -201,7 +201,7 @@ class RosNode:
 
 
 def gid_from_endpoint(endpoint: GraphEndpoint) -> bytes:
-    """Find the 16 bytes that ROS 2 knows an endpoint by."""
+    """Compute the gid (16 bytes) of an endpoint."""
     return gid_from_token(make_endpoint_token(endpoint))
 
 

@@ -1,4 +1,4 @@
-"""Services as ROS 2 clients call them: names, types, keys, and adapters for simulation_interfaces 1.x and gazebo_msgs."""
+"""ROS 2 services: names, types, keys, and adapters for simulation_interfaces 1.x and gazebo_msgs."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -33,7 +33,7 @@ from zensim.proto.ros2.type_hash import find_service_type, hash_service
 
 
 class SpawnEntityRequestV1(msgspec.Struct, frozen=True):
-    """Put one entity into the world. Source: simulation_interfaces 1.x, srv/SpawnEntity."""
+    """Spawn an entity. Source: simulation_interfaces 1.x, srv/SpawnEntity."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/SpawnEntity_Request"
 
@@ -66,7 +66,7 @@ class SetEntityStateRequestV1(msgspec.Struct, frozen=True):
 
 
 class SpawnableV1(msgspec.Struct, frozen=True):
-    """What can be spawned. Source: simulation_interfaces 1.x, msg/Spawnable."""
+    """Spawnable descriptions. Source: simulation_interfaces 1.x, msg/Spawnable."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/msg/Spawnable"
 
@@ -76,7 +76,7 @@ class SpawnableV1(msgspec.Struct, frozen=True):
 
 
 class GetSpawnablesResponseV1(msgspec.Struct, frozen=True):
-    """What can be spawned. Source: simulation_interfaces 1.x, srv/GetSpawnables."""
+    """Spawnable descriptions. Source: simulation_interfaces 1.x, srv/GetSpawnables."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetSpawnables_Response"
 
@@ -85,7 +85,7 @@ class GetSpawnablesResponseV1(msgspec.Struct, frozen=True):
 
 
 class GazeboSpawnEntityRequest(msgspec.Struct, frozen=True):
-    """Put one entity into the world. Source: gazebo_msgs/srv/SpawnEntity."""
+    """Spawn an entity. Source: gazebo_msgs/srv/SpawnEntity."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SpawnEntity_Request"
 
@@ -97,7 +97,7 @@ class GazeboSpawnEntityRequest(msgspec.Struct, frozen=True):
 
 
 class GazeboSpawnEntityResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: gazebo_msgs/srv/SpawnEntity."""
+    """Result of the request. Source: gazebo_msgs/srv/SpawnEntity."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/SpawnEntity_Response"
 
@@ -106,7 +106,7 @@ class GazeboSpawnEntityResponse(msgspec.Struct, frozen=True):
 
 
 class GazeboDeleteEntityRequest(msgspec.Struct, frozen=True):
-    """Take an entity out. Source: gazebo_msgs/srv/DeleteEntity."""
+    """Delete an entity. Source: gazebo_msgs/srv/DeleteEntity."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/DeleteEntity_Request"
 
@@ -114,7 +114,7 @@ class GazeboDeleteEntityRequest(msgspec.Struct, frozen=True):
 
 
 class GazeboDeleteEntityResponse(msgspec.Struct, frozen=True):
-    """How it went. Source: gazebo_msgs/srv/DeleteEntity."""
+    """Result of the request. Source: gazebo_msgs/srv/DeleteEntity."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/srv/DeleteEntity_Response"
 
@@ -123,15 +123,15 @@ class GazeboDeleteEntityResponse(msgspec.Struct, frozen=True):
 
 
 def adapt_request(request: msgspec.Struct) -> msgspec.Struct:
-    """Say in our own words what a request of another form asks; ours comes back as it is."""
-    change = REQUEST_ADAPTERS.get(type(request))
-    return request if change is None else change(request)
+    """Convert a request of another version; a request of the catalog is returned unchanged."""
+    adapt = REQUEST_ADAPTERS.get(type(request))
+    return request if adapt is None else adapt(request)
 
 
 def adapt_response(response: msgspec.Struct, kind: type[msgspec.Struct]) -> msgspec.Struct:
-    """Give a response of ours the form `kind`; one that has it comes back as it is."""
-    change = RESPONSE_ADAPTERS.get(kind)
-    return response if change is None else change(response)
+    """Convert a response of the catalog to `kind`; unchanged if that is its type."""
+    adapt = RESPONSE_ADAPTERS.get(kind)
+    return response if adapt is None else adapt(response)
 
 
 def _adapt_spawn_v1(request: SpawnEntityRequestV1) -> SpawnEntityRequest:
@@ -208,27 +208,27 @@ RESPONSE_ADAPTERS: dict[type[msgspec.Struct], Callable[[Any], msgspec.Struct]] =
 
 
 GAZEBO_PREFIX: Final = "gazebo_"
-"""Begins names of ours whose own the standard has taken."""
+"""Prefix of zensim services whose name simulation_interfaces uses, too."""
 OWN_TYPE_PREFIX: Final = "zensim/"
-"""Types that no ROS distribution has."""
+"""Types that are not in any ROS distribution."""
 SIMULATOR_PACKAGES: Final = ("gazebo_msgs", "simulation_interfaces")
-"""Whose services nobody but a simulator offers at the root."""
+"""Packages whose services only simulators offer at the root."""
 CDR_ENCODING_NAME: Final = str(Format.CDR.value)
 
 
 class RosService(msgspec.Struct, frozen=True, dict=True):
-    """One service in one form."""
+    """A service with the types of one interface version."""
 
     service: str
-    """Its name among ours."""
+    """Name in the service catalog."""
     request: type[msgspec.Struct]
     response: type[msgspec.Struct]
     is_humble_form: bool = False
-    """Whether this is the form that humble has, whose keys carry no hash."""
+    """Whether humble has this version, in which keys have no hash."""
 
     @property
     def name(self) -> str:
-        """Its name in ROS, with the slash."""
+        """ROS name, with the leading slash."""
         return f"/{self.service.removeprefix(GAZEBO_PREFIX)}"
 
     @cached_property
@@ -238,22 +238,22 @@ class RosService(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def type_hash(self) -> str:
-        """As all distributions but humble have it."""
+        """Type hash of all distributions but humble."""
         return hash_service(self.request, self.response)
 
     @property
     def bridge_key(self) -> str:
-        """Where zenoh-bridge-ros2dds asks."""
+        """Key on which zenoh-bridge-ros2dds calls."""
         folder = "gazebo" if self.ros_type.startswith("gazebo_msgs/") else ""
         return f"{folder}{self.name}".lstrip("/")
 
     def list_keys(self, domain: int) -> tuple[str, ...]:
-        """Where rmw_zenoh asks, on all distributions that have this form."""
+        """List the keys on which rmw_zenoh calls, of all distributions with this version."""
         hashes = (self.type_hash, NO_HASH) if self.is_humble_form else (self.type_hash,)
         return tuple(make_data_key(domain, self.name, self.ros_type, one) for one in hashes)
 
     def decode_request(self, payload: bytes) -> msgspec.Struct:
-        """Read a request, and say it in our own words.
+        """Decode a request and convert it to that of the catalog.
 
         Raises:
             MalformedPayload: The bytes are not CDR of this request.
@@ -261,14 +261,14 @@ class RosService(msgspec.Struct, frozen=True, dict=True):
         return adapt_request(decode(self.request, payload, CDR_ENCODING_NAME))
 
     def encode_response(self, payload: bytes, encoding: str) -> bytes:
-        """Write our own response, however it is encoded, as CDR of this form."""
+        """Convert an encoded response of the catalog to CDR of this version."""
         ours = service_catalog.SERVICES[self.service].response
         if encoding == make_encoding(ours, Format.CDR) and self.response not in RESPONSE_ADAPTERS:
             return payload
         try:
             response = decode(ours, payload, encoding)
         except MalformedPayload:
-            response = ours()  # a refusal of a service whose response has no place for a result
+            response = ours()  # a refusal, and the response type has no result
         return encode(adapt_response(response, self.response), Format.CDR)
 
 
@@ -299,7 +299,7 @@ V1_SERVICES: Final = (
     ),
 )
 CHANGED_SINCE_V1: Final = frozenset(one.service for one in V1_SERVICES)
-"""Services that humble has in another form than simulation_interfaces 2.1."""
+"""Services that differ between humble and simulation_interfaces 2.1."""
 GAZEBO_SPAWN_SERVICES: Final = (
     RosService(
         "spawn_entity",
@@ -317,7 +317,7 @@ GAZEBO_SPAWN_SERVICES: Final = (
 
 
 def _list_ros_services() -> tuple[RosService, ...]:
-    ours = [
+    current = [
         RosService(
             one.name, one.request, one.response, is_humble_form=one.name not in CHANGED_SINCE_V1
         )
@@ -326,30 +326,30 @@ def _list_ros_services() -> tuple[RosService, ...]:
         and supports_format(one.response, Format.CDR)
         and not find_service_type(one.request).startswith(OWN_TYPE_PREFIX)
     ]
-    return (*ours, *V1_SERVICES, *GAZEBO_SPAWN_SERVICES)
+    return (*current, *V1_SERVICES, *GAZEBO_SPAWN_SERVICES)
 
 
 ROS_SERVICES: Final = _list_ros_services()
-"""Every form of every service, the newest first."""
+"""Every version of every service, the newest first."""
 
 
 def index_by_key(domain: int) -> dict[str, tuple[RosService, ...]]:
-    """Find the services by the keys at which rmw_zenoh asks."""
+    """Map the keys of rmw_zenoh to services."""
     return {key: (one,) for one in ROS_SERVICES for key in one.list_keys(domain)}
 
 
 def index_by_bridge_key() -> dict[str, tuple[RosService, ...]]:
-    """Find the forms of services by the keys at which a bridge asks, the newest first."""
+    """Map the keys of a bridge to versions of services, the newest first."""
     keys = dict.fromkeys(one.bridge_key for one in ROS_SERVICES)
     return {key: tuple(one for one in ROS_SERVICES if one.bridge_key == key) for key in keys}
 
 
 def find_served_keys(domain: int) -> tuple[str, ...]:
-    """Find as few key expressions as cover all keys of a domain, and nobody else's service."""
-    ours = {f"{domain}/*/{package}::srv::dds_::$*/*" for package in SIMULATOR_PACKAGES}
-    shared = {
+    """Find few key expressions that match all keys of a domain, and no other services."""
+    simulator_keys = {f"{domain}/*/{package}::srv::dds_::$*/*" for package in SIMULATOR_PACKAGES}
+    other_keys = {
         make_data_key(domain, one.name, one.ros_type, ANY_HASH)
         for one in ROS_SERVICES
         if one.ros_type.partition("/")[0] not in SIMULATOR_PACKAGES
     }
-    return (*sorted(ours), *sorted(shared))
+    return (*sorted(simulator_keys), *sorted(other_keys))

@@ -1,4 +1,4 @@
-"""How a program appears in ROS 2: domain, distribution, tf, bridge."""
+"""Settings of the ROS 2 endpoints: domain, distribution, tf, bridge."""
 
 from typing import Final, Literal, get_args
 
@@ -8,32 +8,32 @@ from zensim.proto.names import check_frame
 from zensim.proto.ros2.rmw_keys import OFF, parse_domain
 
 TfScope = Literal["global", "namespaced", "both"]
-"""Where transforms are told: on `/tf` with frames that begin with the namespace, on `/ns/tf`."""
+"""Transforms on `/tf`, with the namespace before their frames, or on `/ns/tf`."""
 DISTRIBUTION_WITHOUT_HASHES: Final = "humble"
 DISTRIBUTIONS: Final = ("humble", "iron", "jazzy", "kilted", "lyrical", "rolling")
 
 
 class RosSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """Which domain, and in what manner."""
+    """Settings of the ROS 2 endpoints of a program."""
 
     domain: int | None = 0
-    """None = not at all."""
+    """None = no ROS 2 endpoints."""
     has_hashes: bool = True
-    """Whether types have hashes, which humble's have not."""
+    """Whether keys have type hashes; False for humble."""
     tf: TfScope = "both"
     tf_root: str = "world"
-    """Frame on `/tf_static` that the robots' odometry frames hang from; empty for none."""
+    """Parent of the odometry frames on `/tf_static`; empty for none."""
     is_bridged: bool = False
-    """Whether zenoh-bridge-ros2dds is told too."""
+    """Whether topics and services are announced to zenoh-bridge-ros2dds."""
 
     @property
     def has_global_tf(self) -> bool:
-        """Whether transforms are told on `/tf`."""
+        """Whether transforms are published on `/tf`."""
         return self.tf != "namespaced"
 
     @property
     def has_namespaced_tf(self) -> bool:
-        """Whether transforms are told on the robot's own topics."""
+        """Whether transforms are published on `/ns/tf`."""
         return self.tf != "global"
 
 
@@ -43,10 +43,10 @@ NO_ROS: Final = RosSettings(domain=None, tf="namespaced")
 def parse_ros_settings(
     domain: str, distribution: str, tf: str = "both", tf_root: str = "world", *, is_bridged: bool
 ) -> RosSettings:
-    """Read what a command line says.
+    """Parse command-line options.
 
     Raises:
-        ValueError: A word is not known, or the domain or the root frame is none.
+        ValueError: A value is unknown, or the domain or the root frame is not valid.
     """
     if distribution not in DISTRIBUTIONS:
         raise ValueError(
@@ -62,7 +62,7 @@ def parse_ros_settings(
 
 
 def to_cli_arguments(settings: RosSettings) -> tuple[str, ...]:
-    """Write the settings of a server as words of a command line: it tells no transforms."""
+    """Write the settings as command-line options of a server, without those of tf."""
     domain = OFF if settings.domain is None else str(settings.domain)
     return (
         *("--ros-domain", domain),
@@ -71,8 +71,8 @@ def to_cli_arguments(settings: RosSettings) -> tuple[str, ...]:
     )
 
 
-def _parse_tf_scope(word: str) -> TfScope:
+def _parse_tf_scope(text: str) -> TfScope:
     for known in get_args(TfScope):
-        if known == word:
+        if known == text:
             return known  # type: ignore[no-any-return]
-    raise ValueError(f"--tf {word!r} is unknown; use {', '.join(get_args(TfScope))}")
+    raise ValueError(f"--tf {text!r} is unknown; use {', '.join(get_args(TfScope))}")

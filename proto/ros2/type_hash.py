@@ -26,17 +26,17 @@ NUMBER_OF_CODE: Final = {
     "d": 11,
     "?": 15,
 }
-"""Of the `struct` module to rosidl's numbers of types."""
+"""Type ids of rosidl by format character of `struct`."""
 TEXT: Final = 17
 ARRAY, BOUNDED, SEQUENCE = 48, 96, 144
-"""Added to a type's number."""
+"""Added to a type id."""
 DUMMY_MEMBER: Final = "structure_needs_at_least_one_member"
 GID_LENGTH: Final = 16
 EVENT_INFO: Final = "service_msgs/msg/ServiceEventInfo"
 
 
 class FieldType(TypedDict):
-    """A field's type; a name only where it is nested."""
+    """Type of a field; `nested_type_name` is empty for other types."""
 
     type_id: int
     capacity: int
@@ -52,7 +52,7 @@ class FieldDescription(TypedDict):
 
 
 class TypeDescription(TypedDict):
-    """A type by itself."""
+    """A type without the types that it refers to."""
 
     type_name: str
     fields: list[FieldDescription]
@@ -60,7 +60,7 @@ class TypeDescription(TypedDict):
 
 @cache
 def hash_type(message_type: type[msgspec.Struct]) -> str:
-    """Find the hash of a message's type: of the class that names the ROS interface.
+    """Compute the type hash of a message, by the class that names the ROS interface.
 
     Raises:
         TypeError: The type is not expressible in CDR.
@@ -71,23 +71,27 @@ def hash_type(message_type: type[msgspec.Struct]) -> str:
 
 @cache
 def hash_service(request: type[msgspec.Struct], response: type[msgspec.Struct]) -> str:
-    """Find the hash of a service, or of one service of an action.
+    """Compute the type hash of a service, or of one service of an action.
 
     Raises:
         TypeError: A type is not expressible in CDR.
     """
     known: dict[str, TypeDescription] = {}
-    asked, answered = _describe(request, known), _describe(response, known)
+    request_name, response_name = _describe(request, known), _describe(response, known)
     name = find_service_type(request)
-    event = _describe_event(name, known, asked, answered)
-    halves = {"request_message": asked, "response_message": answered, "event_message": event}
-    fields = [_make_field(half, NESTED, nested) for half, nested in halves.items()]
+    event = _describe_event(name, known, request_name, response_name)
+    parts = {
+        "request_message": request_name,
+        "response_message": response_name,
+        "event_message": event,
+    }
+    fields = [_make_field(part, NESTED, nested) for part, nested in parts.items()]
     known[name] = TypeDescription(type_name=name, fields=fields)
     return _hash_description(name, known)
 
 
 def find_service_type(request: type[msgspec.Struct]) -> str:
-    """Name the ROS type of a service by that of its request: `pkg/srv/Name`."""
+    """Derive the ROS type of a service, `pkg/srv/Name`, from its request."""
     return str(vars(find_ros_class(request))["ros_type"]).removesuffix("_Request")
 
 
@@ -98,7 +102,7 @@ def _hash_description(name: str, known: dict[str, TypeDescription]) -> str:
 
 
 def _describe(message_type: type[msgspec.Struct], known: dict[str, TypeDescription]) -> str:
-    """Describe a type and all within it; return its name."""
+    """Describe a type and its nested types; return its name."""
     named = find_ros_class(message_type)
     name = str(vars(named)["ros_type"])
     if name not in known:
@@ -110,13 +114,13 @@ def _describe(message_type: type[msgspec.Struct], known: dict[str, TypeDescripti
 
 
 def _describe_event(
-    service: str, known: dict[str, TypeDescription], asked: str, answered: str
+    service: str, known: dict[str, TypeDescription], request: str, response: str
 ) -> str:
     code = NUMBER_OF_CODE
     info = [
         _make_field("event_type", code["B"]),
         _make_field("stamp", NESTED, _describe(Time, known)),
-        # An array of char, which is uint8 to rosidl.
+        # rosidl describes char as uint8.
         _make_field("client_gid", ARRAY + code["B"], capacity=GID_LENGTH),
         _make_field("sequence_number", code["q"]),
     ]
@@ -124,8 +128,8 @@ def _describe_event(
     known[EVENT_INFO] = TypeDescription(type_name=EVENT_INFO, fields=info)
     fields = [
         _make_field("info", NESTED, EVENT_INFO),
-        _make_field("request", BOUNDED + NESTED, asked, capacity=1),
-        _make_field("response", BOUNDED + NESTED, answered, capacity=1),
+        _make_field("request", BOUNDED + NESTED, request, capacity=1),
+        _make_field("response", BOUNDED + NESTED, response, capacity=1),
     ]
     known[name] = TypeDescription(type_name=name, fields=fields)
     return name

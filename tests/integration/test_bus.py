@@ -243,7 +243,7 @@ def test_all_answers_are_collected_when_many_reply(router: Bus, client: Bus) -> 
 def test_open_says_so_when_nobody_listens() -> None:
     config = BusConfig(connect=(free_endpoint(),), open_timeout_s=0.2)
 
-    with pytest.raises(Unreachable, match="nobody listens at tcp/127"):
+    with pytest.raises(Unreachable, match="tcp/127"):
         open_bus(config)
 
 

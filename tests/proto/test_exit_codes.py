@@ -46,7 +46,7 @@ def test_failure_has_its_exit_status(error: Exception, status: ExitCode) -> None
     ("error", "line"),
     [
         (a_refusal(101, "NAME_NOT_UNIQUE"), "NAME_NOT_UNIQUE (101): given, wrong, works"),
-        (NoServer("nothing answers"), "UNREACHABLE (4): nothing answers"),
+        (NoServer("no server"), "UNREACHABLE (4): no server"),
         (FileNotFoundError(2, "no such file", "a.urdf"), "NOT_FOUND (3): a.urdf: no such file"),
         (ValueError("first\n  second\tthird"), "USAGE (2): first second third"),
     ],
@@ -58,11 +58,11 @@ def test_failure_is_said_in_one_line_with_its_code(error: Exception, line: str) 
 
 def test_command_ends_with_one_line_and_a_status(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended, exit_on_failure("spawn"):
-        raise NoServer("nothing answers")
+        raise NoServer("no server")
 
     said = capsys.readouterr()
     assert ended.value.code == ExitCode.UNREACHABLE
-    assert said.err == "zensim spawn: UNREACHABLE (4): nothing answers\n"
+    assert said.err == "zensim spawn: UNREACHABLE (4): no server\n"
     assert said.out == ""
 
 

@@ -41,7 +41,5 @@ def test_example_says_when_it_cannot_fill_a_field() -> None:
     class Odd(msgspec.Struct):
         when: timedelta
 
-    with pytest.raises(
-        TypeError, match=r"field 'when' is a TimeDeltaType; say in proto.sample_messages"
-    ):
+    with pytest.raises(TypeError, match="'when'"):
         make_sample_message(Odd)

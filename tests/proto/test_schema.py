@@ -107,12 +107,13 @@ def test_main_names_stale_files_and_the_command_that_writes_them(
     status = schema.main(["--check"], tmp_path)
 
     assert status == 1
-    assert capsys.readouterr().out == "keys.json is stale; run 'python -m zensim.proto.schema'\n"
+    (line,) = capsys.readouterr().out.splitlines()
+    assert {"keys.json", "zensim.proto.schema"} <= set(line.replace("'", " ").split())
 
 
 def test_main_refuses_other_arguments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status = schema.main(["--chekc"], tmp_path)
 
     assert status == 2
-    assert capsys.readouterr().out == "arguments are --chekc; use --check or none\n"
+    assert "--chekc" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []

@@ -6,8 +6,6 @@ import msgspec
 
 from tests.proto.ros_oracle import define
 from zensim.proto.messages.scalar_types import (
-    Float32,
-    Float64,
     Int8,
     Int32,
     UInt8,
@@ -18,6 +16,8 @@ from zensim.proto.messages.scalar_types import (
 from zensim.proto.messages.standard_messages import Point
 
 Int16 = Annotated[int, msgspec.Meta(ge=-0x8000, le=0x7FFF, extra={"cdr": "h"})]
+Float32 = Annotated[float, msgspec.Meta(extra={"cdr": "f"})]
+Float64 = Annotated[float, msgspec.Meta(extra={"cdr": "d"})]
 Flags3 = Annotated[tuple[bool, ...], msgspec.Meta(min_length=3, max_length=3, extra={"length": 3})]
 Shorts2 = Annotated[
     tuple[UInt16, ...],

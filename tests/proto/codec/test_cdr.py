@@ -72,16 +72,17 @@ def test_decode_tolerates_an_empty_string_without_its_nul() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "wrong"),
+    "text",
     [
-        (b"\x02\x00\x00\x00ab", "does not end with NUL"),
-        (b"\x03\x00\x00\x00\xff\xfe\x00", "is not UTF-8"),
-        (b"\x04\x00\x00\x00\xed\xa0\x80\x00", "is not UTF-8"),
-        (HUGE, "4294967295 bytes are due at byte 8, but the payload has 8 bytes"),
+        b"\x02\x00\x00\x00ab",
+        b"\x03\x00\x00\x00\xff\xfe\x00",
+        b"\x04\x00\x00\x00\xed\xa0\x80\x00",
+        HUGE,
     ],
+    ids=["no NUL", "not UTF-8", "surrogate", "length beyond the payload"],
 )
-def test_decode_refuses_a_bad_string(text: bytes, wrong: str) -> None:
-    with pytest.raises(MalformedPayload, match=wrong):
+def test_decode_refuses_a_bad_string(text: bytes) -> None:
+    with pytest.raises(MalformedPayload):
         cdr.decode(String, HEADER + text)
 
 
@@ -89,7 +90,7 @@ def test_decode_refuses_a_boolean_that_is_neither_0_nor_1() -> None:
     payload = bytearray(cdr.encode(SpawnEntityRequest()))
     payload[9] = 2
 
-    with pytest.raises(MalformedPayload, match="a boolean is 2; use 0 or 1"):
+    with pytest.raises(MalformedPayload, match="2"):
         cdr.decode(SpawnEntityRequest, bytes(payload))
 
 
@@ -103,13 +104,13 @@ def test_decode_refuses_a_boolean_that_is_neither_0_nor_1() -> None:
     ids=["strings", "messages", "numbers"],
 )
 @pytest.mark.parametrize("count", [HUGE, b"\x00\x00\x00\x10"])
-def test_decode_believes_no_length_beyond_the_payload(
+def test_decode_allocates_nothing_for_a_length_beyond_the_payload(
     kind: type[JointState], before: str, count: bytes
 ) -> None:
     payload = HEADER + bytes.fromhex(before) + count + bytes(100)
     tracemalloc.start()
 
-    with pytest.raises(MalformedPayload, match="are due at byte"):
+    with pytest.raises(MalformedPayload):
         cdr.decode(kind, payload)
 
     peak = tracemalloc.get_traced_memory()[1]
@@ -143,31 +144,32 @@ def test_encode_names_a_value_that_does_not_fit(field: str, value: object, works
     message = replace(Widest(), **{field: value})
     bad = value[1] if isinstance(value, tuple) else value
 
-    with pytest.raises(ValueError, match="does not fit") as refusal:
+    with pytest.raises(ValueError, match=f"Widest.{field}") as refusal:
         cdr.encode(message)
 
-    assert str(refusal.value) == f"Widest.{field} is {bad!r}, which does not fit; use {works}"
+    assert repr(bad) in str(refusal.value)
+    assert works in str(refusal.value)
 
 
 def test_encode_names_a_value_that_does_not_fit_a_message_of_one_field() -> None:
-    with pytest.raises(ValueError, match=r"^StepSimulationRequest.steps is -1, which does not fit"):
+    with pytest.raises(ValueError, match=r"StepSimulationRequest\.steps"):
         cdr.encode(StepSimulationRequest(steps=-1))
 
 
 def test_encode_refuses_a_fixed_array_of_another_length() -> None:
-    with pytest.raises(ValueError, match=r"^PoseWithCovariance.covariance has 2 numbers; use 36$"):
+    with pytest.raises(ValueError, match=r"PoseWithCovariance\.covariance.*36"):
         cdr.encode(PoseWithCovariance(covariance=(0.0, 1.0)))
 
 
-def test_encode_clips_a_long_value_in_what_it_says() -> None:
-    with pytest.raises(ValueError, match="does not fit") as refusal:
+def test_encode_truncates_a_long_value_in_its_error() -> None:
+    with pytest.raises(ValueError, match=r"Bounds\.type") as refusal:
         cdr.encode(Bounds(type=10**500))
 
     assert len(str(refusal.value)) < 200
 
 
 def test_encode_refuses_text_that_is_not_unicode() -> None:
-    with pytest.raises(ValueError, match="surrogates not allowed"):
+    with pytest.raises(UnicodeEncodeError):
         cdr.encode(String("\ud800"))
 
 
@@ -295,7 +297,7 @@ def test_decode_ignores_the_options_of_the_header() -> None:
 def test_decode_refuses_another_header(header: str) -> None:
     payload = bytes.fromhex(header) + bytes(48)
 
-    with pytest.raises(MalformedPayload, match="use '00 01 00 00'"):
+    with pytest.raises(MalformedPayload, match="00 01 00 00"):
         cdr.decode(Twist, payload if len(header) > 10 else payload[: len(header) // 3])
 
 
@@ -309,5 +311,5 @@ def test_decode_tolerates_up_to_three_bytes_after_the_last_field(padding: int) -
 def test_decode_refuses_four_bytes_after_the_last_field() -> None:
     payload = cdr.encode(Twist()) + bytes(4)
 
-    with pytest.raises(MalformedPayload, match=r"last field ends at byte 52, .* has 56 bytes"):
+    with pytest.raises(MalformedPayload, match=r"52.*56"):
         cdr.decode(Twist, payload)

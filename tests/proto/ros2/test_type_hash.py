@@ -1,6 +1,6 @@
 """Hashes of our Structs against published ones, and against an independent implementation."""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 import pytest
@@ -10,7 +10,6 @@ from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import knows
 from zensim.proto.codec import cdr
 from zensim.proto.messages import standard_messages
-from zensim.proto.messages.scalar_types import Int64
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder, SpawnEntityRequest
 from zensim.proto.ros2.type_hash import find_service_type, hash_service, hash_type
 from zensim.proto.service_catalog import SERVICES, Service
@@ -51,6 +50,9 @@ PUBLISHED_SERVICES = {
     "unload_world": "ac7f9a73df1b5b15015d854c5ac552b7726506e22f886c6792804f0b7f88b30b",
 }
 """Of simulation_interfaces 2.1, whose interface files they were computed from."""
+
+
+Int64 = Annotated[int, msgspec.Meta(extra={"cdr": "q"})]
 
 
 class AddTwoIntsRequest(msgspec.Struct, frozen=True):
@@ -140,5 +142,5 @@ def test_type_hash_is_that_of_the_class_that_names_the_interface() -> None:
 
 
 def test_type_hash_refuses_a_number_without_a_width() -> None:
-    with pytest.raises(TypeError, match="'number' is a IntType without a CDR width"):
+    with pytest.raises(TypeError, match="'number'"):
         hash_type(NoWidth)
