@@ -121,16 +121,16 @@ def lump_fixed_joints(
     moving: list[Joint] = []
     frames: list[Frame] = []
     for joint, link in zip(joints, links[1:], strict=True):
-        holder, above = places[joint.parent]
+        base, above = places[joint.parent]
         origin = compose(above, joint.origin)
         if joint.kind == "fixed" and joint.name not in kept:
-            places[link.name] = (holder, origin)
-            groups[holder].append((link, origin))
-            frames.append(Frame(link.name, holder, origin))
+            places[link.name] = (base, origin)
+            groups[base].append((link, origin))
+            frames.append(Frame(link.name, base, origin))
         else:
             places[link.name] = (link.name, Origin())
             groups[link.name] = [(link, Origin())]
-            moving.append(msgspec.structs.replace(joint, parent=holder, origin=origin))
+            moving.append(msgspec.structs.replace(joint, parent=base, origin=origin))
     merged = tuple(_merge_links(name, group) for name, group in groups.items())
     return LumpedModel(merged, tuple(moving), tuple(frames))
 

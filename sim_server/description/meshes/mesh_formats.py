@@ -1,4 +1,4 @@
-"""A mesh file's bytes to triangles: STL, OBJ, COLLADA, GLB. Counts are checked first."""
+"""Bytes of mesh files to triangles: STL, OBJ, COLLADA, GLB. Counts are checked first."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ NODE_INSTANCE_TAG = b"instance_node"
 
 
 class TooManyInstances(ValueError):
-    """Nodes name one another in a circle, or come to more geometries than are read."""
+    """Nodes reference each other in a cycle, or have too many geometries."""
 
 
 def check_collada_instances(data: bytes) -> None:
-    """Count geometries before anything follows the names.
+    """Count the geometries of a COLLADA file before its references are expanded.
 
     Raises:
-        DrawnTooOften: There are more than 10,000, or no end of them.
-        XMLSyntaxError: The bytes are no XML.
+        TooManyInstances: There are more than 10,000, or references form a cycle.
+        XMLSyntaxError: The bytes are not XML.
     """
     if NODE_INSTANCE_TAG not in data:
         return
@@ -51,15 +51,15 @@ def check_collada_instances(data: bytes) -> None:
 
 
 def _count_geometries(nodes: Mapping[str, Element]) -> None:
-    drawn: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for name in nodes:
         path = (
-            [(name, iter(_list_instanced_nodes(nodes[name], nodes)))] if name not in drawn else []
+            [(name, iter(_list_instanced_nodes(nodes[name], nodes)))] if name not in counts else []
         )
         open_names = {name}
         while path:
             at, below = path[-1]
-            inner = next((one for one in below if one not in drawn), "")
+            inner = next((one for one in below if one not in counts), "")
             if inner in open_names:
                 raise TooManyInstances
             if inner:
@@ -69,8 +69,8 @@ def _count_geometries(nodes: Mapping[str, Element]) -> None:
             path.pop()
             open_names.discard(at)
             own = sum(1 for _ in nodes[at].iter("{*}instance_geometry", "{*}instance_controller"))
-            drawn[at] = own + sum(drawn[one] for one in _list_instanced_nodes(nodes[at], nodes))
-            if drawn[at] > MAX_GEOMETRY_INSTANCES:
+            counts[at] = own + sum(counts[one] for one in _list_instanced_nodes(nodes[at], nodes))
+            if counts[at] > MAX_GEOMETRY_INSTANCES:
                 raise TooManyInstances
 
 
@@ -81,14 +81,14 @@ def _list_instanced_nodes(node: Element, nodes: Mapping[str, Element]) -> Iterat
 
 
 GLB_JSON_START = 20
-"""Twelve bytes of the file's head, eight of its first chunk's."""
+"""Twelve bytes of the file's header, eight of the first chunk's."""
 MAX_ACCESSOR_ENTRIES = 6_000_000
-"""Of one accessor: three corners for each triangle that is read."""
+"""Three corners for each allowed triangle."""
 MAX_GLTF_NODES = 10_000
 
 
 class GltfError(ValueError):
-    """Something that no file that is read here may say."""
+    """An invalid or too large GLB file; the text is the reason."""
 
 
 class _GltfAccessor(msgspec.Struct):
@@ -106,31 +106,30 @@ class _GltfHeader(msgspec.Struct):
 
 
 def check_glb_header(data: bytes) -> None:
-    """Check what a GLB file says of itself.
+    """Check the counts in the header of a GLB file.
 
     Raises:
-        BadGltf: Its head is none, or promises too much, or nodes that are no tree.
+        GltfError: The header is invalid, a count is too large, or the nodes are not a tree.
     """
     length = int.from_bytes(data[12:16], "little")
     try:
         head = msgspec.json.decode(data[GLB_JSON_START : GLB_JSON_START + length], type=_GltfHeader)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise GltfError(f"its head is no glTF: {str(error)[:80]}") from error
+        raise GltfError(f"its header is not glTF: {str(error)[:80]}") from error
     if head.extensions_required:
-        raise GltfError(f"it needs {head.extensions_required[0][:40]!r}; export it without")
+        name = head.extensions_required[0][:40]
+        raise GltfError(f"it requires the extension {name!r}; export it without")
     if any(not 0 <= accessor.count <= MAX_ACCESSOR_ENTRIES for accessor in head.accessors):
-        raise GltfError(
-            f"an accessor has more than {MAX_ACCESSOR_ENTRIES} entries, or fewer than none"
-        )
+        raise GltfError(f"an accessor has more than {MAX_ACCESSOR_ENTRIES} entries or less than 0")
     children = [child for node in head.nodes for child in node.children]
     if len(head.nodes) > MAX_GLTF_NODES or len(children) > len(set(children)):
-        raise GltfError(f"its nodes are no tree, or more than {MAX_GLTF_NODES}")
+        raise GltfError(f"its nodes are not a tree, or more than {MAX_GLTF_NODES}")
 
 
 def read_leading_numbers(text: bytes, kind: type[np.number[Any]]) -> NDArray[Any]:
-    """Read numbers up to the end, or to the first word that is none."""
+    """Read numbers up to the first word that is not a number."""
     with warnings.catch_warnings():
-        # What is no number ends the reading with this warning, in newer versions with an error.
+        # numpy reports such a word by a warning, newer versions by an error.
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             return np.fromstring(text.decode("ascii"), kind, sep=" ")
@@ -144,20 +143,19 @@ ByteArray = NDArray[np.uint8]
 IntArray = NDArray[np.int64]
 
 CHUNK_BYTES = 1 << 22
-"""Read at once, and no line is as long."""
+"""Bytes parsed at once; lines must be shorter."""
 AXES = 3
 MAX_FACE_SIDES = 10_000
-"""Of any face."""
 MAX_CORNER_NUMBER = 1 << 40
-"""A number of a corner beyond which no file goes."""
+"""Larger numbers of corners are errors."""
 BLANKS = bytes.maketrans(b"\t\v\f\r", b"   \n")
 SPACE, NEWLINE, SLASH = b" \n/"
 EXCERPT_BYTES = 200
-"""Bytes of a wrong line."""
+"""Of an invalid line."""
 
 
 class ObjSyntaxError(ValueError):
-    """A line that is none of an OBJ."""
+    """An invalid line of an OBJ file."""
 
     def __init__(self, line: bytes) -> None:
         super().__init__(line)
@@ -166,20 +164,20 @@ class ObjSyntaxError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class _WordIndex:
-    """The words of a piece of text: where each begins, up to the next, and which line it is of.
-
-    `lines` are the places in `starts` of the first word of each line that has one.
-    """
+    """The words of a chunk of text, and the lines that have words."""
 
     text: ByteArray
     starts: IntArray
+    """First byte of each word."""
     lengths: IntArray
+    """Bytes of each word with the blanks after it."""
     lines: IntArray
+    """Index of the first word of each line."""
     counts: IntArray
     """Words of each line."""
 
     def starts_with_word(self, letter: bytes) -> NDArray[np.bool_]:
-        """Say of each line whether its first word is a letter."""
+        """Find for each line whether its first word is a letter."""
         first = self.starts[self.lines]
         alone = self.text[np.minimum(first + 1, len(self.text) - 1)] <= SPACE
         is_letter: NDArray[np.bool_] = self.text[first] == letter[0]
@@ -187,38 +185,38 @@ class _WordIndex:
         return is_whole
 
     def line(self, number: int) -> bytes:
-        """Find a line."""
+        """Get the text of a line, cut to 200 bytes."""
         start = int(self.starts[self.lines[number]])
         return self.text[start : start + EXCERPT_BYTES].tobytes().partition(b"\n")[0]
 
 
-def read_obj(data: bytes, most: int) -> tuple[Corners, Faces]:
-    """Read corners (v, 3) and triangles (f, 3) of their numbers, from 0; nothing is checked.
+def read_obj(data: bytes, max_count: int) -> tuple[Corners, Faces]:
+    """Read corners (v, 3) and triangles (f, 3) of corner indices from 0, without range checks.
 
     Args:
         data: The file.
-        most: Triangles after which no more are read.
+        max_count: Reading stops after this many triangles.
 
     Raises:
-        NoObj: A line holds something else than numbers.
+        ObjSyntaxError: A line has an invalid number.
     """
     corners = [np.zeros((0, 3))]
     faces = [np.zeros((0, 3), dtype=np.int64)]
     known = found = 0
-    for piece in _split_chunks(data):
-        words = _index_words(piece)
+    for chunk in _split_chunks(data):
+        words = _index_words(chunk)
         is_corner = words.starts_with_word(b"v")
         corners.append(_read_vertices(words, is_corner))
         faces.append(_read_faces(words, known + np.cumsum(is_corner)))
         known += len(corners[-1])
         found += len(faces[-1])
-        if found > most:
+        if found > max_count:
             break
     return np.concatenate(corners), np.concatenate(faces)
 
 
 def _split_chunks(data: bytes) -> Iterator[bytes]:
-    """Cut a text after lines."""
+    """Split a text at line ends."""
     text = data.translate(BLANKS)
     if b"\\\n" in text:
         text = text.replace(b"\\\n", b" ")
@@ -233,8 +231,8 @@ def _split_chunks(data: bytes) -> Iterator[bytes]:
         start = end
 
 
-def _index_words(piece: bytes) -> _WordIndex:
-    text = np.frombuffer(piece, np.uint8)
+def _index_words(chunk: bytes) -> _WordIndex:
+    text = np.frombuffer(chunk, np.uint8)
     is_word = text > SPACE
     starts = np.flatnonzero(is_word & ~np.concatenate([[False], is_word[:-1]]))
     line_of = np.cumsum(text == NEWLINE, dtype=np.int32)[starts]
@@ -244,7 +242,7 @@ def _index_words(piece: bytes) -> _WordIndex:
 
 
 def _read_vertices(words: _WordIndex, is_corner: NDArray[np.bool_]) -> Corners:
-    """Read the three words after each `v`; colours and weights may follow."""
+    """Read the three words after each `v`; colours and weights after them are ignored."""
     if len(short := np.flatnonzero(is_corner & (words.counts <= AXES))):
         raise ObjSyntaxError(words.line(short[0]))
     place = np.arange(len(words.starts)) - np.repeat(words.lines, words.counts)
@@ -254,11 +252,11 @@ def _read_vertices(words: _WordIndex, is_corner: NDArray[np.bool_]) -> Corners:
 
 
 def _read_faces(words: _WordIndex, known: IntArray) -> Faces:
-    """Read what follows each `f`.
+    """Read the corners after each `f`.
 
     Args:
-        words: Of a piece.
-        known: Corners before the end of each line, which numbers below 0 count from.
+        words: Of a chunk.
+        known: Corners before the end of each line; negative numbers are relative to it.
     """
     is_face = words.starts_with_word(b"f")
     if len(wide := np.flatnonzero(is_face & (words.counts > MAX_FACE_SIDES))):
@@ -275,13 +273,13 @@ def _read_faces(words: _WordIndex, known: IntArray) -> Faces:
 
 
 def _spread_to_bytes(of_words: NDArray[np.bool_], words: _WordIndex) -> NDArray[np.bool_]:
-    """Say of each byte what is said of its word, the blanks behind it included."""
+    """Repeat a value of each word for its bytes and the blanks after it."""
     lead = int(words.starts[0]) if len(words.starts) else len(words.text)
     return np.concatenate([np.zeros(lead, dtype=bool), np.repeat(of_words, words.lengths)])
 
 
 def _is_texture_or_normal(words: _WordIndex) -> NDArray[np.bool_]:
-    """Say which bytes name the texture and the normal of a corner: from a slash to a blank."""
+    """Find the bytes of texture and normal of a corner: from a slash to a blank."""
     is_slash: NDArray[np.bool_] = words.text == SLASH
     if not is_slash.any():
         return is_slash
@@ -289,18 +287,18 @@ def _is_texture_or_normal(words: _WordIndex) -> NDArray[np.bool_]:
     before = (slashes - is_slash)[words.starts]
     lead = len(words.text) - int(words.lengths.sum())
     inside = slashes[lead:] > np.repeat(before, words.lengths)
-    is_beside: NDArray[np.bool_] = np.concatenate([np.zeros(lead, dtype=bool), inside])
-    is_beside[words.text <= SPACE] = False
-    return is_beside
+    found: NDArray[np.bool_] = np.concatenate([np.zeros(lead, dtype=bool), inside])
+    found[words.text <= SPACE] = False
+    return found
 
 
 def _read_selected(
     text: ByteArray, kind: type[np.number[Any]], words: _WordIndex, is_read: NDArray[np.bool_]
 ) -> NDArray[Any]:
-    """Read as many numbers as there are words.
+    """Read one number per word.
 
     Raises:
-        NoObj: One is none.
+        ObjSyntaxError: A word is not a number.
     """
     ends = np.cumsum(words.lengths[is_read])
     found = read_leading_numbers(text.tobytes(), kind)
@@ -311,7 +309,7 @@ def _read_selected(
 
 
 def _find_bad_word(text: ByteArray, ends: IntArray, kind: type[np.number[Any]]) -> int:
-    """Find the first word that is no number, by halves."""
+    """Find the first word that is not a number by bisection."""
     places = np.concatenate([[0], ends])
     first, behind = 0, len(ends)
     while behind - first > 1:
@@ -329,7 +327,7 @@ def _line_of_each(words: _WordIndex, is_read: NDArray[np.bool_]) -> IntArray:
 
 
 def _triangulate(numbers: Faces, sides: IntArray) -> Faces:
-    """Part faces of so many sides into triangles that share the first corner."""
+    """Split faces into triangles that share the first corner."""
     triangles = np.maximum(sides - 2, 0)
     first = np.repeat(np.cumsum(sides) - sides, triangles)
     place = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
@@ -339,7 +337,7 @@ def _triangulate(numbers: Faces, sides: IntArray) -> Faces:
 
 MAX_TRIANGLES = 2_000_000
 MAX_EXTENT = 1e6
-"""Of a coordinate, in the file's own unit."""
+"""Of a coordinate, in the unit of the file."""
 ASCII_VERTEX = re.compile(
     rb"^[ \t]*vertex[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.IGNORECASE | re.MULTILINE
 )
@@ -347,23 +345,23 @@ ASCII_VERTEX = re.compile(
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """Corners (v, 3) in the file's scale, and triples of their indices (f, 3)."""
+    """Corners (v, 3) in the scale of the file, and corner indices of triangles (f, 3)."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
 
 
 def read_mesh(name: str, data: bytes) -> Triangles:
-    """Read a mesh file by the ending of its name.
+    """Read a mesh file by the extension of its name.
 
     Raises:
-        ModelError: The ending is not known, or the bytes are no such mesh.
+        ModelError: The extension is unknown or the file invalid.
     """
     ending = name.rpartition(".")[2].lower()
     if ending not in MESH_READERS:
         raise _mesh_error(
             name,
-            f"ends in {ending[:20]!r}; convert it to stl, obj, dae or glb",
+            f"has the extension {ending[:20]!r}; convert it to stl, obj, dae or glb",
             slug="mesh.format",
             code=SpawnCode.UNSUPPORTED_ASSETS,
         )
@@ -382,12 +380,14 @@ def _check_triangles(name: str, found: Triangles) -> Triangles:
     if len(faces) > MAX_TRIANGLES:
         raise _too_many_error(name, len(faces))
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise _mesh_error(name, f"names corners outside of its {len(vertices)}", slug="mesh.index")
+        raise _mesh_error(
+            name, f"has triangles outside its {len(vertices)} corners", slug="mesh.index"
+        )
     if not np.isfinite(vertices).all():
         raise _mesh_error(name, "has coordinates that are not finite numbers", slug="mesh.number")
     if np.abs(vertices).max() > MAX_EXTENT:
         raise _mesh_error(
-            name, f"reaches beyond {MAX_EXTENT:g}; check its unit", slug="mesh.extent"
+            name, f"has coordinates beyond {MAX_EXTENT:g}; check its unit", slug="mesh.extent"
         )
     return found
 
@@ -400,12 +400,12 @@ def _read_stl_file(name: str, data: bytes) -> Triangles:
         return _to_triangles(read_corners(data, count))
     if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]:
         return _to_triangles(_read_ascii_corners(name, data))
-    # Some exporters pad the end: more bytes than the count says are harmless, fewer are not.
+    # Some exporters pad the end of the file.
     if 0 < count <= MAX_TRIANGLES and len(data) > STL_HEAD + count * STL_RECORD.itemsize:
         return _to_triangles(read_corners(data, count))
     raise _mesh_error(
         name,
-        f"promises {max(count, 0)} triangles, but its {len(data)} bytes do not hold them",
+        f"has a count of {max(count, 0)} triangles, but only {len(data)} bytes",
         slug="mesh.length",
     )
 
@@ -414,7 +414,7 @@ def _read_ascii_corners(name: str, data: bytes) -> NDArray[np.float64]:
     written = ASCII_VERTEX.findall(data)
     numbers = read_leading_numbers(b" ".join(written), np.float64)
     if len(numbers) != 3 * len(written):
-        raise _mesh_error(name, "has a corner that is no three numbers", slug="mesh.number")
+        raise _mesh_error(name, "has a corner without three numbers", slug="mesh.number")
     return numbers.reshape(-1, 3)
 
 
@@ -428,9 +428,7 @@ def _read_obj_file(name: str, data: bytes) -> Triangles:
         return Triangles(*read_obj(data, MAX_TRIANGLES))
     except ObjSyntaxError as error:
         what = quote(error.line.decode(errors="replace"))
-        raise _mesh_error(
-            name, f"has a line that is no OBJ: {what}", slug="mesh.unreadable"
-        ) from error
+        raise _mesh_error(name, f"has an invalid line: {what}", slug="mesh.unreadable") from error
 
 
 def _read_dae_file(name: str, data: bytes) -> Triangles:
@@ -441,7 +439,10 @@ def _read_dae_file(name: str, data: bytes) -> Triangles:
     except etree.XMLSyntaxError as error:
         raise _mesh_error(name, "is not well-formed XML", slug="mesh.unreadable") from error
     except TooManyInstances as error:
-        fault = f"draws more than {MAX_GEOMETRY_INSTANCES} geometries, or itself; export it flat"
+        fault = (
+            f"has more than {MAX_GEOMETRY_INSTANCES} geometries or contains itself; "
+            "export it without instances"
+        )
         raise _mesh_error(name, fault, slug="mesh.triangles") from error
     return _load_with_trimesh(name, data, "dae")
 
@@ -460,7 +461,7 @@ def _load_with_trimesh(name: str, data: bytes, kind: str) -> Triangles:
         parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh)]
     except MemoryError:
         raise
-    # A foreign parser over foreign bytes raises anything.
+    # Parsers of trimesh raise any exception for invalid files.
     except Exception as error:
         fault = f"cannot be read: {type(error).__name__} {str(error)[:120]}"
         raise _mesh_error(name, fault, slug="mesh.unreadable") from error
@@ -482,7 +483,7 @@ def _find_unit_m(scene: trimesh.Scene) -> float:
 
 def _too_many_error(name: str, count: int) -> ModelError:
     return _mesh_error(
-        name, f"has {count} triangles; at most {MAX_TRIANGLES} are read", slug="mesh.triangles"
+        name, f"has {count} triangles; use at most {MAX_TRIANGLES}", slug="mesh.triangles"
     )
 
 

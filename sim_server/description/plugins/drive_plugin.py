@@ -233,8 +233,8 @@ GRAVITY = 9.81
 def find_base_link(lumped: LumpedModel) -> str:
     """Find the root link; below a model frame, the first link that is fixed to it."""
     root = lumped.links[0].name
-    held = (frame.name for frame in lumped.frames if frame.parent == root)
-    return next(held, root) if root == MODEL_FRAME else root
+    fixed = (frame.name for frame in lumped.frames if frame.parent == root)
+    return next(fixed, root) if root == MODEL_FRAME else root
 
 
 def check_lengths(tags: PluginTags, tag: str, lengths: Iterable[float]) -> None:

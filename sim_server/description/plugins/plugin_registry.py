@@ -60,7 +60,7 @@ DRIVE_PLUGINS: tuple[DrivePlugin[Any], ...] = (
 
 
 class RobotPlugins(msgspec.Struct, frozen=True):
-    """Drive and publishers that the plug-ins of a robot give."""
+    """Drive and publishers of the plug-ins of a robot."""
 
     drive: Drive | None = None
     joint_state: JointStatePublisher | None = None

@@ -191,10 +191,10 @@ def _add_frames(model: Element, scope: str, found: FlattenedModel) -> None:
     for element in frames:
         where = f"frame {quote(element.get('name'))}"
         name = read_name(element, where)
-        holder = (element.get("attached_to") or "").strip() or MODEL_FRAME
-        found.frames.add(name, read_pose(element, where), scope=scope, implied=holder)
+        parent = (element.get("attached_to") or "").strip() or MODEL_FRAME
+        found.frames.add(name, read_pose(element, where), scope=scope, implied=parent)
         found.attached_to.setdefault(
-            to_scoped_name(scope, name), PoseGraph.full_name(scope, holder)
+            to_scoped_name(scope, name), PoseGraph.full_name(scope, parent)
         )
     for element in joints:
         where = f"joint {quote(element.get('name'))}"
@@ -310,9 +310,9 @@ def _find_model(sdf: Element, report: ParseReport) -> Element:
     owner = sdf[0] if len(sdf) == 1 and sdf[0].tag == "world" else sdf
     models = owner.findall("model")
     if len(models) != 1 or (len(owner) != 1 and owner is sdf):
-        held = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
+        content = ", ".join(f"<{child.tag[:40]}>" for child in list(owner)[:5]) or "nothing"
         raise ModelError(
-            f"<{owner.tag}> contains {held}; a robot file contains one <model> and nothing else; "
+            f"<{owner.tag}> contains {content}; a robot file contains one <model> and nothing else; "
             "load a world with zensim serve --world",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.model",
@@ -415,11 +415,11 @@ def _attach_root(
         )
     if len(roots) == 1 and found.frames.pose(roots[0]) == Origin():
         return parts
-    held = [
+    fixed = [
         Joint(f"{MODEL_FRAME} {root}", "fixed", MODEL_FRAME, root, found.frames.pose(root))
         for root in roots
     ]
-    return ParsedModel(parts.name, (Link(MODEL_FRAME), *parts.links), (*held, *parts.joints))
+    return ParsedModel(parts.name, (Link(MODEL_FRAME), *parts.links), (*fixed, *parts.joints))
 
 
 def find_placement(element: Element, pose: Origin) -> Origin:

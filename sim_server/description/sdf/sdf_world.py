@@ -287,9 +287,9 @@ def read_world(
 def _find_world(sdf: Element) -> Element:
     worlds = sdf.findall("world")
     if len(worlds) != 1 or len(sdf) != 1:
-        held = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
+        content = ", ".join(f"<{child.tag[:40]}>" for child in list(sdf)[:5]) or "nothing"
         raise ModelError(
-            f"<sdf> contains {held}; a world file contains one <world> and nothing else",
+            f"<sdf> contains {content}; a world file contains one <world> and nothing else",
             code=SpawnCode.UNSUPPORTED_FORMAT,
             slug="sdf.world",
         )

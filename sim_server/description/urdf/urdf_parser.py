@@ -178,13 +178,13 @@ def read_links_and_joints(robot: Element, policy: MeshPolicy, report: ParseRepor
 
 def _copy_kinematics(robot: Element) -> Element:
     """Copy the checked parts of links and joints, without shapes."""
-    bare = etree.Element("robot", {"name": robot.get("name") or ""})
+    copy = etree.Element("robot", {"name": robot.get("name") or ""})
     for part in robot:
         if part.tag == "joint":
-            _copy_known(part, JOINT, bare)
+            _copy_known(part, JOINT, copy)
         elif part.tag == "link":
-            _copy_known(part, LINK_WITHOUT_SHAPES, bare)
-    return bare
+            _copy_known(part, LINK_WITHOUT_SHAPES, copy)
+    return copy
 
 
 def _copy_known(element: Element, tag: UrdfElementRule, into: Element) -> None:

@@ -195,9 +195,9 @@ def _check_attributes(
 def _check_geometry(geometry: Element, where: str, report: ParseReport) -> None:
     shapes = [child.tag for child in geometry]
     if not shapes or shapes[0] not in GEOMETRY.children:
-        held = f"<{shapes[0][:80]}>" if shapes else "nothing"
+        content = f"<{shapes[0][:80]}>" if shapes else "nothing"
         raise ModelError(
-            f"{where} holds {held}; write one of {', '.join(GEOMETRY.children)}",
+            f"{where} contains {content}; write one of {', '.join(GEOMETRY.children)}",
             slug="urdf.geometry",
         )
     if len(shapes) > 1:
