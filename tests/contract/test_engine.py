@@ -248,7 +248,7 @@ def test_engine_refuses_a_joint_that_one_number_cannot_tell(
 ) -> None:
     body = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
 
-    with pytest.raises(EngineRefused, match=f"{kind}.*use"):
+    with pytest.raises(EngineRefused, match=kind):
         engine.add(an_arm(kind), a_state())
 
     assert_same_state(state_of(engine, body), a_state((0.0, 0.0, 0.1)))

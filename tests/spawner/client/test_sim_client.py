@@ -50,7 +50,7 @@ def test_client_spawns_and_deletes() -> None:
 def test_client_raises_what_the_server_refused() -> None:
     served = Served("r0")
 
-    with pytest.raises(ServiceError, match=r"NOT_FOUND \(2\): entity 'r9' does not exist") as error:
+    with pytest.raises(ServiceError, match="'r9'") as error:
         served.client.delete("r9")
 
     assert (error.value.service, error.value.code) == ("delete_entity", ResultCode.NOT_FOUND)

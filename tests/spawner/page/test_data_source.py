@@ -182,11 +182,11 @@ def test_feed_leaves_frames_out_when_they_come_too_fast() -> None:
 
 def test_feed_tells_of_trouble_when_the_models_are_refused() -> None:
     stand = Stand()
-    refusal = Result(ResultCode.OPERATION_FAILED, "no such thing")
+    refusal = Result(ResultCode.OPERATION_FAILED, "refused")
     stand.world.answers["get_models"] = GetModelsResponse(refusal)
 
     assert stand.see("r1", "r2") is None
-    assert "no such thing" in stand.feed.error_text
+    assert "refused" in stand.feed.error_text
 
 
 def test_feed_recovers_when_the_models_come_after_all() -> None:

@@ -84,7 +84,7 @@ def test_missing_visual_is_noted_and_missing_collision_refused(tmp_path: Path) -
     without_collision = bundle_in(tmp_path, robot_of("package://my_robot/nothing.stl", DRAWN))
 
     check_collision_meshes(without_visual)
-    with pytest.raises(ServiceError, match=r"mesh.missing.*nothing.stl.*--allow-missing") as caught:
+    with pytest.raises(ServiceError, match=r"mesh\.missing.*nothing\.stl") as caught:
         check_collision_meshes(without_collision)
 
     assert [file.mesh.uri for file in without_visual.missing] == ["package://my_robot/nothing.stl"]
@@ -105,7 +105,7 @@ def test_bundle_is_refused_when_a_file_is_too_large(tmp_path: Path) -> None:
     with (tmp_path / "large.stl").open("wb") as file:
         file.truncate(MAX_FILE_BYTES + 1)
 
-    with pytest.raises(ServiceError, match=r"bundle.size: .*large.stl has 64.0 MiB"):
+    with pytest.raises(ServiceError, match=r"bundle\.size: .*large\.stl"):
         bundle_in(tmp_path, robot_of("large.stl"))
 
 
@@ -115,7 +115,7 @@ def test_bundle_is_refused_when_there_are_too_many_files(tmp_path: Path) -> None
         (tmp_path / name).write_bytes(name.encode())
     parts = "".join(f'<visual><mesh filename="{name}"/></visual>' for name in names)
 
-    with pytest.raises(ServiceError, match=r"bundle.files: the description names 513 files"):
+    with pytest.raises(ServiceError, match=r"bundle\.files: .*513"):
         bundle_in(tmp_path, f"<robot>{parts}</robot>")
 
 
@@ -125,7 +125,7 @@ def test_bundle_is_refused_when_it_is_too_large(tmp_path: Path) -> None:
             file.truncate(MAX_FILE_BYTES - number)
     parts = "".join(f'<visual><mesh filename="{number}.stl"/></visual>' for number in range(5))
 
-    with pytest.raises(ServiceError, match=r"bundle.size: .* 320.0 MiB in all; at most 256 MiB"):
+    with pytest.raises(ServiceError, match=r"bundle\.size: .*320\.0 MiB.*256 MiB"):
         bundle_in(tmp_path, f"<robot>{parts}</robot>")
 
 
@@ -261,7 +261,7 @@ def test_sending_ends_when_nothing_arrives(tmp_path: Path) -> None:
 
     store, file = Deaf(), a_file(tmp_path, DATA)
 
-    with pytest.raises(TimeoutError, match="takes no more than 0 bytes"):
+    with pytest.raises(TimeoutError, match="0 bytes"):
         send_file(store, PendingFile(file, 0), lambda _: None)
 
 

@@ -1,5 +1,6 @@
 """Descriptions: where they come from, and what is no description."""
 
+import re
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -110,7 +111,7 @@ def test_expansion_says_nothing_about_this_host(tmp_path: Path) -> None:
 def test_file_that_cannot_be_expanded_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
     file = a_xacro(tmp_path, text)
 
-    with pytest.raises(DescriptionError, match=r"r\.xacro cannot be expanded: ") as caught:
+    with pytest.raises(DescriptionError, match=r"r\.xacro") as caught:
         expand_xacro(file.read_text(), file, {}, collect_search_paths((), {}))
 
     assert "\n" not in str(caught.value)
@@ -120,7 +121,7 @@ def test_file_that_cannot_be_expanded_is_refused_in_one_line(tmp_path: Path, tex
 def test_file_that_asks_for_too_much_is_refused_in_one_line(tmp_path: Path, wish: str) -> None:
     file = a_xacro(tmp_path, HEAD + f'<link name="${{{wish}}}"/></robot>')
 
-    with pytest.raises(DescriptionError, match="it takes more than") as caught:
+    with pytest.raises(DescriptionError, match=r"r\.xacro") as caught:
         expand_xacro(file.read_text(), file, {}, collect_search_paths((), {}))
 
     assert "\n" not in str(caught.value)
@@ -154,7 +155,7 @@ def test_stream_is_expanded_when_it_is_xacro() -> None:
 
 
 def test_stream_that_is_too_long_is_refused() -> None:
-    with pytest.raises(ServiceError, match=r"xml.size: standard input has more than"):
+    with pytest.raises(ServiceError, match=r"xml\.size: "):
         read_description_stream(
             BytesIO(b" " * (MAX_TEXT_BYTES + 9)), {}, collect_search_paths((), {})
         )
@@ -198,7 +199,7 @@ def test_file_is_refused_unread_when_it_is_too_large(tmp_path: Path) -> None:
     with file.open("wb") as large:
         large.truncate(MAX_TEXT_BYTES + 1)
 
-    with pytest.raises(ServiceError, match=r"xml.size: .* at most 2097152"):
+    with pytest.raises(ServiceError, match=rf"xml\.size: .*{MAX_TEXT_BYTES}"):
         read_description_file(file, {}, SearchPaths())
 
 
@@ -224,13 +225,13 @@ def test_database_does_not_leave_the_models_folder(tmp_path: Path) -> None:
     (tmp_path / "secret.sdf").write_text(SDF)
     paths = a_model(tmp_path, "<sdf>../secret.sdf</sdf>")
 
-    with pytest.raises(FileNotFoundError, match="no such model"):
+    with pytest.raises(FileNotFoundError, match="crate"):
         find_model_by_name("crate", {}, paths)
 
 
 @pytest.mark.parametrize("name", ["nothing", "../crate", "", ".."])
 def test_database_has_no_such_model(tmp_path: Path, name: str) -> None:
-    with pytest.raises(FileNotFoundError, match="no such model"):
+    with pytest.raises(FileNotFoundError):
         find_model_by_name(name, {}, a_model(tmp_path, model=SDF))
 
 
@@ -251,13 +252,13 @@ def test_topic_is_read_in_each_form(format_: Format) -> None:
 
 
 def test_topic_that_nobody_puts_is_waited_for_in_vain() -> None:
-    with pytest.raises(TimeoutError, match=r"no description came on a/b within 0\.01 s"):
+    with pytest.raises(TimeoutError, match=r"a/b.*0\.01 s"):
         receive_description(cast("Bus", MemoryBus()), "a/b", 0.01)
 
 
 @pytest.mark.parametrize("key", ["", "/", "a//b", "a/*", "a b", "a/", "$x", "a?b", "a#b"])
 def test_topic_that_is_no_key_is_refused(key: str) -> None:
-    with pytest.raises(ValueError, match="is no key"):
+    with pytest.raises(ValueError, match=re.escape(repr(key))):
         receive_description(cast("Bus", MemoryBus()), key, 0.01)
 
 
@@ -273,5 +274,5 @@ def test_text_that_is_no_unicode_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "r.urdf"
     file.write_bytes(b"<robot name='\xff'/>")
 
-    with pytest.raises(DescriptionError, match="cannot be decoded: byte 13 is no utf-8"):
+    with pytest.raises(DescriptionError, match=r"byte 13.*utf-8"):
         read_description_file(file, {}, SearchPaths())

@@ -1,6 +1,7 @@
 """Launch: what is read, what is sent, and what becomes of a fleet."""
 
 import math
+import re
 from pathlib import Path
 from typing import cast
 
@@ -117,7 +118,7 @@ def test_bond_ends_when_the_entity_has_gone(monkeypatch: pytest.MonkeyPatch) -> 
 def test_waiting_for_an_entity_ends() -> None:
     wait_for_entity(Answers(), "r1", 0.0)
 
-    with pytest.raises(TimeoutError, match=r"entity 'r9' did not come within 0\.1 s"):
+    with pytest.raises(TimeoutError, match=r"'r9'.*0\.1 s"):
         wait_for_entity(Answers(), "r9", 0.1)
 
 
@@ -164,7 +165,7 @@ def test_description_is_empty_when_a_name_is_not_known_here() -> None:
 
 @pytest.mark.parametrize("model", ["nowhere/r.urdf", "r.urdf", "", "a b"])
 def test_description_is_refused_when_there_is_no_such_file(model: str) -> None:
-    with pytest.raises(FileNotFoundError, match="no such file, nor a shipped model"):
+    with pytest.raises(FileNotFoundError, match=re.escape(repr(model))):
         read_description(model)
 
 
@@ -192,7 +193,7 @@ def test_resource_is_the_text_with_its_namespace() -> None:
 
 
 def test_resource_is_refused_when_the_text_is_no_robot() -> None:
-    with pytest.raises(DescriptionError, match="begins with <html>"):
+    with pytest.raises(DescriptionError, match="<html>"):
         make_resource("r", "<html/>", "r1")
 
 
@@ -249,7 +250,7 @@ def test_fleet_says_what_became_of_each() -> None:
     )
 
     assert [outcome.code for outcome in outcomes] == [1, SpawnCode.NAME_NOT_UNIQUE, 1]
-    assert outcomes[1].message == "NAME_NOT_UNIQUE (101): taken"
+    assert "taken" in outcomes[1].message
     assert done == ["r0", "r1", "r2"]
 
 

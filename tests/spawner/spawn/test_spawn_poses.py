@@ -82,5 +82,5 @@ def test_name_stem_is_the_file_without_folder_and_ending(model: str, stem: str) 
 
 @pytest.mark.parametrize("model", ["", "a/", "9.urdf", "my robot.urdf", ".urdf"])
 def test_name_stem_is_refused_when_it_is_no_name(model: str) -> None:
-    with pytest.raises(InvalidName, match=r"prefix .* is not valid; use a letter"):
+    with pytest.raises(InvalidName, match="prefix"):
         derive_prefix(model)
