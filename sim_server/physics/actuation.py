@@ -1,6 +1,6 @@
 """Map the targets of a model to its motors or to the planar twist of its base."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,24 +13,24 @@ from zensim.sim_server.physics.engine import FloatArray
 
 @dataclass(frozen=True)
 class MotorGroup:
-    """Motors of one mode, and where their numbers stand among those of the body."""
+    """Motors of one mode, and the columns of their targets among those of the body."""
 
     joints: list[int]
     efforts: list[float]
     columns: list[int]
 
-    def select(self, numbers: list[float]) -> list[float]:
-        """Pick the targets out of the numbers of a body."""
-        return [numbers[place] for place in self.columns]
+    def select(self, targets: list[float]) -> list[float]:
+        """Select these motors' targets from those of a body."""
+        return [targets[column] for column in self.columns]
 
 
 @dataclass(frozen=True)
 class Actuation:
-    """How a body takes its targets.
+    """Which targets drive which actuators of a body.
 
     Attributes:
-        width: How many numbers it takes.
-        twist: Where vx, vy and wz begin; None when the body has no twist of its own.
+        width: Number of targets.
+        twist: Column of vx, followed by vy and wz; None without a planar twist.
     """
 
     width: int
@@ -40,57 +40,56 @@ class Actuation:
 
 
 def make_actuation(model: Model) -> Actuation:
-    """Plan where each target goes."""
-    placed: list[tuple[int, Actuator]] = []
+    """Find the columns of the targets of each actuator."""
+    columns: list[tuple[int, Actuator]] = []
     width = 0
     for actuator in model.actuators:
-        placed.append((width, actuator))
+        columns.append((width, actuator))
         width += actuator.width
     index = {joint.name: i for i, joint in enumerate(model.joints)}
-    twists = [place for place, actuator in placed if actuator.mode == "twist"]
+    twists = [column for column, actuator in columns if actuator.mode == "twist"]
     return Actuation(
         width,
-        _make_motor_group([one for one in placed if one[1].mode == "velocity"], index),
-        _make_motor_group([one for one in placed if one[1].mode == "position"], index),
+        _make_motor_group([one for one in columns if one[1].mode == "velocity"], index),
+        _make_motor_group([one for one in columns if one[1].mode == "position"], index),
         twists[0] if twists else None,
     )
 
 
-def _make_motor_group(placed: Iterable[tuple[int, Actuator]], index: dict[str, int]) -> MotorGroup:
-    chosen = list(placed)
+def _make_motor_group(motors: Sequence[tuple[int, Actuator]], index: dict[str, int]) -> MotorGroup:
     return MotorGroup(
-        [index[actuator.joint] for _, actuator in chosen],
-        [actuator.effort for _, actuator in chosen],
-        [place for place, _ in chosen],
+        [index[actuator.joint] for _, actuator in motors],
+        [actuator.effort for _, actuator in motors],
+        [column for column, _ in motors],
     )
 
 
 def make_stop_targets(model: Model, positions: FloatArray) -> FloatArray:
-    """Find the targets that stop a body: speeds are 0, and angles stay as they are.
+    """Make targets that stop a body: zero speeds, current angles.
 
     Args:
         model: Of the body.
         positions: Of its joints, in the order of `Model.joints`.
     """
-    plan = make_actuation(model)
-    targets = np.zeros(plan.width)
-    targets[plan.angles.columns] = positions[plan.angles.joints]
+    actuation = make_actuation(model)
+    targets = np.zeros(actuation.width)
+    targets[actuation.angles.columns] = positions[actuation.angles.joints]
     return targets
 
 
 def impose_planar_twists(
-    velocities: FloatArray, turns: FloatArray, arms: FloatArray, twists: FloatArray
+    velocities: FloatArray, orientations: FloatArray, arms: FloatArray, twists: FloatArray
 ) -> FloatArray:
-    """Find the velocities of bodies that go as they are told in the plane, and else as they did.
+    """Replace the planar part (vx, vy, wz) of velocities by commanded twists.
 
     Args:
         velocities: (n, 6) of the centres of mass in the world: linear, angular.
-        turns: (n, 4) of the root links in the world.
+        orientations: (n, 4) of the root links in the world.
         arms: (n, 3) from root link to centre of mass, in the world.
         twists: (n, 3) vx, vy, wz of the root links along their headings.
     """
     found: FloatArray = velocities.copy()
-    yaw = to_yaw(turns)
+    yaw = to_yaw(orientations)
     cos, sin = np.cos(yaw), np.sin(yaw)
     ahead, left, spin = twists.T
     found[:, 0] = cos * ahead - sin * left - spin * arms[:, 1]

@@ -1,4 +1,4 @@
-"""Blueprints: a Model as the rigid parts that engines build, split, checked against what the engine supports, and cached."""
+"""Blueprints: the rigid parts of a Model, split and checked for an engine."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -27,19 +27,19 @@ from zensim.sim_server.physics.engine import EngineRefused
 DEFAULT_FRICTION = 1.0
 X_AXIS: Vec3 = (1.0, 0.0, 0.0)
 MAX_SHAPES_PER_PART = 16
-"""Of one part: Bullet passes over all further ones without a word."""
+"""Bullet ignores further shapes of a part without an error."""
 
 
 @dataclass(frozen=True)
 class RigidPart:
-    """One rigid part.
+    """A link, or further shapes that are fixed to one.
 
     Attributes:
         principal: Orientation of the principal axes in the link frame.
-        contact: Of its shapes; its direction, if any, is the first principal axis.
+        contact: Of its shapes; a friction direction is along the first principal axis.
         parent: Index of the parent part; -1 for the root.
-        link: Index of the link that it belongs to.
-        joint: How it moves; None when fixed at its parent's frame.
+        link: Index of its link.
+        joint: To its parent; None when fixed at the parent's frame.
     """
 
     mass_kg: float
@@ -55,18 +55,18 @@ class RigidPart:
 
     @property
     def joint_kind(self) -> str:
-        """How it moves, as URDF calls it."""
+        """Joint type in URDF."""
         return self.joint.kind if self.joint else "fixed"
 
     @property
     def origin(self) -> Origin:
-        """Where it is in its parent, its joint at zero."""
+        """Pose in the parent, with the joint at zero."""
         return self.joint.origin if self.joint else Origin()
 
 
 @dataclass(frozen=True)
 class Blueprint:
-    """Parts in building order: root, links as in `Model.joints`, then skins."""
+    """Parts in building order: root, links as in `Model.joints`, then further surfaces of links."""
 
     name: str
     is_static: bool
@@ -75,28 +75,28 @@ class Blueprint:
 
 
 def make_blueprint(model: Model) -> Blueprint:
-    """Plan the parts of a model."""
+    """Make the parts of a model."""
     index = {link.name: i for i, link in enumerate(model.links)}
     joints: list[Joint | None] = [None, *model.joints]
     parts: list[RigidPart] = []
-    skins: list[RigidPart] = []
+    surfaces: list[RigidPart] = []
     for i, (link, joint) in enumerate(zip(links_in_contact(model), joints, strict=True)):
-        bone, *others = _group_by_surface(link)
+        shapes, *others = _group_by_surface(link)
         parent = -1 if joint is None else index[joint.parent]
-        parts.append(_make_part(link.inertial, bone, parent, link=i, joint=joint))
-        skins.extend(_make_surface_part(surface, i) for surface in others)
-    return Blueprint(model.name, model.is_static, (*parts, *skins), model.links)
+        parts.append(_make_part(link.inertial, shapes, parent, link=i, joint=joint))
+        surfaces.extend(_make_surface_part(group, i) for group in others)
+    return Blueprint(model.name, model.is_static, (*parts, *surfaces), model.links)
 
 
 def _group_by_surface(link: Link) -> list[tuple[Shape, ...]]:
     groups: dict[tuple[float, Contact], list[Shape]] = {}
     for shape in link.collisions:
         groups.setdefault((shape.friction, shape.contact), []).append(shape)
-    alike = [part for group in groups.values() for part in _limit_shapes_per_part(group)]
-    # A direction needs axes of its own, which the link's inertia has not.
-    if not alike or alike[0][0].contact.direction != ZERO:
-        alike.insert(0, ())
-    return alike
+    found = [part for group in groups.values() for part in _limit_shapes_per_part(group)]
+    # A friction direction replaces the principal axes, which the link's inertia needs.
+    if not found or found[0][0].contact.direction != ZERO:
+        found.insert(0, ())
+    return found
 
 
 def _limit_shapes_per_part(group: list[Shape]) -> list[tuple[Shape, ...]]:
@@ -127,11 +127,11 @@ def _make_part(
 
 
 def _make_surface_part(shapes: tuple[Shape, ...], link: int) -> RigidPart:
-    skin = _make_part(Inertial(), shapes, link, link=link, joint=None)
-    direction = skin.contact.direction
-    return (
-        skin if direction == ZERO else replace(skin, principal=from_directions(X_AXIS, direction))
-    )
+    part = _make_part(Inertial(), shapes, link, link=link, joint=None)
+    direction = part.contact.direction
+    if direction == ZERO:
+        return part
+    return replace(part, principal=from_directions(X_AXIS, direction))
 
 
 def find_principal_axes(inertia: tuple[float, ...]) -> tuple[Vec3, Quat]:
@@ -155,14 +155,14 @@ def check_blueprint(
     joint_kinds: Collection[str],
     shape_kinds: Collection[str],
 ) -> None:
-    """Compare a blueprint with what an engine has.
+    """Check that an engine supports a blueprint.
 
     Raises:
-        EngineRefused: It has too many parts, or a joint or a shape that the engine has not.
+        EngineRefused: It has too many parts, or an unsupported joint or shape.
     """
     if (count := len(blueprint.parts)) > max_parts:
         raise EngineRefused(
-            f"model '{blueprint.name}' has {count} parts: links, and further frictions on one; "
+            f"model '{blueprint.name}' has {count} parts (links, and further surfaces of links); "
             f"use at most {max_parts}"
         )
     for part in blueprint.parts:
@@ -176,22 +176,22 @@ def _check_kind_supported(
 ) -> None:
     if kind not in known:
         raise EngineRefused(
-            f"model '{blueprint.name}': {what} '{kind}' is not supported by {engine} here; "
+            f"model '{blueprint.name}': {what} '{kind}' is not supported by {engine}; "
             f"use {', '.join(known)}"
         )
 
 
 def check_mesh_files(name: str, parts: Iterable[RigidPart], folder: str) -> None:
-    """Refuse a mesh of the model of this name whose file is not in the folder.
+    """Check that the mesh files of a model are in the folder.
 
     Raises:
-        EngineRefused: One is not.
+        EngineRefused: One is missing.
     """
     for shape in (shape for part in parts for shape in part.shapes):
         if shape.mesh and not Path(folder, f"{shape.mesh}.stl").is_file():
             raise EngineRefused(
                 f"model '{name}': collision shape '{shape.kind}' {shape.mesh[:80]!r} is "
-                "not here; send it again, or use box, sphere, cylinder or capsule"
+                "missing; send it again, or use box, sphere, cylinder or capsule"
             )
 
 
@@ -199,25 +199,25 @@ ShapeKey = tuple[tuple[str, Vec3, Origin, str, bool], ...]
 
 
 def make_shape_key(shapes: tuple[Shape, ...], *, is_static: bool) -> ShapeKey:
-    """Say what an engine makes of shapes: parts of one key share it."""
+    """Make the cache key of the collision shape that an engine builds of shapes."""
     return tuple((s.kind, s.size, s.origin, s.mesh, is_static and bool(s.mesh)) for s in shapes)
 
 
 def split_static_meshes(blueprint: Blueprint, *, max_parts: int) -> Blueprint:
-    """Give each mesh of a static blueprint a part of its own, or a few when there are too many."""
+    """Give each mesh of a static blueprint a part of its own, or several meshes if too many."""
     meshes = sum(len(_mesh_shapes(part)) for part in blueprint.parts)
     room = max_parts - len(blueprint.parts)
     if not blueprint.is_static or not meshes or room <= 0:
         return blueprint
-    # Each part may have a remainder.
-    few = -(-meshes // max(1, room - len(blueprint.parts)))
+    # Rounding up may add one group for each part.
+    group_size = -(-meshes // max(1, room - len(blueprint.parts)))
     parts = [replace(part, shapes=_non_mesh_shapes(part)) for part in blueprint.parts]
-    skins = [
+    mesh_parts = [
         _make_mesh_part(part, number, meshes)
         for number, part in enumerate(blueprint.parts)
-        for meshes in _group_meshes(_mesh_shapes(part), few)
+        for meshes in _group_meshes(_mesh_shapes(part), group_size)
     ]
-    return replace(blueprint, parts=(*parts, *skins))
+    return replace(blueprint, parts=(*parts, *mesh_parts))
 
 
 def _mesh_shapes(part: RigidPart) -> tuple[Shape, ...]:
@@ -228,27 +228,27 @@ def _non_mesh_shapes(part: RigidPart) -> tuple[Shape, ...]:
     return tuple(shape for shape in part.shapes if not shape.mesh)
 
 
-def _group_meshes(shapes: tuple[Shape, ...], few: int) -> list[tuple[Shape, ...]]:
-    return [shapes[at : at + few] for at in range(0, len(shapes), few)]
+def _group_meshes(shapes: tuple[Shape, ...], size: int) -> list[tuple[Shape, ...]]:
+    return [shapes[at : at + size] for at in range(0, len(shapes), size)]
 
 
 def _make_mesh_part(part: RigidPart, number: int, meshes: tuple[Shape, ...]) -> RigidPart:
-    is_skin = part.joint is None and part.parent >= 0
+    is_surface = part.joint is None and part.parent >= 0
     return replace(
-        part, mass_kg=0.0, shapes=meshes, parent=part.parent if is_skin else number, joint=None
+        part, mass_kg=0.0, shapes=meshes, parent=part.parent if is_surface else number, joint=None
     )
 
 
 MIN_DAMPING_STEPS = 4.0
-"""Damping in units of stiffness times step that pushes out a fifth of a depth in each step.
+"""Least damping, in units of stiffness times step: corrects a fifth of a penetration in a step.
 
-It is Bullet's own share for rigid contacts. With less damping a body that was put 2 cm into the
-ground would jump out of it, by 1.2 m where stiff.
+This is Bullet's share for rigid contacts. With less, a stiff body spawned 2 cm deep in the ground
+jumps 1.2 m high.
 """
 
 
 class BlueprintCache:
-    """Plans models for one engine."""
+    """Blueprints for one engine; caches the last."""
 
     def __init__(
         self,
@@ -265,7 +265,7 @@ class BlueprintCache:
         self._last: tuple[Model, Blueprint] | None = None
 
     def find(self, model: Model) -> Blueprint:
-        """Plan a model, or find the plan again when it is the same object as the last.
+        """Find the blueprint of a model; cached while the model is the same object.
 
         Raises:
             EngineRefused: The engine cannot build it.
@@ -275,12 +275,12 @@ class BlueprintCache:
         return self._last[1]
 
     def _make(self, model: Model) -> Blueprint:
-        plan = split_static_meshes(make_blueprint(model), max_parts=self._max_parts)
+        blueprint = split_static_meshes(make_blueprint(model), max_parts=self._max_parts)
         check_blueprint(
-            plan,
+            blueprint,
             self._engine,
             max_parts=self._max_parts,
             joint_kinds=self._joint_kinds,
             shape_kinds=self._shape_kinds,
         )
-        return plan
+        return blueprint

@@ -14,14 +14,14 @@ from zensim.sim_server.physics.actuation import make_actuation
 from zensim.sim_server.physics.engine import FloatArray
 
 SHAPE_MARGIN_M = 1e-3
-"""What engines put around a shape [m]."""
+"""Collision margin of engines around a shape [m]."""
 
 MAX_CACHED_REACHES = 256
-"""Models that are remembered."""
+"""Measured models in the cache."""
 MeshRadius = Callable[[Shape], float]
-"""How far a mesh reaches from its own frame [m]; raises OSError when it is not there."""
+"""Radius of a mesh about its frame [m]; raises OSError when its file is missing."""
 MAX_REACH_M = 1e6
-"""What has no end reaches over all of the world."""
+"""Radius of an infinite shape."""
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class BodyReach:
     """Bounds of a body about its root.
 
     Attributes:
-        radius_m: Of a ball about the root link that holds all shapes, slides at zero.
-        arm_m: From the root to its centre of mass.
-        slides: Places of the joints that slide, among `Model.joints`.
-        levers: (k,) how far from its axis each target moves ground or others [m]; 1 for speeds.
+        radius_m: Of the sphere about the root link that holds all shapes, prismatic joints at zero.
+        com_offset_m: From the root to its centre of mass.
+        slides: Indexes of the prismatic joints in `Model.joints`.
+        levers: (k,) surface speed per unit of each target: a radius [m], or 1 for linear speeds.
     """
 
     radius_m: float
@@ -41,15 +41,15 @@ class BodyReach:
     levers: FloatArray
 
 
-def measure_reach(model: Model, farthest: MeshRadius) -> BodyReach:
-    """Measure a model; raises as `farthest` does."""
-    own = [_link_radius(link, farthest) for link in model.links]
+def measure_reach(model: Model, mesh_radius: MeshRadius) -> BodyReach:
+    """Measure a model; raises as `mesh_radius` does."""
+    own = [_link_radius(link, mesh_radius) for link in model.links]
     index = {link.name: i for i, link in enumerate(model.links)}
-    away = [0.0] * len(model.links)
+    distance = [0.0] * len(model.links)
     for child, joint in enumerate(model.joints, start=1):
-        away[child] = away[index[joint.parent]] + _norm(joint.origin.position)
+        distance[child] = distance[index[joint.parent]] + _norm(joint.origin.position)
     return BodyReach(
-        radius_m=min(max(map(sum, zip(away, own, strict=True))) + SHAPE_MARGIN_M, MAX_REACH_M),
+        radius_m=min(max(map(sum, zip(distance, own, strict=True))) + SHAPE_MARGIN_M, MAX_REACH_M),
         com_offset_m=_norm(model.links[0].inertial.com_in_link),
         slides=tuple(i for i, joint in enumerate(model.joints) if joint.kind == "prismatic"),
         levers=_measure_levers(model, own),
@@ -62,24 +62,25 @@ def can_move(model: Model) -> bool:
 
 
 def _measure_levers(model: Model, own: list[float]) -> FloatArray:
-    plan = make_actuation(model)
-    levers = np.zeros(plan.width)
-    for joint, place in zip(plan.speeds.joints, plan.speeds.columns, strict=True):
-        levers[place] = own[joint + 1]
-    if plan.twist is not None:
-        levers[plan.twist : plan.twist + 3] = 1.0, 1.0, max(own)
+    actuation = make_actuation(model)
+    speeds, twist = actuation.speeds, actuation.twist
+    levers = np.zeros(actuation.width)
+    for joint, column in zip(speeds.joints, speeds.columns, strict=True):
+        levers[column] = own[joint + 1]
+    if twist is not None:
+        levers[twist : twist + 3] = 1.0, 1.0, max(own)
     return levers
 
 
-def _link_radius(link: Link, farthest: MeshRadius) -> float:
-    return max((_shape_radius(shape, farthest) for shape in link.collisions), default=0.0)
+def _link_radius(link: Link, mesh_radius: MeshRadius) -> float:
+    return max((_shape_radius(shape, mesh_radius) for shape in link.collisions), default=0.0)
 
 
-def _shape_radius(shape: Shape, farthest: MeshRadius) -> float:
-    """Find how far a shape reaches from the frame of its link."""
+def _shape_radius(shape: Shape, mesh_radius: MeshRadius) -> float:
+    """Find the radius [m] of a shape about the frame of its link."""
     length, width, height = shape.size
     if shape.kind == "mesh":
-        size = farthest(shape)
+        size = mesh_radius(shape)
     else:
         size = {
             "box": math.hypot(length, width, height) / 2.0,
@@ -96,15 +97,15 @@ def _norm(vector: Vec3) -> float:
 
 
 class ReachCache:
-    """Measures models, and remembers them: meshes take long."""
+    """Measures models and caches the result: meshes are slow."""
 
     def __init__(self, mesh_folder: str) -> None:
         self._mesh_folder = mesh_folder
-        self._known: dict[int, tuple[Model, BodyReach]] = {}
+        self._reaches: dict[int, tuple[Model, BodyReach]] = {}
         self._mesh_radii: dict[tuple[str, Vec3], float] = {}
 
     def prepare(self, model: Model) -> bool:
-        """Measure one mesh of a model; say whether none is left, or one is not there."""
+        """Measure one mesh of a model; return whether none is left, or its file is missing."""
         meshes = (shape for link in model.links for shape in link.collisions if shape.mesh)
         for shape in meshes:
             if (shape.mesh, shape.size) not in self._mesh_radii:
@@ -114,7 +115,7 @@ class ReachCache:
         return True
 
     def mesh_radius(self, shape: Shape) -> float:
-        """Measure a mesh; raises OSError when it is not in the folder."""
+        """Measure a mesh; raises OSError when its file is missing."""
         key = (shape.mesh, shape.size)
         if key not in self._mesh_radii:
             corners = read_corners(Path(self._mesh_folder, f"{shape.mesh}.stl").read_bytes())
@@ -124,12 +125,12 @@ class ReachCache:
 
     def measure(self, model: Model) -> BodyReach:
         """Measure a model."""
-        # Whoever is kept here keeps its identity.
-        if (known := self._known.get(id(model))) is not None:
+        # The cached model is referenced, so its id is not reused.
+        if (known := self._reaches.get(id(model))) is not None:
             return known[1]
-        if len(self._known) >= MAX_CACHED_REACHES:
-            self._known.clear()
+        if len(self._reaches) >= MAX_CACHED_REACHES:
+            self._reaches.clear()
             self._mesh_radii.clear()
         found = measure_reach(model, self.mesh_radius)
-        self._known[id(model)] = model, found
+        self._reaches[id(model)] = model, found
         return found

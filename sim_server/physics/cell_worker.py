@@ -28,14 +28,14 @@ FORWARDED_METHODS = (
     "apply_link_wrench",
     "apply_joint_effort",
 )
-"""What a cell is told of a body as an engine is; nothing comes of it."""
+"""Methods of `Engine` about one body that return nothing."""
 
 
 class HostedCell:
-    """An engine, and what the server calls its bodies.
+    """The engine of a cell.
 
     Attributes:
-        inner: The engine's number of each body, by the server's.
+        engine_numbers: The engine's number of each body, by the server's.
     """
 
     def __init__(self, engine: Engine) -> None:
@@ -46,50 +46,50 @@ class HostedCell:
         """Find the engine's numbers of bodies."""
         return tuple([self.engine_numbers[body] for body in bodies])
 
-    def to_server_numbers(self, inners: Sequence[int]) -> list[int]:
+    def to_server_numbers(self, bodies: Sequence[int]) -> list[int]:
         """Find the server's numbers of bodies."""
-        outer = {inner: body for body, inner in self.engine_numbers.items()}
-        return [outer[inner] for inner in inners]
+        server_numbers = {number: body for body, number in self.engine_numbers.items()}
+        return [server_numbers[body] for body in bodies]
 
 
 class CellWorker:
-    """Cells by the numbers that the server knows them by."""
+    """The cells of this process, by the server's numbers."""
 
     def __init__(
-        self, line: "Connection[Any, Any]", states: SharedArray, targets: SharedArray
+        self, connection: "Connection[Any, Any]", states: SharedArray, targets: SharedArray
     ) -> None:
-        self._connection = line
+        self._connection = connection
         self._states, self._targets = states, targets
         self._cells: dict[int, HostedCell] = {}
         self._config: CellConfig | None = None
         self._model: Model | None = None
 
     def run(self) -> None:
-        """Do what is told until the server closes its end."""
+        """Execute calls until the server closes the pipe."""
         while True:
             try:
-                told = self._connection.recv()
+                calls = self._connection.recv()
             except EOFError:
                 return
-            for order in told:
-                self._dispatch(*pickle.loads(order))
+            for call in calls:
+                self._dispatch(*pickle.loads(call))
 
-    def _dispatch(self, what: str, given: tuple[Any, ...]) -> None:
-        if what in FORWARDED_METHODS:
-            cell, body, *arguments = given
-            known = self._cells[cell]
-            getattr(known.engine, what)(known.engine_numbers[body], *arguments)
+    def _dispatch(self, method: str, arguments: tuple[Any, ...]) -> None:
+        if method in FORWARDED_METHODS:
+            number, body, *rest = arguments
+            cell = self._cells[number]
+            getattr(cell.engine, method)(cell.engine_numbers[body], *rest)
             return
         try:
-            answer = getattr(self, f"_{what}")(*given)
+            reply = getattr(self, f"_{method}")(*arguments)
         except EngineRefused as refused:
-            answer = CellWorkerReply(refused=str(refused))
-        if answer is not None:
-            self._connection.send(answer)
+            reply = CellWorkerReply(refused=str(refused))
+        if reply is not None:
+            self._connection.send(reply)
 
-    def _begin(self, orders: CellConfig) -> None:
+    def _begin(self, config: CellConfig) -> None:
         use_mmap_for_large_blocks()
-        self._config = orders
+        self._config = config
 
     def _model_is(self, model: Model) -> None:
         self._model = model
@@ -100,12 +100,12 @@ class CellWorker:
         release_zero_pages()
 
     def _hide(self, cell: int, body: int) -> None:
-        known = self._cells[cell]
-        known.engine.hide(known.engine_numbers[body])
+        hosted = self._cells[cell]
+        hosted.engine.hide(hosted.engine_numbers[body])
 
     def _show(self, cell: int, bodies: Sequence[int]) -> None:
-        known = self._cells[cell]
-        known.engine.show(known.to_engine_numbers(bodies))
+        hosted = self._cells[cell]
+        hosted.engine.show(hosted.to_engine_numbers(bodies))
 
     def _close(self, cell: int) -> None:
         self._cells.pop(cell).engine.close()
@@ -122,56 +122,56 @@ class CellWorker:
         try:
             self._add_body(cell, body, base)
         except EngineRefused as refused:
-            # It took others of this model, and nobody waits for what it says of this one.
+            # The model was accepted before, so the server does not wait for a reply.
             raise RuntimeError(f"body {body} of cell {cell}: {refused}") from refused
 
     def _add_body(self, cell: int, body: int, base: FloatArray) -> None:
         assert self._model is not None
-        known = self._cells[cell]
-        known.engine_numbers[body] = known.engine.add(self._model, base)
+        hosted = self._cells[cell]
+        hosted.engine_numbers[body] = hosted.engine.add(self._model, base)
 
     def _remove(self, cell: int, body: int) -> None:
-        known = self._cells[cell]
-        known.engine.remove(known.engine_numbers.pop(body))
+        hosted = self._cells[cell]
+        hosted.engine.remove(hosted.engine_numbers.pop(body))
 
     def _forget_removed(self, cell: int) -> None:
         self._cells[cell].engine.forget_removed()
 
     def _find_overlaps(self, cell: int, body: int) -> CellWorkerReply:
-        known = self._cells[cell]
+        hosted = self._cells[cell]
         return CellWorkerReply(
-            known.to_server_numbers(known.engine.find_overlaps(known.engine_numbers[body]))
+            hosted.to_server_numbers(hosted.engine.find_overlaps(hosted.engine_numbers[body]))
         )
 
     def _step(self, cells: Sequence[int], steps: int) -> CellWorkerReply:
-        is_well = True
+        is_valid = True
         for cell in cells:
             for _ in range(steps):
-                is_well &= self._cells[cell].engine.step()
-        return CellWorkerReply(is_well)
+                is_valid &= self._cells[cell].engine.step()
+        return CellWorkerReply(is_valid)
 
-    def _read(self, asked: Sequence[tuple[int, Sequence[int]]]) -> CellWorkerReply:
-        cells = ((self._cells[cell], bodies) for cell, bodies in asked)
-        found = [known.engine.read(known.to_engine_numbers(bodies)) for known, bodies in cells]
+    def _read(self, requests: Sequence[tuple[int, Sequence[int]]]) -> CellWorkerReply:
+        cells = ((self._cells[cell], bodies) for cell, bodies in requests)
+        found = [hosted.engine.read(hosted.to_engine_numbers(bodies)) for hosted, bodies in cells]
         arrays = [(one.base, one.joint_positions, one.joint_velocities) for one in found]
         self._states.write([array for three in arrays for array in three])
         return CellWorkerReply([(len(one.base), one.joint_positions.size) for one in found])
 
-    def _command(self, told: Sequence[CellTargetLayout]) -> None:
-        targets = self._targets.read([count for _, (_, count) in told])
-        for (cell, (bodies, _)), mine in zip(told, targets, strict=True):
-            self._command_one(cell, bodies, mine)
+    def _command(self, layouts: Sequence[CellTargetLayout]) -> None:
+        targets = self._targets.read([count for _, (_, count) in layouts])
+        for (cell, (bodies, _)), own in zip(layouts, targets, strict=True):
+            self._command_one(cell, bodies, own)
 
     def _command_one(self, cell: int, bodies: Sequence[int], targets: FloatArray) -> None:
-        known = self._cells[cell]
-        known.engine.command(known.to_engine_numbers(bodies), targets)
+        hosted = self._cells[cell]
+        hosted.engine.command(hosted.to_engine_numbers(bodies), targets)
 
 
 def main() -> None:
-    """Work until the server ends."""
+    """Run until the server ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    line, states, targets = map(int, sys.argv[1:])
-    CellWorker(Connection(line), SharedArray(states), SharedArray(targets)).run()
+    pipe, states, targets = map(int, sys.argv[1:])
+    CellWorker(Connection(pipe), SharedArray(states), SharedArray(targets)).run()
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Configuration of physics: what a world requires of its engine, and the server's choice of engine, cells and workers."""
+"""Configuration of physics: of a world, and the server's choice of engine, cells and workers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,24 +23,24 @@ class EngineMissing(ValueError):
 
 
 class EngineOptions(msgspec.Struct, frozen=True, kw_only=True):
-    """Which engines stand for each world of a server."""
+    """The server's choice of engine for its worlds."""
 
     engine: EngineName | None = None
-    """None = the first of pybullet and mujoco whose library is installed."""
+    """None = the first installed of pybullet and mujoco."""
     clusters: Clustering = "auto"
-    """Whether bodies that cannot touch are stepped apart; auto = when there are enough of them."""
+    """Whether bodies that cannot touch are stepped in separate cells; auto = in large worlds."""
     workers: int | None = None
-    """Processes beside the server's that step cells; None = as many as there are further cores,
-    for an engine that keeps Python from running meanwhile."""
+    """Processes besides the server that step cells; None = one for each further core, for an
+    engine that holds the interpreter's lock while it steps."""
     dynamics: Dynamics = "full"
-    """Of entities that do not ask for any."""
+    """Dynamics of entities that request none."""
 
 
 def parse_engine_name(name: str) -> EngineName | None:
-    """Read the name of an engine; nothing leaves the choice open.
+    """Parse the name of an engine; an empty string is None.
 
     Raises:
-        ValueError: There is no such engine.
+        ValueError: The name is unknown.
     """
     for known in get_args(EngineName):
         if name == known:
@@ -51,31 +51,34 @@ def parse_engine_name(name: str) -> EngineName | None:
 
 
 def find_installed_engines() -> list[EngineName]:
-    """List the engines whose library is installed, the preferred first."""
+    """List the engines whose library is installed, in order of preference."""
     return [name for name in INSTALL_COMMANDS if find_spec(name) is not None]
 
 
-def choose_engine(choice: EngineOptions, here: Sequence[EngineName]) -> EngineName:
-    """Find the engine of a choice among those that are here.
+def choose_engine(choice: EngineOptions, installed: Sequence[EngineName]) -> EngineName:
+    """Choose an installed engine.
 
     Raises:
-        EngineMissing: Its library is not installed, or none is.
+        EngineMissing: The chosen one is not installed, or none is.
     """
-    if (found := choice.engine or next(iter(here), None)) is not None and found in here:
+    found = choice.engine or next(iter(installed), None)
+    if found is not None and found in installed:
         return found
     missing = choice.engine or "pybullet"
-    others = [f"use --engine {name}, which is" for name in here]
-    others += [f"{how} for {name}" for name, how in INSTALL_COMMANDS.items() if name not in here]
+    others = [f"use --engine {name}, which is installed" for name in installed]
+    others += [
+        f"{how} for {name}" for name, how in INSTALL_COMMANDS.items() if name not in installed
+    ]
     raise EngineMissing(f"{missing} is not installed; {', or '.join(others)}")
 
 
 @dataclass(frozen=True)
 class EngineConfig:
-    """What a world asks of its physics."""
+    """Physics settings of a world."""
 
     step_ns: int
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     has_ground: bool = True
     ground_friction: float = 1.0
     mesh_folder: str = ""
-    """Where `<Shape.mesh>.stl` is."""
+    """Folder with `<Shape.mesh>.stl` files."""

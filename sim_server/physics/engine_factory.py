@@ -1,4 +1,4 @@
-"""Create the engine of a world or of one cell from configuration; only the chosen library is imported."""
+"""Creates the engine of a world or of one cell; imports only the chosen library."""
 
 import os
 from importlib import import_module
@@ -26,64 +26,64 @@ ENGINE_CLASSES: dict[EngineName, tuple[str, str]] = {
     "mujoco": ("zensim.sim_server.physics.mujoco.mujoco_engine", "MujocoEngine"),
 }
 AWAKE_POOL_BODIES = 2
-"""Parked bodies of a PyBullet cell that stay awake for those who come moving."""
+"""Pooled bodies of a PyBullet cell that stay awake, for bodies that arrive with a velocity."""
 
 
 class CellConfig(msgspec.Struct, frozen=True):
-    """What a cell is to be."""
+    """Engine and configuration of a cell."""
 
     engine: EngineName
     config: EngineConfig
 
     def make(self) -> Engine:
-        """Make one."""
+        """Create the engine."""
         if self.engine == "pybullet":
             return create_engine(self.engine, self.config, awake=AWAKE_POOL_BODIES)
         return create_engine(self.engine, self.config)
 
 
-def create_engine(name: EngineName, config: EngineConfig, **how: int) -> Engine:
-    """Make an engine by its name."""
-    module, maker = ENGINE_CLASSES[name]
-    engine: Engine = getattr(import_module(module), maker)(config, **how)
+def create_engine(name: EngineName, config: EngineConfig, **options: int) -> Engine:
+    """Create an engine, with sleep if it can."""
+    module, class_name = ENGINE_CLASSES[name]
+    engine: Engine = getattr(import_module(module), class_name)(config, **options)
     return wrap_with_sleep(engine, config)
 
 
 MAX_SINGLE_CELL_BODIES = 250
-"""Bodies that one cell has before there are several: fewer gain nothing (docs/fleet.md)."""
+"""Bodies up to which there is one cell: cells gain nothing then (docs/fleet.md)."""
 MAX_SINGLE_CELL_BODIES_PARALLEL = 150
-"""The same where cells are stepped at once."""
+"""The same if cells are stepped in parallel."""
 MAX_CELL_BODIES: dict[EngineName, int] = {"pybullet": 128, "mujoco": 128}
-"""Bodies of a cell: smaller ones of PyBullet cost a robot as much, and 30 MB each; smaller ones of
-MuJoCo cost more."""
+"""Bodies of a cell: smaller cells of PyBullet are no faster and take 30 MB each; smaller cells of
+MuJoCo are slower."""
 MAX_CELL_BODIES_LARGE_WORLD: dict[EngineName, int] = {"pybullet": 250, "mujoco": 256}
-"""Bodies of a cell of a world of a thousand: each robot of PyBullet costs 5-10 % more, but half the
-memory; of MuJoCo it costs a fifth less, as Python does less beside it."""
+"""The same in worlds of about 1000 bodies: PyBullet takes 5-10 % more time but half the memory,
+MuJoCo a fifth less time."""
 MAX_PARALLEL_CELLS = 8
-"""Threads, or processes, unless more are asked for."""
+"""Default limit of threads or processes."""
 
 
 def create_world_engine(
     config: EngineConfig, choice: EngineOptions, *, period_steps: int
 ) -> Engine:
-    """Make the engine of a world.
+    """Create the engine of a world.
 
     Args:
-        config: What the world asks for.
-        choice: What the server was told.
-        period_steps: Between two control steps.
+        config: Of the world.
+        choice: Of the server.
+        period_steps: Steps between two control steps.
 
     Raises:
-        EngineMissing: Its library is not installed.
+        EngineMissing: The library is not installed.
     """
     name = choose_engine(choice, find_installed_engines())
     if choice.clusters == "off":
         return create_engine(name, config)
-    lets_others_run = name != "pybullet"
-    threads = _count_usable_cores() if lets_others_run and not choice.workers else 1
+    releases_lock = name != "pybullet"  # of the interpreter, while it steps
+    threads = _count_usable_cores() if releases_lock and not choice.workers else 1
     workers = choice.workers
     if workers is None:
-        workers = 0 if lets_others_run else _count_usable_cores() - 1
+        workers = 0 if releases_lock else _count_usable_cores() - 1
     alone = MAX_SINGLE_CELL_BODIES_PARALLEL if workers or threads > 1 else MAX_SINGLE_CELL_BODIES
     settings = CellSettings(
         alone=alone if choice.clusters == "auto" else MAX_CELL_BODIES[name],
@@ -91,18 +91,17 @@ def create_world_engine(
         period_steps=period_steps,
         largest=MAX_CELL_BODIES_LARGE_WORLD[name],
     )
-    return CelledEngine(
-        config, _make_cell_stepper(CellConfig(name, config), threads, workers), settings
-    )
+    cell = CellConfig(name, config)
+    return CelledEngine(config, _make_cell_executor(cell, threads, workers), settings)
 
 
-def _make_cell_stepper(orders: CellConfig, threads: int, workers: int) -> CellExecutor:
+def _make_cell_executor(cell: CellConfig, threads: int, workers: int) -> CellExecutor:
     if workers:
-        return WorkerCellExecutor(orders.make, orders, workers=workers)
-    return InProcessCellExecutor(orders.make, threads=threads)
+        return WorkerCellExecutor(cell.make, cell, workers=workers)
+    return InProcessCellExecutor(cell.make, threads=threads)
 
 
 def _count_usable_cores() -> int:
-    """How many of this host's cores may be used."""
+    """Count the cores that this process may use, up to the limit."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return min(cores or 1, MAX_PARALLEL_CELLS)

@@ -1,4 +1,4 @@
-"""An Engine layer that puts bodies at rest to sleep: they are neither stepped nor read."""
+"""Engine layer that puts bodies at rest to sleep: they are neither stepped nor read."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,29 +20,29 @@ IntArray = npt.NDArray[np.intp]
 BoolArray = npt.NDArray[np.bool_]
 
 SLEEP_DELAY_S = 1.0
-"""For how long a body must hardly move."""
+"""Time within the thresholds before a body sleeps."""
 SPEED_MARGIN_MPS = 1.0
-"""What may come to the speed of an awake body until the next look."""
+"""Speed that an awake body may gain until the next check."""
 WAKE_DISTANCE_M = 0.02
+"""Gap below which bodies count as near."""
 BODIES_PER_CHUNK = 256
-"""Awake bodies whose distances from all others are found at once."""
+"""Awake bodies per distance matrix, to bound memory."""
 
 
 class SleepState(IntEnum):
-    """What a body does, as far as sleep goes."""
+    """State of a body."""
 
     UNKNOWN = 0
     FIXED = 1
-    """Never moves, and wakes nobody."""
+    """Never moves, and wakes no other body."""
     NEVER_SLEEPS = 2
-    """Never sleeps."""
     AWAKE = 3
     ASLEEP = 4
 
 
 @dataclass(frozen=True)
 class SleepThresholds:
-    """What a body may do in `SLEEP_DELAY_S` and still be calm: metres, radians, and of its joints."""
+    """Largest motion of a body at rest within `SLEEP_DELAY_S`; of joints in rad or m."""
 
     moved_m: float
     turned_rad: float
@@ -51,33 +51,33 @@ class SleepThresholds:
 
 FREE_BODY_THRESHOLDS = SleepThresholds(5e-4, 1e-3, 1e-3)
 BRAKED_BODY_THRESHOLDS = SleepThresholds(3e-3, 0.015, 0.1)
-"""Of robots whose motors hold wheels: what a finite solver leaves lets those creep by 1-2 mm/s."""
+"""For motors that brake wheels: solver residuals let such robots creep by 1-2 mm/s."""
 
 
 def choose_sleep_thresholds(model: Model) -> SleepThresholds:
-    """Find by what a model is judged."""
+    """Choose the thresholds of a model."""
     return BRAKED_BODY_THRESHOLDS if make_actuation(model).speeds.joints else FREE_BODY_THRESHOLDS
 
 
 def find_initial_sleep_state(model: Model) -> SleepState:
-    """Say whether bodies of a model may sleep.
+    """Find whether bodies of a model may sleep.
 
-    Those do not that something acts on in every step: loads, gears, a twist of their own.
+    Bodies with loads, gears or a planar twist do not: these act in every step.
     """
     if model.is_static:
-        can_move = any(joint.kind != "fixed" for joint in model.joints)
-        return SleepState.NEVER_SLEEPS if can_move else SleepState.FIXED
+        has_joints = any(joint.kind != "fixed" for joint in model.joints)
+        return SleepState.NEVER_SLEEPS if has_joints else SleepState.FIXED
     is_loaded = any(link.weightless != Inertial() or link.decay != Decay() for link in model.links)
     is_geared = any(joint.mimic is not None for joint in model.joints)
-    is_imposed = make_actuation(model).twist is not None
-    return SleepState.NEVER_SLEEPS if is_loaded or is_geared or is_imposed else SleepState.AWAKE
+    has_twist = make_actuation(model).twist is not None
+    return SleepState.NEVER_SLEEPS if is_loaded or is_geared or has_twist else SleepState.AWAKE
 
 
 class SleepTracker:
-    """Bodies by number: where each was when it last moved, or where it sleeps."""
+    """By body number: the state when it last moved, or in which it sleeps."""
 
-    def __init__(self, calm_steps: int) -> None:
-        self._delay_steps = calm_steps
+    def __init__(self, delay_steps: int) -> None:
+        self._delay_steps = delay_steps
         self.state = np.zeros(64, dtype=np.int8)
         self.is_driven = np.zeros(64, dtype=np.bool_)
         self.radius: FloatArray = np.zeros(64)
@@ -85,65 +85,65 @@ class SleepTracker:
         self.joints: FloatArray = np.zeros((64, 4))
         self.joint_count = np.zeros(64, dtype=np.intp)
         self._since = np.zeros(64, dtype=np.int64)
-        self._bounds: FloatArray = np.zeros((64, 3))
+        self._limits: FloatArray = np.zeros((64, 3))
 
     def add(self, body: int, model: Model, radius_m: float, step: int) -> None:
-        """Take a new body in."""
+        """Add a body."""
         self._make_room(body, len(model.joints))
-        bounds = choose_sleep_thresholds(model)
+        limits = choose_sleep_thresholds(model)
         self.state[body] = find_initial_sleep_state(model)
         self.radius[body] = radius_m
         self.joint_count[body] = len(model.joints)
-        self._bounds[body] = bounds.moved_m, bounds.turned_rad, bounds.joint
+        self._limits[body] = limits.moved_m, limits.turned_rad, limits.joint
         self.is_driven[body] = False
         self.mark_moved(body, step)
 
     def mark_moved(self, body: int | IntArray, step: int) -> None:
-        """Note that a body may move from now on, perhaps from another place."""
+        """Restart the delay of a body, whose pose may have changed."""
         self.base[body] = np.nan
         self._since[body] = step
 
     def remove(self, body: int) -> None:
-        """Forget a body."""
+        """Remove a body."""
         self.state[body] = SleepState.UNKNOWN
 
     def in_states(self, *states: SleepState) -> BoolArray:
-        """Find the bodies that are in one of some states."""
+        """Mask of the bodies in any of these states."""
         return np.asarray(np.isin(self.state, states))
 
     def update(self, bodies: IntArray, reading: BodyStates, step: int) -> BoolArray:
-        """See how far bodies came, and say which have been calm for long enough."""
-        positions = self._grid(bodies, reading.joint_positions)
+        """Compare bodies with where they last moved; mask those at rest for the whole delay."""
+        positions = self._pad(bodies, reading.joint_positions)
         before = self.base[bodies]
-        moved, turned, bent = self._bounds[bodies].T
-        with np.errstate(all="ignore"):  # of bodies gone bad
-            away = np.linalg.norm(reading.base[:, :3] - before[:, :3], axis=1)
-            # Of the half turn between two quaternions, whichever sign they have.
-            cosines = np.abs((reading.base[:, 3:7] * before[:, 3:7]).sum(axis=1))
-            is_calm = (away <= moved) & (cosines >= np.cos(turned / 2.0))
-        swung = np.abs(positions - self.joints[bodies]).max(axis=1, initial=0.0)
-        is_calm &= swung <= bent
-        stirred = bodies[~is_calm]
-        self.base[stirred] = reading.base[~is_calm]
-        self.joints[stirred] = positions[~is_calm]
-        self._since[stirred] = step
+        distance_limit, angle_limit, joint_limit = self._limits[bodies].T
+        with np.errstate(all="ignore"):  # diverged bodies
+            distance = np.linalg.norm(reading.base[:, :3] - before[:, :3], axis=1)
+            # Cosine of half the angle between two quaternions of either sign.
+            cosine = np.abs((reading.base[:, 3:7] * before[:, 3:7]).sum(axis=1))
+            is_still = (distance <= distance_limit) & (cosine >= np.cos(angle_limit / 2.0))
+        joint_motion = np.abs(positions - self.joints[bodies]).max(axis=1, initial=0.0)
+        is_still &= joint_motion <= joint_limit
+        moved = bodies[~is_still]
+        self.base[moved] = reading.base[~is_still]
+        self.joints[moved] = positions[~is_still]
+        self._since[moved] = step
         return np.asarray(step - self._since[bodies] >= self._delay_steps)
 
     def store_asleep(self, bodies: IntArray, reading: BodyStates) -> None:
-        """Keep the state in which bodies fall asleep: at rest."""
+        """Store the state in which bodies fall asleep, with zero velocity."""
         self.state[bodies] = SleepState.ASLEEP
         self.base[bodies] = reading.base
         self.base[bodies, 7:] = 0.0
-        self.joints[bodies] = self._grid(bodies, reading.joint_positions)
+        self.joints[bodies] = self._pad(bodies, reading.joint_positions)
 
     def joints_of(self, bodies: IntArray) -> FloatArray:
-        """List the joint positions of sleepers, body by body."""
+        """Joint positions of sleeping bodies, body by body."""
         return np.asarray(self.joints[bodies][self._mask(bodies)])
 
-    def _grid(self, bodies: IntArray, numbers: FloatArray) -> FloatArray:
-        found = np.zeros((len(bodies), self.joints.shape[1]))
-        found[self._mask(bodies)] = numbers
-        return found
+    def _pad(self, bodies: IntArray, values: FloatArray) -> FloatArray:
+        padded = np.zeros((len(bodies), self.joints.shape[1]))
+        padded[self._mask(bodies)] = values
+        return padded
 
     def _mask(self, bodies: IntArray) -> BoolArray:
         columns = np.arange(self.joints.shape[1])
@@ -158,57 +158,57 @@ class SleepTracker:
         more = max(height, body + 1 - height)
         for name in ("state", "is_driven", "radius", "joint_count", "_since"):
             setattr(self, name, np.pad(getattr(self, name), (0, more)))
-        for name in ("base", "joints", "_bounds"):
+        for name in ("base", "joints", "_limits"):
             setattr(self, name, np.pad(getattr(self, name), ((0, more), (0, 0))))
 
 
 def find_reachable(
     base: FloatArray, radius: FloatArray, others: FloatArray, radii: FloatArray, ahead_s: float
 ) -> BoolArray:
-    """Find the others that bodies may touch soon.
+    """Find which others any of some bodies may touch soon.
 
     Args:
         base: (n, 13) of the bodies.
-        radius: (n,) of balls that hold them.
-        others: (m, 3) where the others are.
-        radii: (m,) of balls that hold them.
-        ahead_s: How soon.
+        radius: (n,) of their bounding spheres.
+        others: (m, 3) positions of the others.
+        radii: (m,) of their bounding spheres.
+        ahead_s: Time ahead.
 
     Returns:
-        (m,) whether any may.
+        (m,) mask.
     """
     found = np.zeros(len(others), dtype=np.bool_)
-    with np.errstate(all="ignore"):  # of bodies gone bad
-        spins = radius * np.linalg.norm(base[:, 10:], axis=1)
-        speeds = np.linalg.norm(base[:, 7:10], axis=1) + spins
+    with np.errstate(all="ignore"):  # diverged bodies
+        rim_speeds = radius * np.linalg.norm(base[:, 10:], axis=1)
+        speeds = np.linalg.norm(base[:, 7:10], axis=1) + rim_speeds
         reach = radius + WAKE_DISTANCE_M + (speeds + SPEED_MARGIN_MPS) * ahead_s
         for start in range(0, len(base), BODIES_PER_CHUNK):
-            some = slice(start, start + BODIES_PER_CHUNK)
-            apart = np.linalg.norm(base[some, None, :3] - others[None], axis=2)
-            found |= (apart < reach[some, None] + radii[None]).any(axis=0)
+            chunk = slice(start, start + BODIES_PER_CHUNK)
+            distance = np.linalg.norm(base[chunk, None, :3] - others[None], axis=2)
+            found |= (distance < reach[chunk, None] + radii[None]).any(axis=0)
     return found
 
 
 SLEEP_CHECK_PERIOD_S = 0.1
 LOOKAHEAD_PERIODS = 2.0
-"""How far ahead a look sees, in looks."""
+"""Time ahead for which contacts are predicted, in check periods."""
 
 
 def wrap_with_sleep(engine: Engine, config: EngineConfig) -> Engine:
-    """Let bodies sleep in an engine, if they can."""
+    """Add the sleep layer to an engine that supports it."""
     return SleepingEngine(engine, config) if engine.capabilities.sleeps else engine
 
 
-class DeferredPush(NamedTuple):
+class DeferredLoad(NamedTuple):
     """A wrench on a link, or an effort on a joint, in the next step."""
 
     body: int
-    where: int
-    what: FloatArray | float
+    part: int
+    load: FloatArray | float
 
 
 class _ReadRows(NamedTuple):
-    """Where the bodies of a reading come from, awake and asleep."""
+    """Rows of awake and sleeping bodies in a reading."""
 
     awake: tuple[int, ...]
     asleep: IntArray
@@ -224,46 +224,46 @@ class SleepingEngine(EngineLayer):
     def __init__(self, engine: Engine, config: EngineConfig) -> None:
         super().__init__(engine)
         dt_s = config.step_ns * 1e-9
-        self._measure = ReachCache(config.mesh_folder)
-        self._every = max(1, round(SLEEP_CHECK_PERIOD_S / dt_s))
-        self._ahead_s = LOOKAHEAD_PERIODS * self._every * dt_s
+        self._reaches = ReachCache(config.mesh_folder)
+        self._period_steps = max(1, round(SLEEP_CHECK_PERIOD_S / dt_s))
+        self._ahead_s = LOOKAHEAD_PERIODS * self._period_steps * dt_s
         self._steps = 0
         self._tracker = SleepTracker(max(1, round(SLEEP_DELAY_S / dt_s)))
-        self._plans: dict[int, Actuation] = {}
-        self._commands = CommandCache(lambda body: self._plans[body].width)
-        self._touched: dict[int, frozenset[int]] = {}
+        self._actuations: dict[int, Actuation] = {}
+        self._commands = CommandCache(lambda body: self._actuations[body].width)
+        self._contacts: dict[int, frozenset[int]] = {}
         self._hidden: dict[int, SleepState] = {}
         self._waking: set[int] = set()
-        self._deferred_pushes: list[DeferredPush] = []
+        self._deferred_loads: list[DeferredLoad] = []
         self._rows: tuple[Sequence[int], _ReadRows] | None = None
 
     @property
     def asleep(self) -> tuple[int, ...]:
-        """The bodies that sleep."""
+        """Sleeping bodies."""
         return tuple(self._bodies_in(SleepState.ASLEEP).tolist())
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
         body = self._inner.add(model, base)
-        self._plans[body] = make_actuation(model)
+        self._actuations[body] = make_actuation(model)
         self._commands.forget(body)
         self._tracker.add(body, model, self._find_radius_m(model), self._steps)
         if self._tracker.state[body] == SleepState.FIXED:
-            # Else each sleeper that stands on it would be looked for contacts in each step.
+            # Else the engine searches contacts with each sleeping body on it in each step.
             self._inner.sleep([body])
         self._rows = None
         self._wake_near(body, base)
         return body
 
     def remove(self, body: int) -> None:
-        """See `Engine.remove`; who may have stood on it wakes."""
+        """See `Engine.remove`; bodies that may have stood on it wake."""
         self._wake([body])
-        if self._touched:
+        if self._contacts:
             self._wake_near(body, self._inner.read([body]).base[0])
         self._inner.remove(body)
         self._tracker.remove(body)
         self._hidden.pop(body, None)
-        self._deferred_pushes = [push for push in self._deferred_pushes if push.body != body]
+        self._deferred_loads = [load for load in self._deferred_loads if load.body != body]
         self._waking.discard(body)
         self._rows = None
 
@@ -279,7 +279,7 @@ class SleepingEngine(EngineLayer):
         for body in bodies:
             self._tracker.state[body] = self._hidden.pop(body)
             self._tracker.mark_moved(body, self._steps)
-        if self._touched:
+        if self._contacts:
             for body, base in zip(bodies, self._inner.read(bodies).base, strict=True):
                 self._wake_near(body, base)
 
@@ -291,8 +291,8 @@ class SleepingEngine(EngineLayer):
         self._tracker.mark_moved(np.flatnonzero(self._tracker.state), 0)
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
-        """See `Engine.read`; sleepers stand where they fell asleep."""
-        if not self._touched:
+        """See `Engine.read`; sleeping bodies have the state in which they fell asleep."""
+        if not self._contacts:
             return self._inner.read(bodies)
         rows = self._split_rows(bodies)
         if not len(rows.asleep):
@@ -331,90 +331,94 @@ class SleepingEngine(EngineLayer):
         self._inner.set_at_rest(body, base, positions)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
-        """See `Engine.command`; who is told something new wakes."""
-        news = list(self._commands.take_changed(bodies, targets))
-        if not news:
+        """See `Engine.command`; bodies with new targets wake."""
+        changed = list(self._commands.take_changed(bodies, targets))
+        if not changed:
             return
         self._inner.command(bodies, targets)
-        for body, numbers in news:
-            plan = self._plans[body]
-            twist = numbers[plan.twist : plan.twist + 3] if plan.twist is not None else []
-            self._tracker.is_driven[body] = any(plan.speeds.select(numbers)) or any(twist)
+        for body, own in changed:
+            actuation = self._actuations[body]
+            at = actuation.twist
+            twist = [] if at is None else own[at : at + 3]
+            self._tracker.is_driven[body] = any(actuation.speeds.select(own)) or any(twist)
             self._tracker.mark_moved(body, self._steps)
-        self._wake([body for body, _ in news])
+        self._wake([body for body, _ in changed])
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.apply_link_wrench`; a sleeper is pushed a step later, when it is awake."""
-        if self._wake_for_push(body):
-            self._deferred_pushes.append(DeferredPush(body, link, wrench.copy()))
+        """See `Engine.apply_link_wrench`; a sleeping body gets it a step later, awake."""
+        if self._wake_for_load(body):
+            self._deferred_loads.append(DeferredLoad(body, link, wrench.copy()))
         else:
             self._inner.apply_link_wrench(body, link, wrench)
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.apply_joint_effort`; a sleeper is pushed a step later, when it is awake."""
-        if self._wake_for_push(body):
-            self._deferred_pushes.append(DeferredPush(body, joint, effort))
+        """See `Engine.apply_joint_effort`; a sleeping body gets it a step later, awake."""
+        if self._wake_for_load(body):
+            self._deferred_loads.append(DeferredLoad(body, joint, effort))
         else:
             self._inner.apply_joint_effort(body, joint, effort)
 
     def step(self) -> bool:
         """See `Engine.step`."""
-        is_well = self._inner.step()
+        is_valid = self._inner.step()
         self._steps += 1
         self._waking.clear()
-        late, self._deferred_pushes = self._deferred_pushes, []
-        for push in late:
-            if isinstance(push.what, float):
-                self._inner.apply_joint_effort(push.body, push.where, push.what)
+        deferred, self._deferred_loads = self._deferred_loads, []
+        for body, part, load in deferred:
+            if isinstance(load, float):
+                self._inner.apply_joint_effort(body, part, load)
             else:
-                self._inner.apply_link_wrench(push.body, push.where, push.what)
-        if self._steps % self._every == 0 and is_well:
+                self._inner.apply_link_wrench(body, part, load)
+        if self._steps % self._period_steps == 0 and is_valid:
             self._update_sleepers()
-        return is_well
+        return is_valid
 
     def _update_sleepers(self) -> None:
-        calm = self._tracker
+        tracker = self._tracker
         asleep, awake = self._bodies_in(SleepState.ASLEEP), self._bodies_in(SleepState.AWAKE)
-        quiet = awake[~calm.is_driven[awake]]
-        if not len(quiet) and not len(asleep):
+        undriven = awake[~tracker.is_driven[awake]]
+        if not len(undriven) and not len(asleep):
             return
-        reading = self._inner.read(tuple(quiet.tolist()))
-        is_ripe = calm.update(quiet, reading, self._steps)
-        if not is_ripe.any() and not len(asleep):
+        reading = self._inner.read(tuple(undriven.tolist()))
+        is_resting = tracker.update(undriven, reading, self._steps)
+        if not is_resting.any() and not len(asleep):
             return
-        ripe, base = quiet[is_ripe], reading.base[is_ripe]
-        restless = np.setdiff1d(self._bodies_in(SleepState.AWAKE, SleepState.NEVER_SLEEPS), ripe)
-        moving = self._inner.read(tuple(restless.tolist())).base
-        radius = calm.radius[restless]
-        spots, radii = calm.base[asleep, :3], calm.radius[asleep]
-        self._wake(asleep[find_reachable(moving, radius, spots, radii, self._ahead_s)].tolist())
-        is_near = find_reachable(moving, radius, base[:, :3], calm.radius[ripe], self._ahead_s)
-        self._put_to_sleep(ripe[~is_near].tolist())
+        resting, base = undriven[is_resting], reading.base[is_resting]
+        active = np.setdiff1d(self._bodies_in(SleepState.AWAKE, SleepState.NEVER_SLEEPS), resting)
+        moving = self._inner.read(tuple(active.tolist())).base
+        radius = tracker.radius[active]
+        positions, radii = tracker.base[asleep, :3], tracker.radius[asleep]
+        is_near = find_reachable(moving, radius, positions, radii, self._ahead_s)
+        self._wake(asleep[is_near].tolist())
+        radii = tracker.radius[resting]
+        is_near = find_reachable(moving, radius, base[:, :3], radii, self._ahead_s)
+        self._put_to_sleep(resting[~is_near].tolist())
 
     def _put_to_sleep(self, bodies: list[int]) -> None:
-        """Let those sleep that touch none who stays awake."""
-        touched = {body: frozenset(self._inner.find_contacts(body)) for body in bodies}
+        """Put those bodies to sleep that touch no body that stays awake."""
+        contacts = {body: frozenset(self._inner.find_contacts(body)) for body in bodies}
         fixed = set(self._bodies_in(SleepState.FIXED).tolist())
         while True:
-            still = touched.keys() | self._touched.keys() | fixed
-            awake = [body for body, others in touched.items() if not others <= still]
+            still = contacts.keys() | self._contacts.keys() | fixed
+            awake = [body for body, others in contacts.items() if not others <= still]
             if not awake:
                 break
             for body in awake:
-                del touched[body]
-        if touched:
-            numbers = np.array(list(touched), dtype=np.intp)
-            self._tracker.store_asleep(numbers, self._inner.read(tuple(touched)))
-            self._inner.sleep(tuple(touched))
-            self._touched |= touched
+                del contacts[body]
+        if contacts:
+            bodies = list(contacts)
+            states = self._inner.read(tuple(bodies))
+            self._tracker.store_asleep(np.array(bodies, dtype=np.intp), states)
+            self._inner.sleep(bodies)
+            self._contacts |= contacts
             self._rows = None
 
     def _wake(self, bodies: Iterable[int]) -> None:
-        """Wake sleepers among some bodies, and all that they touched."""
-        waiting, woken = [body for body in bodies if body in self._touched], []
+        """Wake the sleeping of some bodies, and all that they touched."""
+        waiting, woken = [body for body in bodies if body in self._contacts], []
         while waiting:
-            if (body := waiting.pop()) in self._touched:
-                waiting += sorted(self._touched.pop(body))
+            if (body := waiting.pop()) in self._contacts:
+                waiting += sorted(self._contacts.pop(body))
                 woken.append(body)
         if woken:
             self._tracker.state[woken] = SleepState.AWAKE
@@ -424,41 +428,42 @@ class SleepingEngine(EngineLayer):
             self._rows = None
 
     def _wake_near(self, body: int, base: FloatArray) -> None:
-        if not self._touched:
+        if not self._contacts:
             return
-        asleep, calm = self._bodies_in(SleepState.ASLEEP), self._tracker
-        spots, radii = calm.base[asleep, :3], calm.radius[asleep]
-        near = find_reachable(base[None], calm.radius[[body]], spots, radii, self._ahead_s)
-        self._wake(asleep[near].tolist())
+        asleep, tracker = self._bodies_in(SleepState.ASLEEP), self._tracker
+        positions, radii = tracker.base[asleep, :3], tracker.radius[asleep]
+        radius = tracker.radius[[body]]
+        is_near = find_reachable(base[None], radius, positions, radii, self._ahead_s)
+        self._wake(asleep[is_near].tolist())
 
     def _mark_placed(self, body: int, base: FloatArray) -> None:
-        """Note that a body is taken from where it is, and put somewhere."""
+        """Wake a body that is about to be moved, and its neighbours before and after."""
         self._wake([body])
-        if self._touched:
+        if self._contacts:
             self._wake_near(body, self._inner.read([body]).base[0])
             self._wake_near(body, base)
         self._tracker.mark_moved(body, self._steps)
 
-    def _wake_for_push(self, body: int) -> bool:
-        """Wake a body, and say whether it was woken since the last step: the next passes it by."""
+    def _wake_for_load(self, body: int) -> bool:
+        """Wake a body; return whether it was asleep at the last step: the next step skips it."""
         self._wake([body])
         self._tracker.mark_moved(body, self._steps)
         return body in self._waking
 
     def _split_rows(self, bodies: Sequence[int]) -> _ReadRows:
-        """Part the bodies of a reading: those of the same tuple are at hand."""
+        """Split bodies by sleep; cached for the last tuple."""
         if self._rows is not None and self._rows[0] == bodies:
             return self._rows[1]
         numbers = np.array(bodies, dtype=np.intp)
         is_asleep = self._tracker.state[numbers] == SleepState.ASLEEP
-        has_sleeper = np.repeat(is_asleep, self._tracker.joint_count[numbers])
+        is_joint_asleep = np.repeat(is_asleep, self._tracker.joint_count[numbers])
         found = _ReadRows(
             tuple(numbers[~is_asleep].tolist()),
             numbers[is_asleep],
             np.flatnonzero(~is_asleep),
             np.flatnonzero(is_asleep),
-            np.flatnonzero(~has_sleeper),
-            np.flatnonzero(has_sleeper),
+            np.flatnonzero(~is_joint_asleep),
+            np.flatnonzero(is_joint_asleep),
         )
         if isinstance(bodies, tuple):
             self._rows = bodies, found
@@ -468,7 +473,8 @@ class SleepingEngine(EngineLayer):
         return np.flatnonzero(self._tracker.in_states(*states))
 
     def _find_radius_m(self, model: Model) -> float:
-        """Find the radius of a ball about the root that holds a body, however far it slides."""
+        """Find the radius of a sphere about the root that holds a body at any joint position."""
         slides = [joint for joint in model.joints if joint.kind == "prismatic"]
-        ways = (max(abs(joint.lower), abs(joint.upper)) for joint in slides)
-        return min(self._measure.measure(model).radius_m + sum(ways) + WAKE_DISTANCE_M, MAX_REACH_M)
+        travel_m = sum(max(abs(joint.lower), abs(joint.upper)) for joint in slides)
+        radius_m = self._reaches.measure(model).radius_m + travel_m + WAKE_DISTANCE_M
+        return min(radius_m, MAX_REACH_M)

@@ -74,7 +74,7 @@ def make_link_force_arrays(loads: Iterable[tuple[int, LinkForce]]) -> LinkForceA
     found = list(loads)
     return LinkForceArrays(
         np.array([body for body, _ in found], np.intp),
-        np.array([load.lift for _, load in found]).reshape(-1, 3),
+        np.array([load.gravity_force for _, load in found]).reshape(-1, 3),
         np.array([load.arm for _, load in found]).reshape(-1, 3),
         np.array([load.linear_damping for _, load in found]),
         np.array([load.angular_damping for _, load in found]).reshape(-1, 3),
