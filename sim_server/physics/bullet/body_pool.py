@@ -1,4 +1,4 @@
-"""Removed Bullet bodies, parked and reused by the next body of the same build."""
+"""Pool of removed Bullet bodies, reused by the next body that is built alike."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,22 +16,22 @@ from zensim.sim_server.physics.link_forces import LinkForce
 
 MAX_PARKED_BODIES = 64
 PARKING_DEPTH_M = 1e4
-"""How far under the world parked bodies are."""
+"""Depth of pooled bodies below the world."""
 PARKING_SPACING_M = 100.0
 
 
 BodyBuildKey = tuple[tuple[Link, ...], tuple[Joint, ...], bool]
-"""What Bullet makes a body of; robots that differ in topics and namespace are built alike."""
+"""What a Bullet body depends on; topics and namespaces do not count."""
 
 
 @dataclass(frozen=True)
 class BulletBody:
-    """What the engine knows of a body.
+    """A body in Bullet.
 
     Attributes:
-        parts: How many Bullet counts besides the root.
-        gears: Bullet's numbers of the constraints between its joints.
-        holds: What resists rolling while it stands.
+        parts: Number of parts besides the root.
+        gears: Bullet's numbers of its gear constraints.
+        holds: Rolling friction of its wheels while it stands.
     """
 
     model: Model
@@ -43,20 +43,20 @@ class BulletBody:
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
-        """Bullet's numbers of its joints, in the order of `Model.joints`."""
+        """Bullet's joint numbers, in the order of `Model.joints`."""
         return tuple(range(len(self.model.joints)))
 
 
 def make_bullet_body(
     model: Model, blueprint: Blueprint, loads: Sequence[LinkForce], gears: Sequence[int]
 ) -> BulletBody:
-    """Note what a body was made of."""
+    """Make the record of a body."""
     parts, holds = len(blueprint.parts) - 1, find_rolling_frictions(model, blueprint)
     return BulletBody(model, parts, make_actuation(model), loads, gears, holds)
 
 
 class ParkedBody(NamedTuple):
-    """A body that was parked."""
+    """A body taken from the pool."""
 
     number: int
     body: BulletBody
@@ -64,10 +64,10 @@ class ParkedBody(NamedTuple):
 
 
 class BodyPool:
-    """Which bodies are parked, and where."""
+    """Bodies parked below the world."""
 
     def __init__(self, awake: int) -> None:
-        """Let so many of the newest stay awake: one that slept cannot come back moving."""
+        """Keep this many of the newest awake: a sleeping body cannot be reused with a velocity."""
         self._parked: dict[BodyBuildKey, list[tuple[int, BulletBody]]] = {}
         self._count = 0
         self._max_awake = awake
@@ -75,11 +75,11 @@ class BodyPool:
         self._waking: list[int] = []
 
     def has_room_for(self, body: BulletBody) -> bool:
-        """Whether a body may be parked: gears would wake it."""
+        """Whether a body may be parked; not with gears, which would wake it."""
         return self._count < MAX_PARKED_BODIES and not body.gears
 
     def park(self, number: int, body: BulletBody) -> FloatArray:
-        """Park a body, and tell in which state (13,)."""
+        """Park a body; return the state (13,) to set."""
         self._parked.setdefault(_make_build_key(body.model), []).append((number, body))
         self._count += 1
         return np.array(
@@ -87,47 +87,47 @@ class BodyPool:
         )
 
     def add_awake(self, number: int) -> list[int]:
-        """Note that a parked body is awake; name those that are to sleep."""
+        """Record that a parked body is awake; return those to put to sleep."""
         self._awake.append(number)
         return self._take_excess_awake()
 
     def take(self, model: Model, *, awake: bool) -> ParkedBody | None:
-        """Take a parked body that is built as a model is, as one of this model.
+        """Take a parked body that is built as a model needs.
 
         Args:
-            model: What it is to be of.
-            awake: Take none that sleeps.
+            model: Of the body.
+            awake: Only if it is awake.
         """
         parked = self._parked.get(_make_build_key(model), [])
-        for at in reversed(range(len(parked))):
-            if not awake or parked[at][0] in self._awake:
-                number, body = parked.pop(at)
+        for i in reversed(range(len(parked))):
+            if not awake or parked[i][0] in self._awake:
+                number, body = parked.pop(i)
                 self._count -= 1
                 was_awake = number in self._awake
                 for listed in (self._awake, self._waking):
                     if number in listed:
                         listed.remove(number)
-                alike = replace(body, model=model, actuation=make_actuation(model))
-                return ParkedBody(number, alike, was_awake)
+                reused = replace(body, model=model, actuation=make_actuation(model))
+                return ParkedBody(number, reused, was_awake)
         return None
 
     def wake_next(self, model: Model) -> int | None:
-        """Choose a sleeper that is built as a model is: it will be awake after the next step."""
+        """Choose a sleeping body built as a model needs; it counts as awake after the next step."""
         parked = self._parked.get(_make_build_key(model), [])
-        up = {*self._awake, *self._waking}
-        found = next((number for number, _ in reversed(parked) if number not in up), None)
+        awake = {*self._awake, *self._waking}
+        found = next((number for number, _ in reversed(parked) if number not in awake), None)
         if found is not None:
             self._waking.append(found)
         return found
 
     def after_step(self) -> list[int]:
-        """Note that a step is over; name those that are to sleep."""
+        """Count woken bodies as awake; return those to put to sleep."""
         self._awake += self._waking
         self._waking.clear()
         return self._take_excess_awake()
 
     def take_all(self) -> list[int]:
-        """Take all that are parked."""
+        """Empty the pool; return all bodies."""
         taken = [number for parked in self._parked.values() for number, _ in parked]
         self._parked.clear()
         self._awake.clear()
@@ -136,9 +136,9 @@ class BodyPool:
         return taken
 
     def _take_excess_awake(self) -> list[int]:
-        over = max(0, len(self._awake) - self._max_awake)
-        tired, self._awake = self._awake[:over], self._awake[over:]
-        return tired
+        count = max(0, len(self._awake) - self._max_awake)
+        excess, self._awake = self._awake[:count], self._awake[count:]
+        return excess
 
 
 def _make_build_key(model: Model) -> BodyBuildKey:

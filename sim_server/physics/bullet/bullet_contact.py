@@ -1,4 +1,4 @@
-"""Contact, rolling friction, self-collision and solver parameters in the form that Bullet takes."""
+"""Contact, rolling friction, self-collision and solver parameters as Bullet's arguments."""
 
 from collections.abc import Iterator, Sequence
 from itertools import combinations
@@ -8,12 +8,12 @@ from zensim.proto.messages.model_messages import ZERO, Link, Model
 from zensim.sim_server.physics.blueprint import MIN_DAMPING_STEPS, Blueprint, RigidPart
 
 SOLVER_ITERATIONS = 20
-"""At most. 10 cost 0.87 of this, and a box_bot that has stopped goes on rocking; 50 cost 1.5."""
+"""Limit. 10 take 0.87 of the time, but a stopped box_bot rocks; 50 take 1.5."""
 
 SOLVER_RESIDUAL_THRESHOLD = 3e-7
-"""Square of the greatest change of a speed [m/s] in an iteration after which the solver stops.
+"""The solver stops when no speed [m/s] changes by more than the square root of this.
 
-The usual 1e-7 costs 1.1 of this; 1e-5 would cost 0.85, and ten times the sideways drift.
+Bullet's default 1e-7 takes 1.1 of the time; 1e-5 takes 0.85, with ten times the sideways drift.
 """
 
 
@@ -30,24 +30,24 @@ class SolverArguments(TypedDict):
 SOLVER_ARGUMENTS: Final[SolverArguments] = {
     "numSolverIterations": SOLVER_ITERATIONS,
     "solverResidualThreshold": SOLVER_RESIDUAL_THRESHOLD,
-    # One that is solved need not go on with others that are not.
+    # Islands are solved separately, so that each stops when it has converged.
     "minimumSolverIslandSize": 1,
     "enableConeFriction": 0,
-    # Of another mesh at the same path it would go on with the first.
+    # The cache ignores that a file has changed.
     "enableFileCaching": 0,
 }
 
 
 ROLLING_RESISTANCE = 0.01
-"""Rolling friction over radius, as of rubber on a hard floor."""
+"""Rolling friction over radius: rubber on a hard floor."""
 ROLLING_SHAPE_KINDS = ("sphere", "cylinder", "capsule")
 
 RollingFrictions = tuple[tuple[int, float], ...]
-"""Parts, numbered from -1, and the rolling friction [m] that each has while it stands."""
+"""Parts, numbered from -1, and the rolling friction [m] of each while the robot stands."""
 
 
 def find_rolling_frictions(model: Model, blueprint: Blueprint) -> RollingFrictions:
-    """List the wheels of a model: what is round, on a joint with a motor for speed."""
+    """List the wheels of a model: round parts on joints with a velocity actuator."""
     driven = {actuator.joint for actuator in model.actuators if actuator.mode == "velocity"}
     links = {i for i, joint in enumerate(model.joints, start=1) if joint.name in driven}
     return tuple(
@@ -66,11 +66,10 @@ def _radius_m(part: RigidPart) -> float:
 
 
 CONTACT_PROCESSING_M = 1e-4
-"""Parts farther apart than this do not push each other yet.
+"""Distance below which contacts are solved.
 
-Bullet would solve for all that are within 2 cm, such as a caster that hangs in the air: for a
-box_bot that costs a quarter more. What comes fast goes in by as much as it moves in a step, instead
-of by less.
+Bullet's default of 2 cm includes casters that hang in the air: a quarter more time for a box_bot.
+In exchange, fast bodies penetrate by what they move in a step.
 """
 
 
@@ -93,10 +92,10 @@ class DynamicsArguments(TypedDict, total=False):
 
 
 def make_contact_arguments(part: RigidPart, dt_s: float, *, is_static: bool) -> DynamicsArguments:
-    """Find how a part touches."""
+    """Make the contact arguments of a part."""
     contact = part.contact
     friction = limit_static_body_friction(part.friction) if is_static else part.friction
-    touch = DynamicsArguments(
+    arguments = DynamicsArguments(
         lateralFriction=friction,
         spinningFriction=0.0,
         rollingFriction=0.0,
@@ -104,40 +103,42 @@ def make_contact_arguments(part: RigidPart, dt_s: float, *, is_static: bool) -> 
         contactProcessingThreshold=CONTACT_PROCESSING_M,
     )
     if contact.stiffness > 0.0:
-        touch["contactStiffness"] = contact.stiffness
-        touch["contactDamping"] = max(contact.damping, MIN_DAMPING_STEPS * contact.stiffness * dt_s)
+        arguments["contactStiffness"] = contact.stiffness
+        arguments["contactDamping"] = max(
+            contact.damping, MIN_DAMPING_STEPS * contact.stiffness * dt_s
+        )
     if contact.direction != ZERO:
         most = max(part.friction, contact.friction_across)
         across = contact.friction_across / most if most else 1.0
-        touch["lateralFriction"] = most
-        touch["anisotropicFriction"] = (part.friction / most if most else 1.0, across, across)
-    return touch
+        arguments["lateralFriction"] = most
+        arguments["anisotropicFriction"] = (part.friction / most if most else 1.0, across, across)
+    return arguments
 
 
 def limit_static_body_friction(friction: float) -> float:
-    """Find the friction of what stands still.
+    """Limit the friction of a static body to 1, so that the other body's friction counts.
 
-    Bullet multiplies the frictions of a pair, where Gazebo takes the lesser: up to 1 leaves what
-    touches it its own. Worlds give their ground 100.
+    Bullet multiplies the frictions of a pair; Gazebo takes the lesser, and its worlds give the
+    ground 100.
     """
     return min(friction, 1.0)
 
 
 def list_self_collision_pairs(blueprint: Blueprint) -> Iterator[tuple[int, int, bool]]:
-    """List each pair of parts of a body, and whether they touch each other.
+    """List each pair of parts of a body, and whether they collide.
 
-    Two do when either of their links asks for it, unless a joint joins the links. Parts are
+    They do if either link has self-collision enabled and no joint joins the links. Parts are
     numbered from -1, the root.
     """
     parts, links = blueprint.parts, blueprint.links
     joined = {(part.link, part.parent) for part in parts if part.joint is not None}
     for (i, one), (j, other) in combinations(enumerate(parts, start=-1), 2):
-        ends = (one.link, other.link)
-        are_joined = ends in joined or ends[::-1] in joined
-        asks = links[one.link].self_collides or links[other.link].self_collides
-        yield i, j, asks and one.link != other.link and not are_joined
+        pair = (one.link, other.link)
+        are_joined = pair in joined or pair[::-1] in joined
+        is_enabled = links[one.link].self_collides or links[other.link].self_collides
+        yield i, j, is_enabled and one.link != other.link and not are_joined
 
 
 def has_self_collision(links: tuple[Link, ...]) -> bool:
-    """Whether any link asks to touch others of its model."""
+    """Whether any link has self-collision enabled."""
     return any(link.self_collides for link in links)

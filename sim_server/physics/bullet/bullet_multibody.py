@@ -1,4 +1,4 @@
-"""Bullet multibodies from blueprints: collision shapes, links, dynamics, joint damping and gear constraints."""
+"""Bullet multibodies from blueprints: shapes, links, dynamics, joint damping and gears."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypedDict
@@ -21,7 +21,7 @@ from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArra
 
 
 class GearConstraint(NamedTuple):
-    """A joint that follows another, by their places in `Model.joints`."""
+    """A mimic joint and its leader, by index in `Model.joints`."""
 
     follower: int
     leader: int
@@ -29,9 +29,9 @@ class GearConstraint(NamedTuple):
     ratio: float
     offset: float
     force: float = 1e4
-    """Most that the follower is pushed with [N or N m]."""
+    """Limit on the follower [N or N m]."""
     erp: float = 0.2
-    """Share of its error that one step mends."""
+    """Share of the error that a step corrects."""
 
     @property
     def hold(self) -> dict[str, float]:
@@ -45,7 +45,7 @@ class GearConstraint(NamedTuple):
 
 
 def list_gear_constraints(model: Model) -> Iterator[GearConstraint]:
-    """List the joints of a model that follow others."""
+    """List the mimic joints of a model."""
     index = {joint.name: i for i, joint in enumerate(model.joints)}
     for follower, joint in enumerate(model.joints):
         if (mimic := joint.mimic) is not None:
@@ -65,7 +65,7 @@ def list_moving_joints(blueprint: Blueprint) -> list[tuple[int, Joint]]:
 def limit_joint_dampings(
     joints: Sequence[tuple[int, Joint]], masses: FloatArray, dt_s: float
 ) -> Iterator[tuple[int, float]]:
-    """Damp joints as an implicit step would: an explicit one blows up when d dt > I.
+    """Reduce dampings to those of an implicit step: an explicit one diverges when d dt > I.
 
     Args:
         joints: By the number of their part.
@@ -73,11 +73,11 @@ def limit_joint_dampings(
         dt_s: Length of a step.
 
     Yields:
-        Number of the part, and its damping [N m s/rad or N s/m].
+        Number of the part, and the damping [N m s/rad or N s/m].
     """
-    yielding = np.diag(np.linalg.pinv(masses))[-len(joints) :].tolist()
-    for (number, joint), lightness in zip(joints, yielding, strict=True):
-        yield number, joint.damping / (1.0 + joint.damping * dt_s * max(lightness, 0.0))
+    inverses = np.diag(np.linalg.pinv(masses))[-len(joints) :].tolist()
+    for (number, joint), inverse in zip(joints, inverses, strict=True):
+        yield number, joint.damping / (1.0 + joint.damping * dt_s * max(inverse, 0.0))
 
 
 COLLISION_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
@@ -100,13 +100,13 @@ class CollisionShapeArguments(TypedDict):
 def make_collision_shape_arguments(
     shapes: Sequence[Shape], *, folder: str, kinds: Mapping[str, int], mesh_flag: int
 ) -> CollisionShapeArguments:
-    """Lay collisions out.
+    """Make the arguments for a compound of shapes.
 
     Args:
-        shapes: What to make.
-        folder: Where `<Shape.mesh>.stl` is.
+        shapes: Of one part.
+        folder: Of `<Shape.mesh>.stl`.
         kinds: Bullet's number for each kind of shape.
-        mesh_flag: How meshes are to be taken.
+        mesh_flag: Bullet's flag for meshes.
     """
     return CollisionShapeArguments(
         shapeTypes=[kinds[s.kind] for s in shapes],
@@ -151,13 +151,13 @@ def make_multibody_arguments(
     visual: int,
     kinds: Mapping[str, int],
 ) -> MultiBodyArguments:
-    """Lay a blueprint out.
+    """Make the arguments for a body.
 
     Args:
-        blueprint: What to make.
+        blueprint: Of the body.
         base: State row (13,) of its root link.
         shapes: Bullet's number for the collision shape of each part; -1 for none.
-        visual: Bullet's number for what every part looks like.
+        visual: Bullet's number for the visual shape of every part.
         kinds: Bullet's number for each kind of joint.
     """
     root, *rest = blueprint.parts
@@ -171,7 +171,7 @@ def make_multibody_arguments(
         baseInertialFrameOrientation=root.principal,
         linkMasses=[_link_mass(part) for part in rest],
         linkCollisionShapeIndices=shapes[1:],
-        # Without a visual shape Bullet tessellates every collision shape: five times the cost.
+        # Without visual shapes Bullet tessellates collision shapes: five times slower.
         linkVisualShapeIndices=[visual] * len(rest),
         linkPositions=[part.origin.position for part in rest],
         linkOrientations=[part.origin.orientation for part in rest],
@@ -186,17 +186,19 @@ def make_multibody_arguments(
 def make_dynamics_arguments(
     blueprint: Blueprint, dt_s: float
 ) -> Iterator[tuple[int, DynamicsArguments]]:
-    """Lay out how the parts of a blueprint move and touch; parts are numbered from -1, the root."""
-    # Damping belongs to the whole body; passing it for a link rewrites the root's friction.
+    """Make the dynamics arguments of each part; parts are numbered from -1, the root."""
+    # Damping is of the whole body; passing it for a link overwrites the root's friction.
     yield -1, DynamicsArguments(linearDamping=0.0, angularDamping=0.0)
     for number, part in enumerate(blueprint.parts, start=-1):
-        found = make_contact_arguments(part, dt_s, is_static=blueprint.is_static)
+        arguments = make_contact_arguments(part, dt_s, is_static=blueprint.is_static)
         if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
-            found["localInertiaDiagonal"] = [max(moment, MIN_INERTIA) for moment in part.inertia]
+            arguments["localInertiaDiagonal"] = [
+                max(moment, MIN_INERTIA) for moment in part.inertia
+            ]
         if part.joint is not None and part.joint.kind in ("revolute", "prismatic"):
-            found["jointLowerLimit"] = part.joint.lower
-            found["jointUpperLimit"] = part.joint.upper
-        yield number, found
+            arguments["jointLowerLimit"] = part.joint.lower
+            arguments["jointUpperLimit"] = part.joint.upper
+        yield number, arguments
 
 
 def _link_mass(part: RigidPart) -> float:
@@ -204,41 +206,42 @@ def _link_mass(part: RigidPart) -> float:
 
 
 class CollisionShapeCache:
-    """Which shapes an engine has made, by what they are."""
+    """Collision shapes of an engine; equal shapes are created once."""
 
     def __init__(
-        self, make: Callable[..., int], *, folder: str, kinds: Mapping[str, int], dented: int
+        self, make: Callable[..., int], *, folder: str, kinds: Mapping[str, int], concave: int
     ) -> None:
-        """Begin with none.
+        """Make an empty cache.
 
         Args:
-            make: Makes one of what `solids_of` lays out.
-            folder: Where `<Shape.mesh>.stl` is.
+            make: Creates a shape from `CollisionShapeArguments`.
+            folder: Of `<Shape.mesh>.stl`.
             kinds: The engine's number for each kind of shape.
-            dented: The flag of meshes that are taken as they are; only what never moves may be.
+            concave: The flag for concave meshes, which only static bodies may have.
         """
         self._make = make
         self._folder = folder
         self._kinds = kinds
-        self._dented = dented
-        self._made: dict[ShapeKey, int] = {(): -1}
+        self._concave = concave
+        self._shapes: dict[ShapeKey, int] = {(): -1}
 
-    def find(self, plan: Blueprint, shapes: tuple[Shape, ...]) -> int:
-        """Find the engine's number for the shapes of one part, made now if need be."""
-        key = make_shape_key(shapes, is_static=plan.is_static)
-        if key not in self._made:
-            flag = self._dented if plan.is_static else 0
-            solids = make_collision_shape_arguments(
+    def find(self, blueprint: Blueprint, shapes: tuple[Shape, ...]) -> int:
+        """Find the engine's number for the shapes of one part; create it if missing."""
+        key = make_shape_key(shapes, is_static=blueprint.is_static)
+        if key not in self._shapes:
+            flag = self._concave if blueprint.is_static else 0
+            arguments = make_collision_shape_arguments(
                 shapes, folder=self._folder, kinds=self._kinds, mesh_flag=flag
             )
-            self._made[key] = self._make(**solids)
-        return self._made[key]
+            self._shapes[key] = self._make(**arguments)
+        return self._shapes[key]
 
-    def find_missing(self, plan: Blueprint) -> list[RigidPart]:
-        """List the parts whose shapes the engine has not yet."""
-        keys = {make_shape_key(part.shapes, is_static=plan.is_static): part for part in plan.parts}
-        return [part for key, part in keys.items() if key not in self._made]
+    def find_missing(self, blueprint: Blueprint) -> list[RigidPart]:
+        """List the parts whose shapes are not created yet."""
+        is_static = blueprint.is_static
+        keys = {make_shape_key(part.shapes, is_static=is_static): part for part in blueprint.parts}
+        return [part for key, part in keys.items() if key not in self._shapes]
 
-    def check(self, plan: Blueprint, parts: list[RigidPart]) -> None:
-        """See that meshes of parts can be made; raises EngineRefused if not."""
-        check_mesh_files(plan.name, parts, self._folder)
+    def check(self, blueprint: Blueprint, parts: list[RigidPart]) -> None:
+        """Check that the mesh files of parts exist; raises EngineRefused if not."""
+        check_mesh_files(blueprint.name, parts, self._folder)

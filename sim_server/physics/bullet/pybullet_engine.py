@@ -55,38 +55,38 @@ OUTPUT_STREAMS = (1, 2)
 
 @contextmanager
 def suppress_output() -> Iterator[None]:
-    """Send what C code prints inside, on either stream, to nowhere."""
+    """Discard what C code prints on stdout and stderr."""
     libc = ctypes.CDLL(None)
     sys.stdout.flush()
     sys.stderr.flush()
     libc.fflush(None)
-    kept = [os.dup(stream) for stream in OUTPUT_STREAMS]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
+    copies = [os.dup(stream) for stream in OUTPUT_STREAMS]
+    null = os.open(os.devnull, os.O_WRONLY)
     for stream in OUTPUT_STREAMS:
-        os.dup2(nowhere, stream)
+        os.dup2(null, stream)
     try:
         yield
     finally:
         libc.fflush(None)
-        for stream, copy in zip(OUTPUT_STREAMS, kept, strict=True):
+        for stream, copy in zip(OUTPUT_STREAMS, copies, strict=True):
             os.dup2(copy, stream)
             os.close(copy)
-        os.close(nowhere)
+        os.close(null)
 
 
 with suppress_output():
     import pybullet
 
 MAX_PARTS = 128
-"""Bullet reads the states of a body's first 127 joints back and no more."""
+"""Bullet returns the states of a body's first 127 joints only."""
 
 VISUAL_HALF_EXTENTS = (0.01, 0.01, 0.01)
 ACTIVATION_ASLEEP = (pybullet.ACTIVATION_STATE_ENABLE_SLEEPING, pybullet.ACTIVATION_STATE_SLEEP)
 ACTIVATION_AWAKE = (pybullet.ACTIVATION_STATE_WAKE_UP, pybullet.ACTIVATION_STATE_DISABLE_SLEEPING)
-COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group and mask of what is touched
+COLLIDE_WITH_NOTHING, COLLIDE_WITH_ALL = (0, 0), (1, -1)  # group, mask
 ORIGIN_STATE: FloatArray = np.array([0.0] * 6 + [1.0] + [0.0] * 6)
 
-OVERLAP_M = 0.001  # bodies that only touch do not overlap
+OVERLAP_M = 0.001  # depth from which bodies overlap instead of touching
 
 VELOCITY_MODE = (pybullet.VELOCITY_CONTROL, "targetVelocities")
 POSITION_MODE = (pybullet.POSITION_CONTROL, "targetPositions")
@@ -102,13 +102,13 @@ class PyBulletEngine(Engine):
     capabilities = EngineCapabilities(hides=True, sleeps=True)
 
     def __init__(self, config: EngineConfig, *, awake: int = 0) -> None:
-        """Connect; so many parked bodies stay awake, for those who move bodies in and out."""
+        """Connect; keep `awake` pooled bodies awake, for bodies that arrive with a velocity."""
         self._client = client = pybullet.connect(pybullet.DIRECT)
         self._shapes = CollisionShapeCache(
             partial(pybullet.createCollisionShapeArray, physicsClientId=client),
             folder=config.mesh_folder,
             kinds=GEOMETRY_TYPES,
-            dented=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+            concave=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
         )
         self._bodies: dict[int, BulletBody] = {}
         self._pool = BodyPool(awake)
@@ -134,19 +134,19 @@ class PyBulletEngine(Engine):
         self._ground = self._add_ground(config.ground_friction) if config.has_ground else None
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`: makes the collision shape of one part."""
+        """See `Engine.prepare`; creates the collision shape of one part."""
         try:
-            plan = self._blueprints.find(model)
-            for part in self._shapes.find_missing(plan)[:1]:
-                self._shapes.check(plan, [part])
-                self._shapes.find(plan, part.shapes)
+            blueprint = self._blueprints.find(model)
+            for part in self._shapes.find_missing(blueprint)[:1]:
+                self._shapes.check(blueprint, [part])
+                self._shapes.find(blueprint, part.shapes)
                 return False
         except (EngineRefused, pybullet.error):
             return True
         return True
 
     def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; one that slept would lose its velocity in the first step."""
+        """See `Engine.add`; a moving body needs a pooled body that is awake."""
         blueprint = self._blueprints.find(model)
         self._shapes.check(blueprint, self._shapes.find_missing(blueprint))
         if (parked := self._pool.take(model, awake=bool(base[7:].any()))) is not None:
@@ -155,24 +155,26 @@ class PyBulletEngine(Engine):
         try:
             body = self._create(blueprint, base)
         except pybullet.error as error:
-            raise EngineRefused(f"model '{model.name}' was refused by Bullet: {error}") from error
+            raise EngineRefused(
+                f"model '{model.name}': Bullet cannot create it: {error}"
+            ) from error
         self._com_frames.add(body, blueprint.parts[0])
         self._set_dynamics(body, blueprint)
         self._set_dampings(body, blueprint)
         loads = make_link_forces(blueprint, self._gravity, self._dt_s)
         gears = [self._make_gear_constraint(body, gear) for gear in list_gear_constraints(model)]
         self._register(body, make_bullet_body(model, blueprint, loads, gears))
-        # Made at its place, with joints at zero: placing it again would cost as much as making it.
+        # Created in place with joints at zero: setting the pose again takes as long as creating it.
         self._set_velocity(body, self._com_frames.to_com_state(body, base)[7:])
         self._clear_targets(body)
         return body
 
     def remove(self, body: int) -> None:
-        """See `Engine.remove`; a body is parked where there is a place for it."""
+        """See `Engine.remove`; the body goes to the pool if there is room."""
         self._set_rolling_resistance(body, is_held=False)
         known = self._bodies.pop(body)
-        for kept in (self._twists, self._loads, self._pending_velocities):
-            kept.pop(body, None)
+        for table in (self._twists, self._loads, self._pending_velocities):
+            table.pop(body, None)
         if self._pool.has_room_for(known) and self._is_finite(body):
             self._park(body, known)
             return
@@ -181,7 +183,7 @@ class PyBulletEngine(Engine):
         pybullet.removeBody(body, physicsClientId=self._client)
 
     def hide(self, body: int) -> None:
-        """See `Engine.hide`; gears would wake it."""
+        """See `Engine.hide`; not with gears, which would wake it."""
         if not (known := self._bodies[body]).gears:
             self._loads.pop(body, None)
             self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
@@ -236,16 +238,18 @@ class PyBulletEngine(Engine):
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
         state = self._com_frames.to_com_state(body, base)
-        place, turn = state[:3].tolist(), state[3:7].tolist()
-        pybullet.resetBasePositionAndOrientation(body, place, turn, physicsClientId=self._client)
+        position, orientation = state[:3].tolist(), state[3:7].tolist()
+        pybullet.resetBasePositionAndOrientation(
+            body, position, orientation, physicsClientId=self._client
+        )
         self._set_velocity(body, state[7:])
-        if (waiting := self._pending_velocities.get(body)) is not None:
-            self._pending_velocities[body] = state[7:], waiting[1]
+        if (pending := self._pending_velocities.get(body)) is not None:
+            self._pending_velocities[body] = state[7:], pending[1]
 
     def set_state(
         self, body: int, base: FloatArray, positions: FloatArray, velocities: FloatArray
     ) -> None:
-        """See `Engine.set_state`; one brought back in this step stands still until the next."""
+        """See `Engine.set_state`; a body woken in this step moves from the next on."""
         self.set_base_state(body, base)
         self._set_joints(body, positions, velocities)
 
@@ -258,8 +262,8 @@ class PyBulletEngine(Engine):
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
         """See `Engine.command`."""
-        for body, numbers in self._commands.take_changed(bodies, targets):
-            self._actuate(body, numbers)
+        for body, own in self._commands.take_changed(bodies, targets):
+            self._actuate(body, own)
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.apply_link_wrench`."""
@@ -274,7 +278,7 @@ class PyBulletEngine(Engine):
         )
 
     def step(self) -> bool:
-        """See `Engine.step`; a body gone bad that touches the ground takes the ground with it."""
+        """See `Engine.step`; a diverged body makes the state of the ground it touches invalid."""
         if self._twists:
             self._impose_twists()
         self._apply_loads()
@@ -301,13 +305,14 @@ class PyBulletEngine(Engine):
 
     def _set_joints(self, body: int, positions: FloatArray, velocities: FloatArray) -> None:
         joints = self._bodies[body].joints
-        for joint, at, speed in zip(joints, positions.tolist(), velocities.tolist(), strict=True):
-            pybullet.resetJointState(body, joint, at, speed, physicsClientId=self._client)
-        if (waiting := self._pending_velocities.get(body)) is not None:
-            self._pending_velocities[body] = waiting[0], velocities.copy()
+        states = zip(joints, positions.tolist(), velocities.tolist(), strict=True)
+        for joint, position, speed in states:
+            pybullet.resetJointState(body, joint, position, speed, physicsClientId=self._client)
+        if (pending := self._pending_velocities.get(body)) is not None:
+            self._pending_velocities[body] = pending[0], velocities.copy()
 
     def _park(self, body: int, known: BulletBody) -> None:
-        """Put a body where it touches nothing, to sleep there unless it is to be ready."""
+        """Move a body to the pool, asleep unless it belongs to those kept awake."""
         self._set_collision_filter(body, known, *COLLIDE_WITH_NOTHING)
         self.set_base_state(body, self._pool.park(body, known))
         self._set_activation(self._pool.add_awake(body), ACTIVATION_ASLEEP)
@@ -325,15 +330,15 @@ class PyBulletEngine(Engine):
         if not awake:
             self._set_activation([body], ACTIVATION_AWAKE)
             self._pending_velocities[body] = np.zeros(6), np.zeros(len(known.joints))
-        elif (sleeper := self._pool.wake_next(known.model)) is not None:
-            self._set_activation([sleeper], ACTIVATION_AWAKE)
+        elif (next_awake := self._pool.wake_next(known.model)) is not None:
+            self._set_activation([next_awake], ACTIVATION_AWAKE)
         self._set_collision_filter(body, known, *COLLIDE_WITH_ALL)
         self._register(body, known)
         self.set_at_rest(body, base)
         return body
 
     def _apply_pending_velocities(self) -> None:
-        """Move what was brought back: Bullet stops what slept in the first step after its sleep."""
+        """Set the velocities of woken bodies: Bullet zeroes them in the first step after sleep."""
         for body, (velocity, speeds) in list(self._pending_velocities.items()):
             if velocity.any() or speeds.any():
                 positions = self.read([body]).joint_positions
@@ -342,119 +347,121 @@ class PyBulletEngine(Engine):
         self._pending_velocities.clear()
 
     def _clear_targets(self, body: int) -> None:
-        """Give a body targets of 0, and its own way where a twist moved it."""
+        """Set the targets of a body to 0 and stop imposing its twist."""
         self._commands.forget(body)
         self._actuate(body, [0.0] * self._bodies[body].actuation.width)
         self._twists.pop(body, None)
 
-    def _actuate(self, body: int, numbers: list[float]) -> None:
-        plan = self._bodies[body].actuation
-        for motors, (mode, targets) in ((plan.speeds, VELOCITY_MODE), (plan.angles, POSITION_MODE)):
+    def _actuate(self, body: int, targets: list[float]) -> None:
+        actuation = self._bodies[body].actuation
+        speeds, angles = actuation.speeds, actuation.angles
+        for motors, (mode, keyword) in ((speeds, VELOCITY_MODE), (angles, POSITION_MODE)):
             if motors.joints:
-                how: dict[str, Any] = {targets: motors.select(numbers), "forces": motors.efforts}
+                values: dict[str, Any] = {keyword: motors.select(targets), "forces": motors.efforts}
                 pybullet.setJointMotorControlArray(
-                    body, motors.joints, mode, **how, physicsClientId=self._client
+                    body, motors.joints, mode, **values, physicsClientId=self._client
                 )
-        self._set_rolling_resistance(body, is_held=not any(plan.speeds.select(numbers)))
-        if plan.twist is not None:
-            self._twists[body] = numbers[plan.twist : plan.twist + 3]
+        self._set_rolling_resistance(body, is_held=not any(speeds.select(targets)))
+        if actuation.twist is not None:
+            self._twists[body] = targets[actuation.twist : actuation.twist + 3]
 
     def _set_rolling_resistance(self, body: int, *, is_held: bool) -> None:
-        """Let the wheels of a body that stands resist rolling, and those of one that goes not."""
+        """Enable rolling friction of the wheels of a body that stands; disable it when it drives."""
         if is_held == (body in self._resisting):
             return
         (self._resisting.add if is_held else self._resisting.remove)(body)
         for part, friction in self._bodies[body].holds:
-            found = friction if is_held else 0.0
-            pybullet.changeDynamics(body, part, rollingFriction=found, physicsClientId=self._client)
+            rolling = friction if is_held else 0.0
+            pybullet.changeDynamics(
+                body, part, rollingFriction=rolling, physicsClientId=self._client
+            )
 
     def _impose_twists(self) -> None:
         bodies = list(self._twists)
         com = self._com_states(bodies)
-        turns, arms = self._com_frames.turns_and_arms(bodies, com)
+        orientations, arms = self._com_frames.orientations_and_arms(bodies, com)
         twists = np.array(list(self._twists.values()))
-        for body, row in zip(
-            bodies, impose_planar_twists(com[:, 7:], turns, arms, twists), strict=True
-        ):
-            self._set_velocity(body, row)
+        velocities = impose_planar_twists(com[:, 7:], orientations, arms, twists)
+        for body, velocity in zip(bodies, velocities, strict=True):
+            self._set_velocity(body, velocity)
 
     def _apply_loads(self) -> None:
         for body, loads in self._loads.items():
             for load in loads:
-                place, turn, velocity = self._part_state(body, load.part)
-                self._apply_wrench(body, load.part, place, *load.wrench(turn, velocity))
+                position, orientation, velocity = self._part_state(body, load.part)
+                wrench = load.wrench(orientation, velocity)
+                self._apply_wrench(body, load.part, position, *wrench)
 
     def _apply_wrench(
-        self, body: int, part: int, place: list[float], force: FloatArray, torque: FloatArray
+        self, body: int, part: int, position: list[float], force: FloatArray, torque: FloatArray
     ) -> None:
-        how = {"flags": pybullet.WORLD_FRAME, "physicsClientId": self._client}
-        pybullet.applyExternalForce(body, part, force.tolist(), place, **how)
-        pybullet.applyExternalTorque(body, part, torque.tolist(), **how)
+        options = {"flags": pybullet.WORLD_FRAME, "physicsClientId": self._client}
+        pybullet.applyExternalForce(body, part, force.tolist(), position, **options)
+        pybullet.applyExternalTorque(body, part, torque.tolist(), **options)
 
     def _part_state(self, body: int, part: int) -> tuple[list[float], FloatArray, FloatArray]:
         """Read the centre of mass of a part, its principal axes, and its velocity (6,)."""
         if part < 0:
             row = self._com_states([body])[0]
             return row[:3].tolist(), row[3:7], row[7:]
-        how = {"computeLinkVelocity": 1, "physicsClientId": self._client}
-        state = pybullet.getLinkState(body, part, **how)
+        options = {"computeLinkVelocity": 1, "physicsClientId": self._client}
+        state = pybullet.getLinkState(body, part, **options)
         return list(state[0]), np.array(state[1]), np.array([*state[6], *state[7]])
 
     def _com_states(self, bodies: Sequence[int]) -> FloatArray:
-        place_of, velocity_of = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
-        return read_base_states(bodies, self._client, place_of, velocity_of)
+        read_pose, read_velocity = pybullet.getBasePositionAndOrientation, pybullet.getBaseVelocity
+        return read_base_states(bodies, self._client, read_pose, read_velocity)
 
     def _is_finite(self, body: int) -> bool:
         return math.isfinite(pybullet.getBaseVelocity(body, physicsClientId=self._client)[0][0])
 
     def _add_ground(self, friction: float) -> int:
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=self._client)
-        # With nothing to see Bullet draws the whole plane: 6 MB and 10 ms.
+        # Without a visual shape Bullet tessellates the plane: 6 MB and 10 ms.
         ground = pybullet.createMultiBody(0.0, plane, self._visual, physicsClientId=self._client)
         friction = limit_static_body_friction(friction)
         pybullet.changeDynamics(ground, -1, lateralFriction=friction, physicsClientId=self._client)
-        self._set_activation(
-            [ground], ACTIVATION_ASLEEP
-        )  # so that nobody looks for contacts of sleepers
+        # Contacts between sleeping bodies and a sleeping ground are not searched.
+        self._set_activation([ground], ACTIVATION_ASLEEP)
         for _ in range(2):  # until it sleeps
             pybullet.stepSimulation(physicsClientId=self._client)
         return ground
 
     def _create(self, blueprint: Blueprint, base: FloatArray) -> int:
         shapes = [self._shapes.find(blueprint, part.shapes) for part in blueprint.parts]
-        creation = make_multibody_arguments(
+        arguments = make_multibody_arguments(
             blueprint, base, shapes=shapes, visual=self._visual, kinds=JOINT_TYPES
         )
         flags = pybullet.URDF_USE_SELF_COLLISION if has_self_collision(blueprint.links) else 0
-        body = pybullet.createMultiBody(**creation, flags=flags, physicsClientId=self._client)
-        for one, other, do_touch in list_self_collision_pairs(blueprint) if flags else ():
+        body = pybullet.createMultiBody(**arguments, flags=flags, physicsClientId=self._client)
+        for one, other, do_collide in list_self_collision_pairs(blueprint) if flags else ():
             pybullet.setCollisionFilterPair(
-                body, body, one, other, int(do_touch), physicsClientId=self._client
+                body, body, one, other, int(do_collide), physicsClientId=self._client
             )
         return body
 
     def _set_dynamics(self, body: int, blueprint: Blueprint) -> None:
-        for link, found in make_dynamics_arguments(blueprint, self._dt_s):
-            pybullet.changeDynamics(body, link, **found, physicsClientId=self._client)
-        # Every joint is born with a motor that brakes it: leave it only the joint's own friction.
-        how = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": self._client}
+        for link, arguments in make_dynamics_arguments(blueprint, self._dt_s):
+            pybullet.changeDynamics(body, link, **arguments, physicsClientId=self._client)
+        # Bullet gives each joint a motor that brakes it: reduce its force to the joint's friction.
+        options = {"controlMode": pybullet.VELOCITY_CONTROL, "physicsClientId": self._client}
         for link, joint in list_moving_joints(blueprint):
-            pybullet.setJointMotorControl2(body, link, force=joint.friction, **how)
+            pybullet.setJointMotorControl2(body, link, force=joint.friction, **options)
 
     def _set_dampings(self, body: int, blueprint: Blueprint) -> None:
         client, moving = self._client, list_moving_joints(blueprint)
         if not any(joint.damping for _, joint in moving):
             return
-        still = [0.0] * len(moving)
-        masses = np.array(pybullet.calculateMassMatrix(body, still, physicsClientId=client))
+        zeros = [0.0] * len(moving)
+        masses = np.array(pybullet.calculateMassMatrix(body, zeros, physicsClientId=client))
         for link, damping in limit_joint_dampings(moving, masses, self._dt_s):
             pybullet.changeDynamics(body, link, jointDamping=damping, physicsClientId=client)
 
     def _make_gear_constraint(self, body: int, gear: GearConstraint) -> int:
-        made: int = pybullet.createConstraint(
+        constraint: int = pybullet.createConstraint(
             *(body, gear.follower, body, gear.leader, pybullet.JOINT_GEAR),
             *(gear.axis, ZERO, ZERO),
             physicsClientId=self._client,
         )
-        pybullet.changeConstraint(made, **gear.hold, physicsClientId=self._client)
-        return made
+        pybullet.changeConstraint(constraint, **gear.hold, physicsClientId=self._client)
+        return constraint

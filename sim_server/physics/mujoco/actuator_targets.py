@@ -11,19 +11,19 @@ from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray, SlotAddress
 
 POSITION_ERP = 0.1
-"""Of its error, that a motor which holds an angle mends in a step; Bullet's own share."""
+"""Share of its error that a position motor corrects in a step; Bullet's default."""
 
 
 @dataclass(frozen=True)
 class ActuatorTargets:
-    """Targets of motors and of roots.
+    """Targets, an entry for each degree of freedom.
 
     Attributes:
-        speeds: What each motor is to reach [rad/s or m/s].
-        angles: Where each motor is to hold its joint [rad or m].
-        holds: Whether it holds an angle.
-        twists: vx, vy and wz at the first three of a root that a twist moves.
-        is_moved: Whether a twist moves the root that begins here.
+        speeds: Of a velocity motor [rad/s or m/s].
+        angles: Of a position motor [rad or m].
+        holds: Whether it is a position motor.
+        twists: vx, vy and wz at the first three of a root with a planar twist.
+        is_twist_imposed: At the first of a root: whether its twist is imposed.
     """
 
     speeds: FloatArray
@@ -33,20 +33,20 @@ class ActuatorTargets:
     is_twist_imposed: npt.NDArray[np.bool_]
 
     def remap(self, old: IndexArray, new: IndexArray, count: int) -> "ActuatorTargets":
-        """Move entries from places to places of another cast that has so many."""
-        found = make_zero_targets(count)
+        """Copy entries to the indexes of another model with `count` degrees of freedom."""
+        remapped = make_zero_targets(count)
         for field in fields(self):
-            getattr(found, field.name)[new] = getattr(self, field.name)[old]
-        return found
+            getattr(remapped, field.name)[new] = getattr(self, field.name)[old]
+        return remapped
 
-    def clear(self, places: IndexArray) -> None:
-        """Wish nothing any more."""
+    def clear(self, indexes: IndexArray) -> None:
+        """Reset entries to zero."""
         for field in fields(self):
-            getattr(self, field.name)[places] = 0
+            getattr(self, field.name)[indexes] = 0
 
 
 def make_zero_targets(count: int) -> ActuatorTargets:
-    """Make entries for so many degrees of freedom that wish nothing."""
+    """Make zero targets for `count` degrees of freedom."""
     return ActuatorTargets(
         np.zeros(count),
         np.zeros(count),
@@ -58,50 +58,50 @@ def make_zero_targets(count: int) -> ActuatorTargets:
 
 @dataclass(frozen=True)
 class TargetScatter:
-    """Which of the numbers that bodies are told go where.
+    """Where the targets of a sequence of bodies go.
 
     Attributes:
-        speeds, speed_numbers: Places in qvel, and of the numbers that they get.
-        angles, angle_numbers: Likewise.
-        roots, root_numbers: (t,) and (t, 3) likewise, of roots that a twist moves.
+        speeds, speed_columns: Indexes in qvel, and of their values in the targets.
+        angles, angle_columns: Likewise.
+        roots, root_columns: (t,) and (t, 3) likewise, of roots with a planar twist.
     """
 
     speeds: IndexArray
-    speed_numbers: IndexArray
+    speed_columns: IndexArray
     angles: IndexArray
-    angle_numbers: IndexArray
+    angle_columns: IndexArray
     roots: IndexArray
-    root_numbers: IndexArray
+    root_columns: IndexArray
 
-    def apply(self, wishes: ActuatorTargets, numbers: FloatArray) -> bool:
-        """Set what is wished; return whether a root is moved that was not before."""
-        wishes.speeds[self.speeds] = numbers[self.speed_numbers]
-        wishes.angles[self.angles] = numbers[self.angle_numbers]
+    def apply(self, stored: ActuatorTargets, targets: FloatArray) -> bool:
+        """Store targets; return whether a twist is imposed on a root that had none."""
+        stored.speeds[self.speeds] = targets[self.speed_columns]
+        stored.angles[self.angles] = targets[self.angle_columns]
         if not len(self.roots):
             return False
-        wishes.twists[self.roots[:, None] + np.arange(3)] = numbers[self.root_numbers]
-        is_new = not wishes.is_twist_imposed[self.roots].all()
-        wishes.is_twist_imposed[self.roots] = True
+        stored.twists[self.roots[:, None] + np.arange(3)] = targets[self.root_columns]
+        is_new = not stored.is_twist_imposed[self.roots].all()
+        stored.is_twist_imposed[self.roots] = True
         return is_new
 
 
 def make_target_scatter(bodies: Iterable[tuple[SlotAddress, Actuation]]) -> TargetScatter:
-    """Work out where the numbers go that bodies are told, in order."""
+    """Find the indexes for the targets of a sequence of bodies."""
     speeds: list[tuple[int, int]] = []
     angles: list[tuple[int, int]] = []
     roots: list[tuple[int, int]] = []
     first = 0
-    for seat, plan in bodies:
-        for found, motors in ((speeds, plan.speeds), (angles, plan.angles)):
-            for joint, place in zip(motors.joints, motors.columns, strict=True):
-                if (at := seat.joint_velocity(joint)) != NO_INDEX:
-                    found.append((at, first + place))
-        if plan.twist is not None and seat.is_free:
-            roots.append((seat.start.velocities, first + plan.twist))
-        first += plan.width
-    (speed, speed_number), (angle, angle_number), (root, root_number) = (
+    for address, actuation in bodies:
+        for pairs, motors in ((speeds, actuation.speeds), (angles, actuation.angles)):
+            for joint, column in zip(motors.joints, motors.columns, strict=True):
+                if (index := address.joint_velocity(joint)) != NO_INDEX:
+                    pairs.append((index, first + column))
+        if actuation.twist is not None and address.is_free:
+            roots.append((address.start.velocities, first + actuation.twist))
+        first += actuation.width
+    (speed, speed_column), (angle, angle_column), (root, root_column) = (
         np.array(pairs, np.intp).reshape(-1, 2).T for pairs in (speeds, angles, roots)
     )
     return TargetScatter(
-        speed, speed_number, angle, angle_number, root, root_number[:, None] + np.arange(3)
+        speed, speed_column, angle, angle_column, root, root_column[:, None] + np.arange(3)
     )

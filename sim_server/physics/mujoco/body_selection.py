@@ -23,13 +23,13 @@ QPOS_POSE_ORDER = np.array([0, 1, 2, 4, 5, 6, 3])
 
 @dataclass(frozen=True)
 class StateGather:
-    """How the state of some bodies is gathered.
+    """Indexes of the states of a sequence of bodies.
 
     Attributes:
-        free: Rows of those whose root moves.
-        roots, twists: (f, 7) and (f, 6) places of their roots in qpos and qvel.
-        joint_count: Of all bodies, moving or not.
-        joints, positions, velocities: Which joints move, and their places in qpos and qvel.
+        free: Rows of the bodies whose root moves.
+        roots, twists: (f, 7) and (f, 6) indexes of their roots in qpos and qvel.
+        joint_count: Of all bodies, fixed joints included.
+        joints, positions, velocities: Joints that move, and their indexes in qpos and qvel.
     """
 
     free: IndexArray
@@ -41,41 +41,41 @@ class StateGather:
     velocities: IndexArray
 
     def read_bases(self, rows: FloatArray, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
-        """Fill in the states (n, 13) of what is free; `rows` has those of the others."""
+        """Write the states of free roots into `rows` (n, 13), which has those of the others."""
         state = qpos[self.roots]
-        turns = state[:, 3:]
-        # MuJoCo lets lengths drift by 1e-15, which is an angle of 1e-7 by its cosine.
-        turns /= np.sqrt(np.einsum("ij,ij->i", turns, turns))[:, None]
+        orientations = state[:, 3:]
+        # Norms drift by 1e-15, which arccos turns into an angle of 1e-7.
+        orientations /= np.sqrt(np.einsum("ij,ij->i", orientations, orientations))[:, None]
         velocity = qvel[self.twists]
-        # A slice is written thrice as fast as rows by number.
+        # Writing a slice is three times faster than writing rows by index.
         free = slice(None) if len(rows) == len(self.free) else self.free
         rows[free, :7] = state
         rows[free, 7:10] = velocity[:, :3]
-        rows[free, 10:] = rotate(turns, velocity[:, 3:])
+        rows[free, 10:] = rotate(orientations, velocity[:, 3:])
         return rows
 
-    def gather_joints(self, numbers: FloatArray, places: IndexArray) -> FloatArray:
-        """Gather numbers of joints; those that do not move have 0."""
+    def gather_joints(self, values: FloatArray, indexes: IndexArray) -> FloatArray:
+        """Gather values of joints; 0 for fixed ones."""
         if len(self.joints) == self.joint_count:
-            return np.asarray(numbers[places])
-        found = np.zeros(self.joint_count)
-        found[self.joints] = numbers[places]
-        return found
+            return np.asarray(values[indexes])
+        gathered = np.zeros(self.joint_count)
+        gathered[self.joints] = values[indexes]
+        return gathered
 
 
-def make_state_gather(seats: Sequence[SlotAddress]) -> StateGather:
-    """Work out how the state of bodies is gathered."""
-    free = np.array([row for row, seat in enumerate(seats) if seat.is_free], np.intp)
-    roots = np.array([seats[row].start.positions for row in free], np.intp)
-    twists = np.array([seats[row].start.velocities for row in free], np.intp)
+def make_state_gather(addresses: Sequence[SlotAddress]) -> StateGather:
+    """Find the state indexes of a sequence of bodies."""
+    free = np.array([row for row, address in enumerate(addresses) if address.is_free], np.intp)
+    roots = np.array([addresses[row].start.positions for row in free], np.intp)
+    twists = np.array([addresses[row].start.velocities for row in free], np.intp)
     joints, positions, velocities = [], [], []
     first = 0
-    for seat in seats:
-        moving, place, speed = seat.joints
+    for address in addresses:
+        moving, position, velocity = address.joints
         joints.append(first + moving)
-        positions.append(place)
-        velocities.append(speed)
-        first += len(seat.layout.velocities)
+        positions.append(position)
+        velocities.append(velocity)
+        first += len(address.layout.velocities)
     return StateGather(
         free,
         roots[:, None] + QPOS_POSE_ORDER,
@@ -93,11 +93,11 @@ def _concatenate_indexes(parts: Sequence[IndexArray]) -> IndexArray:
 
 @dataclass
 class MujocoBody:
-    """What the engine knows of a body.
+    """A body in MuJoCo.
 
     Attributes:
-        slot: Its number among those of its make.
-        stand: State (13,) that it reads as where that is not MuJoCo's: when static, or broken.
+        slot: Its slot among those of its archetype.
+        fixed_state: State (13,) to read when MuJoCo has none: of a static or diverged body.
     """
 
     model: Model
@@ -111,12 +111,12 @@ class MujocoBody:
 
 @dataclass(frozen=True)
 class BodySelection:
-    """How some bodies are read and told."""
+    """Indexes to read and command a sequence of bodies."""
 
     gather: StateGather
     scatter: TargetScatter
     static_bodies: tuple[tuple[int, MujocoBody], ...]
-    """Rows of what is static."""
+    """Static bodies by row."""
 
     def read_bases(self, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
         """Read states (n, 13)."""
@@ -127,7 +127,7 @@ class BodySelection:
 
 
 def make_body_selection(bodies: Sequence[MujocoBody]) -> BodySelection:
-    """Work out how bodies are read and told."""
+    """Find the indexes of a sequence of bodies."""
     return BodySelection(
         make_state_gather([body.address for body in bodies]),
         make_target_scatter((body.address, body.actuation) for body in bodies),

@@ -1,4 +1,4 @@
-"""MJCF text of a world with slots, and the layout of the compiled model that follows from its order."""
+"""MJCF text of a world with slots, and the layout of its compiled model (ADR 38)."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArra
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.mujoco.convex_pieces import HullPoints
 from zensim.sim_server.physics.mujoco.mujoco_contact import (
+    GeomFriction,
     SolverParameters,
     find_geom_friction,
     make_geom_friction,
@@ -29,13 +30,13 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
 )
 
 LoadPieces = Callable[[Shape, bool], Sequence[HullPoints]]
-"""Convex pieces of a mesh, scaled; the flag says that it never moves."""
+"""Finds the convex pieces of a mesh, scaled; the flag is whether it is static."""
 IMPRATIO = 10.0
-"""How much less a contact slips than it sinks."""
+"""Ratio of frictional to normal constraint impedance."""
 MIN_JOINT_RANGE = 1e-6
-"""Between the limits of a joint that has both in one place [rad or m]."""
+"""Least range of a joint with equal limits [rad or m]."""
 SLOT_PLACEHOLDER = "@"
-"""Stands for the number of a slot in its text."""
+"""Placeholder of the slot number in the text of a slot."""
 SUPPORTED_JOINT_KINDS = ("revolute", "continuous", "prismatic", "fixed")
 SUPPORTED_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 MAX_PARTS = 256
@@ -45,29 +46,30 @@ CYLINDRICAL_KINDS = ("cylinder", "capsule")
 def write_mjcf(
     slots: Iterable[tuple[Archetype, int]], config: EngineConfig, pieces: LoadPieces
 ) -> str:
-    """Write a world with a ground, if it has one, and so many slots of each make."""
+    """Write a world with its ground and a number of slots of each archetype."""
     slots = list(slots)
-    assets, names = _write_meshes([make for make, _ in slots], pieces)
-    world, rules, gears = [_write_ground(config)], [""], [""]
+    assets, names = _write_meshes([archetype for archetype, _ in slots], pieces)
+    world, exclusions, equalities = [_write_ground(config)], [""], [""]
     number = 0
-    for make, count in slots:
+    for archetype, count in slots:
         texts = (
-            _write_body(make, 0, names, config.step_ns * 1e-9),
-            "".join(_write_exclusions(make)),
-            "".join(_write_mimic_equalities(make, config.step_ns * 1e-9)),
+            _write_body(archetype, 0, names, config.step_ns * 1e-9),
+            "".join(_write_exclusions(archetype)),
+            "".join(_write_mimic_equalities(archetype, config.step_ns * 1e-9)),
         )
         for _ in range(count):
-            for written, text in zip((world, rules, gears), texts, strict=True):
-                written.append(text.replace(SLOT_PLACEHOLDER, str(number)))
+            for section, text in zip((world, exclusions, equalities), texts, strict=True):
+                section.append(text.replace(SLOT_PLACEHOLDER, str(number)))
             number += 1
     return (
         '<mujoco><compiler angle="radian" balanceinertia="true" boundmass="0"/>'
         f'<option timestep="{config.step_ns * 1e-9!r}" gravity="{_join_numbers(config.gravity)}" '
         f'integrator="implicitfast" cone="elliptic" jacobian="sparse" impratio="{IMPRATIO}">'
-        # Whether a step begins where the last one ended is chosen for all islands together.
+        # Warm starts are accepted for all islands or for none, so robots would affect each other.
         '<flag autoreset="disable" warmstart="disable"/></option>'
         f"<asset>{''.join(assets)}</asset><worldbody>{''.join(world)}</worldbody>"
-        f"<contact>{''.join(rules)}</contact><equality>{''.join(gears)}</equality></mujoco>"
+        f"<contact>{''.join(exclusions)}</contact>"
+        f"<equality>{''.join(equalities)}</equality></mujoco>"
     )
 
 
@@ -75,18 +77,18 @@ MeshPieceNames = dict[tuple[Shape, bool], list[str]]
 
 
 def _write_meshes(
-    makes: Iterable[Archetype], pieces: LoadPieces
+    archetypes: Iterable[Archetype], pieces: LoadPieces
 ) -> tuple[list[str], MeshPieceNames]:
-    """Write each mesh once; name the pieces of each."""
+    """Write each mesh once; return the text and the names of the pieces of each."""
     texts: list[str] = []
     names: MeshPieceNames = {}
-    for make in makes:
-        for shape in (shape for part in make.parts for shape in part.shapes if shape.mesh):
-            key = shape, make.is_static
+    for archetype in archetypes:
+        for shape in (shape for part in archetype.parts for shape in part.shapes if shape.mesh):
+            key = shape, archetype.is_static
             if key in names:
                 continue
             names[key] = []
-            for points in pieces(shape, make.is_static):
+            for points in pieces(shape, archetype.is_static):
                 names[key].append(name := f"m{len(texts)}")
                 texts.append(
                     f'<mesh name="{name}" inertia="convex" vertex="{_join_numbers(points.ravel())}"/>'
@@ -94,48 +96,51 @@ def _write_meshes(
     return texts, names
 
 
-def list_geometry_parts(make: Archetype, pieces: LoadPieces) -> list[RigidPart]:
-    """List the part that each geometry of a slot belongs to, in MuJoCo's order."""
-    found: list[RigidPart] = []
+def list_geometry_parts(archetype: Archetype, pieces: LoadPieces) -> list[RigidPart]:
+    """List the part of each geometry of a slot, in MuJoCo's order."""
+    parts: list[RigidPart] = []
 
     def visit(link: int) -> None:
-        for part, shape in make.shapes(link):
-            found.extend([part] * (len(pieces(shape, make.is_static)) if shape.mesh else 1))
-        for child in make.children(link):
+        for part, shape in archetype.shapes(link):
+            parts.extend([part] * (len(pieces(shape, archetype.is_static)) if shape.mesh else 1))
+        for child in archetype.children(link):
             visit(child)
 
     visit(0)
-    return found
+    return parts
 
 
 def _write_ground(config: EngineConfig) -> str:
     if not config.has_ground:
         return ""
-    found = make_geom_friction(config.ground_friction, is_static=True)
-    touch = _contact_attributes(
-        found.friction, found.priority, found.rows, make_rigid_parameters(config.step_ns * 1e-9)
-    )
-    return f'<geom type="plane" size="0 0 1" {touch}/>'
+    friction = make_geom_friction(config.ground_friction, is_static=True)
+    contact = _contact_attributes(friction, make_rigid_parameters(config.step_ns * 1e-9))
+    return f'<geom type="plane" size="0 0 1" {contact}/>'
 
 
-def _write_body(make: Archetype, link: int, names: MeshPieceNames, dt_s: float) -> str:
-    part = make.link_parts[link]
-    inside = [_write_inertial(part)]
+def _write_body(archetype: Archetype, link: int, names: MeshPieceNames, dt_s: float) -> str:
+    part = archetype.link_parts[link]
+    children = [_write_inertial(part)]
     if link:
-        inside.append(_write_joint(part, link, dt_s))
-    elif not make.is_static:
-        inside.append("<freejoint/>")
-    inside.extend(_write_geometries(make, link, names, dt_s))
-    inside.extend(_write_body(make, child, names, dt_s) for child in make.children(link))
-    # Compiled in, as MuJoCo else passes over what is written into the model later.
-    return f'<body name="b{SLOT_PLACEHOLDER}.{link}" gravcomp="1" {_pose_attributes(part.origin)}>{"".join(inside)}</body>'
+        children.append(_write_joint(part, link, dt_s))
+    elif not archetype.is_static:
+        children.append("<freejoint/>")
+    children.extend(_write_geometries(archetype, link, names, dt_s))
+    children.extend(
+        _write_body(archetype, child, names, dt_s) for child in archetype.children(link)
+    )
+    # MuJoCo ignores body_gravcomp set later if no body has it when compiled.
+    return (
+        f'<body name="b{SLOT_PLACEHOLDER}.{link}" gravcomp="1" {_pose_attributes(part.origin)}>'
+        f"{''.join(children)}</body>"
+    )
 
 
 def _write_inertial(part: RigidPart) -> str:
     moments = [max(moment, MIN_INERTIA) for moment in part.inertia]
-    place = _pose_attributes(Origin(part.com, part.principal))
+    pose = _pose_attributes(Origin(part.com, part.principal))
     mass = max(part.mass_kg, MIN_MASS_KG)
-    return f'<inertial {place} mass="{mass!r}" diaginertia="{_join_numbers(moments)}"/>'
+    return f'<inertial {pose} mass="{mass!r}" diaginertia="{_join_numbers(moments)}"/>'
 
 
 def _write_joint(part: RigidPart, link: int, dt_s: float) -> str:
@@ -143,28 +148,30 @@ def _write_joint(part: RigidPart, link: int, dt_s: float) -> str:
     if joint is None or joint.kind == "fixed":
         return ""
     kind = "slide" if joint.kind == "prismatic" else "hinge"
-    limits = ""
+    rigid, limits = make_rigid_parameters(dt_s), ""
     if joint.kind != "continuous" and joint.lower <= joint.upper:
-        high = max(joint.upper, joint.lower + MIN_JOINT_RANGE)
-        limits = f'limited="true" range="{joint.lower!r} {high!r}" {_solver_attributes("limit", make_rigid_parameters(dt_s))} '
+        upper = max(joint.upper, joint.lower + MIN_JOINT_RANGE)
+        limits = (
+            f'limited="true" range="{joint.lower!r} {upper!r}" '
+            f"{_solver_attributes('limit', rigid)} "
+        )
     return (
-        f'<joint name="j{SLOT_PLACEHOLDER}.{link}" type="{kind}" axis="{_join_numbers(joint.axis)}" {limits}'
+        f'<joint name="j{SLOT_PLACEHOLDER}.{link}" type="{kind}" '
+        f'axis="{_join_numbers(joint.axis)}" {limits}'
         f'damping="{joint.damping!r}" frictionloss="{joint.friction!r}" '
         f"{_solver_attributes('friction', make_motor_parameters(dt_s))}/>"
     )
 
 
 def _write_geometries(
-    make: Archetype, link: int, names: MeshPieceNames, dt_s: float
+    archetype: Archetype, link: int, names: MeshPieceNames, dt_s: float
 ) -> Iterator[str]:
-    for part, shape in make.shapes(link):
-        found = find_geom_friction(part, is_static=make.is_static)
-        touch = _contact_attributes(
-            found.friction, found.priority, found.rows, make_rigid_parameters(dt_s)
-        )
-        rest = f"{_pose_attributes(shape.origin)} {touch}/>"
+    for part, shape in archetype.shapes(link):
+        friction = find_geom_friction(part, is_static=archetype.is_static)
+        contact = _contact_attributes(friction, make_rigid_parameters(dt_s))
+        rest = f"{_pose_attributes(shape.origin)} {contact}/>"
         if shape.mesh:
-            for name in names[shape, make.is_static]:
+            for name in names[shape, archetype.is_static]:
                 yield f'<geom type="mesh" mesh="{name}" {rest}'
         else:
             yield f'<geom type="{shape.kind}" size="{_join_numbers(_geom_size(shape))}" {rest}'
@@ -177,14 +184,18 @@ def _geom_size(shape: Shape) -> tuple[float, ...]:
     return (radius, length / 2.0) if shape.kind in CYLINDRICAL_KINDS else (radius,)
 
 
-def _contact_attributes(friction: float, priority: int, rows: int, how: SolverParameters) -> str:
-    return f'friction="{friction!r} 0 0" priority="{priority}" condim="{rows}" mass="0" {_solver_attributes("", how)}'
-
-
-def _solver_attributes(what: str, how: SolverParameters) -> str:
-    d = how.impedance
+def _contact_attributes(found: GeomFriction, solver: SolverParameters) -> str:
     return (
-        f'solref{what}="{how.stiffness!r} {how.damping!r}" solimp{what}="{d!r} {d!r} 0.001 0.5 2"'
+        f'friction="{found.friction!r} 0 0" priority="{found.priority}" condim="{found.rows}" '
+        f'mass="0" {_solver_attributes("", solver)}'
+    )
+
+
+def _solver_attributes(suffix: str, solver: SolverParameters) -> str:
+    d = solver.impedance
+    return (
+        f'solref{suffix}="{solver.stiffness!r} {solver.damping!r}" '
+        f'solimp{suffix}="{d!r} {d!r} 0.001 0.5 2"'
     )
 
 
@@ -197,27 +208,35 @@ def _join_numbers(numbers: Iterable[float]) -> str:
     return " ".join(repr(float(number)) for number in numbers)
 
 
-def _write_exclusions(make: Archetype) -> Iterator[str]:
-    """Keep the links of a slot apart that do not touch each other."""
-    solid = [link for link in range(len(make.link_parts)) if any(True for _ in make.shapes(link))]
+def _write_exclusions(archetype: Archetype) -> Iterator[str]:
+    """Exclude contacts between links of a slot that do not collide."""
+    solid = [
+        link
+        for link in range(len(archetype.link_parts))
+        if any(True for _ in archetype.shapes(link))
+    ]
     for i, one in enumerate(solid):
         for other in solid[i + 1 :]:
-            asks = make.self_collides[one] or make.self_collides[other]
+            is_enabled = archetype.self_collides[one] or archetype.self_collides[other]
             if (
-                not asks
-                or one == make.link_parts[other].parent
-                or other == make.link_parts[one].parent
+                not is_enabled
+                or one == archetype.link_parts[other].parent
+                or other == archetype.link_parts[one].parent
             ):
-                yield f'<exclude body1="b{SLOT_PLACEHOLDER}.{one}" body2="b{SLOT_PLACEHOLDER}.{other}"/>'
+                yield (
+                    f'<exclude body1="b{SLOT_PLACEHOLDER}.{one}" '
+                    f'body2="b{SLOT_PLACEHOLDER}.{other}"/>'
+                )
 
 
-def _write_mimic_equalities(make: Archetype, dt_s: float) -> Iterator[str]:
-    index = {part.joint.name: link for link, part in enumerate(make.link_parts) if part.joint}
-    for link in list_mimic_links(make):
-        joint = make.link_parts[link].joint
+def _write_mimic_equalities(archetype: Archetype, dt_s: float) -> Iterator[str]:
+    index = {part.joint.name: link for link, part in enumerate(archetype.link_parts) if part.joint}
+    for link in list_mimic_links(archetype):
+        joint = archetype.link_parts[link].joint
         if joint is not None and joint.mimic is not None:
+            leader = index[joint.mimic.joint]
             yield (
-                f'<joint joint1="j{SLOT_PLACEHOLDER}.{link}" joint2="j{SLOT_PLACEHOLDER}.{index[joint.mimic.joint]}" '
+                f'<joint joint1="j{SLOT_PLACEHOLDER}.{link}" joint2="j{SLOT_PLACEHOLDER}.{leader}" '
                 f'polycoef="{joint.mimic.offset!r} {joint.mimic.multiplier!r} 0 0 0" '
                 f"{_solver_attributes('', make_rigid_parameters(dt_s))}/>"
             )
@@ -225,13 +244,13 @@ def _write_mimic_equalities(make: Archetype, dt_s: float) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class ModelLayout:
-    """Where the slots of a cast are.
+    """Where the slots of a compiled model are.
 
     Attributes:
-        firsts: Where the first slot of all begins.
-        begins: Where the first slot of each make begins.
-        layouts: What is where in a slot of each make.
-        parts: The part of each geometry of a slot.
+        first_slot: Start of the first slot.
+        start: Start of the first slot of each archetype.
+        layouts: Layout of a slot of each archetype.
+        parts: Part of each geometry of a slot of each archetype.
     """
 
     slot_counts: SlotCounts
@@ -240,49 +259,53 @@ class ModelLayout:
     layouts: Mapping[Archetype, SlotLayout]
     parts: Mapping[Archetype, tuple[RigidPart, ...]]
 
-    def address(self, make: Archetype, slot: int) -> SlotAddress:
-        """Find where a slot is."""
-        layout = self.layouts[make]
-        return SlotAddress(self.start[make] + layout.sizes.times(slot), layout, not make.is_static)
+    def address(self, archetype: Archetype, slot: int) -> SlotAddress:
+        """Find the indexes of a slot."""
+        layout = self.layouts[archetype]
+        return SlotAddress(
+            self.start[archetype] + layout.sizes.times(slot), layout, not archetype.is_static
+        )
 
     def addresses(self) -> Iterator[tuple[Archetype, SlotAddress]]:
         """List all slots."""
-        for make, count in self.slot_counts:
+        for archetype, count in self.slot_counts:
             for slot in range(count):
-                yield make, self.address(make, slot)
+                yield archetype, self.address(archetype, slot)
 
     def heights(self) -> IndexArray:
-        """List where in qpos the heights of all roots are that move."""
+        """List the indexes in qpos of the heights of all free roots."""
         found = [
-            self.start[make].positions + 2 + self.layouts[make].sizes.positions * np.arange(count)
-            for make, count in self.slot_counts
-            if not make.is_static
+            self.start[archetype].positions
+            + 2
+            + self.layouts[archetype].sizes.positions * np.arange(count)
+            for archetype, count in self.slot_counts
+            if not archetype.is_static
         ]
         return np.concatenate([np.zeros(0, np.intp), *found])
 
     def invalid_inertias(self) -> Iterator[tuple[int, FloatArray]]:
-        """List bodies with moments that no solid could have: MuJoCo makes others of them."""
-        for make, seat in self.addresses():
-            for link, part in enumerate(make.link_parts):
+        """List bodies with principal moments that no solid can have: MuJoCo changes them."""
+        for archetype, address in self.addresses():
+            for link, part in enumerate(archetype.link_parts):
                 moments = np.maximum(part.inertia, MIN_INERTIA)
                 if 2.0 * moments.max() > moments.sum():
-                    yield seat.start.bodies + seat.layout.bodies[link], moments
+                    yield address.start.bodies + address.layout.bodies[link], moments
 
     def soft_geometries(self) -> Iterator[tuple[int, RigidPart]]:
-        """List geometries that are not rigid."""
-        for make, seat in self.addresses():
-            for offset, part in enumerate(self.parts[make]):
+        """List geometries with a contact stiffness."""
+        for archetype, address in self.addresses():
+            for offset, part in enumerate(self.parts[archetype]):
                 if part.contact.stiffness > 0.0:
-                    yield seat.start.geometries + offset, part
+                    yield address.start.geometries + offset, part
 
 
-def make_model_layout(cast: SlotCounts, config: EngineConfig, pieces: LoadPieces) -> ModelLayout:
-    """Find where MuJoCo puts the slots of a cast, by the order of its text."""
-    at = firsts = SlotSizes(bodies=1, geometries=int(config.has_ground))
-    begins, layouts, parts = {}, {}, {}
-    for make, count in cast:
-        parts[make] = tuple(list_geometry_parts(make, pieces))
-        layouts[make] = make_slot_layout(make, len(parts[make]))
-        begins[make] = at
-        at += layouts[make].sizes.times(count)
-    return ModelLayout(cast, firsts, begins, layouts, parts)
+def make_model_layout(counts: SlotCounts, config: EngineConfig, pieces: LoadPieces) -> ModelLayout:
+    """Find where MuJoCo puts slots, from the order of the MJCF text."""
+    at = first_slot = SlotSizes(bodies=1, geometries=int(config.has_ground))
+    start, layouts, parts = {}, {}, {}
+    for archetype, count in counts:
+        parts[archetype] = tuple(list_geometry_parts(archetype, pieces))
+        layouts[archetype] = make_slot_layout(archetype, len(parts[archetype]))
+        start[archetype] = at
+        at += layouts[archetype].sizes.times(count)
+    return ModelLayout(counts, first_slot, start, layouts, parts)

@@ -67,43 +67,43 @@ from zensim.sim_server.physics.mujoco.step_inputs import make_step_inputs
 
 
 def find_near_geometries(centres: FloatArray, radii: FloatArray, own: IndexArray) -> IndexArray:
-    """Find the geometries that reach into the ball around some of them.
+    """Find the geometries whose bounding spheres meet the sphere around some of them.
 
     Args:
-        centres: (n, 3) of all.
-        radii: (n,) of the balls around all.
-        own: Which of them the ball is around; they are among those found.
+        centres: (n, 3) of all bounding spheres.
+        radii: (n,) likewise.
+        own: Indexes of the geometries to enclose; part of the result.
     """
     if not len(own):
         return own
     middle = centres[own].mean(axis=0)
     reach = float((np.linalg.norm(centres[own] - middle, axis=1) + radii[own]).max())
-    apart = centres - middle
-    return np.flatnonzero(np.einsum("ij,ij->i", apart, apart) <= (radii + reach) ** 2)
+    offsets = centres - middle
+    return np.flatnonzero(np.einsum("ij,ij->i", offsets, offsets) <= (radii + reach) ** 2)
 
 
-# They would be said on the terminal, and in a file of the working directory.
+# Warnings would go to the terminal and to a file in the working directory.
 mujoco.set_mju_user_warning(lambda _: None)
 
 OVERLAP_M = 0.001
-"""Bodies that only touch do not overlap."""
+"""Depth from which bodies overlap instead of touching."""
 MAX_SPEED_CHANGE = 20.0
-"""A change of a speed in one step [m/s or rad/s] that is solved again to be sure of it."""
+"""Change of a speed in a step [m/s or rad/s] above which the step is solved again."""
 FALLBACK_SOLVER = int(mujoco.mjtSolver.mjSOL_CG), 1000
-"""Method and most iterations of what is solved again."""
+"""Solver and iterations of the second solve."""
 MAX_CACHED_SELECTIONS = 4096
 
 
 @dataclass(frozen=True)
 class CompiledModel:
-    """A compiled cast; each engine works on a copy of its model, where slots may be empty."""
+    """A compiled model; each engine uses a copy, in which slots may be inactive."""
 
     model: mujoco.MjModel
-    plan: ModelLayout
+    layout: ModelLayout
 
 
 class MujocoEngine(Engine):
-    """MuJoCo's constraints solved by Newton's method, one MjData."""
+    """MuJoCo with Newton's method, one MjData."""
 
     name = "mujoco"
     capabilities = EngineCapabilities(hides=True)
@@ -119,63 +119,63 @@ class MujocoEngine(Engine):
             shape_kinds=SUPPORTED_SHAPE_KINDS,
         )
         self._bodies: dict[int, MujocoBody] = {}
-        self._broken: set[int] = set()
+        self._diverged: set[int] = set()
         self._hidden: dict[int, FloatArray] = {}
         self._numbers = count(1)
         self._archetypes, self._slots = ArchetypeCache(), SlotAllocator()
-        self._is_pushed = False
+        self._has_loads = False
         self._start_with(_COMPILE_CACHE.compile((), config))
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`: what is missing is compiled besides."""
+        """See `Engine.prepare`; compiles on a thread."""
         try:
-            cast = self._slots.with_one_more(self._find_archetype(model))
+            counts = self._slots.with_one_more(self._find_archetype(model))
         except EngineRefused:
             return True
-        return cast == self._slots.counts or _COMPILE_CACHE.is_ready(cast, self._config)
+        return counts == self._slots.counts or _COMPILE_CACHE.is_ready(counts, self._config)
 
     def add(self, model: Model, base: FloatArray) -> int:
         """See `Engine.add`."""
-        make = self._find_archetype(model)
-        casting = self._compile_with_one_more(make, model.name)
+        archetype = self._find_archetype(model)
+        compiled = self._compile_with_one_more(archetype, model.name)
         number = next(self._numbers)
-        slot = self._slots.take(make, number)
-        if casting is not self._compiled:
-            self._switch_model(casting)
-            _COMPILE_CACHE.compile_ahead(casting.plan.slot_counts, make, self._config)
+        slot = self._slots.take(archetype, number)
+        if compiled is not self._compiled:
+            self._switch_model(compiled)
+            _COMPILE_CACHE.compile_ahead(compiled.layout.slot_counts, archetype, self._config)
         loads = make_link_forces(self._blueprints.find(model), self._config.gravity, self._dt_s)
-        seat = casting.plan.address(make, slot)
+        address = compiled.layout.address(archetype, slot)
         body = self._bodies[number] = MujocoBody(
-            model, make, slot, seat, make_actuation(model), loads
+            model, archetype, slot, address, make_actuation(model), loads
         )
-        self._owners[seat.geometries] = number
+        self._owners[address.geometries] = number
         self._activate(body)
         zeros = np.zeros(len(model.joints))
         self.set_state(number, base, zeros, zeros)
         return number
 
     def remove(self, body: int) -> None:
-        """See `Engine.remove`; its slot is empty then."""
-        gone = self._bodies.pop(body)
-        self._broken.discard(body)
+        """See `Engine.remove`; frees the slot."""
+        removed = self._bodies.pop(body)
+        self._diverged.discard(body)
         self._hidden.pop(body, None)
-        self._deactivate(gone.address)
-        self._owners[gone.address.geometries] = NO_INDEX
-        self._slots.release(gone.archetype, gone.slot)
+        self._deactivate(removed.address)
+        self._owners[removed.address.geometries] = NO_INDEX
+        self._slots.release(removed.archetype, removed.slot)
 
     def hide(self, body: int) -> None:
         """See `Engine.hide`."""
-        seat = self._bodies[body].address
-        self._hidden[body] = self._data.qpos[seat.positions]
-        freeze_slot(self._model, self._data, seat)
-        self._targets.clear(seat.velocities)
+        address = self._bodies[body].address
+        self._hidden[body] = self._data.qpos[address.positions]
+        freeze_slot(self._model, self._data, address)
+        self._targets.clear(address.velocities)
         self._is_changed = True
 
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
         for number in bodies:
             body = self._bodies[number]
-            # To the bit: what hangs drifts by what gravity and its compensation are rounded by.
+            # Exactly: gravity compensation leaves a rounding drift.
             self._data.qpos[body.address.positions] = self._hidden.pop(number)
             self._data.qvel[body.address.velocities] = 0.0
             self._activate(body)
@@ -195,16 +195,16 @@ class MujocoEngine(Engine):
         near = find_near_geometries(data.geom_xpos, model.geom_rbound, own)
         found: set[int] = set()
         for other in near[(owners[near] != NO_INDEX) & (owners[near] != body)].tolist():
-            for mine in own.tolist():
-                if mujoco.mj_geomDistance(model, data, mine, other, 1.0, None) < -OVERLAP_M:
+            for geometry in own.tolist():
+                if mujoco.mj_geomDistance(model, data, geometry, other, 1.0, None) < -OVERLAP_M:
                     found.add(int(owners[other]))
-        return sorted(found - self._broken)
+        return sorted(found - self._diverged)
 
     def read(self, bodies: Sequence[int]) -> BodyStates:
-        """See `Engine.read`; what is broken reads as NaN where it is not what broke it."""
+        """See `Engine.read`; diverged bodies have NaN, or the finite values that were set."""
         chosen, data = self._selection(bodies), self._data
         base = chosen.read_bases(data.qpos, data.qvel)
-        for body in self._broken.intersection(bodies):
+        for body in self._diverged.intersection(bodies):
             base[bodies.index(body)] = self._bodies[body].fixed_state
         return BodyStates(
             base,
@@ -214,20 +214,20 @@ class MujocoEngine(Engine):
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
         """See `Engine.set_base_state`."""
-        placed = self._bodies[body]
-        if placed.archetype.is_static:
-            self._place_static(placed, base)
+        known = self._bodies[body]
+        if known.archetype.is_static:
+            self._set_static_pose(known, base)
             return
         if not is_within_limits(base):
-            self._mark_broken(body, base)
+            self._mark_diverged(body, base)
             return
-        if body in self._broken:
-            self._broken.discard(body)
-            self._activate(placed)
-        first, rate = placed.address.start.positions, placed.address.start.velocities
-        self._data.qpos[first + QPOS_POSE_ORDER] = base[:7]
-        self._data.qvel[rate : rate + 3] = base[7:10]
-        self._data.qvel[rate + 3 : rate + 6] = rotate(conjugate(base[3:7]), base[10:])
+        if body in self._diverged:
+            self._diverged.discard(body)
+            self._activate(known)
+        qpos, qvel = known.address.start.positions, known.address.start.velocities
+        self._data.qpos[qpos + QPOS_POSE_ORDER] = base[:7]
+        self._data.qvel[qvel : qvel + 3] = base[7:10]
+        self._data.qvel[qvel + 3 : qvel + 6] = rotate(conjugate(base[3:7]), base[10:])
         if body in self._hidden:
             self.hide(body)
 
@@ -236,10 +236,10 @@ class MujocoEngine(Engine):
     ) -> None:
         """See `Engine.set_state`."""
         self.set_base_state(body, base)
-        moving, place, rate = self._bodies[body].address.joints
-        if body not in self._broken:
-            self._data.qpos[place] = positions[moving]
-            self._data.qvel[rate] = velocities[moving]
+        moving, qpos, qvel = self._bodies[body].address.joints
+        if body not in self._diverged:
+            self._data.qpos[qpos] = positions[moving]
+            self._data.qvel[qvel] = velocities[moving]
 
     def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
         """See `Engine.set_at_rest`."""
@@ -256,129 +256,129 @@ class MujocoEngine(Engine):
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
         """See `Engine.apply_link_wrench`."""
-        seat = self._bodies[body].address
-        self._data.xfrc_applied[seat.start.bodies + seat.layout.bodies[link]] += wrench
-        self._is_pushed = True
+        address = self._bodies[body].address
+        self._data.xfrc_applied[address.start.bodies + address.layout.bodies[link]] += wrench
+        self._has_loads = True
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
         """See `Engine.apply_joint_effort`."""
-        if (place := self._bodies[body].address.joint_velocity(joint)) != NO_INDEX:
-            self._data.qfrc_applied[place] += effort
-            self._is_pushed = True
+        if (index := self._bodies[body].address.joint_velocity(joint)) != NO_INDEX:
+            self._data.qfrc_applied[index] += effort
+            self._has_loads = True
 
     def step(self) -> bool:
-        """See `Engine.step`; lets other threads run meanwhile."""
+        """See `Engine.step`; releases the interpreter's lock."""
         model, data = self._model, self._data
         if self._is_changed:
             self._update_step_inputs()
-        stock = self._step_inputs
-        if len(stock.twisted_roots.free):
-            stock.impose_twists(self._targets, data.qpos, data.qvel)
+        inputs = self._step_inputs
+        if len(inputs.twisted_roots.free):
+            inputs.impose_twists(self._targets, data.qpos, data.qvel)
         mujoco.mj_step1(model, data)
-        if len(stock.link_forces):
-            stock.link_forces.apply(data, model.body_rootid)
-        if len(stock.motors):
+        if len(inputs.link_forces):
+            inputs.link_forces.apply(data, model.body_rootid)
+        if len(inputs.motors):
             self._apply_motor_speeds()
         if data.ncon:
             correct_contact_rows(
                 data.efc_aref, data.contact, data.efc_KBIP, self._dt_s, self._weight
             )
         self._solve()
-        if self._is_pushed or len(stock.link_forces):
+        if self._has_loads or len(inputs.link_forces):
             data.xfrc_applied[:] = 0.0
             data.qfrc_applied[:] = 0.0
-            self._is_pushed = False
+            self._has_loads = False
         if not math.isfinite(data.qvel.sum()):
-            self._find_broken()
-        return not self._broken
+            self._find_diverged()
+        return not self._diverged
 
     def close(self) -> None:
         """See `Engine.close`."""
         self._bodies.clear()
         self._start_with(_COMPILE_CACHE.compile((), self._config))
 
-    def _compile_with_one_more(self, make: Archetype, name: str) -> CompiledModel:
-        cast = self._slots.with_one_more(make)
-        if cast == self._slots.counts:
+    def _compile_with_one_more(self, archetype: Archetype, name: str) -> CompiledModel:
+        counts = self._slots.with_one_more(archetype)
+        if counts == self._slots.counts:
             return self._compiled
         try:
-            return _COMPILE_CACHE.compile(cast, self._config)
+            return _COMPILE_CACHE.compile(counts, self._config)
         except ValueError as error:
-            raise EngineRefused(f"model '{name}' was refused by MuJoCo: {error}") from error
+            raise EngineRefused(f"model '{name}': MuJoCo cannot compile it: {error}") from error
 
     def _is_active(self, body: int) -> bool:
-        return body not in self._broken and body not in self._hidden
+        return body not in self._diverged and body not in self._hidden
 
     def _find_archetype(self, model: Model) -> Archetype:
         blueprint = self._blueprints.find(model)
-        make = self._archetypes.find(blueprint)
-        if make not in self._compiled.plan.start:
+        archetype = self._archetypes.find(blueprint)
+        if archetype not in self._compiled.layout.start:
             check_mesh_files(blueprint.name, blueprint.parts, self._config.mesh_folder)
-        return make
+        return archetype
 
-    def _start_with(self, casting: CompiledModel) -> None:
-        """Begin with a cast of which every slot is empty."""
-        self._compiled = casting
-        self._model = copy(casting.model)
+    def _start_with(self, compiled: CompiledModel) -> None:
+        """Use a model, all slots inactive."""
+        self._compiled = compiled
+        self._model = copy(compiled.model)
         self._data = mujoco.MjData(self._model)
         self._targets = make_zero_targets(self._model.nv)
         self._owners = np.full(len(self._model.geom_contype), NO_INDEX, np.intp)
         self._is_changed = True
         self._selections: dict[tuple[int, ...], BodySelection] = {}
-        deactivate_all_slots(self._model, self._data, casting.plan)
+        deactivate_all_slots(self._model, self._data, compiled.layout)
 
-    def _switch_model(self, casting: CompiledModel) -> None:
-        """Go on with a cast that has other slots; what is in them stays as it is."""
-        model, data, wishes, plan = self._model, self._data, self._targets, casting.plan
+    def _switch_model(self, compiled: CompiledModel) -> None:
+        """Move all bodies, with their states, to a model that has other slots."""
+        model, data, targets = self._model, self._data, self._targets
         old = [body.address for body in self._bodies.values()]
-        self._start_with(casting)
+        self._start_with(compiled)
         for number, body in self._bodies.items():
-            body.address = plan.address(body.archetype, body.slot)
+            body.address = compiled.layout.address(body.archetype, body.slot)
             self._owners[body.address.geometries] = number
             if self._is_active(number):
                 self._activate(body)
         new = [body.address for body in self._bodies.values()]
         self._targets = copy_slot_states(
-            (model, data, old), (self._model, self._data, new), (wishes, self._model.nv)
+            (model, data, old), (self._model, self._data, new), (targets, self._model.nv)
         )
 
     def _activate(self, body: MujocoBody) -> None:
-        """Let what is in a slot touch, fall and be driven."""
+        """Activate the slot and the motors of a body."""
         activate_slot(self._model, self._data, self._compiled.model, body.address)
         activate_motors(self._model, self._targets, body.address, body.actuation)
         self._is_changed = True
 
     def _deactivate(self, address: SlotAddress) -> None:
-        """Let what is in a slot touch nothing, hang still, and wish for nothing."""
+        """Deactivate a slot and clear its targets."""
         deactivate_slot(self._model, self._data, address)
         self._targets.clear(address.velocities)
         self._is_changed = True
 
-    def _place_static(self, body: MujocoBody, base: FloatArray) -> None:
+    def _set_static_pose(self, body: MujocoBody, base: FloatArray) -> None:
         body.fixed_state = np.concatenate([base[:7], np.zeros(6)])
         if is_within_limits(base):
             root = body.address.start.bodies
             self._model.body_pos[root] = base[:3]
             self._model.body_quat[root] = base[[6, 3, 4, 5]]
 
-    def _mark_broken(self, number: int, base: FloatArray) -> None:
-        """Take a body out of reach of the others: MuJoCo cannot bear its numbers."""
+    def _mark_diverged(self, number: int, base: FloatArray) -> None:
+        """Deactivate a body whose state MuJoCo cannot simulate."""
         body = self._bodies[number]
         body.fixed_state = np.where(np.abs(base) <= MAX_STATE_VALUE, base, np.nan)
         self._deactivate(body.address)
-        self._broken.add(number)
+        self._diverged.add(number)
 
-    def _find_broken(self) -> None:
+    def _find_diverged(self) -> None:
         for number, body in self._bodies.items():
             state = (
                 self._data.qpos[body.address.positions],
                 self._data.qvel[body.address.velocities],
             )
             if not np.isfinite(np.concatenate(state)).all():
-                self._mark_broken(number, np.full(13, np.nan))
+                self._mark_diverged(number, np.full(13, np.nan))
 
     def _update_step_inputs(self) -> None:
-        """Work out anew what a step has to do beside MuJoCo."""
+        """Collect the inputs of a step again."""
         model = self._model
         self._is_changed = False
         self._step_inputs = make_step_inputs(
@@ -389,16 +389,16 @@ class MujocoEngine(Engine):
         )
 
     def _solve(self) -> None:
-        """End a step; once more by conjugate gradients where Newton's method lost its way.
+        """Solve and integrate; again by conjugate gradients if Newton's method failed.
 
-        It does so, rarely, among many contacts that contradict each other.
+        It rarely fails, with many contacts that contradict each other.
         """
         model, data = self._model, self._data
         positions, velocities = data.qpos.copy(), data.qvel.copy()
         mujoco.mj_step2(model, data)
-        gained = data.qvel - velocities
-        # What all gained together is told faster than what each did.
-        if gained.dot(gained) <= MAX_SPEED_CHANGE**2 or np.abs(gained).max() <= MAX_SPEED_CHANGE:
+        change = data.qvel - velocities
+        # The norm is a bound of the largest change, and faster.
+        if change.dot(change) <= MAX_SPEED_CHANGE**2 or np.abs(change).max() <= MAX_SPEED_CHANGE:
             return
         data.qpos[:], data.qvel[:] = positions, velocities
         solver, iterations = model.opt.solver, model.opt.iterations
@@ -407,10 +407,10 @@ class MujocoEngine(Engine):
         model.opt.solver, model.opt.iterations = solver, iterations
 
     def _apply_motor_speeds(self) -> None:
-        """Give each motor the speed that it is to reach in this step.
+        """Set the target speed of each motor.
 
-        A motor is a friction about a speed, which is shifted here from 0: rows of constraints are
-        ready, and not yet solved.
+        A motor is a friction constraint whose reference speed is shifted from 0 here, between
+        `mj_step1`, which makes the rows, and `mj_step2`, which solves them.
         """
         data = self._data
         speeds = self._step_inputs.speeds(self._targets, data.qpos, self._dt_s)
@@ -419,29 +419,30 @@ class MujocoEngine(Engine):
 
     def _selection(self, bodies: Sequence[int]) -> BodySelection:
         key = tuple(bodies)
-        if (known := self._selections.get(key)) is None:
+        if (selection := self._selections.get(key)) is None:
             if len(self._selections) >= MAX_CACHED_SELECTIONS:
                 self._selections.clear()
-            known = self._selections[key] = make_body_selection(
+            selection = self._selections[key] = make_body_selection(
                 [self._bodies[body] for body in bodies]
             )
-        return known
+        return selection
 
 
-def _compile_model(cast: SlotCounts, config: EngineConfig) -> CompiledModel:
-    cut = partial(load_convex_pieces, config.mesh_folder)
-    plan = make_model_layout(cast, config, cut)
-    model = mujoco.MjModel.from_xml_string(write_mjcf(cast, config, cut))
-    if lopsided := list(plan.invalid_inertias()):
-        for body, moments in lopsided:
+def _compile_model(counts: SlotCounts, config: EngineConfig) -> CompiledModel:
+    load_pieces = partial(load_convex_pieces, config.mesh_folder)
+    layout = make_model_layout(counts, config, load_pieces)
+    model = mujoco.MjModel.from_xml_string(write_mjcf(counts, config, load_pieces))
+    if invalid := list(layout.invalid_inertias()):
+        for body, moments in invalid:
             model.body_inertia[body] = moments
         mujoco.mj_setConst(model, mujoco.MjData(model))
-    for geometry, part in plan.soft_geometries():
-        lightness = float(model.body_invweight0[model.geom_bodyid[geometry], 0])
-        how = make_soft_parameters(part, config.step_ns * 1e-9, lightness or 1.0 / part.mass_kg)
-        model.geom_solref[geometry] = how.stiffness, how.damping
-        model.geom_solimp[geometry, :2] = how.impedance
-    return CompiledModel(model, plan)
+    for geometry, part in layout.soft_geometries():
+        inverse_mass = float(model.body_invweight0[model.geom_bodyid[geometry], 0])
+        inverse_mass = inverse_mass or 1.0 / part.mass_kg
+        solver = make_soft_parameters(part, config.step_ns * 1e-9, inverse_mass)
+        model.geom_solref[geometry] = solver.stiffness, solver.damping
+        model.geom_solimp[geometry, :2] = solver.impedance
+    return CompiledModel(model, layout)
 
 
 _COMPILE_CACHE = CompileCache(_compile_model)

@@ -1,4 +1,4 @@
-"""Activate and deactivate slots in MuJoCo's arrays; an inactive slot collides with nothing and costs little."""
+"""Activation of slots in MuJoCo's arrays; an inactive slot collides with nothing and costs little."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -14,15 +14,15 @@ from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray, S
 
 MAX_EFFORT = 1e12
 EMPTY_SLOT_DEPTH_M = 1e4
-"""How far under the world empty slots are."""
+"""Depth of empty slots below the world."""
 MAX_STATE_VALUE = 1e9
-"""A state with larger numbers is taken for broken: MuJoCo bears 1e10."""
+"""Larger values count as diverged; MuJoCo fails from 1e10 on."""
 
 MjInts = npt.NDArray[np.int32]
 
 
 class MjModelArrays(Protocol):
-    """What of MuJoCo's model says whether a slot takes part."""
+    """Arrays of `mujoco.MjModel` that activate a slot."""
 
     qpos0: FloatArray
     body_pos: FloatArray
@@ -36,7 +36,7 @@ class MjModelArrays(Protocol):
 
 
 class MjDataArrays(Protocol):
-    """What of MuJoCo's data belongs to slots."""
+    """Arrays of `mujoco.MjData` with the state of slots."""
 
     qpos: FloatArray
     qvel: FloatArray
@@ -48,41 +48,41 @@ class MjDataArrays(Protocol):
 def activate_slot(
     model: MjModelArrays, data: MjDataArrays, full: MjModelArrays, address: SlotAddress
 ) -> None:
-    """Let what is in a slot touch and fall, as in a model of which all slots are full."""
-    geometries, bodies, rates = address.geometries, address.bodies, address.velocities
+    """Enable collisions, gravity, friction and equalities of a slot, as in the compiled model `full`."""
+    geometries, bodies = address.geometries, address.bodies
     model.geom_contype[geometries] = full.geom_contype[geometries]
     model.geom_conaffinity[geometries] = full.geom_conaffinity[geometries]
     model.body_contype[bodies] = full.body_contype[bodies]
     model.body_conaffinity[bodies] = full.body_conaffinity[bodies]
     model.body_gravcomp[bodies] = 0.0
-    model.dof_frictionloss[rates] = full.dof_frictionloss[rates]
+    model.dof_frictionloss[address.velocities] = full.dof_frictionloss[address.velocities]
     data.eq_active[address.equalities] = 1
 
 
 def activate_motors(
-    model: MjModelArrays, wishes: ActuatorTargets, address: SlotAddress, actuation: Actuation
+    model: MjModelArrays, targets: ActuatorTargets, address: SlotAddress, actuation: Actuation
 ) -> None:
-    """Give motors to what is in a slot."""
+    """Enable the motors of a slot."""
     for motors, holds in ((actuation.speeds, False), (actuation.angles, True)):
         for joint, effort in zip(motors.joints, motors.efforts, strict=True):
-            if (place := address.joint_velocity(joint)) != NO_INDEX:
-                model.dof_frictionloss[place] = min(effort, MAX_EFFORT)
-                wishes.holds[place] = holds
+            if (index := address.joint_velocity(joint)) != NO_INDEX:
+                model.dof_frictionloss[index] = min(effort, MAX_EFFORT)
+                targets.holds[index] = holds
 
 
-def deactivate_all_slots(model: MjModelArrays, data: MjDataArrays, plan: ModelLayout) -> None:
-    """Empty all slots at once, as `empty` does one."""
-    first = plan.first_slot
+def deactivate_all_slots(model: MjModelArrays, data: MjDataArrays, layout: ModelLayout) -> None:
+    """Deactivate all slots at once."""
+    first = layout.first_slot
     model.geom_contype[first.geometries :] = model.geom_conaffinity[first.geometries :] = 0
     model.body_contype[first.bodies :] = model.body_conaffinity[first.bodies :] = 0
     model.body_gravcomp[first.bodies :] = 1.0
     model.dof_frictionloss[first.velocities :] = 0.0
     data.eq_active[:] = 0
-    data.qpos[plan.heights()] = -EMPTY_SLOT_DEPTH_M
+    data.qpos[layout.heights()] = -EMPTY_SLOT_DEPTH_M
 
 
 def deactivate_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddress) -> None:
-    """Let what is in a slot touch nothing and hang still, far below."""
+    """Freeze a slot far below the world."""
     freeze_slot(model, data, address)
     data.qpos[address.positions] = model.qpos0[address.positions]
     if address.is_free:
@@ -90,7 +90,7 @@ def deactivate_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddre
 
 
 def freeze_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddress) -> None:
-    """Let what is in a slot touch nothing and hang still where it is."""
+    """Disable collisions, gravity and friction of a slot, and stop it where it is."""
     model.geom_contype[address.geometries] = model.geom_conaffinity[address.geometries] = 0
     model.body_contype[address.bodies] = model.body_conaffinity[address.bodies] = 0
     model.body_gravcomp[address.bodies] = 1.0
@@ -100,41 +100,41 @@ def freeze_slot(model: MjModelArrays, data: MjDataArrays, address: SlotAddress) 
 
 
 def is_within_limits(base: FloatArray) -> bool:
-    """Whether a state (13,) is one that MuJoCo can go on with."""
+    """Whether MuJoCo can simulate a state (13,)."""
     return bool((np.abs(base) <= MAX_STATE_VALUE).all())
 
 
 def copy_slot_states(
     old: tuple[MjModelArrays, MjDataArrays, Sequence[SlotAddress]],
     new: tuple[MjModelArrays, MjDataArrays, Sequence[SlotAddress]],
-    wishes: tuple[ActuatorTargets, int],
+    targets: tuple[ActuatorTargets, int],
 ) -> ActuatorTargets:
-    """Copy the states of bodies, bit by bit, to their slots of another cast.
+    """Copy the states of bodies to their slots in another model, bit by bit.
 
     Args:
-        old: Model, data, and where the bodies were.
-        new: Model, data, and where they are.
-        wishes: What they were told, and how many degrees of freedom there are now.
+        old: Model, data, and the addresses of the bodies.
+        new: Likewise, in the same order.
+        targets: In the old model, and the degrees of freedom of the new one.
 
     Returns:
-        What they are told.
+        Targets in the new model.
     """
     (model, data, _), (other_model, other_data, _) = old, new
-    places, rates, links = (
+    positions, velocities, bodies = (
         tuple(
-            _join_slot_indexes([getattr(seat, what) for seat in seats])
-            for seats in (old[2], new[2])
+            _join_slot_indexes([getattr(address, name) for address in addresses])
+            for addresses in (old[2], new[2])
         )
-        for what in ("positions", "velocities", "bodies")
+        for name in ("positions", "velocities", "bodies")
     )
-    other_data.qpos[places[1]] = data.qpos[places[0]]
-    other_data.qvel[rates[1]] = data.qvel[rates[0]]
-    other_data.qfrc_applied[rates[1]] = data.qfrc_applied[rates[0]]
-    other_data.xfrc_applied[links[1]] = data.xfrc_applied[links[0]]
-    other_model.body_pos[links[1]] = model.body_pos[links[0]]
-    other_model.body_quat[links[1]] = model.body_quat[links[0]]
-    return wishes[0].remap(rates[0], rates[1], wishes[1])
+    other_data.qpos[positions[1]] = data.qpos[positions[0]]
+    other_data.qvel[velocities[1]] = data.qvel[velocities[0]]
+    other_data.qfrc_applied[velocities[1]] = data.qfrc_applied[velocities[0]]
+    other_data.xfrc_applied[bodies[1]] = data.xfrc_applied[bodies[0]]
+    other_model.body_pos[bodies[1]] = model.body_pos[bodies[0]]
+    other_model.body_quat[bodies[1]] = model.body_quat[bodies[0]]
+    return targets[0].remap(velocities[0], velocities[1], targets[1])
 
 
-def _join_slot_indexes(places: Sequence[IndexArray]) -> IndexArray:
-    return np.concatenate([np.zeros(0, np.intp), *places])
+def _join_slot_indexes(indexes: Sequence[IndexArray]) -> IndexArray:
+    return np.concatenate([np.zeros(0, np.intp), *indexes])

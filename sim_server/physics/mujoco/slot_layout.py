@@ -1,4 +1,4 @@
-"""Archetypes (blueprints without a name), the slots of each in a compiled model, and the array indexes of a slot."""
+"""Archetypes (blueprints without a name), their slots in a compiled model, and the indexes of a slot."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,13 +11,13 @@ from zensim.proto.messages.model_messages import Shape
 from zensim.sim_server.physics.blueprint import Blueprint, RigidPart
 
 ROOT_QPOS_COUNT, ROOT_QVEL_COUNT = 7, 6
-"""Of a free root: place and quaternion w x y z; linear in the world, angular in the root."""
+"""Of a free root: position and quaternion w x y z; linear in the world, angular in the root."""
 NO_INDEX = -1
 
 
 @dataclass(frozen=True)
 class Archetype:
-    """A blueprint without its name; what its motors and loads are is of each robot.
+    """A blueprint without its name; robots of one archetype may differ in motors and loads.
 
     Attributes:
         parts: In building order; the first are those of the links.
@@ -29,7 +29,7 @@ class Archetype:
     is_static: bool
 
     def __hash__(self) -> int:
-        """Hash it once: it is what casts are known by."""
+        """Hash once: archetypes are keys of compiled models."""
         return self._hash
 
     @cached_property
@@ -38,15 +38,15 @@ class Archetype:
 
     @property
     def link_parts(self) -> tuple[RigidPart, ...]:
-        """The part of each link; further parts are only more shapes of a link."""
+        """The part of each link; the others are further shapes of a link."""
         return self.parts[: len(self.self_collides)]
 
     def children(self, link: int) -> Iterator[int]:
-        """List the links that a link carries."""
+        """List the child links of a link."""
         return (i for i, part in enumerate(self.link_parts) if part.parent == link and i)
 
     def shapes(self, link: int) -> Iterator[tuple[RigidPart, Shape]]:
-        """List what a link touches with."""
+        """List the collision shapes of a link."""
         for part in self.parts:
             if part.link == link:
                 for shape in part.shapes:
@@ -54,19 +54,19 @@ class Archetype:
 
 
 def make_archetype(blueprint: Blueprint) -> Archetype:
-    """Leave out what robots of one make may differ in."""
+    """Make the archetype of a blueprint."""
     self_collides = tuple(link.self_collides for link in blueprint.links)
     return Archetype(blueprint.parts, self_collides, blueprint.is_static)
 
 
 class ArchetypeCache:
-    """Finds makes; the last one is kept, as it is compared by all that it has."""
+    """Finds archetypes; caches the last, as comparing them takes long."""
 
     def __init__(self) -> None:
         self._last: tuple[Blueprint, Archetype] | None = None
 
     def find(self, blueprint: Blueprint) -> Archetype:
-        """Find the make of a blueprint, or find it again when it is the same object."""
+        """Find the archetype of a blueprint; cached while it is the same object."""
         if self._last is None or self._last[0] is not blueprint:
             self._last = (blueprint, make_archetype(blueprint))
         return self._last[1]
@@ -74,14 +74,14 @@ class ArchetypeCache:
 
 @dataclass(frozen=True)
 class SlotLayout:
-    """Where MuJoCo puts what a slot has, counted from the slot's first; links go depth first.
+    """Indexes of one slot, relative to its start; MuJoCo orders links depth first.
 
     Attributes:
         order: Links in MuJoCo's order.
-        bodies: Number of each link.
-        positions: Place of each joint in qpos; NONE where it does not move.
-        velocities: In qvel, likewise.
-        widths: How many bodies, positions, velocities, geometries and equalities a slot has.
+        bodies: Body of each link.
+        positions: Index of each joint in qpos; NO_INDEX if fixed.
+        velocities: Likewise in qvel.
+        sizes: Of the slot.
     """
 
     order: tuple[int, ...]
@@ -93,7 +93,7 @@ class SlotLayout:
 
 @dataclass(frozen=True)
 class SlotSizes:
-    """Sizes of one slot, or where one begins."""
+    """Number of entries of a slot in each of MuJoCo's arrays, or the index of its first."""
 
     bodies: int = 0
     positions: int = 0
@@ -102,7 +102,7 @@ class SlotSizes:
     equalities: int = 0
 
     def __add__(self, other: "SlotSizes") -> "SlotSizes":
-        """Add each."""
+        """Add entry by entry."""
         return SlotSizes(
             self.bodies + other.bodies,
             self.positions + other.positions,
@@ -112,7 +112,7 @@ class SlotSizes:
         )
 
     def times(self, count: int) -> "SlotSizes":
-        """Multiply each."""
+        """Multiply each entry."""
         return SlotSizes(
             self.bodies * count,
             self.positions * count,
@@ -129,47 +129,51 @@ class _LayoutCursor:
     order: list[int] = field(default_factory=list)
 
 
-def make_slot_layout(make: Archetype, geometries: int) -> SlotLayout:
-    """Find where MuJoCo puts what a slot of a make has.
+def make_slot_layout(archetype: Archetype, geometries: int) -> SlotLayout:
+    """Find the layout of a slot.
 
     Args:
-        make: What is in the slot.
-        geometries: How many it has; a mesh may be several.
+        archetype: Of the slot.
+        geometries: Their number; a mesh may be several.
     """
-    is_free = not make.is_static
+    is_free = not archetype.is_static
     at = _LayoutCursor(ROOT_QPOS_COUNT * is_free, ROOT_QVEL_COUNT * is_free)
     positions, velocities = {0: NO_INDEX}, {0: NO_INDEX}
 
     def visit(link: int) -> None:
         at.order.append(link)
-        moves = link > 0 and make.link_parts[link].joint_kind != "fixed"
+        moves = link > 0 and archetype.link_parts[link].joint_kind != "fixed"
         if link:
             positions[link] = at.positions if moves else NO_INDEX
             velocities[link] = at.velocities if moves else NO_INDEX
         at.positions += moves
         at.velocities += moves
-        for child in make.children(link):
+        for child in archetype.children(link):
             visit(child)
 
     visit(0)
-    links = range(len(make.link_parts))
+    links = range(len(archetype.link_parts))
     return SlotLayout(
         tuple(at.order),
         tuple(at.order.index(link) for link in links),
         tuple(positions[link] for link in links[1:]),
         tuple(velocities[link] for link in links[1:]),
-        SlotSizes(len(links), at.positions, at.velocities, geometries, len(list_mimic_links(make))),
+        SlotSizes(
+            len(links), at.positions, at.velocities, geometries, len(list_mimic_links(archetype))
+        ),
     )
 
 
-def list_mimic_links(make: Archetype) -> list[int]:
-    """List the links whose joint follows another that moves."""
+def list_mimic_links(archetype: Archetype) -> list[int]:
+    """List the links whose joint mimics another that moves."""
     moving = {
-        part.joint.name for part in make.link_parts if part.joint and part.joint.kind != "fixed"
+        part.joint.name
+        for part in archetype.link_parts
+        if part.joint and part.joint.kind != "fixed"
     }
     return [
         link
-        for link, part in enumerate(make.link_parts)
+        for link, part in enumerate(archetype.link_parts)
         if (joint := part.joint) is not None
         and joint.kind != "fixed"
         and joint.mimic is not None
@@ -182,51 +186,51 @@ IndexArray = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class SlotAddress:
-    """A slot of a cast."""
+    """Indexes of a slot in a compiled model."""
 
     start: SlotSizes
     layout: SlotLayout
     is_free: bool
-    """It has a root that moves."""
+    """Whether its root moves."""
 
     @cached_property
     def positions(self) -> IndexArray:
-        """All places in qpos."""
+        """Indexes in qpos."""
         first = self.start.positions
         return np.arange(first, first + self.layout.sizes.positions)
 
     @cached_property
     def velocities(self) -> IndexArray:
-        """All places in qvel."""
+        """Indexes in qvel."""
         first = self.start.velocities
         return np.arange(first, first + self.layout.sizes.velocities)
 
     @cached_property
     def bodies(self) -> IndexArray:
-        """All of its bodies."""
+        """Indexes of its bodies."""
         first = self.start.bodies
         return np.arange(first, first + self.layout.sizes.bodies)
 
     @cached_property
     def geometries(self) -> IndexArray:
-        """All of its geometries."""
+        """Indexes of its geometries."""
         first = self.start.geometries
         return np.arange(first, first + self.layout.sizes.geometries)
 
     @cached_property
     def equalities(self) -> IndexArray:
-        """All of its equalities."""
+        """Indexes of its equalities."""
         first = self.start.equalities
         return np.arange(first, first + self.layout.sizes.equalities)
 
     def joint_velocity(self, joint: int) -> int:
-        """Find a joint's place in qvel; NONE where it does not move."""
+        """Find the index of a joint in qvel; NO_INDEX if fixed."""
         offset = self.layout.velocities[joint]
         return NO_INDEX if offset == NO_INDEX else self.start.velocities + offset
 
     @cached_property
     def joints(self) -> tuple[IndexArray, IndexArray, IndexArray]:
-        """Find the joints that move, by their places in the model, in qpos and in qvel."""
+        """Find the joints that move: indexes in `Model.joints`, in qpos and in qvel."""
         moving = np.array(
             [i for i, at in enumerate(self.layout.velocities) if at != NO_INDEX], np.intp
         )
@@ -236,41 +240,41 @@ class SlotAddress:
 
 
 SlotCounts = tuple[tuple[Archetype, int], ...]
-"""Makes in the order of their first body, each with its number of slots."""
+"""Archetypes in the order of their first body, each with its number of slots."""
 FREE_SLOT = None
 
 
 def round_up_slots(count: int) -> int:
-    """Find how many slots to have for so many bodies: the next power of 2."""
+    """Round up to the next power of 2."""
     return 1 << (count - 1).bit_length()
 
 
 class SlotAllocator:
-    """Gives slots to bodies, the lowest that is free first: what was before leaves no trace."""
+    """Assigns slots to bodies, the lowest free one first, so that results repeat."""
 
     def __init__(self) -> None:
         self._owners: dict[Archetype, list[int | None]] = {}
 
     @property
     def counts(self) -> SlotCounts:
-        """What is to be compiled for these slots."""
-        return tuple((make, len(owners)) for make, owners in self._owners.items())
+        """Slots of each archetype."""
+        return tuple((archetype, len(owners)) for archetype, owners in self._owners.items())
 
-    def with_one_more(self, make: Archetype) -> SlotCounts:
-        """Say what the cast is once one more body of a make has a slot."""
-        owners = self._owners.get(make, [])
+    def with_one_more(self, archetype: Archetype) -> SlotCounts:
+        """Find the slot counts after one more body of an archetype."""
+        owners = self._owners.get(archetype, [])
         count = len(owners) if FREE_SLOT in owners else round_up_slots(len(owners) + 1)
-        return tuple({**dict(self.counts), make: count}.items())
+        return tuple({**dict(self.counts), archetype: count}.items())
 
-    def take(self, make: Archetype, body: int) -> int:
-        """Give a body a slot of its make, of which there are more from now on if it needs be."""
-        owners = self._owners.setdefault(make, [])
+    def take(self, archetype: Archetype, body: int) -> int:
+        """Assign a slot to a body; add slots if none is free."""
+        owners = self._owners.setdefault(archetype, [])
         if FREE_SLOT not in owners:
             owners.extend([FREE_SLOT] * (round_up_slots(len(owners) + 1) - len(owners)))
         slot = owners.index(FREE_SLOT)
         owners[slot] = body
         return slot
 
-    def release(self, make: Archetype, slot: int) -> None:
-        """Take a slot back."""
-        self._owners[make][slot] = FREE_SLOT
+    def release(self, archetype: Archetype, slot: int) -> None:
+        """Free a slot."""
+        self._owners[archetype][slot] = FREE_SLOT

@@ -1,4 +1,4 @@
-"""Inputs of a step beside the model: motor speeds, imposed twists and link forces of all active bodies."""
+"""Inputs of a step: motor speeds, imposed twists and link forces of all active bodies."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from zensim.sim_server.physics.mujoco.slot_layout import IndexArray
 
 
 class MjBodyMotions(Protocol):
-    """What MuJoCo tells of how its bodies move."""
+    """Arrays of `mujoco.MjData` about the motion of bodies."""
 
     cvel: FloatArray
     xipos: FloatArray
@@ -32,45 +32,47 @@ class MjBodyMotions(Protocol):
 
 @dataclass(frozen=True)
 class LinkForceArrays:
-    """Loads, by the numbers (n,) of MuJoCo's bodies; see `LinkForce`."""
+    """`LinkForce` as arrays, by the index (n,) of MuJoCo's bodies."""
 
     bodies: IndexArray
-    lifts: FloatArray
+    gravity_forces: FloatArray
     arms: FloatArray
     linear_dampings: FloatArray
     angular_dampings: FloatArray
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Number of links with forces."""
         return len(self.bodies)
 
     def apply(self, data: MjBodyMotions, roots: npt.NDArray[np.int32]) -> None:
-        """Push what is pulled in the next step; `roots` (bodies,) of each body's robot."""
+        """Add the forces of the next step; `roots` (bodies,) is the root of each body."""
         bodies = self.bodies
         spins = data.cvel[bodies, :3]
-        # MuJoCo's velocities are about the centre of mass of the whole robot.
+        # MuJoCo's velocities refer to the centre of mass of the whole robot.
         arms = data.xipos[bodies] - data.subtree_com[roots[bodies]]
         linear = data.cvel[bodies, 3:] + np.cross(spins, arms)
-        turns = data.ximat[bodies].reshape(-1, 3, 3)
-        data.xfrc_applied[bodies] += self.wrenches(turns, linear, spins)
+        rotations = data.ximat[bodies].reshape(-1, 3, 3)
+        data.xfrc_applied[bodies] += self.wrenches(rotations, linear, spins)
 
-    def wrenches(self, turns: FloatArray, linear: FloatArray, angular: FloatArray) -> FloatArray:
+    def wrenches(
+        self, rotations: FloatArray, linear: FloatArray, angular: FloatArray
+    ) -> FloatArray:
         """Find forces and torques (n, 6) at the centres of mass, in the world.
 
         Args:
-            turns: (n, 3, 3) of the principal axes in the world.
+            rotations: (n, 3, 3) of the principal axes in the world.
             linear: (n, 3) of the centres of mass.
             angular: (n, 3).
         """
-        arms = np.einsum("nij,nj->ni", turns, self.arms)
-        spins = np.einsum("nji,nj->ni", turns, angular)
-        brakes = np.einsum("nij,nj->ni", turns, self.angular_dampings * spins)
-        forces = self.lifts - self.linear_dampings[:, None] * linear
-        return np.concatenate([forces, np.cross(arms, self.lifts) - brakes], axis=1)
+        arms = np.einsum("nij,nj->ni", rotations, self.arms)
+        spins = np.einsum("nji,nj->ni", rotations, angular)
+        damping = np.einsum("nij,nj->ni", rotations, self.angular_dampings * spins)
+        forces = self.gravity_forces - self.linear_dampings[:, None] * linear
+        return np.concatenate([forces, np.cross(arms, self.gravity_forces) - damping], axis=1)
 
 
 def make_link_force_arrays(loads: Iterable[tuple[int, LinkForce]]) -> LinkForceArrays:
-    """Lay loads out, each with the number of its body."""
+    """Make arrays of link forces, each with the index of its body."""
     found = list(loads)
     return LinkForceArrays(
         np.array([body for body, _ in found], np.intp),
@@ -83,13 +85,13 @@ def make_link_force_arrays(loads: Iterable[tuple[int, LinkForce]]) -> LinkForceA
 
 @dataclass(frozen=True)
 class StepInputs:
-    """Who is driven, moved and pulled.
+    """Indexes of all that a step has to set.
 
     Attributes:
-        motors: Places in qvel of what has friction, in the order of MuJoCo's rows.
-        holders, held: Which of them hold an angle, and their places in qpos.
-        moved: Roots that a twist moves.
-        pulls: What acts on links that are weightless, or slow down.
+        motors: Indexes in qvel of degrees of freedom with friction, in the order of MuJoCo's rows.
+        position_motors, position_qpos: Which of them hold an angle, and their indexes in qpos.
+        twisted_roots: Roots with a planar twist.
+        link_forces: Gravity compensation and damping.
     """
 
     motors: IndexArray
@@ -98,47 +100,51 @@ class StepInputs:
     twisted_roots: StateGather
     link_forces: LinkForceArrays
 
-    def speeds(self, wishes: ActuatorTargets, qpos: FloatArray, dt_s: float) -> FloatArray:
-        """Find the speed that each motor is to reach in this step; what only rubs has 0."""
-        found = wishes.speeds[self.motors]
+    def speeds(self, targets: ActuatorTargets, qpos: FloatArray, dt_s: float) -> FloatArray:
+        """Find the target speed of each motor in this step; 0 for joints with friction only."""
+        speeds = targets.speeds[self.motors]
         if len(self.position_motors):
-            errors = wishes.angles[self.motors[self.position_motors]] - qpos[self.position_qpos]
-            found[self.position_motors] = POSITION_ERP / dt_s * errors
-        return found
+            errors = targets.angles[self.motors[self.position_motors]] - qpos[self.position_qpos]
+            speeds[self.position_motors] = POSITION_ERP / dt_s * errors
+        return speeds
 
-    def impose_twists(self, wishes: ActuatorTargets, qpos: FloatArray, qvel: FloatArray) -> None:
-        """Let roots go in the plane as they are told; changes `qvel`."""
+    def impose_twists(self, targets: ActuatorTargets, qpos: FloatArray, qvel: FloatArray) -> None:
+        """Set the planar velocity of roots in `qvel`."""
         rows = self.twisted_roots.read_bases(
             np.empty((len(self.twisted_roots.free), 13)), qpos, qvel
         )
-        places = self.twisted_roots.twists
-        twists = wishes.twists[places[:, :3]]
-        found = impose_planar_twists(rows[:, 7:], rows[:, 3:7], np.zeros((len(rows), 3)), twists)
-        qvel[places[:, :3]] = found[:, :3]
-        qvel[places[:, 3:]] = rotate(conjugate(rows[:, 3:7]), found[:, 3:])
+        indexes = self.twisted_roots.twists
+        twists = targets.twists[indexes[:, :3]]
+        arms = np.zeros((len(rows), 3))
+        velocities = impose_planar_twists(rows[:, 7:], rows[:, 3:7], arms, twists)
+        qvel[indexes[:, :3]] = velocities[:, :3]
+        qvel[indexes[:, 3:]] = rotate(conjugate(rows[:, 3:7]), velocities[:, 3:])
 
 
 def make_step_inputs(
-    bodies: Iterable[MujocoBody], wishes: ActuatorTargets, friction: FloatArray, places: IndexArray
+    bodies: Iterable[MujocoBody],
+    targets: ActuatorTargets,
+    friction: FloatArray,
+    qpos_indexes: IndexArray,
 ) -> StepInputs:
-    """Take stock of bodies.
+    """Collect the inputs of the active bodies.
 
     Args:
-        bodies: None of which is broken.
-        wishes: What they are told.
+        bodies: Active bodies.
+        targets: Of all degrees of freedom.
         friction: Of each degree of freedom.
-        places: Where each begins in qpos.
+        qpos_indexes: Index in qpos of the joint of each degree of freedom.
     """
     bodies = list(bodies)
     motors = np.flatnonzero(friction > 0.0)
-    holders = np.flatnonzero(wishes.holds[motors])
+    position_motors = np.flatnonzero(targets.holds[motors])
     free = [body.address for body in bodies if body.address.is_free]
     return StepInputs(
         motors,
-        holders,
-        places[motors[holders]],
+        position_motors,
+        qpos_indexes[motors[position_motors]],
         make_state_gather(
-            [seat for seat in free if wishes.is_twist_imposed[seat.start.velocities]]
+            [address for address in free if targets.is_twist_imposed[address.start.velocities]]
         ),
         make_link_force_arrays(
             (body.address.start.bodies + body.address.layout.bodies[load.part + 1], load)

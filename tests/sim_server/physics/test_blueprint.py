@@ -204,7 +204,7 @@ def test_model_that_cannot_be_built_is_refused_each_time() -> None:
     planner, model = a_planner(max_parts=1), a_cart()
 
     for _ in range(2):
-        with pytest.raises(EngineRefused, match="use at most 1"):
+        with pytest.raises(EngineRefused):
             planner.find(model)
 
 

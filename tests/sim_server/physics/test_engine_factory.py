@@ -33,7 +33,7 @@ def test_engine_is_pybullet_when_none_is_asked_for() -> None:
 
 
 def test_engine_that_there_is_not_is_refused() -> None:
-    with pytest.raises(ValueError, match="'ode' is unknown; use pybullet or mujoco"):
+    with pytest.raises(ValueError, match="ode.*pybullet.*mujoco"):
         parse_engine_name("ode")
 
 
@@ -42,7 +42,5 @@ def test_engine_is_mujoco_where_pybullet_is_not_installed() -> None:
 
 
 def test_both_ways_to_an_engine_are_named_when_none_is_installed() -> None:
-    with pytest.raises(
-        EngineMissing, match=r"\[server\]'.*, or pip.*\[server,mujoco\]' for mujoco"
-    ):
+    with pytest.raises(EngineMissing, match=r"\[server\].*\[server,mujoco\]"):
         choose_engine(EngineOptions(), [])

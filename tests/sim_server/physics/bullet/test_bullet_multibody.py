@@ -32,7 +32,7 @@ def test_shapes_of_alike_parts_are_made_once() -> None:
         return len(made)
 
     shapes = CollisionShapeCache(
-        make, folder="", kinds=dict.fromkeys(COLLISION_SHAPE_KINDS, 1), dented=8
+        make, folder="", kinds=dict.fromkeys(COLLISION_SHAPE_KINDS, 1), concave=8
     )
     plan = make_blueprint(a_box_bot())
     _, left, right, _ = plan.parts

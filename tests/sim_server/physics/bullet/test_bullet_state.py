@@ -95,7 +95,7 @@ def test_body_whose_number_is_used_again_has_the_root_of_its_own() -> None:
     roots.add(0, make_blueprint(a_lopsided_box()).parts[0])
     roots.add(0, make_blueprint(a_box()).parts[0])
 
-    turns, arms = roots.turns_and_arms([0], a_state()[None])
+    turns, arms = roots.orientations_and_arms([0], a_state()[None])
 
     assert not arms.any()
     assert turns.tolist() == [[0.0, 0.0, 0.0, 1.0]]

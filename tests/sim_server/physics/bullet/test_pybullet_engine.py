@@ -288,7 +288,7 @@ def test_joint_is_slowed_by_its_damping(engine: PyBulletEngine) -> None:
     "shape", [Shape("mesh", mesh="a.stl"), Shape("plane")], ids=lambda shape: shape.kind
 )
 def test_engine_refuses_a_shape_that_it_cannot_make(engine: PyBulletEngine, shape: Shape) -> None:
-    with pytest.raises(EngineRefused, match=rf"model 'm'.*'{shape.kind}'.*use box, sphere"):
+    with pytest.raises(EngineRefused, match=f"'{shape.kind}'"):
         engine.add(a_model_of(shape), a_state())
 
     assert bodies_in(engine) == 1
@@ -297,7 +297,7 @@ def test_engine_refuses_a_shape_that_it_cannot_make(engine: PyBulletEngine, shap
 def test_engine_refuses_a_robot_of_more_parts_than_bullet_reads_back(
     engine: PyBulletEngine,
 ) -> None:
-    with pytest.raises(EngineRefused, match=rf"{MAX_PARTS + 1} parts.*at most {MAX_PARTS}"):
+    with pytest.raises(EngineRefused, match=rf"{MAX_PARTS + 1}.*{MAX_PARTS}"):
         engine.add(a_many_legged(MAX_PARTS), a_state())
 
     assert bodies_in(engine) == 1
