@@ -33,7 +33,7 @@ def test_engine_is_pybullet_when_none_is_asked_for() -> None:
 
 
 def test_engine_that_there_is_not_is_refused() -> None:
-    with pytest.raises(ValueError, match="ode.*pybullet.*mujoco"):
+    with pytest.raises(ValueError, match=r"ode.*pybullet.*mujoco"):
         parse_engine_name("ode")
 
 
