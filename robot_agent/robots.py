@@ -2,11 +2,14 @@
 
 import logging
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 from zensim.proto.cmd_vel_decoding import decode_twist
 from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.standard_messages import Twist
 from zensim.proto.network_protocols import AgentNetwork, Sample, Subscription
 from zensim.proto.ros2.ros_graph import RosGraph
@@ -28,6 +31,30 @@ ZERO_TWIST = Twist()
 NODE_NAME = "agent"
 """Name of a robot's ROS 2 node, in the robot's namespace."""
 LOG = logging.getLogger("zensim.agent")
+
+
+class SensorTelemetry(Protocol):
+    """Topics of the sensors of one type on one robot."""
+
+    publishers: list[LazyTopicPublisher]
+
+    def reset(self) -> None:
+        """Start again; time may have gone back."""
+
+    def publish(self, state: RobotState) -> None:
+        """Publish what is due at a state."""
+
+
+@dataclass(frozen=True)
+class SensorType:
+    """A type of sensor that agents simulate."""
+
+    is_used_by: Callable[[Model], bool]
+    make: Callable[[TopicFactory, Claim], SensorTelemetry]
+
+
+SENSOR_TYPES: Final = (SensorType(lambda model: bool(model.ground_truths), TrueOdometryTelemetry),)
+"""Pools drive robots with any of these one by one, not in groups."""
 
 
 class CmdVelSubscriber:
@@ -98,7 +125,9 @@ class Robot:
         self._base = BaseController(claim.model)
         self._motion = MotionTelemetry(factory, claim)
         self._joints = JointTelemetry(factory, claim)
-        self._true_odometry = TrueOdometryTelemetry(factory, claim)
+        self._sensors = [
+            sensor.make(factory, claim) for sensor in SENSOR_TYPES if sensor.is_used_by(claim.model)
+        ]
         self._static = make_static_publishers(factory, claim)
         self._state: RobotState | None = None
         self._is_motion_new = False
@@ -112,7 +141,8 @@ class Robot:
         self._base.reset()
         self._motion.reset()
         self._joints.reset()
-        self._true_odometry.reset()
+        for sensor in self._sensors:
+            sensor.reset()
         if self.cmd_vel is not None:
             self.cmd_vel.reset()
 
@@ -143,7 +173,8 @@ class Robot:
         if self._is_motion_new:
             self._motion.publish(self._state, self._base.motion)
         self._joints.publish(self._state)
-        self._true_odometry.publish(self._state)
+        for sensor in self._sensors:
+            sensor.publish(self._state)
 
     def announce(self) -> None:
         """Publish static topics to new subscribers."""
@@ -167,7 +198,7 @@ class Robot:
         return [
             *self._motion.publishers,
             *self._joints.publishers,
-            *self._true_odometry.publishers,
+            *(publisher for sensor in self._sensors for publisher in sensor.publishers),
             *self._static,
         ]
 

@@ -62,11 +62,6 @@ def make_group_key(model: Model, topic_keys: RobotTopicKeys) -> GroupKey:
     )
 
 
-def can_be_grouped(model: Model) -> bool:
-    """Whether robots of this model can be in a group; others are driven one by one."""
-    return model.drive is not None and not model.ground_truths
-
-
 def _strip_names(drive: Drive) -> Drive:
     return msgspec.structs.replace(
         drive,

@@ -8,6 +8,7 @@ from itertools import count
 import numpy as np
 
 from zensim.proto.messages.agent_messages import Claim, DriveCommand, DriveState
+from zensim.proto.messages.model_messages import Model
 from zensim.proto.network_protocols import AgentNetwork
 from zensim.proto.ros2.ros_graph import RosGraph, RosNode, Topic
 from zensim.proto.ros2.ros_settings import NO_ROS
@@ -18,7 +19,6 @@ from zensim.robot_agent.pool.fleet_cmd_vel import FleetCmdVel
 from zensim.robot_agent.pool.fleet_publisher import FleetTopicPublisher, RosFleetPublisher
 from zensim.robot_agent.pool.group_key import (
     GroupKey,
-    can_be_grouped,
     make_group_key,
 )
 from zensim.robot_agent.pool.group_telemetry import StaticTopics
@@ -29,7 +29,7 @@ from zensim.robot_agent.pool.robot_group import (
     RobotGroup,
 )
 from zensim.robot_agent.pool.robot_rows import NEW_ROW, FloatArray
-from zensim.robot_agent.robots import NODE_NAME, Robot, log_malformed_commands
+from zensim.robot_agent.robots import NODE_NAME, SENSOR_TYPES, Robot, log_malformed_commands
 from zensim.robot_agent.topic_remapping import find_topic_keys
 
 LOG = logging.getLogger("zensim.agent")
@@ -86,7 +86,7 @@ class PooledRobots:
     def add_claims(self, claims: Sequence[Claim]) -> None:
         """Subscribe to commands of new robots, which publish from their first state on."""
         for claim in claims:
-            if can_be_grouped(claim.model):
+            if _can_be_grouped(claim.model):
                 topic_keys = find_topic_keys(claim, self._ros)
                 self._commands.listen(topic_keys.cmd_vel)
                 group_key = make_group_key(claim.model, topic_keys)
@@ -269,6 +269,10 @@ class PooledRobots:
             for kind in CMD_VEL.messages:
                 node.add_topic_endpoint("MS", Topic(cmd_vel, kind))
         return node
+
+
+def _can_be_grouped(model: Model) -> bool:
+    return model.drive is not None and not any(one.is_used_by(model) for one in SENSOR_TYPES)
 
 
 def _extract_state(single: _SingleRobot, read: PoolDriveState) -> RobotState:
