@@ -1,4 +1,4 @@
-"""The agent process: connects, claims robots, drives them at each drive state and does the housekeeping."""
+"""The agent process: claims robots, drives them at each drive state, does housekeeping."""
 
 import logging
 import math
@@ -44,27 +44,27 @@ LOG_PERIOD_S = 1.0
 
 
 class HousekeepingTarget(Protocol):
-    """Robots that are looked after."""
+    """Robots that need housekeeping."""
 
     def answer(self) -> None:
-        """Tell last values to those who have asked."""
+        """Reply to queries with the last values."""
 
     def announce(self) -> None:
-        """Publish what never changes to those who have begun to listen."""
+        """Publish static topics to new subscribers."""
 
     def log_malformed(self) -> None:
-        """Log which commands were malformed."""
+        """Log malformed commands."""
 
 
 class Housekeeping:
-    """Answers questions, greets new listeners, and says what was malformed."""
+    """Replies to queries, publishes to new subscribers and logs malformed commands."""
 
-    def __init__(self, kept: HousekeepingTarget) -> None:
-        self._target = kept
+    def __init__(self, target: HousekeepingTarget) -> None:
+        self._target = target
         self._announce_s = self._log_s = 0.0
 
     def poll(self, now_s: float) -> None:
-        """Answer, and do what else is due."""
+        """Reply to queries, and do what else is due."""
         self._target.answer()
         if now_s >= self._announce_s:
             self._announce_s = now_s + ANNOUNCE_PERIOD_S
@@ -76,67 +76,67 @@ class Housekeeping:
 
 LOG = logging.getLogger("zensim.agent")
 HOUSEKEEPING_PERIOD_S = 0.02
-"""Pause between looks for anything else: none of it is urgent, and each look costs."""
+"""Period of everything but driving, which is not urgent."""
 
 
 MAX_LOGGED_CLAIMS = 20
-"""Of more at once, only the number is told."""
+"""For more robots at once only their number is logged."""
 
 
 class ClaimClient(Protocol):
-    """Asks for entities; `NamedClaimClient` by name, `ShareClaimClient` for a share."""
+    """Claims entities; `NamedClaimClient` by name, `ShareClaimClient` a share of all."""
 
     def poll(self, now_s: float) -> tuple[Claim, ...]:
-        """Ask if it is time to."""
+        """Call the claim service if it is due; return new claims."""
 
     def retry_soon(self) -> None:
-        """Ask soon: something has changed."""
+        """Call soon: something has changed."""
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
-        """Learn that entities were lost."""
+        """Note that entities were lost."""
 
 
 class RobotSet(HousekeepingTarget, Protocol):
-    """The robots that are held; `IndividualRobots` has them one by one, `PooledRobots` in arrays."""
+    """The robots of an agent; `IndividualRobots` one by one, `PooledRobots` in arrays."""
 
     newest_claim: int
 
     def add_claims(self, claims: Sequence[Claim]) -> None:
-        """Hold what was claimed."""
+        """Add the robots of new claims."""
 
     def release_all_except(self, claims: bytes) -> tuple[str, ...]:
-        """Let go all others, and name them."""
+        """Release all other robots; return their entities."""
 
     def holds(self, claims: bytes) -> bool:
         """Whether all these claims are held."""
 
     def reset(self) -> None:
-        """Start all robots again."""
+        """Reset all robots."""
 
     def advance(self, state: DriveState) -> DriveCommand:
-        """Drive by one control period."""
+        """Drive each robot by one control period."""
 
     def revise(self) -> DriveCommand | None:
-        """Answer the last state anew if a command that came since changes the answer."""
+        """Answer the last state again if a command that came since changes the answer."""
 
     def publish(self) -> None:
-        """Publish what the last state made due."""
+        """Publish what is due at the last state."""
 
 
 class Agent:
-    """One process's part in the world; it moves only when polled."""
+    """The agent of one process; it acts only in `poll`."""
 
     def __init__(self, network: AgentNetwork, config: AgentConfig) -> None:
         world, agent = config.world, config.agent
         self.malformed = 0
-        """Drive states that were not understood."""
+        """Number of malformed drive states."""
         self._network = network
         self._config = config
-        # A claim is bound to the token, which has to be up before.
+        # A claim is bound to the token, which must exist before.
         self._token = network.token(keys.alive_agent(world, agent))
         self._servers = network.watch_tokens(keys.alive_server(world))
-        # What comes is matched against all that its session has declared: 0.2 ms a message with a
-        # thousand publishers. States come with commands, so that one link keeps their order.
+        # A session matches each message with all its declarations: 0.2 ms with a thousand
+        # publishers. States and commands share a session, so that their order is kept.
         self._rx_session = network if config.pool_limit is None else network.open_session()
         self._states = self._rx_session.subscribe(DRIVE_STATE.key(world, agent))
         self._commands = network.advertise(DRIVE_COMMAND.key(world, agent), DRIVE_COMMAND.encoding)
@@ -153,7 +153,7 @@ class Agent:
         self._housekeeping_s = self._now_s = -math.inf
 
     def close(self) -> None:
-        """Withdraw what is not withdrawn with the session."""
+        """Undeclare what is not part of the session."""
         self._graph.close()
         if self._rx_session is not self._network:
             self._rx_session.close()
@@ -163,10 +163,10 @@ class Agent:
         return self._poll_schedule.pause_s(now_s)
 
     def poll(self, now_s: float) -> bool:
-        """Do what there is to do; tell whether there was a drive state.
+        """Do what is due; return whether there was a drive state.
 
         Args:
-            now_s: Wall time, from any beginning.
+            now_s: Wall time from any origin.
 
         Raises:
             ServiceError: See `NamedClaimClient.poll`, as for the others.
@@ -226,7 +226,7 @@ class Agent:
         return True
 
     def _follow(self, state: DriveState) -> None:
-        # An older state does not speak of the newest claim.
+        # A state from before the newest claim lacks its robot.
         if state.newest_claim < self._robots.newest_claim or not self._robots.holds(state.claims):
             return
         order = self._state_order.place(state.epoch, state.step)
@@ -240,7 +240,7 @@ class Agent:
         payload = encode(self._robots.advance(state), Format.MSGPACK)
         self._late_command_window.note_state(state, self._now_s)
         if state.is_awaited:
-            # One link keeps the order: who sees the command has seen what the state made due.
+            # In this order, a receiver of the command has received the telemetry before.
             self._robots.publish()
             self._commands.send(payload)
         else:
@@ -248,7 +248,7 @@ class Agent:
             self._robots.publish()
 
     def _revise(self) -> None:
-        """Let a command that has come since the last state take effect before the next one."""
+        """Apply a command that came since the last state before the next state."""
         if not self._late_command_window.is_open(self._now_s):
             return
         if (command := self._robots.revise()) is not None:
@@ -276,7 +276,7 @@ def run_agent(
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Hold and drive entities until told to stop, or until they cannot be had.
+    """Claim and drive entities until `should_stop`, or until they cannot be claimed.
 
     Raises:
         ServiceError: See `NamedClaimClient.poll`, as for the others.
@@ -291,27 +291,27 @@ def run_agent(
 
 
 def _make_robot_set(
-    network: AgentNetwork, config: AgentConfig, graph: RosGraph, ears: AgentNetwork
+    network: AgentNetwork, config: AgentConfig, graph: RosGraph, rx_session: AgentNetwork
 ) -> RobotSet:
     timeout_ns = round(config.cmd_vel_timeout_s * NANOSECONDS)
     if config.pool_limit is None:
         return IndividualRobots(network, timeout_ns, graph)
-    # Numpy and what is made of arrays are half of what an agent has to load, and 10 MB.
+    # numpy and the pool take 0.3 s and 10 MB to load, which single agents save.
     from zensim.robot_agent.pool.pooled_robots import PooledRobots  # noqa: PLC0415
 
-    return PooledRobots(network, timeout_ns, graph, ears)
+    return PooledRobots(network, timeout_ns, graph, rx_session)
 
 
 def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClient:
     if config.pool_limit is None:
-        wish = ClaimSettings(
+        settings = ClaimSettings(
             world=config.world,
             agent=config.agent,
             entities=config.entities,
             on_release=config.on_release,
             wait_s=config.wait_s,
         )
-        return NamedClaimClient(network, wish)
+        return NamedClaimClient(network, settings)
     share = ShareSettings(
         world=config.world,
         agent=config.agent,
@@ -323,14 +323,14 @@ def _make_claim_client(network: AgentNetwork, config: AgentConfig) -> ClaimClien
 
 
 MAX_ENTITY_CHARACTERS = 48
-"""Of its name, in a made-up name of an agent."""
+"""Of the entity name in a generated agent name."""
 
 
 def run_agent_process(start: AgentProcessConfig) -> None:
-    """Stay until stopped, which is how an agent ends well; one without a name makes one up.
+    """Run an agent until it is stopped; without a name it generates one.
 
     Raises:
-        Unreachable: Nobody listens at the endpoint.
+        Unreachable: Nothing accepts connections at the endpoint.
         ServiceError: See `run_agent`, as for the others.
     """
     logging.basicConfig(
@@ -339,14 +339,14 @@ def run_agent_process(start: AgentProcessConfig) -> None:
         stream=sys.stderr,
     )
     config = start.config
-    # Opening does not return to Python; until there is a token to withdraw, a signal just ends it.
+    # Opening does not return to Python; until a token exists, a signal just ends the process.
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_DFL)
     deadline_s = time.monotonic() + config.wait_s
     with open_bus_with_retry(BusConfig(connect=(start.endpoint,)), config.wait_s) as bus:
         left_s = max(0.0, deadline_s - time.monotonic())
         name = config.agent or _make_agent_name(config)
-        # An interrupt in what Python calls by itself is lost: the flag is looked at, too.
+        # An interrupt in a callback of Python is lost: the flag is read, too.
         with suppress(KeyboardInterrupt):
             stop = StopFlag(is_armed=False)
             run_agent(bus, msgspec.structs.replace(config, agent=name, wait_s=left_s), stop)

@@ -10,15 +10,15 @@ from zensim.proto.ros2.ros_settings import NO_ROS, RosSettings
 
 
 class RateOverrides(msgspec.Struct, frozen=True):
-    """How often [simulated Hz]; 0 = at every drive state, None = as described."""
+    """Rates [Hz, simulation time]; 0 = at every drive state, None = as described."""
 
     odom_hz: float | None = None
     tf_hz: float | None = None
-    """None = as described, or else with odometry."""
+    """None = as described, else with odometry."""
 
 
 def override_rates(claims: Sequence[Claim], rates: RateOverrides) -> tuple[Claim, ...]:
-    """Put rates into the models of claims; those that share a model go on sharing it."""
+    """Set the rates of the models of claims; claims that share a model still share it."""
     if rates == RateOverrides():
         return tuple(claims)
     models = {id(claim.model): _override_model_rates(claim.model, rates) for claim in claims}
@@ -35,29 +35,29 @@ def _override_model_rates(model: Model, rates: RateOverrides) -> Model:
 
 
 class AgentConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What to drive, and how."""
+    """Configuration of an agent."""
 
     world: str = "default"
     agent: str = ""
-    """Unique in the world; empty when the process makes one up."""
+    """Name, unique in the world; empty = generated."""
     entities: tuple[str, ...] = ()
     pool_limit: int | None = None
-    """As a pool: most robots that it drives, 0 = any number; None = it drives its entities."""
+    """Maximum number of robots of a pool, 0 = any; None = no pool, it drives `entities`."""
     rates: RateOverrides = RateOverrides()
     wait_s: float = 30.0
-    """How long to wait for the entities at the start; once it had them, it waits for ever."""
+    """Time to wait for the entities at the start; after the first claim there is no limit."""
     cmd_vel_timeout_s: float = 0.5
-    """Simulation time after which a robot that hears nothing stands still; 0 = never."""
+    """Simulation time after which a robot without commands stops; 0 = never."""
     on_release: OnRelease = "stop"
-    """What becomes of an entity when the agent is gone."""
+    """Fate of entities when the agent ends."""
     ros: RosSettings = NO_ROS
 
 
 class AgentProcessConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a process needs to be an agent; as JSON it is handed to `zensim.deploy.prepared_start`."""
+    """Configuration of an agent process; `zensim.deploy.prepared_start` gets it as JSON."""
 
     endpoint: str
-    """Router or server to join."""
+    """Of a router or server."""
     config: AgentConfig
     is_quiet: bool = False
-    """Whether warnings only are logged."""
+    """Whether only warnings are logged."""

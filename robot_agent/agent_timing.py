@@ -7,38 +7,38 @@ from zensim.proto.messages.agent_messages import DriveState
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
 MIN_PERIOD_S = 0.002
-"""Between two answers while time runs freely: more often a command does nothing but cost."""
+"""Minimum wall time between two answers while time runs freely."""
 LEAD_S = 0.002
-"""So long before the next state is due it is looked for."""
+"""Polling starts this long before the next state is due."""
 POLL_S = 0.001
-"""Pause between looks around then."""
+"""Polling period from then on."""
 MAX_PAUSE_S = 0.01
-"""Pause in which everything else may wait."""
+"""Maximum pause; everything else may wait as long."""
 MAX_COMMAND_PAUSE_S = 0.0035
-"""Pause in which a command may wait that could change the last answer."""
+"""Maximum pause of an agent that applies late commands."""
 IDLE_AFTER_S, IDLE_S = 0.5, 0.003
-"""When no state has come for so long, time stands: the first one then may wait a little."""
+"""Without states for so long, time stands; the first state then may wait for one pause."""
 EAGER_S, EAGER_POLL_S = 0.02, 0.0003
-"""So long after an awaited state the next one is near, and time stands until it is answered."""
+"""After an awaited state, polling is fast for so long: time stands until the next answer."""
 PERIOD_GROWTH = 1.1
-"""How fast the beat is forgotten when states come less often."""
+"""Growth of the expected period per state when states come less often."""
 
 
 class PollSchedule:
-    """Learns the wall time between drive states."""
+    """Pauses between polls, from the wall time between drive states."""
 
     def __init__(self, longest_s: float = MAX_PAUSE_S) -> None:
-        """Know nothing yet.
+        """Start without a known period.
 
         Args:
-            longest_s: Pause in which nothing else is looked for.
+            longest_s: Maximum pause [s].
         """
         self._longest_s = longest_s
         self._state_s = self._eager_until_s = -math.inf
         self._period_s = 0.0
 
     def note_state(self, now_s: float, *, is_awaited: bool) -> None:
-        """Take note of a state that has come."""
+        """Note the arrival of a state."""
         gap_s = now_s - self._state_s
         self._state_s = now_s
         self._period_s = min(gap_s, PERIOD_GROWTH * max(self._period_s, MIN_PERIOD_S))
@@ -46,7 +46,7 @@ class PollSchedule:
             self._eager_until_s = now_s + EAGER_S
 
     def pause_s(self, now_s: float) -> float:
-        """Find how long to sleep [s]."""
+        """Find the pause until the next poll [s]."""
         if now_s < self._eager_until_s:
             return EAGER_POLL_S
         passed_s = now_s - self._state_s
@@ -57,28 +57,28 @@ class PollSchedule:
 
 
 NICENESS = 19
-"""Weighs a seventieth of what is ordinary: with a tenth, agents that wake up push physics aside."""
+"""A seventieth of the default CPU weight; with a tenth, agents that wake preempt physics."""
 RTF_WINDOW_S = 0.5
-"""Wall time between two looks at how fast time runs."""
+"""Wall time over which the real-time factor is measured."""
 FAST_RTF, SLOW_RTF = 1.5, 1.2
-"""Real-time factors above which an agent stands back, and below which it comes forward again."""
+"""Real-time factors above which the priority is lowered, and below which it is restored."""
 
 
 class ProcessPriority:
-    """Watches how fast simulation time runs, and stands back while it runs fast."""
+    """Lowers the priority of the process while simulation time runs fast."""
 
-    def __init__(self, be_nice: Callable[[int], bool]) -> None:
-        """Stand where every process does.
+    def __init__(self, set_niceness: Callable[[int], bool]) -> None:
+        """Start with default priority.
 
         Args:
-            be_nice: Sets the niceness of this process; says whether that can be told as done.
+            set_niceness: Sets the niceness of this process; returns whether it is done.
         """
-        self._be_nice = be_nice
+        self._set_niceness = set_niceness
         self._niceness = 0
         self._since: tuple[float, int] | None = None
 
     def note_state(self, now_s: float, state: DriveState) -> None:
-        """Take note of a state that has come at a moment of the wall's time."""
+        """Note the arrival of a state at a wall time."""
         if self._since is None or state.is_awaited or state.time_ns < self._since[1]:
             self._since = (now_s, state.time_ns)
             return
@@ -88,21 +88,21 @@ class ProcessPriority:
         factor = (state.time_ns - self._since[1]) / NANOSECONDS / elapsed_s
         self._since = (now_s, state.time_ns)
         wanted = NICENESS if factor > FAST_RTF else 0 if factor < SLOW_RTF else self._niceness
-        if wanted != self._niceness and self._be_nice(wanted):
+        if wanted != self._niceness and self._set_niceness(wanted):
             self._niceness = wanted
 
 
 WINDOW_PERIODS = 2.0
-"""So long after a state a new command is heeded, in times between two; later, time stands."""
+"""Duration of the window, in periods between states; after it, time is assumed to stand."""
 MIN_WINDOW_S, MAX_WINDOW_S = 0.05, 1.0
-"""The same in seconds."""
+"""Limits of the duration [s]."""
 
 
 class LateCommandWindow:
-    """Lets the answer to the newest state be revised once.
+    """Time in which the answer to the newest state may be revised once.
 
-    Where time waits for agents, or is made step by step, each state has one answer: what comes
-    later is for the next, so that the same requests give the same bytes.
+    If time waits for agents or is stepped by requests, each state has one answer: later commands
+    count for the next state, so that equal requests give equal bytes.
     """
 
     def __init__(self) -> None:
@@ -110,7 +110,7 @@ class LateCommandWindow:
         self._came_s = self._until_s = -math.inf
 
     def note_state(self, state: DriveState, now_s: float) -> None:
-        """Take note of a state that was answered."""
+        """Note a state that was answered."""
         before, self._state = self._state, state
         has_run = (
             before is not None
@@ -122,9 +122,9 @@ class LateCommandWindow:
         self._until_s = now_s + lasts_s if has_run and not state.is_awaited else -math.inf
 
     def is_open(self, now_s: float) -> bool:
-        """Whether a command that comes now may change the answer."""
+        """Whether a command may change the last answer now."""
         return now_s < self._until_s
 
     def close(self) -> None:
-        """Take note that the answer was revised."""
+        """Note that the answer was revised."""
         self._until_s = -math.inf

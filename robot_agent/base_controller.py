@@ -14,20 +14,19 @@ from zensim.robot_agent.odometry import BaseMotion, EncoderOdometry, find_world_
 from zensim.robot_agent.robot_frames import find_base_frame
 
 NO_DRIVE = DiffDrive(update_rate_hz=30.0)
-"""Has no wheels and publishes nothing: stands in where a description has no drive."""
+"""Without wheels and topics; for models without a drive."""
 
 
 def get_drive(model: Model) -> Drive:
-    """Find the drive; one that does nothing when there is none."""
+    """Get the drive of a model, `NO_DRIVE` if it has none."""
     return model.drive or NO_DRIVE
 
 
 def find_motion_rates(drive: Drive) -> tuple[float | None, float | None, float | None]:
-    """Find how often a motion is due, and how often of that odometry and tf are told.
+    """Find the rates [Hz] of motions, odometry and tf; 0 = at every state.
 
     Returns:
-        Rates [Hz]; 0 = at every state; None of a motion = with the drive's commands; None of the
-        others = with every motion.
+        Motion: None = with the drive's updates. Odometry and tf: None = with every motion.
     """
     if drive.tf_rate_hz is None:
         return drive.odometry_rate_hz, None, None
@@ -43,7 +42,7 @@ def find_motion_rates(drive: Drive) -> tuple[float | None, float | None, float |
 
 
 def make_rate_limiter(rate_hz: float | None) -> RateLimiter | None:
-    """Make a gate; none where nothing is held back."""
+    """Make a rate limiter; none if nothing is limited."""
     return None if rate_hz is None else RateLimiter(rate_hz)
 
 
@@ -57,22 +56,22 @@ class _DriveUpdate:
 
 
 class BaseController:
-    """Keeps a drive and its odometry at the drive's own rates."""
+    """Drive and odometry of one robot, at the drive's update rates."""
 
     def __init__(self, model: Model) -> None:
         drive = get_drive(model)
-        self._standing = (0.0,) * model.target_count
-        self.targets: tuple[float, ...] = self._standing
-        """Numbers for `Model.actuators`, in order."""
+        self._rest_targets = (0.0,) * model.target_count
+        self.targets: tuple[float, ...] = self._rest_targets
+        """Targets of `Model.actuators`, in order."""
         self.motion = BaseMotion()
         """As of the last odometry."""
         self._base_in_root = find_base_frame(model).pose_in_root
         self._drive = make_drive_kinematics(drive, FLOAT_MATH)
         self._drive_state = (0.0,) * self._drive.state_size
         self._last: _DriveUpdate | None = None
-        """None when the drive was not due at the last reading."""
+        """None if the drive was not due at the last state."""
         self._limiter = RateLimiter(drive.update_rate_hz)
-        # Without a rate of its own a motion is due whenever the drive is.
+        # Without its own rate a motion is due with the drive.
         self._odometry_limiter = make_rate_limiter(find_motion_rates(drive)[0])
         index = {joint.name: place for place, joint in enumerate(model.joints)}
         self._measured = tuple(index[one.joint] for one in model.actuators if one.joint)
@@ -83,8 +82,8 @@ class BaseController:
             self._encoder_wheels = (index[pair.left_joint], index[pair.right_joint])
 
     def reset(self) -> None:
-        """Start again: time may have gone back."""
-        self.targets = self._standing
+        """Reset all; time may have gone back."""
+        self.targets = self._rest_targets
         self.motion = BaseMotion()
         self._last = None
         self._drive_state = (0.0,) * self._drive.state_size
@@ -94,20 +93,20 @@ class BaseController:
         if self._encoder is not None:
             self._encoder.reset()
 
-    def update(self, reading: RobotState, twist: Twist) -> bool:
-        """Take a reading; tell whether odometry was due, so that the motion is new."""
+    def update(self, state: RobotState, twist: Twist) -> bool:
+        """Take a state; return whether odometry was due, so that the motion is new."""
         if self._encoder is not None:
-            left, right = (reading.positions[wheel] for wheel in self._encoder_wheels)
-            self._encoder.update(left_rad=left, right_rad=right, time_ns=reading.time_ns)
-        is_due = self._update_drive(reading, twist)
+            left, right = (state.positions[wheel] for wheel in self._encoder_wheels)
+            self._encoder.update(left_rad=left, right_rad=right, time_ns=state.time_ns)
+        is_due = self._update_drive(state, twist)
         if self._odometry_limiter is not None:
-            is_due = self._odometry_limiter.elapsed_s(reading.time_ns) is not None
+            is_due = self._odometry_limiter.elapsed_s(state.time_ns) is not None
         if is_due:
-            self.motion = self._motion(reading)
+            self.motion = self._motion(state)
         return is_due
 
     def revise(self, twist: Twist) -> bool:
-        """Make the last update anew, as if this twist had been there; tell whether it was due."""
+        """Repeat the last update with another twist; return whether there was one."""
         if (last := self._last) is None:
             return False
         self.targets, self._drive_state = self._drive.find_targets(
@@ -118,19 +117,19 @@ class BaseController:
         )
         return True
 
-    def _update_drive(self, reading: RobotState, twist: Twist) -> bool:
+    def _update_drive(self, state: RobotState, twist: Twist) -> bool:
         self._last = None
-        elapsed_s = self._limiter.elapsed_s(reading.time_ns)
+        elapsed_s = self._limiter.elapsed_s(state.time_ns)
         if elapsed_s is None:
             return False
         measured = MeasuredJoints(
-            [reading.positions[joint] for joint in self._measured],
-            [reading.velocities[joint] for joint in self._measured],
+            [state.positions[joint] for joint in self._measured],
+            [state.velocities[joint] for joint in self._measured],
         )
         self._last = _DriveUpdate(measured, elapsed_s, self._drive_state)
         return self.revise(twist)
 
-    def _motion(self, reading: RobotState) -> BaseMotion:
+    def _motion(self, state: RobotState) -> BaseMotion:
         if self._encoder is not None:
             return self._encoder.motion
-        return BaseMotion(*find_world_motion(reading.base, self._base_in_root, FLOAT_MATH))
+        return BaseMotion(*find_world_motion(state.base, self._base_in_root, FLOAT_MATH))

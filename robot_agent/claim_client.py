@@ -1,7 +1,9 @@
-"""Clients of claim_entity and claim_share: request, retry with back-off, and react to events."""
+"""Clients of claim_entity and claim_share: call, retry with back-off, and react to events."""
 
 import logging
 import math
+from collections.abc import Iterator
+from contextlib import suppress
 from typing import NoReturn
 
 import msgspec
@@ -21,12 +23,34 @@ from zensim.proto.network_protocols import AgentNetwork, Subscription
 from zensim.proto.service_catalog import CLAIM_ENTITY, CLAIM_SHARE
 from zensim.proto.topic_catalog import EVENTS
 
+LOG = logging.getLogger("zensim.agent")
+CALL_TIMEOUT_S = 5.0
+MIN_CALL_TIMEOUT_S = 0.5
+MIN_RETRY_S, MAX_RETRY_S = 0.05, 1.0
+"""Pauses between calls that fail; each doubles the pause."""
+CLAIM_EVENTS_DEPTH = 256
+TRANSIENT_CODES = frozenset(
+    {
+        int(ResultCode.NOT_FOUND),  # it may be spawned later
+        int(ResultCode.INCORRECT_STATE),  # the server has not received the agent's token yet
+        int(ClaimCode.ALREADY_CLAIMED),  # its agent may be about to end
+    }
+)
+"""Refusals of claim_entity that are worth a retry."""
+MIN_SHARE_PERIOD_S = 0.05
+"""Between two calls, however many events there are."""
+MAX_SHARE_PERIOD_S = 1.0
+"""Calls are repeated, as events may be lost, and none says that a pool with a limit ended."""
+SHARE_EVENTS_DEPTH = 1024
+"""Lost events do no harm: one is enough for a call."""
+SHARE_EVENTS = frozenset({"spawned", "deleted", "released", "loaded"})
+
 
 def raise_with_wait(error: Exception, wait_s: float) -> NoReturn:
     """Raise an error again, with the time that was waited [s] in its text.
 
     Raises:
-        ServiceError: When the error is one; else one of the error's own class.
+        ServiceError: If the error is one; else one of the error's class.
     """
     waited = f" (waited {wait_s:.1f} s)" if wait_s else ""
     if isinstance(error, ServiceError):
@@ -35,24 +59,63 @@ def raise_with_wait(error: Exception, wait_s: float) -> NoReturn:
     raise type(error)(f"{error}{waited}") from error
 
 
-LOG = logging.getLogger("zensim.agent")
-CALL_TIMEOUT_S = 5.0
-MIN_CALL_TIMEOUT_S = 0.5
-MIN_RETRY_S = 0.05
-MAX_RETRY_S = 1.0
-CLAIM_EVENTS_DEPTH = 256
-TRANSIENT_CODES = frozenset(
-    {
-        int(ResultCode.NOT_FOUND),  # it is spawned later
-        int(ResultCode.INCORRECT_STATE),  # the server has not seen the token yet
-        int(ClaimCode.ALREADY_CLAIMED),  # the agent that has it is dying
-    }
-)
-"""Refusals that may end by themselves."""
+class ClaimRetry:
+    """Back-off of calls that fail, and the deadline of the first success."""
+
+    def __init__(self, agent: str, wait_s: float) -> None:
+        self.has_succeeded = False
+        self._agent = agent
+        self._wait_s = wait_s
+        self._give_up_s: float | None = None
+        self._pause_s = MIN_RETRY_S
+        self._reason = ""
+
+    def start(self, now_s: float) -> None:
+        """Start the deadline, once."""
+        if self._give_up_s is None:
+            self._give_up_s = now_s + self._wait_s
+
+    def find_timeout_s(self, now_s: float) -> float:
+        """Find the timeout of a call [s]; the deadline shortens it."""
+        if self.has_succeeded or self._give_up_s is None:
+            return CALL_TIMEOUT_S
+        return min(CALL_TIMEOUT_S, max(MIN_CALL_TIMEOUT_S, self._give_up_s - now_s))
+
+    def reset_pause(self) -> None:
+        """Start the back-off again."""
+        self._pause_s = MIN_RETRY_S
+
+    def note_success(self) -> None:
+        """Note a success; from now on there is no deadline."""
+        self.has_succeeded, self._reason = True, ""
+
+    def note_failure(self, error: Exception, now_s: float, *, is_transient: bool) -> float:
+        """Log a failure once; return the time of the next call [s].
+
+        Raises:
+            ServiceError: There was no success yet, and the failure is final or the deadline is
+                over; else one of the error's class.
+        """
+        is_over = self._give_up_s is not None and now_s >= self._give_up_s
+        if not self.has_succeeded and (is_over or not is_transient):
+            raise_with_wait(error, self._wait_s)
+        if str(error) != self._reason:
+            self._reason = str(error)
+            LOG.info("waiting agent=%s reason=%r", self._agent, self._reason)
+        next_s = now_s + self._pause_s
+        self._pause_s = min(2.0 * self._pause_s, MAX_RETRY_S)
+        return next_s
+
+
+def _take_events(subscription: Subscription) -> Iterator[Event]:
+    """Take the well-formed events."""
+    for sample in subscription.take():
+        with suppress(MalformedPayload):
+            yield decode(Event, sample.payload, sample.encoding)
 
 
 class ClaimSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """Which entities an agent wants, and how long it waits for them when it starts."""
+    """Entities that an agent claims, and how long it waits for them at the start."""
 
     world: str
     agent: str
@@ -62,57 +125,52 @@ class ClaimSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NamedClaimClient:
-    """Knows what is missing, and when to ask for it next."""
+    """Claims entities by name, and again if they were lost."""
 
-    def __init__(self, network: AgentNetwork, wish: ClaimSettings) -> None:
+    def __init__(self, network: AgentNetwork, settings: ClaimSettings) -> None:
         self._network = network
-        self._settings = wish
-        self._missing = wish.entities
-        self._has_claimed = self._is_split = False
-        self._give_up_s: float | None = None
-        self._retry_s, self._next_s = MIN_RETRY_S, -math.inf
-        self._reason = ""
+        self._settings = settings
+        self._missing = settings.entities
+        self._is_split = False
+        self._retry = ClaimRetry(settings.agent, settings.wait_s)
+        self._next_s = -math.inf
         self._events: Subscription | None = None
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
-        """Ask at once for entities that were lost."""
+        """Claim lost entities at the next poll."""
         self._missing += entities
         self.retry_soon()
 
     def retry_soon(self) -> None:
-        """Ask at once: something has changed."""
-        self._retry_s, self._next_s = MIN_RETRY_S, -math.inf
+        """Call at the next poll: something has changed."""
+        self._retry.reset_pause()
+        self._next_s = -math.inf
 
     def poll(self, now_s: float) -> tuple[Claim, ...]:
-        """Ask for what is missing, if it is time to.
+        """Claim missing entities, if it is time.
 
         Raises:
-            ServiceError: Refused, and nothing was claimed since the start: for good, or for as
-                long as was to be waited. The same for the others.
-            NoServer: Nothing serves this world.
-            TimeoutError: The server does not answer.
-            MalformedPayload: The answer is none.
+            ServiceError: Nothing was claimed yet, and the refusal is final or the deadline is over.
+                Likewise the others.
+            NoServer: No server has this world.
+            TimeoutError: The server does not reply.
+            MalformedPayload: The reply is malformed.
         """
         if not self._missing:
             return ()
-        self._take_events()
+        self._react_to_events()
         if now_s < self._next_s:
             return ()
-        if self._give_up_s is None:
-            self._give_up_s = now_s + self._settings.wait_s
+        self._retry.start(now_s)
         claims = self._claim(now_s)
         self._note_granted(claims)
         return claims
 
-    def _take_events(self) -> None:
+    def _react_to_events(self) -> None:
         if self._events is None:
             key = EVENTS.key(self._settings.world)
             self._events = self._network.subscribe(key, CLAIM_EVENTS_DEPTH)
-        for sample in self._events.take():
-            try:
-                event = decode(Event, sample.payload, sample.encoding)
-            except MalformedPayload:
-                continue
+        for event in _take_events(self._events):
             if event.entity in self._missing and event.kind in ("spawned", "released"):
                 self.retry_soon()
 
@@ -127,45 +185,34 @@ class NamedClaimClient:
         return tuple(granted)
 
     def _try_claim(self, entities: tuple[str, ...], now_s: float) -> tuple[Claim, ...] | None:
-        """Ask once; none when refused, None when nobody is there to ask."""
+        """Call once; empty if refused, None if there is no server."""
         try:
             return self._call(entities, now_s)
         except ServiceError as error:
-            self._schedule_retry(error, now_s, is_passing=error.code in TRANSIENT_CODES)
+            is_transient = error.code in TRANSIENT_CODES
+            self._next_s = self._retry.note_failure(error, now_s, is_transient=is_transient)
+            # Entities that exist do not wait for those that do not.
+            self._is_split = self._is_split or self._retry.has_succeeded
         except MalformedPayload as error:
-            self._schedule_retry(error, now_s, is_passing=False)
+            self._next_s = self._retry.note_failure(error, now_s, is_transient=False)
         except (NoServer, TimeoutError) as error:
-            self._schedule_retry(error, now_s, is_passing=True)
+            self._next_s = self._retry.note_failure(error, now_s, is_transient=True)
             return None
         return ()
 
     def _call(self, entities: tuple[str, ...], now_s: float) -> tuple[Claim, ...]:
-        wish, timeout_s = self._settings, CALL_TIMEOUT_S
-        if self._give_up_s is not None and not self._has_claimed:
-            timeout_s = min(timeout_s, max(MIN_CALL_TIMEOUT_S, self._give_up_s - now_s))
-        request = ClaimEntityRequest(wish.agent, entities, wish.on_release)
-        response = self._network.call(CLAIM_ENTITY, request, world=wish.world, timeout_s=timeout_s)
+        settings, timeout_s = self._settings, self._retry.find_timeout_s(now_s)
+        request = ClaimEntityRequest(settings.agent, entities, settings.on_release)
+        response = self._network.call(
+            CLAIM_ENTITY, request, world=settings.world, timeout_s=timeout_s
+        )
         return expand_grants(response)
-
-    def _schedule_retry(self, error: Exception, now_s: float, *, is_passing: bool) -> None:
-        is_over = self._give_up_s is not None and now_s >= self._give_up_s
-        if not self._has_claimed and (is_over or not is_passing):
-            raise_with_wait(error, self._settings.wait_s)
-        if self._has_claimed and isinstance(error, ServiceError):
-            # Of several, those that are there need not wait for those that are not.
-            self._is_split = True
-        if str(error) != self._reason:
-            self._reason = str(error)
-            LOG.info("waiting agent=%s reason=%r", self._settings.agent, self._reason)
-        self._next_s = now_s + self._retry_s
-        self._retry_s = min(2.0 * self._retry_s, MAX_RETRY_S)
 
     def _note_granted(self, claims: tuple[Claim, ...]) -> None:
         granted = {claim.entity for claim in claims}
         self._missing = tuple(name for name in self._missing if name not in granted)
         if granted:
-            self._has_claimed = True
-            self._reason = ""
+            self._retry.note_success()
         if self._missing or self._events is None:
             return
         self._is_split = False
@@ -173,99 +220,67 @@ class NamedClaimClient:
         self._events = None
 
 
-MIN_SHARE_PERIOD_S = 0.05
-"""Between two requests, however many events there are."""
-MAX_SHARE_PERIOD_S = 1.0
-"""Events may be lost, and a pool that died says nothing of its limit."""
-SHARE_EVENTS_DEPTH = 1024
-"""That something has happened is enough to know."""
-SHARE_EVENTS = frozenset({"spawned", "deleted", "released", "loaded"})
-
-
 class ShareSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """Which share a pool asks for, and how long it waits for a server when it starts."""
+    """Share that a pool claims, and how long it waits for a server at the start."""
 
     world: str
     agent: str
     limit: int
-    """Most robots that it drives; 0 = any number."""
+    """Maximum number of robots; 0 = any."""
     on_release: OnRelease
     wait_s: float
 
 
 class ShareClaimClient:
-    """Knows when to ask for more."""
+    """Claims an even share of all robots, again and again."""
 
-    def __init__(self, network: AgentNetwork, wish: ShareSettings) -> None:
+    def __init__(self, network: AgentNetwork, settings: ShareSettings) -> None:
         self._network = network
-        self._settings = wish
-        self._events = network.subscribe(EVENTS.key(wish.world), SHARE_EVENTS_DEPTH)
-        self._has_asked = False
-        self._give_up_s: float | None = None
-        self._asked_s = self._next_s = -math.inf
-        self._retry_s = MIN_SHARE_PERIOD_S
-        self._reason = ""
+        self._settings = settings
+        self._events = network.subscribe(EVENTS.key(settings.world), SHARE_EVENTS_DEPTH)
+        self._retry = ClaimRetry(settings.agent, settings.wait_s)
+        self._called_s = self._next_s = -math.inf
 
     def reclaim(self, entities: tuple[str, ...]) -> None:
-        """Do nothing: robots that went to another pool are its own now."""
+        """Do nothing: robots that went to another pool belong to it."""
 
     def retry_soon(self) -> None:
-        """Ask soon: something has changed."""
-        self._next_s = min(self._next_s, self._asked_s + MIN_SHARE_PERIOD_S)
+        """Call soon: something has changed."""
+        self._next_s = min(self._next_s, self._called_s + MIN_SHARE_PERIOD_S)
 
     def poll(self, now_s: float) -> tuple[Claim, ...]:
-        """Ask for what is missing of the share, if it is time to.
+        """Claim what is missing of the share, if it is time.
 
         Raises:
-            ServiceError: Refused, at the first time and for good.
-            NoServer: Nothing served this world for as long as was to be waited.
-            TimeoutError: The server does not answer.
-            MalformedPayload: The answer is none.
+            ServiceError: The first call was refused, and the refusal is final.
+            NoServer: No server had this world until the deadline.
+            TimeoutError: The server does not reply.
+            MalformedPayload: The reply is malformed.
         """
-        if self._has_relevant_event():
+        if any(event.kind in SHARE_EVENTS for event in _take_events(self._events)):
             self.retry_soon()
         if now_s < self._next_s:
             return ()
-        if self._give_up_s is None:
-            self._give_up_s = now_s + self._settings.wait_s
-        self._asked_s, self._next_s = now_s, now_s + MAX_SHARE_PERIOD_S
+        self._retry.start(now_s)
+        self._called_s, self._next_s = now_s, now_s + MAX_SHARE_PERIOD_S
         try:
             return self._claim()
         except (ServiceError, NoServer, TimeoutError, MalformedPayload) as error:
-            self._schedule_retry(error, now_s)
+            is_transient = isinstance(error, NoServer | TimeoutError) or (
+                # The server has not received the agent's token yet.
+                isinstance(error, ServiceError) and error.code == ResultCode.INCORRECT_STATE
+            )
+            self._next_s = self._retry.note_failure(error, now_s, is_transient=is_transient)
         return ()
 
-    def _has_relevant_event(self) -> bool:
-        has_news = False
-        for sample in self._events.take():
-            try:
-                event = decode(Event, sample.payload, sample.encoding)
-            except MalformedPayload:
-                continue
-            has_news = has_news or event.kind in SHARE_EVENTS
-        return has_news
-
     def _claim(self) -> tuple[Claim, ...]:
-        wish = self._settings
-        request = ClaimShareRequest(wish.agent, wish.limit, wish.on_release)
+        settings = self._settings
+        request = ClaimShareRequest(settings.agent, settings.limit, settings.on_release)
         response = self._network.call(
-            CLAIM_SHARE, request, world=wish.world, timeout_s=CALL_TIMEOUT_S
+            CLAIM_SHARE, request, world=settings.world, timeout_s=CALL_TIMEOUT_S
         )
-        self._has_asked, self._reason, self._retry_s = True, "", MIN_SHARE_PERIOD_S
+        self._retry.note_success()
+        self._retry.reset_pause()
         if response.is_more:
             self._next_s = -math.inf
         return expand_grants(response)
-
-    def _schedule_retry(self, error: Exception, now_s: float) -> None:
-        is_passing = isinstance(error, NoServer | TimeoutError) or (
-            # The server has not seen the token yet.
-            isinstance(error, ServiceError) and error.code == ResultCode.INCORRECT_STATE
-        )
-        is_over = self._give_up_s is not None and now_s >= self._give_up_s
-        if not self._has_asked and (is_over or not is_passing):
-            raise_with_wait(error, self._settings.wait_s)
-        if str(error) != self._reason:
-            self._reason = str(error)
-            LOG.info("waiting agent=%s reason=%r", self._settings.agent, self._reason)
-        self._next_s = now_s + self._retry_s
-        self._retry_s = min(2.0 * self._retry_s, MAX_SHARE_PERIOD_S)

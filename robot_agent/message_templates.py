@@ -33,7 +33,7 @@ HEADER_STAMP = ("header.stamp",)
 
 
 def make_odometry_template(model: Model) -> Odometry:
-    """Write the odometry of a robot that has not moved."""
+    """Make the odometry of a robot at its origin."""
     drive = get_drive(model)
     frames = OdometryHeader(
         drive.odometry_frame, find_base_frame(model).name, make_covariance(drive)
@@ -42,22 +42,22 @@ def make_odometry_template(model: Model) -> Odometry:
 
 
 def make_tf_template(model: Model) -> TFMessage:
-    """Write the transforms of a robot that has not moved."""
+    """Make the moving transforms of a robot at its origin."""
     drive, joints = get_drive(model), list_moving_joints(model)
-    told = make_moving_transforms(joints, [0.0] * len(model.joints), Time())
+    moving = make_moving_transforms(joints, [0.0] * len(model.joints), Time())
     if not drive.publish_odom_tf:
-        return TFMessage(told)
+        return TFMessage(moving)
     edge = make_odometry_edge(drive.odometry_frame, find_base_frame(model).name, BaseMotion())
-    return TFMessage((edge.to_message(Time()), *told))
+    return TFMessage((edge.to_message(Time()), *moving))
 
 
 def count_transforms(drive: Drive, joints: Sequence[int]) -> int:
-    """Count the transforms of such a message."""
+    """Count the moving transforms of a robot."""
     return len(joints) + (1 if drive.publish_odom_tf else 0)
 
 
 def list_tf_paths(count: int) -> tuple[str, ...]:
-    """List where the numbers of so many transforms go."""
+    """List the paths of the numbers of `count` transforms."""
     return tuple(
         f"transforms[{number}].transform.{part}"
         for number in range(count)
@@ -69,17 +69,17 @@ def list_tf_paths(count: int) -> tuple[str, ...]:
 
 
 def list_tf_stamps(count: int) -> tuple[str, ...]:
-    """List where the stamps of so many transforms go."""
+    """List the paths of the stamps of `count` transforms."""
     return tuple(f"transforms[{number}].header.stamp" for number in range(count))
 
 
 def list_joint_paths(count: int) -> tuple[str, ...]:
-    """List where the numbers of so many joints go: positions, then velocities."""
+    """List the paths of the numbers of `count` joints: positions, then velocities."""
     return tuple(f"{array}[{item}]" for array in ("position", "velocity") for item in range(count))
 
 
 def make_joint_states_template(model: Model, joints: Sequence[int]) -> JointState:
-    """Write the joint states of a robot whose joints are all at 0."""
+    """Make the joint states of joints at 0."""
     zeros = (0.0,) * len(joints)
     names = tuple(model.joints[joint].name for joint in joints)
     return JointState(Header(), names, zeros, zeros)

@@ -140,7 +140,7 @@ class EncoderOdometry:
 
 
 def make_covariance(drive: DriveSettings) -> tuple[float, ...]:
-    """Lay the drive's variances out as a 6 x 6 matrix, for pose and twist alike."""
+    """Make the 6 x 6 covariance matrix of pose and twist from a drive's variances."""
     diagonal = (
         drive.covariance_x,
         drive.covariance_y,
@@ -155,14 +155,14 @@ def make_covariance(drive: DriveSettings) -> tuple[float, ...]:
 
 
 class OdometryHeader(msgspec.Struct, frozen=True):
-    """What stays the same in every odometry message of one robot."""
+    """Fields that are equal in all odometry messages of one robot."""
 
     frame_id: str
     child_frame_id: str
     covariance: tuple[float, ...]
 
     def message(self, motion: BaseMotion, stamp: Time) -> Odometry:
-        """Write a motion down."""
+        """Make the message of a motion."""
         pose = Pose(Point(*motion.position), Quaternion(*motion.orientation))
         twist = Twist(
             Vector3(motion.linear_x, motion.linear_y), Vector3(0.0, 0.0, motion.angular_z)

@@ -26,10 +26,10 @@ from zensim.proto.topic_catalog import JOINT_STATES
 from zensim.robot_agent.odometry import BaseMotion
 
 MOVABLE_KINDS = frozenset({"revolute", "continuous", "prismatic"})
-"""Kinds of joints with one position; the others stand as if fixed."""
+"""Kinds of joints with one position; others are handled as fixed."""
 
 DEFAULT_JOINT_STATE_PUBLISHER = JointStatePublisher(update_rate_hz=JOINT_STATES.rate_hz)
-"""Stands in where a description has no publisher of joint states."""
+"""For models without a joint state publisher."""
 
 
 class FrameEdge(msgspec.Struct, frozen=True):
@@ -40,22 +40,22 @@ class FrameEdge(msgspec.Struct, frozen=True):
     origin: Origin
 
     def to_message(self, stamp: Time) -> TransformStamped:
-        """Write it down."""
+        """Make the message of the transform."""
         return _make_transform_stamped(self.parent, self.child, self.origin, stamp)
 
 
 class BaseFrame(msgspec.Struct, frozen=True):
-    """The frame that odometry speaks of, and where it is fixed on the root link."""
+    """Child frame of odometry, and its fixed pose in the root link."""
 
     name: str
     pose_in_root: Origin
 
 
 def find_base_frame(model: Model) -> BaseFrame:
-    """Find the frame that odometry speaks of.
+    """Find the child frame of odometry.
 
-    It is the drive's robot_base_frame; a name that the description lacks means the root link, as in
-    Gazebo. A link that moves on the root link cannot be it: then it is the root link itself.
+    It is the drive's robot_base_frame. An unknown name has the pose of the root link, as in Gazebo;
+    a frame that moves relative to the root link is replaced by the root link.
     """
     root = model.links[0].name
     if model.drive is None:
@@ -71,9 +71,9 @@ def find_base_frame(model: Model) -> BaseFrame:
 
 
 def list_fixed_edges(model: Model, base: BaseFrame) -> tuple[FrameEdge, ...]:
-    """List what never moves, hanging from the base; parents come before children.
+    """List the fixed transforms, with the base as root; parents come before children.
 
-    A base that the description lacks is joined to the root link, so that there is one tree.
+    An unknown base is connected to the root link, so that there is one tree.
     """
     root = model.links[0].name
     edges = _index_fixed_edges(model)
@@ -95,12 +95,12 @@ class MovingJoint:
         self._axis = normalize(joint.axis)
 
     def to_message(self, position: float, stamp: Time) -> TransformStamped:
-        """Write down where the joint has its child."""
+        """Make the message of the child's pose."""
         joint = self._joint
         return _make_transform_stamped(joint.parent, joint.child, self._origin(position), stamp)
 
     def pose(self, position: float) -> tuple[float, ...]:
-        """Find where the joint has its child: x y z and x y z w, in the parent."""
+        """Find the child's pose in the parent: x y z, then the quaternion x y z w."""
         origin = self._origin(position)
         return (*origin.position, *origin.orientation)
 
@@ -115,7 +115,7 @@ class MovingJoint:
 
 
 def list_published_joints(model: Model) -> tuple[int, ...]:
-    """List the joints whose states are told: those of the model's publisher, else all that move."""
+    """List the joints in joint states: those of the model's publisher, else all that move."""
     names = model.joint_state.joints if model.joint_state else None
     return tuple(
         index
@@ -125,31 +125,31 @@ def list_published_joints(model: Model) -> tuple[int, ...]:
 
 
 def list_moving_joints(model: Model) -> tuple[MovingJoint, ...]:
-    """List the joints that tf tells of: all that move, but wheels only when anything asks for them.
+    """List the joints in tf: all that move, but wheels only on request.
 
-    That is when the drive has publish_wheel_tf, or their states are published, from which
-    robot_state_publisher would make their transforms.
+    Wheels are in tf if the drive has publish_wheel_tf, or if their joint states are published, from
+    which robot_state_publisher would make their transforms.
     """
-    told = {model.joints[index].name for index in list_published_joints(model)}
+    published = {model.joints[index].name for index in list_published_joints(model)}
     has_wheels = model.drive is not None and model.drive.publish_wheel_tf
     wheels = () if has_wheels or model.drive is None else model.drive.joints
-    silent = set(wheels) - told
+    hidden = set(wheels) - published
     return tuple(
         MovingJoint(joint, index)
         for index, joint in enumerate(model.joints)
-        if joint.kind in MOVABLE_KINDS and joint.name not in silent
+        if joint.kind in MOVABLE_KINDS and joint.name not in hidden
     )
 
 
 def make_odometry_edge(frame_id: str, child_frame_id: str, motion: BaseMotion) -> FrameEdge:
-    """Make the transform that odometry gives."""
+    """Make the transform of odometry."""
     return FrameEdge(frame_id, child_frame_id, Origin(motion.position, motion.orientation))
 
 
 def make_moving_transforms(
     joints: Sequence[MovingJoint], positions: Sequence[float], stamp: Time
 ) -> tuple[TransformStamped, ...]:
-    """Write down where joints have their children; positions are of all joints of the model."""
+    """Make the transforms of joints; positions are of all joints of the model."""
     return tuple(joint.to_message(positions[joint.index], stamp) for joint in joints)
 
 

@@ -1,4 +1,4 @@
-"""True odometry of a link, as Gazebo's p3d plug-in publishes it, with forward kinematics of the link."""
+"""True odometry of a link, as Gazebo's p3d plug-in publishes it."""
 
 from random import Random
 
@@ -46,7 +46,7 @@ from zensim.robot_agent.topic_remapping import resolve_topic_key
 
 
 class LinkState(msgspec.Struct, frozen=True, gc=False):
-    """Pose and velocities of a link, all in the world."""
+    """Pose and velocities of a link in the world."""
 
     position: Vec3 = ZERO
     orientation: Quat = IDENTITY
@@ -55,14 +55,14 @@ class LinkState(msgspec.Struct, frozen=True, gc=False):
 
 
 class LinkChain:
-    """The joints and fixed places between the root link and another."""
+    """The joints and fixed frames between the root link and another link."""
 
     def __init__(self, model: Model, link: str) -> None:
-        """Find the way.
+        """Find the joints.
 
         Args:
             model: Of the robot.
-            link: One of its links, or of those merged into one; another name means the root link.
+            link: A link, or a frame fixed to one; an unknown name means the root link.
         """
         moving = {joint.child: (index, joint) for index, joint in enumerate(model.joints)}
         places = {frame.name: frame for frame in model.frames}
@@ -75,13 +75,13 @@ class LinkChain:
             self._joints.insert(0, (index, joint, normalize(joint.axis)))
             link = joint.parent
 
-    def motion(self, reading: RobotState) -> LinkState:
-        """Find the motion of the link."""
-        px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = reading.base
+    def motion(self, state: RobotState) -> LinkState:
+        """Find the state of the link."""
+        px, py, pz, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz = state.base
         at = LinkState((px, py, pz), (qx, qy, qz, qw), (vx, vy, vz), (wx, wy, wz))
         for index, joint, axis in self._joints:
             at = _apply_origin(at, joint.origin)
-            at = _apply_joint(at, joint, axis, reading.positions[index], reading.velocities[index])
+            at = _apply_joint(at, joint, axis, state.positions[index], state.velocities[index])
         return _apply_origin(at, self._fixed)
 
 
@@ -116,101 +116,103 @@ NO_NOISE = (ZERO, ZERO)
 
 
 class TrueOdometryTelemetry:
-    """What the ground truth plug-ins of one robot tell, each at a rate of its own."""
+    """True odometry topics of one robot, each at its own rate."""
 
-    def __init__(self, faces: TopicFactory, claim: Claim) -> None:
-        self._truths = tuple(
-            TrueOdometry(claim.model, wish, f"{claim.entity}/{number}")
-            for number, wish in enumerate(claim.model.ground_truths)
+    def __init__(self, factory: TopicFactory, claim: Claim) -> None:
+        self._odometries = tuple(
+            TrueOdometry(claim.model, settings, f"{claim.entity}/{number}")
+            for number, settings in enumerate(claim.model.ground_truths)
         )
         self.publishers = [
             LazyTopicPublisher(
-                faces,
+                factory,
                 Topic(
-                    resolve_topic_key(claim.namespace, truth.wish.topic, truth.wish.ros), Odometry
+                    resolve_topic_key(
+                        claim.namespace, odometry.settings.topic, odometry.settings.ros
+                    ),
+                    Odometry,
                 ),
-                truth.message,
+                odometry.message,
             )
-            for truth in self._truths
+            for odometry in self._odometries
         ]
 
     def reset(self) -> None:
-        """Start again; time may have gone back."""
-        for truth in self._truths:
-            truth.reset()
+        """Reset all; time may have gone back."""
+        for odometry in self._odometries:
+            odometry.reset()
 
-    def publish(self, reading: RobotState) -> None:
-        """Tell what is due."""
-        for truth, outlet in zip(self._truths, self.publishers, strict=True):
-            if truth.take(reading):
-                outlet.publish()
+    def publish(self, state: RobotState) -> None:
+        """Publish what is due."""
+        for odometry, publisher in zip(self._odometries, self.publishers, strict=True):
+            if odometry.take(state):
+                publisher.publish()
 
 
 class TrueOdometry:
-    """The true motion of one link, with the noise that was asked for.
+    """The true motion of one link, with noise.
 
-    The noise is drawn from a seed of its own, so that it is the same on every run and after every
-    reset.
+    The noise has its own seed, so that it is equal in every run and after every reset.
     """
 
-    def __init__(self, model: Model, wish: GroundTruth, seed: str) -> None:
+    def __init__(self, model: Model, settings: GroundTruth, seed: str) -> None:
         links = {link.name for link in model.links} | {frame.name for frame in model.frames}
-        self.wish = wish
-        self._body = LinkChain(model, wish.body)
-        self._frame = LinkChain(model, wish.frame_id) if wish.frame_id in links else None
-        self._limiter = RateLimiter(wish.update_rate_hz)
+        self.settings = settings
+        self._body = LinkChain(model, settings.body)
+        self._frame = LinkChain(model, settings.frame_id) if settings.frame_id in links else None
+        self._limiter = RateLimiter(settings.update_rate_hz)
         self._seed = seed
         self._random = Random(seed)
-        self._reading: RobotState | None = None
+        self._state: RobotState | None = None
         self._noise = NO_NOISE
-        variance = wish.noise * wish.noise
+        variance = settings.noise * settings.noise
         self._covariance = tuple(0.0 if place % 7 else variance for place in range(36))
 
     def reset(self) -> None:
-        """Start again."""
+        """Reset noise and rate."""
         self._limiter.reset()
         self._random = Random(self._seed)
-        self._reading = None
+        self._state = None
 
-    def take(self, reading: RobotState) -> bool:
-        """Take a reading; tell whether it was due."""
-        if self._limiter.elapsed_s(reading.time_ns) is None:
+    def take(self, state: RobotState) -> bool:
+        """Take a state; return whether it was due."""
+        if self._limiter.elapsed_s(state.time_ns) is None:
             return False
-        self._reading = reading
-        if self.wish.noise:
+        self._state = state
+        if self.settings.noise:
             self._noise = (self._draw_noise(), self._draw_noise())
         return True
 
     def message(self) -> Odometry | None:
-        """Write the last reading down; None while there is none."""
-        if (reading := self._reading) is None:
+        """Make the message of the last state; None if there is none."""
+        if (state := self._state) is None:
             return None
-        motion = self._motion(reading)
+        motion = self._motion(state)
         pose = Pose(Point(*motion.position), Quaternion(*motion.orientation))
         twist = Twist(
             Vector3(*add(motion.linear, self._noise[0])),
             Vector3(*add(motion.angular, self._noise[1])),
         )
         return Odometry(
-            Header(time_from_ns(reading.time_ns), self.wish.frame_id),
-            self.wish.body,
+            Header(time_from_ns(state.time_ns), self.settings.frame_id),
+            self.settings.body,
             PoseWithCovariance(pose, self._covariance),
             TwistWithCovariance(twist, self._covariance),
         )
 
     def _draw_noise(self) -> Vec3:
-        spread, draw = self.wish.noise, self._random.gauss
+        spread, draw = self.settings.noise, self._random.gauss
         return (draw(0.0, spread), draw(0.0, spread), draw(0.0, spread))
 
-    def _motion(self, reading: RobotState) -> LinkState:
-        motion = self._body.motion(reading)
+    def _motion(self, state: RobotState) -> LinkState:
+        motion = self._body.motion(state)
         if self._frame is not None:
-            motion = _make_relative(self._frame.motion(reading), motion)
+            motion = _make_relative(self._frame.motion(state), motion)
         linear, angular = motion.linear, motion.angular
-        if self.wish.compat != "gazebo11":
+        if self.settings.compat != "gazebo11":
             back = conjugate(motion.orientation)
             linear, angular = rotate(back, linear), rotate(back, angular)
-        offset = self.wish.offset
+        offset = self.settings.offset
         return LinkState(
             add(motion.position, offset.position),
             multiply(offset.orientation, motion.orientation),

@@ -1,4 +1,4 @@
-"""One topic of many robots on plain and ROS 2 keys: publishers declared lazily, matched ones tracked."""
+"""One topic of many robots on plain and ROS 2 keys; publishers are declared lazily."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -23,18 +23,18 @@ ATTACHMENT_DTYPE: Final = np.dtype(
         ("gid", "u1", GID_BYTES),
     ]
 )
-"""See `zensim.proto.ros2.rmw_attachment`."""
+"""As in `zensim.proto.ros2.rmw_attachment`."""
 
 
 class AttachmentRows:
-    """A row a publisher."""
+    """ROS 2 attachments of many publishers, a row each."""
 
     def __init__(self) -> None:
         self._rows = np.zeros(0, dtype=ATTACHMENT_DTYPE)
         self._free: list[int] = []
 
     def add(self, gid: bytes) -> int:
-        """Take a publisher in that has sent nothing; return its row."""
+        """Add a publisher that has sent nothing; return its row."""
         if not self._free:
             count = len(self._rows)
             self._rows = np.concatenate([self._rows, np.zeros(count + 1, dtype=ATTACHMENT_DTYPE)])
@@ -44,11 +44,11 @@ class AttachmentRows:
         return row
 
     def remove(self, row: int) -> None:
-        """Let a publisher go."""
+        """Remove a publisher."""
         self._free.append(row)
 
     def write_next(self, rows: Sequence[int], time_ns: int) -> list[bytes]:
-        """Write what goes with the next message of each of some rows, none of them twice."""
+        """Write the attachments of the next messages of some rows, without duplicates."""
         at = np.array(rows, dtype=np.intp)
         self._rows["sequence_number"][at] += 1
         self._rows["source_time_ns"][at] = time_ns
@@ -60,223 +60,69 @@ class AttachmentRows:
 
 
 MAX_CHECKED_AT_ONCE = 32
-"""Publishers that are asked about in one go: a tenth of a millisecond."""
+"""Publishers whose matching status is read in one call: 0.1 ms."""
 OwnerT = TypeVar("OwnerT")
 
 
 class MatchedPublishers(Generic[OwnerT]):
-    """Publishers by whose they are."""
+    """Publishers by owner, and those of them that have subscribers."""
 
     def __init__(self) -> None:
-        self.heard: dict[OwnerT, Publisher] = {}
-        """Those to put on."""
+        self.matched: dict[OwnerT, Publisher] = {}
+        """As of the last check."""
         self._all: dict[OwnerT, Publisher] = {}
         self._unchecked: list[OwnerT] = []
 
-    def add(self, whose: OwnerT, publisher: Publisher) -> None:
-        """Take a publisher in."""
-        self._all[whose] = self.heard[whose] = publisher
+    def add(self, owner: OwnerT, publisher: Publisher) -> None:
+        """Add a publisher."""
+        self._all[owner] = self.matched[owner] = publisher
 
-    def remove(self, whose: OwnerT) -> None:
-        """Withdraw a publisher."""
-        if (publisher := self._all.pop(whose, None)) is not None:
-            self.heard.pop(whose, None)
+    def remove(self, owner: OwnerT) -> None:
+        """Undeclare a publisher."""
+        if (publisher := self._all.pop(owner, None)) is not None:
+            self.matched.pop(owner, None)
             publisher.close()
 
     def check_some(self) -> None:
-        """Ask about the next ones, round and round."""
+        """Check the next publishers, in turn."""
         if not self._unchecked:
             self._unchecked = list(self._all)
         some, self._unchecked = (
             self._unchecked[:MAX_CHECKED_AT_ONCE],
             self._unchecked[MAX_CHECKED_AT_ONCE:],
         )
-        for whose in some:
-            if (publisher := self._all.get(whose)) is None:
+        for owner in some:
+            if (publisher := self._all.get(owner)) is None:
                 continue
             if publisher.is_matched:
-                self.heard[whose] = publisher
+                self.matched[owner] = publisher
             else:
-                self.heard.pop(whose, None)
+                self.matched.pop(owner, None)
 
 
 QUERY_DEPTH = 256
 MAX_ROS_DECLARED_AT_ONCE = 16
-"""Tokens, or publishers, that are declared in one go: a millisecond or two."""
+"""Tokens or publishers declared in one call: 1 to 2 ms."""
 
 
 class LastValues(Protocol):
     """The last values of a topic, by row."""
 
     def payload(self, row: int) -> bytes | None:
-        """Write the last value of a row as CDR; None while there is none."""
-
-
-class RosTopicMember(Protocol):
-    """One robot's part in a topic; see `outlet.Line`."""
-
-    @property
-    def key(self) -> str:
-        """The plain key."""
-
-    @property
-    def values(self) -> LastValues:
-        """Where its value is."""
-
-    @property
-    def row(self) -> int:
-        """Which of them."""
-
-    @property
-    def node(self) -> RosNode | None:
-        """The robot in ROS 2's graph."""
-
-
-class RosFleetPublisher:
-    """A topic on all of ROS 2's keys of one pattern."""
-
-    def __init__(self, network: AgentNetwork, graph: RosGraph, topic: Topic) -> None:
-        """Declare the topic.
-
-        Args:
-            network: Where.
-            graph: Of the nodes that lines have.
-            topic: Its key is the pattern of the lines' keys.
-        """
-        self._network = network
-        self._topic = topic
-        self._encoding = topic.encoding
-        self._unjoined: list[RosTopicMember] = []
-        self._joined: dict[RosTopicMember, GraphEndpoint] = {}
-        self._faces: dict[RosTopicMember, KeyPublisher] = {}
-        """Of a latched topic: what each says does not change."""
-        self._matched = MatchedPublishers[RosTopicMember]()
-        self._attachments = AttachmentRows()
-        self._rows: dict[RosTopicMember, int] = {}
-        """Of a topic whose messages are put: where each has its attachment."""
-        self._ros_keys: dict[RosTopicMember, str] = {}
-        self._graph = graph
-        key = graph.data_key(topic)
-        self._probe = network.advertise(key, self._encoding)
-        cache = f"{key}/{CACHE_SUFFIX}/{graph.zid}/*/_"
-        self._queries = network.serve(cache, QUERY_DEPTH) if topic.is_latched else None
-
-    @property
-    def is_wanted(self) -> bool:
-        """Whether anybody listens to any of it."""
-        return self._probe.is_matched
-
-    def add(self, line: RosTopicMember) -> None:
-        """Take a robot in; it is announced soon."""
-        if line.node is not None:
-            self._unjoined.append(line)
-            self._ros_keys[line] = self._graph.data_key(self._make_topic(line))
-
-    def remove(self, line: RosTopicMember) -> None:
-        """Let a robot go; its node withdraws the token."""
-        self._joined.pop(line, None)
-        self._ros_keys.pop(line, None)
-        if (face := self._faces.pop(line, None)) is not None:
-            face.close()
-        if (row := self._rows.pop(line, None)) is not None:
-            self._attachments.remove(row)
-            self._matched.remove(line)
-
-    def declare_some(self) -> None:
-        """Announce some of those that are not yet; and declare publishers when anybody listens."""
-        if self._unjoined:
-            some, self._unjoined = (
-                self._unjoined[:MAX_ROS_DECLARED_AT_ONCE],
-                self._unjoined[MAX_ROS_DECLARED_AT_ONCE:],
-            )
-            for line in some:
-                self._join(line)
-        elif not self.is_wanted:
-            return
-        elif len(self._faces) + len(self._rows) < len(self._joined):
-            is_there = self._faces if self._topic.is_latched else self._rows
-            missing = [line for line in self._joined if line not in is_there]
-            for line in missing[:MAX_ROS_DECLARED_AT_ONCE]:
-                self._declare(line)
-        else:
-            self._matched.check_some()
-
-    def put(self, lines: Sequence[RosTopicMember], payloads: Sequence[bytes]) -> None:
-        """Put a payload on each line that is heard; on those without a publisher yet nothing."""
-        heard = self._matched.heard
-        told = [
-            (publisher, payload, self._rows[line])
-            for line, payload in zip(lines, payloads, strict=True)
-            if (publisher := heard.get(line)) is not None
-        ]
-        attachments = self._attachments.write_next([row for _, _, row in told], time.time_ns())
-        for (publisher, payload, _), attachment in zip(told, attachments, strict=True):
-            publisher.send(payload, attachment)
-
-    def answer(self) -> None:
-        """Tell last values to those who have come late."""
-        for call in self._queries.take() if self._queries is not None else ():
-            for line in self._asked(call):
-                self._reply_with_last(line, call)
-            call.drop()
-
-    def close(self) -> None:
-        """Withdraw the topic."""
-        for line in tuple(self._ros_keys):
-            self.remove(line)
-        self._probe.close()
-        if self._queries is not None:
-            self._queries.close()
-
-    def _make_topic(self, line: RosTopicMember) -> Topic:
-        return msgspec.structs.replace(self._topic, key=line.key)
-
-    def _join(self, line: RosTopicMember) -> GraphEndpoint | None:
-        if line.node is None or line not in self._ros_keys:
-            return None
-        if line not in self._joined:
-            self._joined[line] = line.node.add_topic_endpoint("MP", self._make_topic(line))
-        return self._joined[line]
-
-    def _declare(self, line: RosTopicMember) -> None:
-        if line in self._faces or (endpoint := self._join(line)) is None:
-            return
-        publisher = self._network.advertise(self._ros_keys[line], self._encoding)
-        if not self._topic.is_latched:
-            self._rows[line] = self._attachments.add(gid_from_endpoint(endpoint))
-            self._matched.add(line, publisher)
-            return
-        face = self._faces[line] = KeyPublisher(publisher, endpoint, self._network.stamp)
-        if publisher.is_matched and (payload := line.values.payload(line.row)) is not None:
-            face.send(payload)
-
-    def _reply_with_last(self, line: RosTopicMember, call: Query) -> None:
-        self._declare(line)
-        payload, face = line.values.payload(line.row), self._faces.get(line)
-        if payload is not None and face is not None:
-            face.add_reply(call, self._ros_keys[line], payload, self._encoding)
-
-    def _asked(self, call: Query) -> Iterator[RosTopicMember]:
-        wanted, is_cached, _ = call.key.partition("/@adv/")
-        for line, key in tuple(self._ros_keys.items()):
-            if (
-                key == wanted
-                if is_cached and "*" not in wanted
-                else call.covers(self._make_cache_key(key))
-            ):
-                yield line
-
-    def _make_cache_key(self, key: str) -> str:
-        return f"{key}/{CACHE_SUFFIX}/{self._graph.zid}/0/_"
-
-
-MAX_DECLARED_AT_ONCE = 32
-"""Publishers that are declared, or asked who listens, in one go: a few milliseconds."""
+        """Write the last value of a row as CDR; None if there is none yet."""
 
 
 @dataclass(eq=False)
 class TopicMember:
-    """One robot's part in a topic."""
+    """One robot's part in a topic.
+
+    Attributes:
+        key: The plain key.
+        values: Last values of the topic.
+        row: Of the robot in `values`.
+        node: Of the robot in the ROS 2 graph.
+        was_matched: As of the last announcement.
+    """
 
     key: str
     values: LastValues
@@ -286,8 +132,153 @@ class TopicMember:
     was_matched: bool = False
 
 
+class RosFleetPublisher:
+    """One topic of many robots on the ROS 2 keys of one pattern."""
+
+    def __init__(self, network: AgentNetwork, graph: RosGraph, topic: Topic) -> None:
+        """Declare the topic.
+
+        Args:
+            network: Session of the publishers.
+            graph: ROS 2 graph of the members' nodes.
+            topic: Its key is the pattern of the members' keys.
+        """
+        self._network = network
+        self._topic = topic
+        self._encoding = topic.encoding
+        self._unjoined: list[TopicMember] = []
+        self._joined: dict[TopicMember, GraphEndpoint] = {}
+        self._key_publishers: dict[TopicMember, KeyPublisher] = {}
+        """Of a latched topic, whose messages do not change."""
+        self._matched = MatchedPublishers[TopicMember]()
+        self._attachments = AttachmentRows()
+        self._rows: dict[TopicMember, int] = {}
+        """Of a topic that is not latched: rows of attachments."""
+        self._ros_keys: dict[TopicMember, str] = {}
+        self._graph = graph
+        key = graph.data_key(topic)
+        self._probe = network.advertise(key, self._encoding)
+        cache = f"{key}/{CACHE_SUFFIX}/{graph.zid}/*/_"
+        self._queries = network.serve(cache, QUERY_DEPTH) if topic.is_latched else None
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether there are subscribers on any key."""
+        return self._probe.is_matched
+
+    def add(self, member: TopicMember) -> None:
+        """Add a robot; its endpoint is declared later."""
+        if member.node is not None:
+            self._unjoined.append(member)
+            self._ros_keys[member] = self._graph.data_key(self._make_topic(member))
+
+    def remove(self, member: TopicMember) -> None:
+        """Remove a robot; its node undeclares the endpoint."""
+        self._joined.pop(member, None)
+        self._ros_keys.pop(member, None)
+        if (key_publisher := self._key_publishers.pop(member, None)) is not None:
+            key_publisher.close()
+        if (row := self._rows.pop(member, None)) is not None:
+            self._attachments.remove(row)
+            self._matched.remove(member)
+
+    def declare_some(self) -> None:
+        """Declare some endpoints; then publishers, if there are subscribers."""
+        if self._unjoined:
+            some, self._unjoined = (
+                self._unjoined[:MAX_ROS_DECLARED_AT_ONCE],
+                self._unjoined[MAX_ROS_DECLARED_AT_ONCE:],
+            )
+            for member in some:
+                self._join(member)
+        elif not self.is_wanted:
+            return
+        elif len(self._key_publishers) + len(self._rows) < len(self._joined):
+            is_there = self._key_publishers if self._topic.is_latched else self._rows
+            missing = [member for member in self._joined if member not in is_there]
+            for member in missing[:MAX_ROS_DECLARED_AT_ONCE]:
+                self._declare(member)
+        else:
+            self._matched.check_some()
+
+    def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
+        """Publish to members with subscribers; those without a publisher yet are skipped."""
+        matched = self._matched.matched
+        messages = [
+            (publisher, payload, self._rows[member])
+            for member, payload in zip(members, payloads, strict=True)
+            if (publisher := matched.get(member)) is not None
+        ]
+        attachments = self._attachments.write_next([row for _, _, row in messages], time.time_ns())
+        for (publisher, payload, _), attachment in zip(messages, attachments, strict=True):
+            publisher.send(payload, attachment)
+
+    def answer(self) -> None:
+        """Reply to late joiners with the last values."""
+        for call in self._queries.take() if self._queries is not None else ():
+            for member in self._find_queried(call):
+                self._reply_with_last(member, call)
+            call.drop()
+
+    def close(self) -> None:
+        """Undeclare the topic."""
+        for member in tuple(self._ros_keys):
+            self.remove(member)
+        self._probe.close()
+        if self._queries is not None:
+            self._queries.close()
+
+    def _make_topic(self, member: TopicMember) -> Topic:
+        return msgspec.structs.replace(self._topic, key=member.key)
+
+    def _join(self, member: TopicMember) -> GraphEndpoint | None:
+        if member.node is None or member not in self._ros_keys:
+            return None
+        if member not in self._joined:
+            self._joined[member] = member.node.add_topic_endpoint("MP", self._make_topic(member))
+        return self._joined[member]
+
+    def _declare(self, member: TopicMember) -> None:
+        if member in self._key_publishers or (endpoint := self._join(member)) is None:
+            return
+        publisher = self._network.advertise(self._ros_keys[member], self._encoding)
+        if not self._topic.is_latched:
+            self._rows[member] = self._attachments.add(gid_from_endpoint(endpoint))
+            self._matched.add(member, publisher)
+            return
+        key_publisher = self._key_publishers[member] = KeyPublisher(
+            publisher, endpoint, self._network.stamp
+        )
+        if publisher.is_matched and (payload := member.values.payload(member.row)) is not None:
+            key_publisher.send(payload)
+
+    def _reply_with_last(self, member: TopicMember, call: Query) -> None:
+        self._declare(member)
+        payload = member.values.payload(member.row)
+        key_publisher = self._key_publishers.get(member)
+        if payload is not None and key_publisher is not None:
+            key_publisher.add_reply(call, self._ros_keys[member], payload, self._encoding)
+
+    def _find_queried(self, call: Query) -> Iterator[TopicMember]:
+        wanted, is_cached, _ = call.key.partition("/@adv/")
+        for member, key in tuple(self._ros_keys.items()):
+            if (
+                key == wanted
+                if is_cached and "*" not in wanted
+                else call.covers(self._make_cache_key(key))
+            ):
+                yield member
+
+    def _make_cache_key(self, key: str) -> str:
+        return f"{key}/{CACHE_SUFFIX}/{self._graph.zid}/0/_"
+
+
+MAX_DECLARED_AT_ONCE = 32
+"""Publishers declared or checked in one call: a few milliseconds."""
+
+
 class FleetTopicPublisher:
-    """A topic on all keys of one pattern; payloads in, puts where somebody listens."""
+    """One topic of many robots on the keys of one pattern."""
 
     def __init__(
         self,
@@ -299,56 +290,56 @@ class FleetTopicPublisher:
         """Declare the topic.
 
         Args:
-            network: Where.
-            pattern: Of the keys that lines have; see `zensim.proto.keys.make_pattern`.
-            message_type: What payloads are; they travel as CDR.
-            ros: The same on ROS 2's keys.
+            network: Session of the publishers.
+            pattern: Of the members' keys; see `zensim.proto.keys.make_pattern`.
+            message_type: Of the payloads, which are CDR.
+            ros: The same on ROS 2 keys.
         """
         self._ros = ros
         self._network = network
         self._encoding = make_encoding(message_type, Format.CDR)
-        self._lines: dict[str, list[TopicMember]] = {}
+        self._members: dict[str, list[TopicMember]] = {}
         self._undeclared: list[TopicMember] = []
         self._unannounced: list[TopicMember] = []
         self._has_announced = False
         self._matched = MatchedPublishers[TopicMember]()
         self._has_put = False
         self._probe = network.advertise(pattern, self._encoding)
-        # Other pools have other robots on the same pattern.
+        # Other pools serve other robots on the same pattern.
         self._queries = network.serve(pattern, QUERY_DEPTH, is_complete=False)
 
     @property
     def is_wanted(self) -> bool:
-        """Whether anybody listens to any of it."""
+        """Whether there are subscribers on any key."""
         return self._probe.is_matched or (self._ros is not None and self._ros.is_wanted)
 
     @property
     def is_empty(self) -> bool:
-        """Whether no robot is left."""
-        return not self._lines
+        """Whether there are no robots."""
+        return not self._members
 
-    def add(self, line: TopicMember) -> None:
-        """Take a robot in; its publisher is declared once somebody listens."""
-        self._lines.setdefault(line.key, []).append(line)
-        self._undeclared.append(line)
+    def add(self, member: TopicMember) -> None:
+        """Add a robot; its publisher is declared once there are subscribers."""
+        self._members.setdefault(member.key, []).append(member)
+        self._undeclared.append(member)
         if self._ros is not None:
-            self._ros.add(line)
+            self._ros.add(member)
 
-    def remove(self, line: TopicMember) -> None:
-        """Let a robot go."""
-        left = [one for one in self._lines.pop(line.key, ()) if one is not line]
+    def remove(self, member: TopicMember) -> None:
+        """Remove a robot."""
+        left = [one for one in self._members.pop(member.key, ()) if one is not member]
         if left:
-            self._lines[line.key] = left
-        self._matched.remove(line)
-        line.publisher = None
+            self._members[member.key] = left
+        self._matched.remove(member)
+        member.publisher = None
         if self._ros is not None:
-            self._ros.remove(line)
+            self._ros.remove(member)
 
     def declare_some(self) -> None:
-        """Declare some of the publishers that are missing, when anybody listens; see who does."""
+        """Declare some of the missing publishers if there are subscribers; check others."""
         if self._ros is not None:
             self._ros.declare_some()
-        if not self._lines or not self._probe.is_matched:
+        if not self._members or not self._probe.is_matched:
             return
         if self._has_put and not self._undeclared:
             self._matched.check_some()
@@ -357,35 +348,35 @@ class FleetTopicPublisher:
             self._undeclared[:MAX_DECLARED_AT_ONCE],
             self._undeclared[MAX_DECLARED_AT_ONCE:],
         )
-        for line in some:
-            if line in self._lines.get(line.key, ()):
-                line.publisher = self._network.advertise(line.key, self._encoding)
-                self._matched.add(line, line.publisher)
+        for member in some:
+            if member in self._members.get(member.key, ()):
+                member.publisher = self._network.advertise(member.key, self._encoding)
+                self._matched.add(member, member.publisher)
 
-    def put(self, lines: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
-        """Put a payload on each line that is heard; on those without a publisher yet nothing."""
+    def put(self, members: Sequence[TopicMember], payloads: Sequence[bytes]) -> None:
+        """Publish to members with subscribers; those without a publisher yet are skipped."""
         self._has_put = True
-        heard = self._matched.heard if self._probe.is_matched else {}
-        for line, payload in zip(lines, payloads, strict=True) if heard else ():
-            if (publisher := heard.get(line)) is not None:
+        matched = self._matched.matched if self._probe.is_matched else {}
+        for member, payload in zip(members, payloads, strict=True) if matched else ():
+            if (publisher := matched.get(member)) is not None:
                 publisher.send(payload)
         if self._ros is not None:
-            self._ros.put(lines, payloads)
+            self._ros.put(members, payloads)
 
     def announce(self) -> None:
-        """Begin to put last values where somebody has begun to listen; see `announce_some`."""
+        """Start to publish last values to new subscribers; see `announce_some`."""
         if self._unannounced:
             return
-        lines = [line for lines in self._lines.values() for line in lines]
+        members = [member for members in self._members.values() for member in members]
         if self.is_wanted:
-            self._unannounced = lines
+            self._unannounced = members
         elif self._has_announced:
-            for line in lines:
-                line.was_matched = False
+            for member in members:
+                member.was_matched = False
             self._has_announced = False
 
     def announce_some(self) -> None:
-        """Go on with what `announce` has begun, by a part of the robots."""
+        """Continue `announce` with a part of the robots."""
         if not self._unannounced:
             return
         self._has_announced = True
@@ -393,16 +384,16 @@ class FleetTopicPublisher:
             self._unannounced[:MAX_DECLARED_AT_ONCE],
             self._unannounced[MAX_DECLARED_AT_ONCE:],
         )
-        for line in some:
-            _publish_if_newly_matched(line)
+        for member in some:
+            _publish_if_newly_matched(member)
 
     def answer(self) -> None:
-        """Tell last values to everybody who has asked; those of other pools are told by them."""
+        """Reply to queries with the last values of these robots."""
         for call in self._queries.take():
             answers = [
-                (line.key, payload)
-                for line in self._asked(call)
-                if (payload := line.values.payload(line.row)) is not None
+                (member.key, payload)
+                for member in self._find_queried(call)
+                if (payload := member.values.payload(member.row)) is not None
             ]
             if answers:
                 call.reply_each(answers, self._encoding)
@@ -412,29 +403,29 @@ class FleetTopicPublisher:
             self._ros.answer()
 
     def close(self) -> None:
-        """Withdraw the topic."""
-        for line in [line for lines in self._lines.values() for line in lines]:
-            self.remove(line)
+        """Undeclare the topic."""
+        for member in [member for members in self._members.values() for member in members]:
+            self.remove(member)
         self._probe.close()
         self._queries.close()
         if self._ros is not None:
             self._ros.close()
 
-    def _asked(self, call: Query) -> Iterator[TopicMember]:
-        if call.key in self._lines:
-            yield from self._lines[call.key]
+    def _find_queried(self, call: Query) -> Iterator[TopicMember]:
+        if call.key in self._members:
+            yield from self._members[call.key]
         elif "*" in call.key:
-            for key, lines in self._lines.items():
+            for key, members in self._members.items():
                 if call.covers(key):
-                    yield from lines
+                    yield from members
 
 
-def _publish_if_newly_matched(line: TopicMember) -> None:
-    if line.publisher is None:
+def _publish_if_newly_matched(member: TopicMember) -> None:
+    if member.publisher is None:
         return
-    is_matched = line.publisher.is_matched
-    if is_matched and not line.was_matched:
-        payload = line.values.payload(line.row)
+    is_matched = member.publisher.is_matched
+    if is_matched and not member.was_matched:
+        payload = member.values.payload(member.row)
         if payload is not None:
-            line.publisher.send(payload)
-    line.was_matched = is_matched
+            member.publisher.send(payload)
+    member.was_matched = is_matched

@@ -1,4 +1,4 @@
-"""The robots of a pool: groups of robots in arrays, and single robots that no group can hold."""
+"""The robots of a pool: groups in arrays, and single robots that no group can hold."""
 
 import logging
 from collections.abc import Sequence

@@ -65,10 +65,10 @@ def test_everybody_is_heard_until_asked_about() -> None:
     audience = an_audience(bus, 3)
     bus.subscribe("r1/odom")
 
-    before = set(audience.heard)
+    before = set(audience.matched)
     audience.check_some()
 
-    assert (before, set(audience.heard)) == ({0, 1, 2}, {1})
+    assert (before, set(audience.matched)) == ({0, 1, 2}, {1})
 
 
 def test_all_have_been_asked_about_after_a_round_and_are_again_in_the_next() -> None:
@@ -76,13 +76,13 @@ def test_all_have_been_asked_about_after_a_round_and_are_again_in_the_next() -> 
     audience = an_audience(bus, MAX_CHECKED_AT_ONCE + 1)
 
     audience.check_some()
-    first = set(audience.heard)
+    first = set(audience.matched)
     audience.check_some()
-    second = set(audience.heard)
+    second = set(audience.matched)
     bus.subscribe("r0/odom")
     audience.check_some()
 
-    assert (first, second, set(audience.heard)) == ({MAX_CHECKED_AT_ONCE}, set(), {0})
+    assert (first, second, set(audience.matched)) == ({MAX_CHECKED_AT_ONCE}, set(), {0})
 
 
 def test_who_has_gone_is_heard_no_more() -> None:
@@ -94,7 +94,7 @@ def test_who_has_gone_is_heard_no_more() -> None:
     audience.remove(MAX_CHECKED_AT_ONCE)
     audience.check_some()
 
-    assert set(audience.heard) == {*range(MAX_CHECKED_AT_ONCE), MAX_CHECKED_AT_ONCE + 1}
+    assert set(audience.matched) == {*range(MAX_CHECKED_AT_ONCE), MAX_CHECKED_AT_ONCE + 1}
 
 
 class Nothing:
