@@ -1,4 +1,4 @@
-"""The journal as the request dispatcher uses it: record a change, and know when it is durable."""
+"""The interface of the journal: record changes, and find out when they are durable."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -6,7 +6,7 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class JournaledResponse:
-    """An answer that a retry gets, after a restart too."""
+    """A response that a repeated request gets, also after a restart."""
 
     service: str
     request_id: bytes
@@ -15,10 +15,10 @@ class JournaledResponse:
 
 
 class ChangeJournal(Protocol):
-    """The journal, as the loop sees it; nothing here waits for the disk."""
+    """A journal of changes; no method waits for the disk."""
 
     position: int
-    """Of the newest change."""
+    """Position of the newest change."""
 
     @property
     def earlier_responses(self) -> tuple[JournaledResponse, ...]:
@@ -26,11 +26,11 @@ class ChangeJournal(Protocol):
 
     @property
     def durable(self) -> int:
-        """The newest position that is on the disk."""
+        """The newest durable position."""
 
     @property
     def is_failing(self) -> bool:
-        """Whether the disk refused the last change, and has taken none since."""
+        """Whether the last change could not be written, and none was written since."""
 
     def note(
         self,
@@ -39,24 +39,24 @@ class ChangeJournal(Protocol):
         *,
         is_asked: bool = False,
     ) -> int:
-        """Hand over what has changed, and an answer with it; return the newest position.
+        """Submit all changes, and a response with them; return the newest position.
 
         Args:
-            answer: Kept together with what it tells of.
-            forgotten: Answers that need not be kept any more: service and request id.
-            is_asked: Whether a request changed it, and is refused when it cannot be written.
+            answer: Response to the request that made the changes; written with them.
+            forgotten: Responses that expired: service and request id.
+            is_asked: Whether a request made the changes; it is refused if they cannot be written.
         """
 
     def poll(self) -> str:
-        """Hand over what changed without a request; once a turn.
+        """Submit changes without a request; called once in each turn of the loop.
 
         Returns:
-            Why changes could not be written; spawns and deletes among them have been taken back.
-            Empty when all is well.
+            Why changes could not be written, and empty otherwise. The spawns and deletes among
+            them have been undone.
         """
 
     def retry(self) -> int:
-        """Write something at once, to see whether the disk works again; return the attempt."""
+        """Write a record now, to test the disk; return the number of the attempt."""
 
     def is_decided(self, attempt: int) -> bool:
-        """Whether it is known how an attempt went."""
+        """Whether the result of an attempt is known."""

@@ -1,4 +1,4 @@
-"""The writer thread, and how a batch of records is written to the store in one transaction."""
+"""Writes batches of records to the database, each in one transaction, in a thread."""
 
 from __future__ import annotations
 
@@ -37,57 +37,57 @@ if TYPE_CHECKING:
     from zensim.sim_server.journal.sqlite_store import SqliteStore
 
 MOTION_KIND, CLOCK_KIND, WORLD_KIND = "motion", "clock", "world"
-"""Rows of which there is one; their key is empty."""
+"""Kinds with a single row; its key is empty."""
 MAX_CACHED_MODEL_HASHES = 256
 
 
 class BatchWriter:
-    """Writes records into a ledger, a batch at a time."""
+    """Writes batches of records to the database and files of meshes beside it."""
 
-    def __init__(self, ledger: SqliteStore, meshes: str) -> None:
-        self._ledger = ledger
+    def __init__(self, database: SqliteStore, meshes: str) -> None:
+        self._database = database
         self._meshes = Path(meshes)
-        self._files = ledger.folder / FILES
+        self._files = database.folder / FILES
         self._uses: Counter[tuple[str, str]] = Counter()
-        self._known: dict[int, tuple[Model, str]] = {}
+        self._hashes: dict[int, tuple[Model, str]] = {}
         self._count_uses()
 
-    def keep(self, records: Sequence[JournalRecord]) -> None:
-        """Put a batch on the disk, all or nothing.
+    def write(self, records: Sequence[JournalRecord]) -> None:
+        """Write a batch durably, all or nothing.
 
         Raises:
-            sqlite3.Error: It is not there.
-            OSError: A file of it is not there.
+            sqlite3.Error: The database cannot be written.
+            OSError: A file cannot be written.
         """
         try:
-            self._ledger.begin()
+            self._database.begin()
             for record in records:
                 self._apply(record)
             motions = [record.motion for record in records if record.motion is not None]
             if motions:
                 self._put(MOTION_KIND, motions[-1].row())
-            self._ledger.commit(records[-1].position)
+            self._database.commit(records[-1].position)
         except BaseException:
-            self._ledger.rollback()
+            self._database.rollback()
             self._count_uses()
             raise
 
     def remove_unused_files(self) -> None:
-        """Remove files that no model of the ledger needs."""
+        """Remove files that no stored model needs."""
         needed: set[str] = set()
-        for body in self._ledger.rows("model").values():
+        for body in self._database.rows("model").values():
             needed |= list_meshes(msgspec.msgpack.decode(body, type=Model))
         for file in self._files.iterdir():
             if file.stem not in needed or file.suffix != ".stl":
                 file.unlink()
 
     def close(self) -> None:
-        """Close the ledger."""
-        self._ledger.close()
+        """Close the database."""
+        self._database.close()
 
     def _apply(self, record: JournalRecord) -> None:
         for change in record.changes:
-            self._change(change)
+            self._apply_change(change)
         if record.world is not None:
             self._put(WORLD_KIND, record.world)
         if record.clock is not None:
@@ -95,64 +95,66 @@ class BatchWriter:
         if (answer := record.answer) is not None:
             self._put("answer", answer, make_response_key(answer.service, answer.request_id))
         for service, request_id in record.forgotten:
-            self._ledger.remove("answer", make_response_key(service, request_id))
+            self._database.remove("answer", make_response_key(service, request_id))
 
     def _put(self, kind: str, row: msgspec.Struct, key: str = "") -> None:
-        self._ledger.put(kind, key, ENCODER.encode(row))
+        self._database.put(kind, key, ENCODER.encode(row))
 
-    def _change(self, change: EntityChange) -> None:
-        row = self._row(change.after) if change.after else None
-        if (before := self._ledger.body("entity", change.name)) is not None:
-            self._use(msgspec.msgpack.decode(before, type=EntityRow), -1)
-            self._ledger.remove("entity", change.name)
+    def _apply_change(self, change: EntityChange) -> None:
+        row = self._make_row(change.after) if change.after else None
+        if (before := self._database.body("entity", change.name)) is not None:
+            self._count_use(msgspec.msgpack.decode(before, type=EntityRow), -1)
+            self._database.remove("entity", change.name)
         if row is not None:
-            self._use(row, 1)
+            self._count_use(row, 1)
             self._put("entity", row, row.name)
-        for place in [place for place, count in self._uses.items() if count <= 0]:
-            del self._uses[place]
-            self._ledger.remove(*place)
+        for row_key in [row_key for row_key, uses in self._uses.items() if uses <= 0]:
+            del self._uses[row_key]
+            self._database.remove(*row_key)
 
-    def _use(self, row: EntityRow, count: int) -> None:
+    def _count_use(self, row: EntityRow, count: int) -> None:
         self._uses["model", row.model] += count
         self._uses["text", row.text] += count
 
-    def _row(self, kept: JournaledEntity) -> EntityRow:
-        entity = kept.entity
+    def _make_row(self, journaled: JournaledEntity) -> EntityRow:
+        entity = journaled.entity
         text = entity.description.encode()
         name = hash_body(text)
-        if ("text", name) not in self._ledger:
-            self._ledger.put("text", name, text)
+        if ("text", name) not in self._database:
+            self._database.put("text", name, text)
         return EntityRow(
-            ordinal=kept.ordinal,
+            ordinal=journaled.ordinal,
             name=entity.name,
             namespace=entity.namespace,
-            model=self._keep_model(entity.model),
+            model=self._put_model(entity.model),
             text=name,
             initial=entity.initial.tobytes(),
             belongs_to_world=entity.belongs_to_world,
-            bond=kept.bond,
+            bond=journaled.bond,
             info=entity.info,
-            read_as=ParseOptions(*kept.reading[1:]) if kept.reading is not None else None,
+            read_as=ParseOptions(*journaled.parse_key[1:])
+            if journaled.parse_key is not None
+            else None,
         )
 
-    def _keep_model(self, model: Model) -> str:
-        name = self._name_of(model)
-        if ("model", name) not in self._ledger:
-            self._keep_files(model)
-            self._ledger.put("model", name, encode_model(model))
+    def _put_model(self, model: Model) -> str:
+        name = self._hash_model(model)
+        if ("model", name) not in self._database:
+            self._copy_meshes(model)
+            self._database.put("model", name, encode_model(model))
         return name
 
-    def _name_of(self, model: Model) -> str:
-        """Name a model by its content; most spawns share theirs with others."""
-        if (known := self._known.get(id(model))) is not None:
-            return known[1]
-        if len(self._known) >= MAX_CACHED_MODEL_HASHES:
-            self._known.clear()
+    def _hash_model(self, model: Model) -> str:
+        """Hash a model; models are shared by most spawns, so hashes are cached."""
+        if (cached := self._hashes.get(id(model))) is not None:
+            return cached[1]
+        if len(self._hashes) >= MAX_CACHED_MODEL_HASHES:
+            self._hashes.clear()
         name = hash_body(encode_model(model))
-        self._known[id(model)] = (model, name)
+        self._hashes[id(model)] = (model, name)
         return name
 
-    def _keep_files(self, model: Model) -> None:
+    def _copy_meshes(self, model: Model) -> None:
         missing = [name for name in list_meshes(model) if not self._path(name).exists()]
         for name in missing:
             part = self._files / f"{name}.part"
@@ -168,82 +170,82 @@ class BatchWriter:
 
     def _count_uses(self) -> None:
         self._uses.clear()
-        for body in self._ledger.rows("entity").values():
-            self._use(msgspec.msgpack.decode(body, type=EntityRow), 1)
-        for body in self._ledger.rows("aside").values():
-            self._use(msgspec.msgpack.decode(body, type=ExcludedEntityRow).entity, 1)
+        for body in self._database.rows("entity").values():
+            self._count_use(msgspec.msgpack.decode(body, type=EntityRow), 1)
+        for body in self._database.rows("aside").values():
+            self._count_use(msgspec.msgpack.decode(body, type=ExcludedEntityRow).entity, 1)
 
 
 END_S = 1.5
-"""How long a server that ends waits for the disk."""
+"""Time that a server waits for the disk when it ends."""
 
 
 class RecordSink(Protocol):
-    """Where records end up."""
+    """Destination of records."""
 
-    def keep(self, records: Sequence[JournalRecord]) -> None:
-        """Put a batch on the disk, all or nothing."""
+    def write(self, records: Sequence[JournalRecord]) -> None:
+        """Write a batch durably, all or nothing."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the destination."""
 
 
 class WriterThread:
-    """Takes records from the loop; says up to which position they are on the disk."""
+    """Writes the records that the loop submits, and reports the last durable position."""
 
-    def __init__(self, disk: RecordSink, position: int) -> None:
+    def __init__(self, sink: RecordSink, position: int) -> None:
         self.durable = position
-        """Everything up to here is on the disk."""
+        """Position up to which all records are durable."""
         self.commits = 0
         self.failure: tuple[int, str] | None = None
-        """Generation of the records that could not be written, and why."""
-        self._disk = disk
-        self._void = -1
+        """Generation of the last records that could not be written, and the reason."""
+        self._sink = sink
+        self._failed_generation = -1
         self._queue: SimpleQueue[JournalRecord | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="journal", daemon=True)
 
     def start(self) -> None:
-        """Begin to write."""
+        """Start the thread."""
         self._thread.start()
 
     @property
     def is_alive(self) -> bool:
-        """Whether the thread runs; if it does not, nothing is written any more."""
+        """Whether the thread runs; otherwise nothing is written any more."""
         return self._thread.is_alive()
 
     def submit(self, record: JournalRecord) -> None:
-        """Hand a record over."""
+        """Queue a record."""
         self._queue.put(record)
 
     def close(self) -> bool:
-        """Write what is left and end; say whether the thread did within `END_S`."""
+        """Write the queued records and end the thread; return whether it ended within `END_S`."""
         self._queue.put(None)
         self._thread.join(END_S)
         return not self._thread.is_alive()
 
     def _run(self) -> None:
-        is_over = False
-        while not is_over:
+        is_last = False
+        while not is_last:
             batch = self._batch()
-            is_over = batch[-1] is None
-            records = [r for r in batch if r is not None and r.generation > self._void]
+            is_last = batch[-1] is None
+            records = [r for r in batch if r is not None and r.generation > self._failed_generation]
             if records:
                 self._write(records)
-        self._disk.close()
+        self._sink.close()
 
     def _batch(self) -> list[JournalRecord | None]:
         batch = [self._queue.get()]
-        # Only this thread takes, so what is there stays there.
+        # Only this thread removes records, so the queue cannot become empty in between.
         while batch[-1] is not None and not self._queue.empty():
             batch.append(self._queue.get())
         return batch
 
     def _write(self, records: list[JournalRecord]) -> None:
         try:
-            self._disk.keep(records)
+            self._sink.write(records)
         except (sqlite3.Error, OSError) as error:
-            self._void = records[-1].generation
-            self.failure = (self._void, _format_reason(error))
+            self._failed_generation = records[-1].generation
+            self.failure = (self._failed_generation, _format_reason(error))
             return
         self.durable = records[-1].position
         self.commits += 1

@@ -32,19 +32,18 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 MOTION_PERIOD_S = 0.4
-"""Between two recordings of where everything is: with the time of a commit not above 0.5 s."""
-
+"""Period of recording states: with the time of a commit at most 0.5 s."""
 MAX_MOTION_DELAY_NS = 40_000_000
-"""How long a recording waits for a step that is read anyway."""
+"""Longest delay of a recording to a control step, whose states are read anyway."""
 BOND_TIMEOUT_S = 10.0
-"""How long the holders of bonds have to come back after a restart."""
+"""Time after a restart for clients to renew their bonds."""
 
 TRANSIENT_STATES = (State.LOADING_WORLD, State.QUITTING)
-"""No server begins in these."""
+"""States that are not recorded: no server starts in them."""
 
 
 class RecordQueue(Protocol):
-    """Where records go, see `Writer`."""
+    """The writer of records, see `WriterThread`."""
 
     durable: int
     commits: int
@@ -52,26 +51,26 @@ class RecordQueue(Protocol):
 
     @property
     def is_alive(self) -> bool:
-        """Whether anything is written at all."""
+        """Whether records are written."""
 
     def submit(self, record: JournalRecord) -> None:
-        """Hand a record over."""
+        """Queue a record."""
 
     def close(self) -> bool:
-        """Write what is left and end; say whether that worked."""
+        """Write the queued records and end; return whether that worked."""
 
 
 class WriterEnded(RuntimeError):
-    """The journal's thread has ended; the server must, too."""
+    """The writer thread has ended; the server must end, too."""
 
 
 class ChangeTracker:
-    """Keeps the journal of one world."""
+    """Records the changes of one world."""
 
     def __init__(
         self,
         parts: ServerParts,
-        log: RecordQueue,
+        writer: RecordQueue,
         *,
         position: int,
         known: Iterable[JournaledEntity] = (),
@@ -82,11 +81,11 @@ class ChangeTracker:
         """Of the newest record."""
         self.earlier_responses = earlier_responses
         self._parts = parts
-        self._log = log
+        self._writer = writer
         self._wall_s = wall_s
         self._generation = 0
-        self._known = {kept.entity.name: kept for kept in known}
-        self._next_ordinal = max((kept.ordinal for kept in self._known.values()), default=0) + 1
+        self._known = {one.entity.name: one for one in known}
+        self._next_ordinal = max((one.ordinal for one in self._known.values()), default=0) + 1
         self._outstanding: deque[JournalRecord] = deque()
         self._seen: tuple[object, ...] = ()
         self._world: WorldRow | None = None
@@ -100,13 +99,13 @@ class ChangeTracker:
 
     @property
     def durable(self) -> int:
-        """What is on the disk."""
-        return self._log.durable
+        """The last durable position."""
+        return self._writer.durable
 
     @property
     def is_failing(self) -> bool:
-        """Whether the disk refused the last record, and has taken none since."""
-        if self._is_failing and self._log.commits > self._commits:
+        """Whether the last record could not be written, and none was written since."""
+        if self._is_failing and self._writer.commits > self._commits:
             self._is_failing = False
             LOG.warning("journal written again world=%s", self._parts.world.name)
         return self._is_failing
@@ -118,12 +117,12 @@ class ChangeTracker:
         *,
         is_asked: bool = False,
     ) -> int:
-        """See `Durable.note`."""
+        """See `ChangeJournal.note`."""
         if not is_asked and self._fingerprint() == self._seen:
             return self.position
-        changes, former = self._changes(), self._motion
-        world, clock = self._new_world(), self._new_clock()
-        has_moved = self._places() != self._motion_seen
+        changes, former = self._find_changes(), self._motion
+        world, clock = self._find_new_world(), self._find_new_clock()
+        has_moved = self._motion_fingerprint() != self._motion_seen
         if changes or world or clock or answer or forgotten or (is_asked and has_moved):
             self._submit(
                 JournalRecord(
@@ -133,7 +132,7 @@ class ChangeTracker:
                     world,
                     clock,
                     self._take_motion() if has_moved else None,
-                    self._answer_row(answer),
+                    self._make_response_row(answer),
                     forgotten,
                     is_asked,
                     former,
@@ -142,14 +141,14 @@ class ChangeTracker:
         return self.position
 
     def poll(self) -> str:
-        """See `Durable.poll`; says where all are, too, when that is due.
+        """See `ChangeJournal.poll`; records states, too, when they are due.
 
         Raises:
-            WriterEnded: Nothing is written any more.
+            WriterEnded: The writer thread has ended.
         """
-        if not self._log.is_alive:
-            raise WriterEnded("the journal's thread has ended")
-        reason = self._failure()
+        if not self._writer.is_alive:
+            raise WriterEnded("the writer thread of the journal has ended")
+        reason = self._handle_failure()
         self._drop_durable()
         self._end_lost_bonds()
         self.note()
@@ -158,25 +157,25 @@ class ChangeTracker:
         return reason
 
     def retry(self) -> int:
-        """Write something at once, to see whether the disk works again; return the attempt."""
+        """Write a record now, to test the disk; return the number of the attempt."""
         self._submit(JournalRecord(self._generation, self.position, motion=self._take_motion()))
         return self._generation
 
     def is_decided(self, attempt: int) -> bool:
-        """Whether it is known how an attempt went."""
+        """Whether the result of an attempt is known."""
         return not self.is_failing or self._generation > attempt
 
     def close(self) -> bool:
-        """Write everything down and end; say whether that worked."""
+        """Write all changes and end; return whether that worked."""
         self.note()
         self._record_motion()
-        return self._log.close()
+        return self._writer.close()
 
-    def _answer_row(self, answer: JournaledResponse | None) -> ResponseRow | None:
+    def _make_response_row(self, answer: JournaledResponse | None) -> ResponseRow | None:
         if answer is None:
             return None
         return ResponseRow(
-            # Positions only go up on the disk, and a record has one answer at most.
+            # Durable positions only increase, and a record has at most one response.
             number=self.position + 1,
             service=answer.service,
             request_id=answer.request_id,
@@ -189,7 +188,7 @@ class ChangeTracker:
         if record.position > self.position:
             self._outstanding.append(record)
             self.position = record.position
-        self._log.submit(record)
+        self._writer.submit(record)
 
     def _end_lost_bonds(self) -> None:
         """End what hung on bonds whose holders did not come back after a restart."""
@@ -200,12 +199,12 @@ class ChangeTracker:
             self._parts.bonds.end(bond)
 
     def _drop_durable(self) -> None:
-        durable = self._log.durable
+        durable = self._writer.durable
         while self._outstanding and self._outstanding[0].position <= durable:
             self._outstanding.popleft()
 
     def _fingerprint(self) -> tuple[object, ...]:
-        """What cannot stay the same when something has changed; costs nothing."""
+        """Cheap values that differ when something has changed."""
         world = self._parts.world
         factor = self._parts.pacing.target_real_time_factor
         return (
@@ -216,16 +215,16 @@ class ChangeTracker:
             id(self._parts.current_world.model),
         )
 
-    def _places(self) -> tuple[int, ...]:
+    def _motion_fingerprint(self) -> tuple[int, ...]:
         world = self._parts.world
         return (world.placement_count, world.clock.epoch)
 
-    def _changes(self) -> tuple[EntityChange, ...]:
+    def _find_changes(self) -> tuple[EntityChange, ...]:
         self._seen = self._fingerprint()
         present = {entity.name: entity for entity in self._parts.world.entities}
         changes = [
-            EntityChange(name, kept, None)
-            for name, kept in self._known.items()
+            EntityChange(name, journaled, None)
+            for name, journaled in self._known.items()
             if name not in present
         ]
         for name, entity in present.items():
@@ -233,7 +232,7 @@ class ChangeTracker:
             if before is not None and before.entity is entity:
                 continue
             after = JournaledEntity(
-                self._ordinal_of(before, entity.born_ns),
+                self._find_ordinal(before, entity.born_ns),
                 entity,
                 self._bond_of(name),
                 self._parts.descriptions.provider.find_parse_key(entity.model),
@@ -246,7 +245,7 @@ class ChangeTracker:
                 del self._known[change.name]
         return tuple(changes)
 
-    def _ordinal_of(self, before: JournaledEntity | None, born_ns: int) -> int:
+    def _find_ordinal(self, before: JournaledEntity | None, born_ns: int) -> int:
         if before is not None and before.entity.born_ns == born_ns:
             return before.ordinal
         self._next_ordinal += 1
@@ -259,7 +258,7 @@ class ChangeTracker:
                 return bond
         return ""
 
-    def _new_world(self) -> WorldRow | None:
+    def _find_new_world(self) -> WorldRow | None:
         world, current = self._parts.world, self._parts.current_world
         if self._world is not None and self._world.source is current.model:
             return None
@@ -272,7 +271,7 @@ class ChangeTracker:
         )
         return self._world
 
-    def _new_clock(self) -> ClockRow | None:
+    def _find_new_clock(self) -> ClockRow | None:
         world, last = self._parts.world, self._clock
         factor = self._parts.pacing.target_real_time_factor
         state = int(world.clock.state)
@@ -287,52 +286,49 @@ class ChangeTracker:
         return self._clock
 
     def _is_motion_due(self) -> bool:
-        """Whether to record: best at a step that agents are told of, as reading costs the most."""
+        """Whether to record states: preferably at a control step, when they are read anyway."""
         late_ns = self._parts.pacing.now_ns() - self._motion_due_ns
         return late_ns >= (0 if self._parts.world.is_control_step else MAX_MOTION_DELAY_NS)
 
     def _record_motion(self) -> None:
         self._motion_due_ns = self._parts.pacing.now_ns() + round(MOTION_PERIOD_S * NANOSECONDS)
         if self._is_failing:
-            self._seen = ()  # what stands although it could not be kept is handed over again
+            self._seen = ()  # changes that could not be written are submitted again
             self.note()
         world, last = self._parts.world, self._motion
         is_old = last is None or (last.epoch, last.steps) != (world.clock.epoch, world.clock.steps)
         is_old = is_old or last is None or last.names != world.entities.index.names
-        if is_old or self._places() != self._motion_seen or self._is_failing:
+        if is_old or self._motion_fingerprint() != self._motion_seen or self._is_failing:
             self._submit(JournalRecord(self._generation, self.position, motion=self._take_motion()))
 
     def _take_motion(self) -> RecordedMotion:
         world = self._parts.world
         roster, reading = world.entities.index, world.states()
-        self._motion_seen = self._places()
+        self._motion_seen = self._motion_fingerprint()
         self._motion = RecordedMotion(
             world.clock.epoch, world.clock.steps, roster.names, roster.joint_count, reading
         )
         return self._motion
 
-    def _failure(self) -> str:
-        failure = self._log.failure
+    def _handle_failure(self) -> str:
+        failure = self._writer.failure
         if failure is None or failure[0] < self._generation:
             return ""
         if not self._is_failing:
             LOG.warning("journal not written reason=%s", failure[1])
         self._generation += 1
         self._is_failing = True
-        self._commits = self._log.commits
+        self._commits = self._writer.commits
         self._drop_durable()
         while self._outstanding:
-            self._take_back(self._outstanding.pop())
-        self.position = self._log.durable
+            self._revert(self._outstanding.pop())
+        self.position = self._writer.durable
         self._motion_seen = ()
         self._seen = self._fingerprint()
         return failure[1]
 
-    def _take_back(self, record: JournalRecord) -> None:
-        """Undo what was asked for; what came by itself, times and worlds stand and are kept later.
-
-        A change that stands is found anew, as it is forgotten that it was handed over.
-        """
+    def _revert(self, record: JournalRecord) -> None:
+        """Undo the changes of a request; other changes, times and worlds are submitted again."""
         self._world = None if record.world is not None else self._world
         self._clock = None if record.clock is not None else self._clock
         for change in reversed(record.changes):
@@ -352,12 +348,12 @@ class ChangeTracker:
         if after is not None and is_there:
             world.delete(name)
         if before is not None:
-            self._put_back(before, former)
+            self._respawn(before, former)
 
-    def _put_back(self, kept: JournaledEntity, former: RecordedMotion | None) -> None:
-        entity, world = kept.entity, self._parts.world
+    def _respawn(self, journaled: JournaledEntity, former: RecordedMotion | None) -> None:
+        entity, world = journaled.entity, self._parts.world
         try:
-            again = world.spawn(
+            respawned = world.spawn(
                 ValidatedSpawn(
                     *(entity.name, entity.namespace, entity.model, entity.initial),
                     description=entity.description,
@@ -367,20 +363,20 @@ class ChangeTracker:
                 )
             )
         except SimError as error:
-            LOG.warning("entity %s could not be put back: %s", entity.name, error)
+            LOG.warning("entity not restored name=%s reason=%s", entity.name, error)
             return
-        self._known[entity.name] = replace(kept, entity=again)
-        if (stand := find_recorded_state(former, entity.name)) is not None:
-            world.place(entity.name, *stand)
+        self._known[entity.name] = replace(journaled, entity=respawned)
+        if (state := find_recorded_state(former, entity.name)) is not None:
+            world.place(entity.name, *state)
 
 
 def find_recorded_state(
     motion: RecordedMotion | None, name: str
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Find the state row (13,) and joint positions of an entity in a motion."""
+    """Find the state row (13,) and joint positions of an entity in recorded states."""
     if motion is None or name not in motion.names:
         return None
     row = motion.names.index(name)
     start = int(np.sum(motion.joint_counts[:row]))
     joints = slice(start, start + int(motion.joint_counts[row]))
-    return motion.reading.base[row].copy(), motion.reading.joint_positions[joints].copy()
+    return motion.states.base[row].copy(), motion.states.joint_positions[joints].copy()

@@ -1,4 +1,4 @@
-"""What a journal holds: read, restored into a world, summarized or exported."""
+"""The contents of a journal: read, restored into a world, summarized or exported."""
 
 from __future__ import annotations
 
@@ -41,81 +41,81 @@ Row = TypeVar("Row", bound=msgspec.Struct)
 
 @dataclass(frozen=True)
 class JournalContents:
-    """Everything that a journal holds, read."""
+    """All rows of a journal, decoded."""
 
     world: WorldRow
     clock: ClockRow
     entities: tuple[EntityRow, ...]
-    """In the order of making."""
+    """In the order of spawning."""
     models: dict[str, Model]
     texts: dict[str, str]
     answers: tuple[ResponseRow, ...]
     """Oldest first."""
     aside: tuple[ExcludedEntityRow, ...]
     motion: MotionRow | None = None
-    _places: dict[str, tuple[FloatArray, FloatArray]] = field(init=False, default_factory=dict)
+    _last_states: dict[str, tuple[FloatArray, FloatArray]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.motion is not None:
-            self._places.update(_index_states(self.motion))
+            self._last_states.update(_index_states(self.motion))
 
     @property
     def steps(self) -> int:
-        """How far time had come."""
+        """The last known step."""
         motion = self.motion
         is_newer = motion is not None and motion.epoch == self.clock.epoch
         return max(self.clock.steps, motion.steps) if motion and is_newer else self.clock.steps
 
-    def stand(self, row: EntityRow) -> tuple[FloatArray, FloatArray]:
-        """Find the state row (13,) and the joint positions that an entity had last."""
-        if (found := self._places.get(row.name)) is not None:
+    def last_state(self, row: EntityRow) -> tuple[FloatArray, FloatArray]:
+        """Find the last known state row (13,) and joint positions of an entity."""
+        if (found := self._last_states.get(row.name)) is not None:
             return found
         joints = len(self.models[row.model].joints)
         return np.frombuffer(row.initial, dtype="<f8").copy(), np.zeros(joints)
 
 
-def read_contents(ledger: SqliteStore) -> JournalContents | None:
-    """Read what a journal holds; None when nothing was written to it yet.
+def read_contents(database: SqliteStore) -> JournalContents | None:
+    """Read a journal; None if it is empty.
 
     Raises:
-        JournalError: It holds what cannot be.
+        JournalError: A row cannot be decoded.
     """
     try:
-        return _decode_contents(ledger)
+        return _decode_contents(database)
     except (msgspec.MsgspecError, UnicodeDecodeError, KeyError, ValueError) as error:
         text = " ".join(str(error).split())[:200]
         raise JournalError(
-            f"{ledger.folder} holds what cannot be read: {text}; use the zensim that wrote it, "
-            "or another folder"
+            f"{database.folder} has rows that cannot be decoded: {text}; "
+            "use the zensim that wrote it, or another folder"
         ) from error
 
 
-def _decode_contents(ledger: SqliteStore) -> JournalContents | None:
-    world = _decode_row(ledger, WORLD_KIND, WorldRow)
-    clock = _decode_row(ledger, CLOCK_KIND, ClockRow)
+def _decode_contents(database: SqliteStore) -> JournalContents | None:
+    world = _decode_row(database, WORLD_KIND, WorldRow)
+    clock = _decode_row(database, CLOCK_KIND, ClockRow)
     if world is None or clock is None:
         return None
     return JournalContents(
         world,
         clock,
-        tuple(sorted(_decode_rows(ledger, "entity", EntityRow), key=lambda row: row.ordinal)),
+        tuple(sorted(_decode_rows(database, "entity", EntityRow), key=lambda row: row.ordinal)),
         {
             name: msgspec.msgpack.decode(body, type=Model)
-            for name, body in ledger.rows("model").items()
+            for name, body in database.rows("model").items()
         },
-        {name: body.decode() for name, body in ledger.rows("text").items()},
-        tuple(sorted(_decode_rows(ledger, "answer", ResponseRow), key=lambda row: row.number)),
-        tuple(_decode_rows(ledger, "aside", ExcludedEntityRow)),
-        _decode_row(ledger, MOTION_KIND, MotionRow),
+        {name: body.decode() for name, body in database.rows("text").items()},
+        tuple(sorted(_decode_rows(database, "answer", ResponseRow), key=lambda row: row.number)),
+        tuple(_decode_rows(database, "aside", ExcludedEntityRow)),
+        _decode_row(database, MOTION_KIND, MotionRow),
     )
 
 
-def _decode_rows(ledger: SqliteStore, kind: str, row: type[Row]) -> list[Row]:
-    return [msgspec.msgpack.decode(body, type=row) for body in ledger.rows(kind).values()]
+def _decode_rows(database: SqliteStore, kind: str, row: type[Row]) -> list[Row]:
+    return [msgspec.msgpack.decode(body, type=row) for body in database.rows(kind).values()]
 
 
-def _decode_row(ledger: SqliteStore, kind: str, row: type[Row]) -> Row | None:
-    body = ledger.body(kind, "")
+def _decode_row(database: SqliteStore, kind: str, row: type[Row]) -> Row | None:
+    body = database.body(kind, "")
     return None if body is None else msgspec.msgpack.decode(body, type=row)
 
 
@@ -130,7 +130,7 @@ def _index_states(motion: MotionRow) -> dict[str, tuple[FloatArray, FloatArray]]
 
 
 def make_parse_key(contents: JournalContents, row: EntityRow) -> ParseKey | None:
-    """Say what the model of an entity was read from."""
+    """Make the key that the model of an entity was parsed from; None if it is not known."""
     if (how := row.read_as) is None:
         return None
     text = contents.texts[row.text]
@@ -138,7 +138,7 @@ def make_parse_key(contents: JournalContents, row: EntityRow) -> ParseKey | None
 
 
 def make_spawn_request(contents: JournalContents, row: EntityRow, born_ns: int) -> ValidatedSpawn:
-    """Say how an entity is spawned again."""
+    """Make the request that spawns an entity again."""
     return ValidatedSpawn(
         row.name,
         row.namespace,
@@ -153,32 +153,32 @@ def make_spawn_request(contents: JournalContents, row: EntityRow, born_ns: int) 
 
 @dataclass
 class RestoreResult:
-    """What came of it."""
+    """The entities that were restored and those that were refused."""
 
-    kept: list[JournaledEntity] = field(default_factory=list)
+    restored: list[JournaledEntity] = field(default_factory=list)
     refused: list[ExcludedEntityRow] = field(default_factory=list)
 
 
 def restore_world(
     contents: JournalContents, world: World, mesh_restorer: MeshRestorer, now_ns: int
 ) -> RestoreResult:
-    """Put all entities where they were, set time, and begin a new epoch."""
-    restored = RestoreResult()
+    """Spawn all entities with their last states, set the clock, and start a new epoch."""
+    result = RestoreResult()
     for row in contents.entities:
-        _restore_entity(contents, row, world, mesh_restorer, now_ns, restored)
-    _set_states(contents, world, restored)
-    # What would end the process with its first step does so here, while the mark is up.
+        _restore_entity(contents, row, world, mesh_restorer, now_ns, result)
+    _set_states(contents, world, result)
+    # An entity that crashes the first step must do so here, while the mark file exists.
     world.step()
-    _set_states(contents, world, restored)
+    _set_states(contents, world, result)
     world.clock.steps, world.clock.epoch = contents.steps, contents.clock.epoch + 1
     world.clock.state = State(contents.clock.state)
-    return restored
+    return result
 
 
-def _set_states(contents: JournalContents, world: World, restored: RestoreResult) -> None:
+def _set_states(contents: JournalContents, world: World, result: RestoreResult) -> None:
     rows = {row.name: row for row in contents.entities}
-    for kept in restored.kept:
-        world.place(kept.entity.name, *_find_standing_state(contents, rows[kept.entity.name]))
+    for one in result.restored:
+        world.place(one.entity.name, *_find_state_at_rest(contents, rows[one.entity.name]))
 
 
 def _restore_entity(
@@ -187,68 +187,66 @@ def _restore_entity(
     world: World,
     mesh_restorer: MeshRestorer,
     now_ns: int,
-    restored: RestoreResult,
+    result: RestoreResult,
 ) -> None:
     try:
-        mesh_restorer.fetch(contents.models[row.model])
+        mesh_restorer.copy(contents.models[row.model])
         entity = world.spawn(make_spawn_request(contents, row, now_ns))
     except (SimError, OSError) as error:
-        restored.refused.append(ExcludedEntityRow(entity=row, reason=" ".join(str(error).split())))
+        result.refused.append(ExcludedEntityRow(entity=row, reason=" ".join(str(error).split())))
     else:
-        restored.kept.append(
+        result.restored.append(
             JournaledEntity(row.ordinal, entity, row.bond, make_parse_key(contents, row))
         )
 
 
-def _find_standing_state(
-    contents: JournalContents, row: EntityRow
-) -> tuple[FloatArray, FloatArray]:
-    base, positions = contents.stand(row)
+def _find_state_at_rest(contents: JournalContents, row: EntityRow) -> tuple[FloatArray, FloatArray]:
+    base, positions = contents.last_state(row)
     if contents.models[row.model].drive is not None:
-        base[7:] = 0.0  # nobody drives it now
+        base[7:] = 0.0  # no agent drives it now
     return base, positions
 
 
 @dataclass(frozen=True)
 class MeshRestorer:
-    """Where meshes are kept, and where an engine looks for them."""
+    """Copies meshes of the journal to the asset store."""
 
     files: Path
     store: AssetStore
 
-    def fetch(self, model: Model) -> None:
-        """Bring the meshes of a model to where the engine looks."""
+    def copy(self, model: Model) -> None:
+        """Copy the meshes of a model."""
         for mesh in list_meshes(model):
             self.store.keep(mesh, (self.files / f"{mesh}.stl").read_bytes())
 
 
 def commit_restore(
-    ledger: SqliteStore, aside: list[ExcludedEntityRow], clock: ClockRow | None = None
+    database: SqliteStore, aside: list[ExcludedEntityRow], clock: ClockRow | None = None
 ) -> None:
-    """Keep at once who is left out of the world from now on, and a new epoch.
+    """Write excluded entities and the new epoch at once.
 
-    Nobody may see an epoch that another start would use again.
+    An epoch must be durable before it is published: the next start must not use it again.
     """
     if not aside and clock is None:
         return
-    ledger.begin()
+    database.begin()
     for row in aside:
-        LOG.warning("entity %s set aside: %s", row.entity.name, row.reason)
-        ledger.remove("entity", row.entity.name)
-        ledger.put("aside", f"{row.entity.ordinal}/{row.entity.name}", ENCODER.encode(row))
+        LOG.warning("entity excluded name=%s reason=%s", row.entity.name, row.reason)
+        database.remove("entity", row.entity.name)
+        database.put("aside", f"{row.entity.ordinal}/{row.entity.name}", ENCODER.encode(row))
     if clock is not None:
-        ledger.put(CLOCK_KIND, "", ENCODER.encode(clock))
-    ledger.commit(ledger.position + 1)
+        database.put(CLOCK_KIND, "", ENCODER.encode(clock))
+    database.commit(database.position + 1)
 
 
-def summarize_journal(ledger: SqliteStore, contents: JournalContents | None) -> dict[str, object]:
-    """Say what a journal holds, without descriptions."""
+def summarize_journal(database: SqliteStore, contents: JournalContents | None) -> dict[str, object]:
+    """Summarize a journal, without descriptions."""
     if contents is None:
-        return {"position": ledger.position, "entities": [], "aside": []}
+        return {"position": database.position, "entities": [], "aside": []}
     world, clock = contents.world, contents.clock
     return {
-        "position": ledger.position,
-        "lost": ledger.lost,
+        "position": database.position,
+        "lost": database.lost,
         "world": world.name,
         "world_model": world.source.name,
         "state": State(clock.state).name.lower(),
@@ -261,14 +259,14 @@ def summarize_journal(ledger: SqliteStore, contents: JournalContents | None) -> 
     }
 
 
-def export_journal(ledger: SqliteStore, contents: JournalContents | None) -> dict[str, object]:
-    """Say everything, so that another server could be filled with it."""
-    found = summarize_journal(ledger, contents)
+def export_journal(database: SqliteStore, contents: JournalContents | None) -> dict[str, object]:
+    """Export a journal with all descriptions."""
+    summary = summarize_journal(database, contents)
     if contents is None:
-        return found
+        return summary
     rows = (*contents.entities, *(row.entity for row in contents.aside))
     return {
-        **found,
+        **summary,
         "world_source": msgspec.to_builtins(contents.world.source),
         "step_hz": contents.world.step_hz,
         "seed": contents.world.seed,
@@ -276,26 +274,26 @@ def export_journal(ledger: SqliteStore, contents: JournalContents | None) -> dic
     }
 
 
-def format_summary(found: dict[str, object]) -> str:
-    """Write a summary as lines."""
-    head = [f"{word}: {value}" for word, value in found.items() if not isinstance(value, list)]
-    entities, aside = found["entities"], found["aside"]
+def format_summary(summary: dict[str, object]) -> str:
+    """Format a summary as lines."""
+    head = [f"{key}: {value}" for key, value in summary.items() if not isinstance(value, list)]
+    entities, aside = summary["entities"], summary["aside"]
     assert isinstance(entities, list)
     assert isinstance(aside, list)
     lines = [_format_entity(one) for one in entities]
-    apart = [f"  {one['name']}: {one['reason']}" for one in aside]
+    excluded = [f"  {one['name']}: {one['reason']}" for one in aside]
     return "\n".join(
-        [*head, f"entities: {len(entities)}", *lines, f"set aside: {len(aside)}", *apart]
+        [*head, f"entities: {len(entities)}", *lines, f"set aside: {len(aside)}", *excluded]
     )
 
 
 def _format_entity(entity: dict[str, list[float]]) -> str:
-    place = " ".join(f"{round(value, 3) + 0.0:.3f}" for value in entity["position"])
-    return f"  {entity['name']}  ns={entity['namespace']}  model={entity['model']}  at {place}"
+    position = " ".join(f"{round(value, 3) + 0.0:.3f}" for value in entity["position"])
+    return f"  {entity['name']}  ns={entity['namespace']}  model={entity['model']}  at {position}"
 
 
 def _summarize_entity(contents: JournalContents, row: EntityRow) -> dict[str, object]:
-    base, joints = contents.stand(row)
+    base, joints = contents.last_state(row)
     model = contents.models[row.model]
     return {
         "name": row.name,

@@ -1,4 +1,4 @@
-"""Row schema of the journal, and the records that the loop submits to the writer thread."""
+"""Rows of the journal, and the records that the loop submits to the writer thread."""
 
 import hashlib
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from zensim.proto.messages.model_messages import Dynamics, Model
 from zensim.proto.messages.spawn_messages import Compat
 from zensim.proto.messages.world_messages import WorldResource
 from zensim.sim_server.description.sdf.sdf_world import WorldModel
-from zensim.sim_server.parser_process.description_cache import ParseKey as TextReading
+from zensim.sim_server.parser_process.description_cache import ParseKey
 from zensim.sim_server.physics.engine import BodyStates
 from zensim.sim_server.world.entity import Entity
 
@@ -21,7 +21,7 @@ ENCODER = msgspec.msgpack.Encoder()
 
 
 class ParseOptions(msgspec.Struct, frozen=True):
-    """How a description was read, so that another server need not read it again."""
+    """How a description was parsed, so that the next server need not parse it again."""
 
     compat: Compat
     allow_missing: bool
@@ -30,18 +30,18 @@ class ParseOptions(msgspec.Struct, frozen=True):
 
 
 class EntityRow(msgspec.Struct, frozen=True, kw_only=True):
-    """An entity, and what it needs to be made again."""
+    """An entity and the arguments to spawn it again."""
 
     ordinal: int
-    """Entities are made again in this order."""
+    """Entities are restored in this order."""
     name: str
     namespace: str
     model: str
-    """The sha256 of its model's row."""
+    """Key of its row of kind model: a sha256."""
     text: str
-    """The sha256 of its description's row."""
+    """Key of its row of kind text: a sha256."""
     initial: bytes
-    """State (13,) that a reset goes back to."""
+    """State (13,) that a reset restores."""
     belongs_to_world: bool = False
     bond: str = ""
     info: EntityInfo | None = None
@@ -49,10 +49,10 @@ class EntityRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WorldRow(msgspec.Struct, frozen=True, kw_only=True):
-    """The world that a server has, and the length of its steps."""
+    """The world of a server, and its step rate."""
 
     name: str
-    """On the network."""
+    """World name in keys on the network."""
     source: WorldModel
     step_hz: float
     seed: int = 0
@@ -60,7 +60,7 @@ class WorldRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ClockRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Which time it is, and whether it runs."""
+    """Simulation time and state."""
 
     epoch: int
     steps: int
@@ -69,7 +69,7 @@ class ClockRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class MotionRow(msgspec.Struct, frozen=True, kw_only=True):
-    """Where all entities were at one step."""
+    """States of all entities at one step."""
 
     epoch: int
     steps: int
@@ -81,52 +81,52 @@ class MotionRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ResponseRow(msgspec.Struct, frozen=True, kw_only=True):
-    """An answer that a retry gets."""
+    """A response that a repeated request gets."""
 
     number: int
-    """Answers are given in this order."""
+    """Order of the responses."""
     service: str
     request_id: bytes
     payload: bytes
     encoding: str
     at_s: float
-    """Wall time, of the epoch of Unix."""
+    """Wall time since the Unix epoch [s]."""
 
 
 class ExcludedEntityRow(msgspec.Struct, frozen=True, kw_only=True):
-    """An entity that is not made again, and why."""
+    """An entity that is not restored, and the reason."""
 
     entity: EntityRow
     reason: str
 
 
 def encode_model(model: Model) -> bytes:
-    """Write a model as its row holds it."""
+    """Encode a model for its row."""
     return ENCODER.encode(model)
 
 
 def hash_body(body: bytes) -> str:
-    """Name a body by its content."""
+    """Compute the key of a row from its body."""
     return hashlib.sha256(body).hexdigest()
 
 
 def make_response_key(service: str, request_id: bytes) -> str:
-    """Name the row of an answer."""
+    """Make the key of the row of a response."""
     return f"{service}/{request_id.hex()}"
 
 
 @dataclass(frozen=True)
 class JournaledEntity:
-    """An entity as the journal knows it."""
+    """An entity, its order and its bond."""
 
     ordinal: int
     entity: Entity
     bond: str = ""
-    reading: TextReading | None = None
-    """What its model was read from."""
+    parse_key: ParseKey | None = None
+    """What its model was parsed from."""
 
     def has_same_row(self, other: "JournaledEntity") -> bool:
-        """Whether a row of this would be that of the other: bodies of an engine are not kept."""
+        """Whether both have the same row; bodies of an engine are not stored."""
         one, two = self.entity, other.entity
         if (self.ordinal, self.bond) != (other.ordinal, other.bond):
             return False
@@ -141,7 +141,7 @@ class JournaledEntity:
 
 @dataclass(frozen=True)
 class EntityChange:
-    """What became of one name; None where there was or is no entity."""
+    """The change of the entity of one name; None where there was or is none."""
 
     name: str
     before: JournaledEntity | None
@@ -150,32 +150,32 @@ class EntityChange:
 
 @dataclass(frozen=True)
 class RecordedMotion:
-    """Where all entities were at one step; the arrays are the reading's own."""
+    """States of all entities at one step; the arrays are shared with the world."""
 
     epoch: int
     steps: int
     names: tuple[str, ...]
     joint_counts: npt.NDArray[np.intp]
-    reading: BodyStates
+    states: BodyStates
 
     def row(self) -> MotionRow:
-        """Write it as its row."""
+        """Make the row."""
         return MotionRow(
             epoch=self.epoch,
             steps=self.steps,
             names=self.names,
-            base=self.reading.base.tobytes(),
+            base=self.states.base.tobytes(),
             joint_counts=tuple(self.joint_counts.tolist()),
-            joint_positions=self.reading.joint_positions.tobytes(),
+            joint_positions=self.states.joint_positions.tobytes(),
         )
 
 
 @dataclass(frozen=True)
 class JournalRecord:
-    """What happened since the record before; all of it is kept, or nothing."""
+    """The changes since the previous record; written all or nothing."""
 
     generation: int
-    """Goes up when records could not be written: those of older ones are void."""
+    """Increases when records could not be written: those of older generations are dropped."""
     position: int
     changes: tuple[EntityChange, ...] = ()
     world: WorldRow | None = None
@@ -183,9 +183,9 @@ class JournalRecord:
     motion: RecordedMotion | None = None
     answer: ResponseRow | None = None
     forgotten: tuple[tuple[str, bytes], ...] = ()
-    """Answers that no retry gets any more: service and request id."""
+    """Responses that expired: service and request id."""
 
     is_asked: bool = False
-    """Whether a request changed it: it is undone when it cannot be kept."""
+    """Whether a request made the changes: they are undone if they cannot be written."""
     former: RecordedMotion | None = None
-    """Where all were before, for those that are put back."""
+    """The previous states, for entities that are restored by undo."""

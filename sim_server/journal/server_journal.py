@@ -1,4 +1,4 @@
-"""The journal as a server opens it, and isolation of entities that crash a restore."""
+"""The journal of a server: open, restore without entities that crash, and record."""
 
 from __future__ import annotations
 
@@ -79,104 +79,104 @@ def _find_first_crash(attempts: Sequence[Callable[[], None]], excluded: list[int
 
 LOG = logging.getLogger(__name__)
 RESTORE_MARK_FILE = "restoring"
-"""Is there from the beginning of a restore to its end: a server that finds it died in between."""
+"""Exists during a restore: a server that finds it crashed while restoring."""
 RESPONSE_LIFETIME_S = 3600.0
-"""How long a retry gets the answer of an earlier server."""
-CRASHED_REASON = "ended the process that restored it, twice"
+"""Time for which a repeated request gets the response of an earlier server."""
+CRASHED_REASON = "crashed the process that restored it twice"
 
 
 @dataclass
 class Journal:
-    """An open journal, and what it held."""
+    """An open journal and its contents."""
 
-    ledger: SqliteStore
+    database: SqliteStore
     contents: JournalContents | None
-    kept: tuple[JournaledEntity, ...] = ()
+    restored: tuple[JournaledEntity, ...] = ()
     _is_owned_by_tracker: bool = False
 
     @property
     def files(self) -> Path:
-        """Where `<sha256>.stl` is for each mesh of a model."""
-        return self.ledger.folder / FILES
+        """Folder of the meshes, named `<sha256>.stl`."""
+        return self.database.folder / FILES
 
     def exclude_crashing(self, make_engine: Callable[[], Engine]) -> None:
-        """Set aside what kills a server, if the last one died while it restored.
+        """Exclude entities that crash a process, if the last server crashed while restoring.
 
-        Call it before anything has threads: it makes copies of this process.
+        Call it before any thread is started: it forks this process.
         """
         if self.contents is None or not self._mark.exists():
             return
-        LOG.warning("the last start died while it restored; each entity is tried apart first")
+        LOG.warning("the last start crashed while restoring; each entity is tested in a fork first")
         rows = self.contents.entities
-        guilty = find_crashing(_make_restore_attempts(self.contents, make_engine))
-        with raising_journal_errors(self.ledger.folder):
+        crashing = find_crashing(_make_restore_attempts(self.contents, make_engine))
+        with raising_journal_errors(self.database.folder):
             commit_restore(
-                self.ledger,
-                [ExcludedEntityRow(entity=rows[i], reason=CRASHED_REASON) for i in guilty],
+                self.database,
+                [ExcludedEntityRow(entity=rows[i], reason=CRASHED_REASON) for i in crashing],
             )
-        self.contents = read_contents(self.ledger)
+        self.contents = read_contents(self.database)
 
     def restore(self, world: World, store: AssetStore, now_ns: int) -> tuple[str, ...]:
-        """Make a world as it was; name who could not be made again.
+        """Restore the entities, states and clock of a world; return the names of refused entities.
 
         Raises:
             JournalError: The journal cannot be written.
         """
         if self.contents is None:
             return ()
-        with raising_journal_errors(self.ledger.folder):
+        with raising_journal_errors(self.database.folder):
             return self._restore(self.contents, world, store, now_ns)
 
     def _restore(
         self, contents: JournalContents, world: World, store: AssetStore, now_ns: int
     ) -> tuple[str, ...]:
         self._mark.touch()
-        sync_folder(self.ledger.folder)
-        restored = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
-        self.kept = tuple(restored.kept)
+        sync_folder(self.database.folder)
+        result = restore_world(contents, world, MeshRestorer(self.files, store), now_ns)
+        self.restored = tuple(result.restored)
         clock = msgspec.structs.replace(
             contents.clock, epoch=world.clock.epoch, steps=world.clock.steps
         )
-        commit_restore(self.ledger, restored.refused, clock)
+        commit_restore(self.database, result.refused, clock)
         self._mark.unlink()
-        return tuple(row.entity.name for row in restored.refused)
+        return tuple(row.entity.name for row in result.refused)
 
     def prepare(self, parts: ServerParts) -> None:
-        """Restore the parts that are not in the world: resource, bonds, parsed descriptions."""
+        """Restore what is not in the world: resource, bonds, parsed descriptions."""
         if self.contents is not None:
             parts.current_world.resource = self.contents.world.resource
-        for kept in self.kept:
-            if kept.reading is not None:
-                parts.descriptions.provider.remember(kept.reading, kept.entity.model)
-            if kept.bond:
-                parts.bonds.add(kept.bond, kept.entity)
+        for one in self.restored:
+            if one.parse_key is not None:
+                parts.descriptions.provider.remember(one.parse_key, one.entity.model)
+            if one.bond:
+                parts.bonds.add(one.bond, one.entity)
 
     def record(self, parts: ServerParts) -> ChangeTracker:
-        """Go on where the journal ended."""
+        """Start recording changes after the last position."""
         self.prepare(parts)
-        keeper = BatchWriter(self.ledger, parts.store.folder)
-        with raising_journal_errors(self.ledger.folder):
-            keeper.remove_unused_files()
-        writer = WriterThread(keeper, self.ledger.position)
+        batch_writer = BatchWriter(self.database, parts.store.folder)
+        with raising_journal_errors(self.database.folder):
+            batch_writer.remove_unused_files()
+        writer = WriterThread(batch_writer, self.database.position)
         writer.start()
         self._is_owned_by_tracker = True
-        position = self.ledger.position
+        position = self.database.position
         return ChangeTracker(
             parts,
             writer,
             position=position,
-            known=self.kept,
+            known=self.restored,
             earlier_responses=self.recent_responses(time.time()),
             wall_s=time.time,
         )
 
     def close(self) -> None:
-        """Let go of the folder, unless a recorder has done so."""
+        """Close the database, unless a change tracker owns it."""
         if not self._is_owned_by_tracker:
-            self.ledger.close()
+            self.database.close()
 
     def recent_responses(self, now_s: float) -> tuple[JournaledResponse, ...]:
-        """What was answered not too long ago."""
+        """List the responses that have not expired."""
         answers = self.contents.answers if self.contents else ()
         oldest_s = now_s - RESPONSE_LIFETIME_S
         return tuple(
@@ -187,29 +187,29 @@ class Journal:
 
     @property
     def _mark(self) -> Path:
-        return self.ledger.folder / RESTORE_MARK_FILE
+        return self.database.folder / RESTORE_MARK_FILE
 
 
 def open_journal(folder: str) -> Journal:
-    """Open the journal of a folder, or begin one.
+    """Open or create the journal of a folder.
 
     Raises:
         JournalError: It cannot be used.
     """
-    ledger = open_store(Path(folder))
+    database = open_store(Path(folder))
     try:
-        contents = read_contents(ledger)
+        contents = read_contents(database)
     except BaseException:
-        ledger.close()
+        database.close()
         raise
-    if ledger.lost:
+    if database.lost:
         LOG.warning(
-            "journal %s was cut short: its last %d changes are lost; going on from change %d",
-            ledger.folder,
-            ledger.lost,
-            ledger.position,
+            "journal %s was truncated: its last %d changes are lost; continuing after change %d",
+            database.folder,
+            database.lost,
+            database.position,
         )
-    return Journal(ledger, contents)
+    return Journal(database, contents)
 
 
 def _make_restore_attempts(
@@ -217,12 +217,12 @@ def _make_restore_attempts(
 ) -> list[Callable[[], None]]:
     engines: list[Engine] = []
 
-    def attempt(number: int) -> None:
+    def attempt(index: int) -> None:
         if not engines:
             engines.append(make_engine())
-        birth = make_spawn_request(contents, contents.entities[number], 0)
-        body = engines[0].add(birth.model, birth.base)
-        engines[0].set_at_rest(body, *contents.stand(contents.entities[number]))
+        spawn = make_spawn_request(contents, contents.entities[index], 0)
+        body = engines[0].add(spawn.model, spawn.base)
+        engines[0].set_at_rest(body, *contents.last_state(contents.entities[index]))
         engines[0].step()
 
-    return [lambda number=i: attempt(number) for i in range(len(contents.entities))]  # type: ignore[misc]
+    return [lambda index=i: attempt(index) for i in range(len(contents.entities))]  # type: ignore[misc]

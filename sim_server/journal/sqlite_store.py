@@ -24,7 +24,7 @@ MIGRATIONS = (
         id INTEGER PRIMARY KEY CHECK (id = 1), position INTEGER NOT NULL, digest BLOB NOT NULL);
     """,
 )
-"""Statements that make each version of the tables out of the one before."""
+"""Statements that migrate the tables from each version to the next."""
 DIGEST_BYTES = 8
 DIGEST_SUM_MASK = (1 << 64) - 1
 POSITION_MARK = struct.Struct("<Q8s")
@@ -36,13 +36,13 @@ class JournalError(Exception):
 
 
 class SqliteStore:
-    """Rows by kind and key. One thread at a time."""
+    """Rows by kind and key in an SQLite database; for one thread at a time."""
 
     def __init__(self, folder: Path, connection: sqlite3.Connection, lock: int | None) -> None:
         self.folder = folder
         self.position = 0
         self.lost = 0
-        """Changes that were once on the disk, and are no more."""
+        """Changes that were durable once and are missing now."""
         self._lock = lock
         self._connection = connection
         self._digests: dict[tuple[str, str], int] = {}
@@ -50,7 +50,7 @@ class SqliteStore:
         self._sum = 0
 
     def put(self, kind: str, key: str, body: bytes) -> None:
-        """Write a row, in place of the one that was there."""
+        """Insert or replace a row."""
         digest = _digest_row(kind, key, body)
         self._connection.execute(
             "INSERT INTO rows (kind, key, body, digest) VALUES (?, ?, ?, ?) "
@@ -60,14 +60,14 @@ class SqliteStore:
         self._set_digest((kind, key), digest)
 
     def remove(self, kind: str, key: str) -> None:
-        """Take a row out, if it is there."""
+        """Delete a row, if it exists."""
         if (kind, key) in self._digests:
             self._connection.execute("DELETE FROM rows WHERE kind = ? AND key = ?", (kind, key))
             self._set_digest((kind, key), None)
 
-    def __contains__(self, place: tuple[str, str]) -> bool:
+    def __contains__(self, row_key: tuple[str, str]) -> bool:
         """Whether there is a row of this kind and key."""
-        return place in self._digests
+        return row_key in self._digests
 
     def rows(self, kind: str) -> dict[str, bytes]:
         """Read all rows of a kind."""
@@ -86,10 +86,10 @@ class SqliteStore:
         self._connection.execute("BEGIN IMMEDIATE")
 
     def commit(self, position: int) -> None:
-        """Put on the disk what was written since `begin`.
+        """Commit the transaction durably.
 
         Raises:
-            sqlite3.Error: It is not there; call `rollback`.
+            sqlite3.Error: It failed; call `rollback`.
         """
         total = (position, _digest_total(self._sum, position))
         self._connection.execute("UPDATE total SET position = ?, digest = ? WHERE id = 1", total)
@@ -99,15 +99,15 @@ class SqliteStore:
         self._write_mark()
 
     def rollback(self) -> None:
-        """Take back what was written since `begin`."""
+        """Roll back the transaction."""
         if self._connection.in_transaction:
             self._connection.execute("ROLLBACK")
-        for place, digest in reversed(self._undo):
-            self._set_digest(place, digest)
+        for row_key, digest in reversed(self._undo):
+            self._set_digest(row_key, digest)
         self._undo.clear()
 
     def close(self) -> None:
-        """Fold everything into the one file, and let go of it."""
+        """Merge the write-ahead log into the database file, and unlock the folder."""
         try:
             self._connection.close()
         finally:
@@ -115,10 +115,10 @@ class SqliteStore:
                 os.close(self._lock)
 
     def check(self) -> None:
-        """Read everything, and compare it with its digests.
+        """Compare all rows with their digests.
 
         Raises:
-            JournalError: Something is damaged.
+            JournalError: The database is damaged.
         """
         found = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
         if found[0] != "ok":
@@ -136,27 +136,24 @@ class SqliteStore:
 
     def _check_total(self) -> None:
         total = self._connection.execute("SELECT position, digest FROM total").fetchone()
-        is_whole = total is not None and isinstance(total[0], int)
-        if not is_whole or total[1] != _digest_total(self._sum, total[0]):
+        is_complete = total is not None and isinstance(total[0], int)
+        if not is_complete or total[1] != _digest_total(self._sum, total[0]):
             raise JournalError(self._damaged("rows are missing or were added"))
         self.position = total[0]
         self.lost = max(0, self._read_mark() - self.position)
 
     def _damaged(self, what: str) -> str:
-        return (
-            f"{self.folder / DATABASE} is damaged: {what}; "
-            "put a copy in its place, or use another folder"
-        )
+        return f"{self.folder / DATABASE} is damaged: {what}; restore a copy, or use another folder"
 
-    def _set_digest(self, place: tuple[str, str], digest: int | None) -> None:
-        before = self._digests.pop(place, None)
-        self._undo.append((place, before))
+    def _set_digest(self, row_key: tuple[str, str], digest: int | None) -> None:
+        before = self._digests.pop(row_key, None)
+        self._undo.append((row_key, before))
         if digest is not None:
-            self._digests[place] = digest
+            self._digests[row_key] = digest
         self._sum = (self._sum + (digest or 0) - (before or 0)) & DIGEST_SUM_MASK
 
     def _write_mark(self) -> None:
-        """Note beside the file how far it goes, so that a file cut short is known as such."""
+        """Write the position beside the database, so that a truncated database is detected."""
         if self._lock is not None:
             body = self.position.to_bytes(8, "little")
             os.pwrite(self._lock, POSITION_MARK.pack(self.position, _hash_bytes(body)), 0)
@@ -173,10 +170,10 @@ class SqliteStore:
 
 
 def open_store(folder: Path) -> SqliteStore:
-    """Open the journal of a folder for one server, or begin one.
+    """Open or create the journal of a folder for one server.
 
     Raises:
-        JournalError: The folder cannot be used, another server has it, or the journal is damaged.
+        JournalError: The folder cannot be used or is locked, or the journal is damaged.
     """
     with raising_journal_errors(folder):
         (folder / FILES).mkdir(parents=True, exist_ok=True)
@@ -190,36 +187,38 @@ def open_store(folder: Path) -> SqliteStore:
 
 @contextmanager
 def open_store_read_only(folder: Path) -> Iterator[SqliteStore]:
-    """Open a journal to be read, beside a server that writes it.
+    """Open a journal for reading while a server may write it.
 
     Raises:
         JournalError: There is none, or it is damaged.
     """
     with raising_journal_errors(folder):
         if not (folder / DATABASE).is_file():
-            raise JournalError(f"{folder} holds no journal; name a folder given to --journal")
+            raise JournalError(
+                f"{folder} is not a journal; use a folder of `zensim serve --journal`"
+            )
         connection = _connect(folder)
         try:
             connection.execute("PRAGMA query_only = 1")
             connection.execute("BEGIN")
-            ledger = SqliteStore(folder, connection, None)
+            database = SqliteStore(folder, connection, None)
             _check_version(folder, connection)
-            ledger.check()
-            yield ledger
+            database.check()
+            yield database
         finally:
             connection.close()
 
 
 def _open_locked(folder: Path, lock: int) -> SqliteStore:
     connection = _connect(folder)
-    ledger = SqliteStore(folder, connection, lock)
+    database = SqliteStore(folder, connection, lock)
     try:
-        _migrate(folder, connection, ledger._read_mark())  # noqa: SLF001  of this very file
-        ledger.check()
+        _migrate(folder, connection, database._read_mark())  # noqa: SLF001  same module
+        database.check()
     except BaseException:
         connection.close()
         raise
-    return ledger
+    return database
 
 
 def _connect(folder: Path) -> sqlite3.Connection:
@@ -246,7 +245,7 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
     if version == 0 and mark > 0:
         raise JournalError(
             f"{folder / DATABASE} is empty, but {mark} changes were written to it; "
-            "put a copy in its place, or use another folder"
+            "restore a copy, or use another folder"
         )
     if version == len(MIGRATIONS):
         return
@@ -258,7 +257,7 @@ def _migrate(folder: Path, connection: sqlite3.Connection, mark: int) -> None:
         connection.execute("INSERT INTO total VALUES (1, 0, ?)", (_digest_total(0, 0),))
     connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
     connection.execute("COMMIT")
-    # The tables themselves are never lost with the tail of the log.
+    # The tables must not be lost with the end of the log.
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     sync_folder(folder)
 
@@ -276,7 +275,7 @@ def _lock_folder(folder: Path) -> int:
 
 
 def sync_folder(folder: Path) -> None:
-    """Put the names of a folder's files on the disk."""
+    """Make the entries of a folder durable."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -286,13 +285,13 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def raising_journal_errors(folder: Path) -> Iterator[None]:
-    """Say in one line what a file or a disk does not do; raises JournalError."""
+    """Convert errors of files and of SQLite to JournalError."""
     try:
         yield
     except sqlite3.Error as error:
         raise JournalError(
             f"{folder / DATABASE} cannot be used: {error}; "
-            "make room for it, put a copy in its place, or use another folder"
+            "make room for it, restore a copy, or use another folder"
         ) from error
     except OSError as error:
         raise JournalError(

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from tests.engines import STEP_NS
-from tests.sim_server.journal.journaled_server import Journalled
+from tests.sim_server.journal.journaled_server import JournaledServer
 from zensim.proto.bus import BusConfig
 from zensim.sim_server.journal.server_journal import Journal, open_journal
 from zensim.sim_server.journal.sqlite_store import JournalError
@@ -18,9 +18,9 @@ CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
 
 @pytest.fixture
 def journal(tmp_path: Path) -> Journal:
-    kept = Journalled(tmp_path, "r0")
+    kept = JournaledServer(tmp_path, "r0")
     kept.parts.pacing.target_real_time_factor = 2.0
-    kept.recorder.note()
+    kept.tracker.note()
     kept.crash()
     return open_journal(str(tmp_path))
 

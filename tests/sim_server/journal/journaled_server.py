@@ -1,4 +1,4 @@
-"""A server with a journal whose disk is written at once, or fails, or waits to be told."""
+"""A server with a journal on a simulated disk, which is fast, slow or full."""
 
 import sqlite3
 from collections.abc import Sequence
@@ -18,7 +18,6 @@ from zensim.sim_server.journal.journal_contents import JournalContents, read_con
 from zensim.sim_server.journal.journal_records import JournalRecord
 from zensim.sim_server.journal.server_journal import Journal
 from zensim.sim_server.journal.sqlite_store import SqliteStore, open_store
-from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.runtime.loop import ServerLoop
 from zensim.sim_server.world.simulated_world import World
 
@@ -26,9 +25,9 @@ DISK_FULL = "database or disk is full"
 
 
 class Disk:
-    """Writes as the thread does, but when told to: `flush`."""
+    """Writes records like `WriterThread`, at once or, if slow, at `flush`."""
 
-    def __init__(self, keeper: BatchWriter, position: int) -> None:
+    def __init__(self, batch_writer: BatchWriter, position: int) -> None:
         self.durable = position
         self.commits = 0
         self.failure: tuple[int, str] | None = None
@@ -36,9 +35,9 @@ class Disk:
         self.is_slow = False
         self.is_full = False
         self.batches: list[list[JournalRecord]] = []
-        self._keeper = keeper
+        self._batch_writer = batch_writer
         self._queue: list[JournalRecord] = []
-        self._void = -1
+        self._failed_generation = -1
 
     def submit(self, record: JournalRecord) -> None:
         self._queue.append(record)
@@ -46,7 +45,7 @@ class Disk:
             self.flush()
 
     def flush(self) -> None:
-        records = [record for record in self._queue if record.generation > self._void]
+        records = [record for record in self._queue if record.generation > self._failed_generation]
         self._queue = []
         if records:
             self._write(records)
@@ -54,47 +53,47 @@ class Disk:
     def close(self) -> bool:
         self.is_slow = False
         self.flush()
-        self._keeper.close()
+        self._batch_writer.close()
         return True
 
     def _write(self, records: Sequence[JournalRecord]) -> None:
         try:
             if self.is_full:
                 raise sqlite3.OperationalError(DISK_FULL)
-            self._keeper.keep(records)
+            self._batch_writer.write(records)
         except (sqlite3.Error, OSError) as error:
-            self._void = records[-1].generation
-            self.failure = (self._void, str(error))
+            self._failed_generation = records[-1].generation
+            self.failure = (self._failed_generation, str(error))
             return
         self.durable = records[-1].position
         self.commits += 1
         self.batches.append(list(records))
 
 
-class Journalled:
-    """A loop whose world is kept in a folder."""
+class JournaledServer:
+    """A server loop that journals its world in a folder."""
 
     def __init__(self, folder: Path, *names: str, world: World | None = None) -> None:
         wall = WallTime()
         self.folder = folder
-        self.ledger: SqliteStore = open_store(folder)
-        journal = Journal(self.ledger, read_contents(self.ledger))
+        self.database: SqliteStore = open_store(folder)
+        journal = Journal(self.database, read_contents(self.database))
         world = world or a_world(*(names if journal.contents is None else ()))
         self.parts = make_parts(world, wall)
         self.refused = journal.restore(world, self.parts.store, wall.now_ns())
-        keeper = BatchWriter(self.ledger, self.parts.store.folder)
-        self.disk = Disk(keeper, self.ledger.position)
-        self.recorder = ChangeTracker(
+        batch_writer = BatchWriter(self.database, self.parts.store.folder)
+        self.disk = Disk(batch_writer, self.database.position)
+        self.tracker = ChangeTracker(
             self.parts,
             self.disk,
-            position=self.ledger.position,
-            known=journal.kept,
+            position=self.database.position,
+            known=journal.restored,
             earlier_responses=journal.recent_responses(wall.now_ns() * 1e-9),
             wall_s=lambda: wall.now_ns() * 1e-9,
         )
         journal.prepare(self.parts)
         inbox, publisher = ScriptedInbox(), RecordingPublisher()
-        loop = ServerLoop(self.parts, inbox, publisher, wall, self.recorder)
+        loop = ServerLoop(self.parts, inbox, publisher, wall, self.tracker)
         self.server = ServerFixture(wall, None, world, self.parts, inbox, publisher, loop)  # type: ignore[arg-type]
 
     @property
@@ -102,23 +101,19 @@ class Journalled:
         return self.parts.world
 
     def crash(self) -> None:
-        """Lose everything that is not on the disk."""
-        self.ledger.close()
+        """Lose everything that is not durable."""
+        self.database.close()
 
     def close(self) -> None:
-        self.recorder.close()
+        self.tracker.close()
 
 
-def contents_in(folder: Path) -> JournalContents:
-    """Read what a folder holds that nobody uses."""
-    ledger = open_store(folder)
+def read_journal(folder: Path) -> JournalContents:
+    """Read the journal of a folder that no server uses."""
+    database = open_store(folder)
     try:
-        found = read_contents(ledger)
+        found = read_contents(database)
     finally:
-        ledger.close()
+        database.close()
     assert found is not None
     return found
-
-
-def an_empty_store() -> AssetStore:
-    return AssetStore()

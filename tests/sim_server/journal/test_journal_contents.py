@@ -1,4 +1,4 @@
-"""Showing: a journal for people, and all of it for programs."""
+"""A journal is restored into an equal world, summarized and exported."""
 
 import json
 import tempfile
@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from tests.engines import STEP_NS, ObedientEngine
 from tests.models import a_box, a_cart, on_ground
 from tests.sim_server.fakes import CONTROL_STEPS, a_spawn, a_world, names_in
-from tests.sim_server.journal.journaled_server import Journalled, contents_in
+from tests.sim_server.journal.journaled_server import JournaledServer, read_journal
 from zensim.proto.messages.entity_messages import Category, EntityCategory, EntityInfo
 from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.simulation_messages import ResetScope, State
@@ -38,128 +38,128 @@ from zensim.sim_server.world.simulated_world import World
 NAMES = st.sampled_from(["r0", "r1", "r2"])
 
 
-def told(world: World) -> list[tuple[object, ...]]:
-    """List what must be the same after a restart."""
-    reading, roster = world.states(), world.entities.index
+def describe(world: World) -> list[tuple[object, ...]]:
+    """List what a restart must not change."""
+    states, index = world.states(), world.entities.index
     return [
         (
             *(entity.name, entity.namespace, entity.model, entity.description, entity.info),
             entity.belongs_to_world,
             entity.initial.tolist(),
-            reading.base[row, :7].tolist(),
-            reading.joint_positions[roster.joints_of(entity.name)].tolist(),
+            states.base[row, :7].tolist(),
+            states.joint_positions[index.joints_of(entity.name)].tolist(),
         )
         for row, entity in enumerate(world.entities)
     ]
 
 
-def restart(kept: Journalled) -> Journalled:
-    kept.crash()
-    return Journalled(kept.folder)
+def restart(server: JournaledServer) -> JournaledServer:
+    server.crash()
+    return JournaledServer(server.folder)
 
 
-def test_restored_world_is_as_it_was(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0", "r1")
-    kept.world.spawn(a_spawn("box", model=a_box(), base=on_ground(5.0)))
+def test_restored_world_equals_the_former(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1")
+    server.world.spawn(a_spawn("box", model=a_box(), base=on_ground(5.0)))
     info = EntityInfo(EntityCategory(Category.HUMAN), "a box", ("a", "b"))
-    kept.world.set_info("box", info)
-    kept.world.place("r1", on_ground(3.0, 2.0, 1.0), np.array([0.5, -0.25]))
-    kept.world.clock.pause()
-    kept.recorder.note(is_asked=True)
-    expected = told(kept.world)
+    server.world.set_info("box", info)
+    server.world.place("r1", on_ground(3.0, 2.0, 1.0), np.array([0.5, -0.25]))
+    server.world.clock.pause()
+    server.tracker.note(is_asked=True)
+    expected = describe(server.world)
 
-    again = restart(kept)
+    restarted = restart(server)
 
-    assert told(again.world) == expected
-    assert again.world.clock.state == State.PAUSED
-    assert again.world.entities.find("box").info == info
+    assert describe(restarted.world) == expected
+    assert restarted.world.clock.state == State.PAUSED
+    assert restarted.world.entities.find("box").info == info
 
 
-def test_time_goes_on_in_a_higher_epoch(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0")
-    kept.server.turn_for(1.0)
-    kept.world.reset(ResetScope.TIME)
-    kept.server.turn_for(1.0)
-    before = kept.world.clock.steps
+def test_time_continues_in_a_higher_epoch(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    server.server.turn_for(1.0)
+    server.world.reset(ResetScope.TIME)
+    server.server.turn_for(1.0)
+    before = server.world.clock.steps
 
-    again = restart(kept)
+    restarted = restart(server)
 
-    assert again.world.clock.epoch == 2
-    assert 0.5 < (before - again.world.clock.steps) * STEP_NS * 1e-9 + 0.5 <= 1.0
+    assert restarted.world.clock.epoch == 2
+    assert 0.5 < (before - restarted.world.clock.steps) * STEP_NS * 1e-9 + 0.5 <= 1.0
 
 
 def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0")
-    kept.recorder.note()
+    server = JournaledServer(tmp_path, "r0")
+    server.tracker.note()
 
     epochs = []
     for _ in range(3):
-        kept = restart(kept)
-        epochs.append(kept.world.clock.epoch)
+        server = restart(server)
+        epochs.append(server.world.clock.epoch)
 
     assert epochs == [1, 2, 3]
 
 
-def test_description_that_was_read_need_not_be_read_again(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path)
-    kept.recorder.note()
-    entity = kept.world.spawn(a_spawn("r0"))
-    reading = ParseKey("<robot/>", "gazebo11", allow_missing=True, assets=())
-    kept.parts.descriptions.provider.remember(reading, entity.model)
-    kept.recorder.note()
+def test_parsed_descriptions_are_restored(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path)
+    server.tracker.note()
+    entity = server.world.spawn(a_spawn("r0"))
+    key = ParseKey("<robot/>", "gazebo11", allow_missing=True, assets=())
+    server.parts.descriptions.provider.remember(key, entity.model)
+    server.tracker.note()
 
-    again = restart(kept)
+    restarted = restart(server)
 
-    model = again.world.entities.find("r0").model
-    assert again.parts.descriptions.provider.find_parse_key(model) == reading
+    model = restarted.world.entities.find("r0").model
+    assert restarted.parts.descriptions.provider.find_parse_key(model) == key
 
 
-def test_robot_stands_and_what_nobody_drives_moves_on(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0")
-    kept.world.spawn(a_spawn("ball", model=a_box(), base=on_ground(5.0)))
+def test_robots_are_restored_at_rest_and_other_entities_with_their_speed(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    server.world.spawn(a_spawn("ball", model=a_box(), base=on_ground(5.0)))
     moving = on_ground(1.0)
     moving[7] = 0.5
     for name in ("r0", "ball"):
-        kept.world.place(name, moving)
-    kept.recorder.note(is_asked=True)
+        server.world.place(name, moving)
+    server.tracker.note(is_asked=True)
 
-    again = restart(kept)
+    restarted = restart(server)
 
-    assert again.world.state_of("r0")[7] == 0.0
-    assert again.world.state_of("ball")[7] == 0.5
+    assert restarted.world.state_of("r0")[7] == 0.0
+    assert restarted.world.state_of("ball")[7] == 0.5
 
 
-def test_entity_that_is_refused_now_is_set_aside_and_named(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0", "r1")
-    kept.recorder.note()
-    kept.crash()
+def test_entity_that_is_refused_is_excluded_and_named(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1")
+    server.tracker.note()
+    server.crash()
 
-    class Choosy(ObedientEngine):
+    class SelectiveEngine(ObedientEngine):
         def add(self, model: Model, base: FloatArray) -> int:
             if base[0] == 1.0:
                 raise EngineRefused("not this one")
             return super().add(model, base)
 
     world = World(
-        Choosy(EngineConfig(STEP_NS)),
+        SelectiveEngine(EngineConfig(STEP_NS)),
         name="default",
         step_ns=STEP_NS,
         control_steps=CONTROL_STEPS,
     )
-    again = Journalled(tmp_path, world=world)
+    restarted = JournaledServer(tmp_path, world=world)
 
-    assert names_in(again.world) == ["r0"]
-    assert again.refused == ("r1",)
-    third = restart(again)
+    assert names_in(restarted.world) == ["r0"]
+    assert restarted.refused == ("r1",)
+    third = restart(restarted)
     assert names_in(third.world) == ["r0"]
     third.crash()
-    (aside,) = contents_in(tmp_path).aside
-    assert aside.entity.name == "r1"
-    assert "not this one" in aside.reason
+    (excluded,) = read_journal(tmp_path).aside
+    assert excluded.entity.name == "r1"
+    assert "not this one" in excluded.reason
 
 
-class Deadly(ObedientEngine):
-    """Ends the process with what stands at x = 1."""
+class CrashingEngine(ObedientEngine):
+    """Ends the process when a body is added at x = 1."""
 
     def add(self, model: Model, base: FloatArray) -> int:
         if base[0] == 1.0:
@@ -167,111 +167,113 @@ class Deadly(ObedientEngine):
         return super().add(model, base)
 
 
-def test_entity_that_kills_is_set_aside_after_a_start_that_died(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0", "r1", "r2")
-    kept.recorder.note()
-    kept.crash()
+def test_entity_that_crashes_is_excluded_after_a_start_that_crashed(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1", "r2")
+    server.tracker.note()
+    server.crash()
 
-    def starting() -> Journal:
+    def open_excluding() -> Journal:
         journal = open_journal(str(tmp_path))
-        journal.exclude_crashing(lambda: Deadly(EngineConfig(STEP_NS)))
+        journal.exclude_crashing(lambda: CrashingEngine(EngineConfig(STEP_NS)))
         return journal
 
-    first = starting()
+    first = open_excluding()
     assert first.contents is not None
     assert len(first.contents.entities) == 3
-    (tmp_path / RESTORE_MARK_FILE).touch()  # as a start leaves it that died while it restored
+    (tmp_path / RESTORE_MARK_FILE).touch()  # as left by a start that crashed while restoring
     first.close()
-    second = starting()
+    second = open_excluding()
 
     assert second.contents is not None
     assert [row.name for row in second.contents.entities] == ["r0", "r2"]
-    assert "twice" in second.contents.aside[0].reason
+    assert [row.entity.name for row in second.contents.aside] == ["r1"]
     second.close()
 
 
-def test_mark_is_gone_after_a_restore_that_worked(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0")
-    kept.recorder.note()
+def test_mark_file_is_removed_after_a_restore(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    server.tracker.note()
 
-    restart(kept)
+    restart(server)
 
     assert not (tmp_path / RESTORE_MARK_FILE).exists()
 
 
-def test_journal_that_cannot_be_understood_is_one_line(tmp_path: Path) -> None:
-    ledger = open_store(tmp_path)
-    ledger.begin()
-    ledger.put("world", "", b"\xc1")
-    ledger.commit(1)
+def test_journal_that_cannot_be_decoded_is_refused(tmp_path: Path) -> None:
+    database = open_store(tmp_path)
+    database.begin()
+    database.put("world", "", b"\xc1")
+    database.commit(1)
 
-    with pytest.raises(JournalError, match="holds what cannot be read"):
-        read_contents(ledger)
-    ledger.close()
+    with pytest.raises(JournalError):
+        read_contents(database)
+    database.close()
 
 
 class AnyHistory(RuleBasedStateMachine):
-    """Operations and restarts in any order: the world is always that of a twin without journal."""
+    """After any operations and restarts the world equals a twin without a journal."""
 
     def __init__(self) -> None:
         super().__init__()
         self.folder = tempfile.TemporaryDirectory()
-        self.begin()
+        self.start()
         self.twin = a_world()
 
-    def begin(self) -> None:
-        self.kept = Journalled(Path(self.folder.name))
-        self.kept.recorder.note()
+    def start(self) -> None:
+        self.server = JournaledServer(Path(self.folder.name))
+        self.server.tracker.note()
 
-    def both(self, act: Callable[[World], object]) -> None:
-        for world in (self.kept.world, self.twin):
+    def apply_to_both(self, act: Callable[[World], object]) -> None:
+        for world in (self.server.world, self.twin):
             with suppress(SimError):
                 act(world)
-        self.kept.recorder.note(is_asked=True)
+        self.server.tracker.note(is_asked=True)
 
     @rule(name=NAMES, is_cart=st.booleans(), x=st.integers(-5, 5))
     def spawn(self, name: str, *, is_cart: bool, x: int) -> None:
         model = a_cart() if is_cart else a_box()
-        self.both(lambda world: world.spawn(a_spawn(name, model=model, base=on_ground(float(x)))))
+        self.apply_to_both(
+            lambda world: world.spawn(a_spawn(name, model=model, base=on_ground(float(x))))
+        )
 
     @rule(name=NAMES)
     def delete(self, name: str) -> None:
-        self.both(lambda world: world.delete(name))
+        self.apply_to_both(lambda world: world.delete(name))
 
     @rule(name=NAMES, x=st.floats(-9.0, 9.0))
     def place(self, name: str, x: float) -> None:
-        self.both(lambda world: world.place(name, on_ground(x)))
+        self.apply_to_both(lambda world: world.place(name, on_ground(x)))
 
     @rule(name=NAMES, tag=st.text(max_size=3))
     def set_info(self, name: str, tag: str) -> None:
-        self.both(lambda world: world.set_info(name, EntityInfo(tags=(tag,))))
+        self.apply_to_both(lambda world: world.set_info(name, EntityInfo(tags=(tag,))))
 
     @rule(scope=st.sampled_from([1, 2, 4, 255]))
     def reset(self, scope: int) -> None:
-        self.both(lambda world: world.reset(scope))
+        self.apply_to_both(lambda world: world.reset(scope))
 
     @rule()
     def fail(self) -> None:
-        self.kept.disk.is_full = True
-        for name in names_in(self.kept.world)[:1]:
-            self.kept.world.delete(name)
-        self.kept.world.spawn(a_spawn("lost"))
-        self.kept.recorder.note(is_asked=True)
-        self.kept.disk.is_full = False
-        assert self.kept.recorder.poll()
+        self.server.disk.is_full = True
+        for name in names_in(self.server.world)[:1]:
+            self.server.world.delete(name)
+        self.server.world.spawn(a_spawn("lost"))
+        self.server.tracker.note(is_asked=True)
+        self.server.disk.is_full = False
+        assert self.server.tracker.poll()
 
     @rule()
     def restart(self) -> None:
-        self.kept.crash()
-        self.begin()
+        self.server.crash()
+        self.start()
 
     @invariant()
     def worlds_are_the_same(self) -> None:
-        assert sorted(told(self.kept.world)) == sorted(told(self.twin))
+        assert sorted(describe(self.server.world)) == sorted(describe(self.twin))
 
     def teardown(self) -> None:
-        self.kept.crash()
-        self.kept.parts.store.close()
+        self.server.crash()
+        self.server.parts.store.close()
         self.folder.cleanup()
 
 
@@ -279,34 +281,36 @@ TestAnyHistory = AnyHistory.TestCase
 TestAnyHistory.settings = settings(max_examples=12, stateful_step_count=12, deadline=None)
 
 
-def test_page_lists_entities_and_who_is_set_aside(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0", "r1")
-    kept.recorder.note()
-    contents = read_contents(kept.ledger)
+def test_summary_lists_entities_and_excluded_ones(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0", "r1")
+    server.tracker.note()
+    contents = read_contents(server.database)
     assert contents is not None
-    commit_restore(kept.ledger, [ExcludedEntityRow(entity=contents.entities[1], reason="it kills")])
+    commit_restore(
+        server.database, [ExcludedEntityRow(entity=contents.entities[1], reason="it crashes")]
+    )
 
-    shown = format_summary(summarize_journal(kept.ledger, read_contents(kept.ledger)))
+    summary = format_summary(summarize_journal(server.database, read_contents(server.database)))
 
-    assert "entities: 1\n  r0  ns=r0  model=cart  at 0.000 0.000 0.050\n" in shown
-    assert shown.endswith("set aside: 1\n  r1: it kills")
-
-
-def test_export_holds_descriptions_and_is_json(tmp_path: Path) -> None:
-    kept = Journalled(tmp_path, "r0")
-    kept.recorder.note()
-
-    found = json.loads(json.dumps(export_journal(kept.ledger, read_contents(kept.ledger))))
-
-    assert found["descriptions"] == {"r0": "<robot/>"}
-    assert found["entities"][0]["joints"] == {"right_joint": 0.0, "left_joint": 0.0}
-    assert found["world_source"]["name"] == "empty"
+    assert "entities: 1\n  r0  ns=r0  model=cart  at 0.000 0.000 0.050\n" in summary
+    assert summary.endswith("set aside: 1\n  r1: it crashes")
 
 
-def test_journal_that_was_just_begun_is_shown_as_empty(tmp_path: Path) -> None:
-    ledger = open_store(tmp_path)
+def test_export_has_descriptions_and_is_json(tmp_path: Path) -> None:
+    server = JournaledServer(tmp_path, "r0")
+    server.tracker.note()
 
-    assert format_summary(summarize_journal(ledger, read_contents(ledger))).endswith(
+    export = json.loads(json.dumps(export_journal(server.database, read_contents(server.database))))
+
+    assert export["descriptions"] == {"r0": "<robot/>"}
+    assert export["entities"][0]["joints"] == {"right_joint": 0.0, "left_joint": 0.0}
+    assert export["world_source"]["name"] == "empty"
+
+
+def test_new_journal_is_summarized_as_empty(tmp_path: Path) -> None:
+    database = open_store(tmp_path)
+
+    assert format_summary(summarize_journal(database, read_contents(database))).endswith(
         "entities: 0\nset aside: 0"
     )
-    assert export_journal(ledger, None)["entities"] == []
+    assert export_journal(database, None)["entities"] == []

@@ -1,4 +1,4 @@
-"""Probing: what ends a process is found by others, and this one goes on."""
+"""Attempts that crash a process are found in forks."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ def harmless() -> None:
     pass
 
 
-def fatal() -> None:
+def crash() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -24,38 +24,38 @@ def raising() -> None:
 
 
 @pytest.mark.parametrize(
-    ("tries", "expected"),
+    ("attempts", "expected"),
     [
         ([], []),
         ([harmless, raising, harmless], []),
-        ([fatal], [0]),
-        ([harmless, fatal, harmless, raising, fatal], [1, 4]),
+        ([crash], [0]),
+        ([harmless, crash, harmless, raising, crash], [1, 4]),
     ],
 )
-def test_probing_numbers_those_that_kill(
-    tries: list[Callable[[], None]], expected: list[int]
+def test_attempts_that_crash_are_found(
+    attempts: list[Callable[[], None]], expected: list[int]
 ) -> None:
-    assert find_crashing(tries) == expected
+    assert find_crashing(attempts) == expected
 
 
-def test_probing_leaves_out_nobody_who_kills_once(tmp_path: os.PathLike[str]) -> None:
+def test_attempt_that_crashes_once_is_not_reported(tmp_path: os.PathLike[str]) -> None:
     mark = os.path.join(tmp_path, "mark")  # noqa: PTH118
 
-    def fatal_once() -> None:
+    def crash_once() -> None:
         if not os.path.exists(mark):  # noqa: PTH110
             os.close(os.open(mark, os.O_CREAT))
-            fatal()
+            crash()
 
-    assert find_crashing([harmless, fatal_once]) == []
+    assert find_crashing([harmless, crash_once]) == []
 
 
-def test_probing_takes_what_never_ends_for_deadly(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_attempt_that_does_not_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server_journal, "DEADLINE_S", 0.1)
 
     assert find_crashing([harmless, lambda: time.sleep(30.0)]) == [1]
 
 
-def test_probing_changes_nothing_here() -> None:
+def test_attempts_have_no_effect_in_this_process() -> None:
     seen: list[int] = []
 
     find_crashing([lambda: seen.append(1)])

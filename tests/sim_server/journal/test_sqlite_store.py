@@ -1,4 +1,4 @@
-"""Ledger: what was committed is there, and whatever was damaged since is found."""
+"""Committed rows are durable, and damage of the files is detected."""
 
 import random
 import sqlite3
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from zensim.sim_server.journal import sqlite_store as ledger_module
+from zensim.sim_server.journal import sqlite_store
 from zensim.sim_server.journal.sqlite_store import (
     DATABASE,
     FILES,
@@ -25,24 +25,24 @@ FLIPS = 120
 ROWS = {("entity", f"r{i}"): f"row {i}".encode() * 20 for i in range(40)}
 
 
-def fill(ledger: SqliteStore, rows: dict[tuple[str, str], bytes], position: int) -> None:
-    ledger.begin()
+def fill(store: SqliteStore, rows: dict[tuple[str, str], bytes], position: int) -> None:
+    store.begin()
     for (kind, key), body in rows.items():
-        ledger.put(kind, key, body)
-    ledger.commit(position)
+        store.put(kind, key, body)
+    store.commit(position)
 
 
-def killed(folder: Path, *batches: dict[tuple[str, str], bytes]) -> dict[str, bytes]:
-    """Take the files of a journal as a kill leaves them: the newest changes beside the file."""
-    ledger = open_store(folder)
+def write_and_crash(folder: Path, *batches: dict[tuple[str, str], bytes]) -> dict[str, bytes]:
+    """Copy the files of a journal before it is closed: the newest changes are in the log."""
+    store = open_store(folder)
     for position, rows in enumerate(batches, start=1):
-        fill(ledger, rows, position)
+        fill(store, rows, position)
     files = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
-    ledger.close()
+    store.close()
     return files
 
 
-def put_there(folder: Path, files: dict[str, bytes]) -> Path:
+def write_files(folder: Path, files: dict[str, bytes]) -> Path:
     (folder / FILES).mkdir(parents=True)
     for name, data in files.items():
         if not name.endswith("-shm"):
@@ -50,12 +50,12 @@ def put_there(folder: Path, files: dict[str, bytes]) -> Path:
     return folder
 
 
-def state_of(folder: Path) -> tuple[int, int, dict[str, bytes]]:
-    ledger = open_store(folder)
+def read_state(folder: Path) -> tuple[int, int, dict[str, bytes]]:
+    store = open_store(folder)
     try:
-        return ledger.position, ledger.lost, ledger.rows("entity")
+        return store.position, store.lost, store.rows("entity")
     finally:
-        ledger.close()
+        store.close()
 
 
 def read(folder: Path) -> None:
@@ -63,73 +63,73 @@ def read(folder: Path) -> None:
         pass
 
 
-def test_ledger_holds_what_was_committed_when_opened_again(tmp_path: Path) -> None:
-    ledger = open_store(tmp_path / "j")
-    fill(ledger, {("entity", "a"): b"1", ("entity", "b"): b"2"}, 7)
-    ledger.begin()
-    ledger.remove("entity", "a")
-    ledger.put("entity", "b", b"3")
-    ledger.commit(8)
-    ledger.close()
+def test_store_has_committed_rows_when_opened_again(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "j")
+    fill(store, {("entity", "a"): b"1", ("entity", "b"): b"2"}, 7)
+    store.begin()
+    store.remove("entity", "a")
+    store.put("entity", "b", b"3")
+    store.commit(8)
+    store.close()
 
-    assert state_of(tmp_path / "j") == (8, 0, {"b": b"3"})
-
-
-def test_ledger_holds_nothing_of_what_was_rolled_back(tmp_path: Path) -> None:
-    ledger = open_store(tmp_path)
-    fill(ledger, {("entity", "a"): b"1"}, 1)
-    ledger.begin()
-    ledger.put("entity", "a", b"2")
-    ledger.put("entity", "b", b"3")
-    ledger.remove("entity", "a")
-    ledger.rollback()
-    fill(ledger, {("entity", "c"): b"4"}, 2)
-    ledger.close()
-
-    assert state_of(tmp_path) == (2, 0, {"a": b"1", "c": b"4"})
+    assert read_state(tmp_path / "j") == (8, 0, {"b": b"3"})
 
 
-def test_ledger_is_refused_to_a_second_server(tmp_path: Path) -> None:
+def test_store_has_no_rows_that_were_rolled_back(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    fill(store, {("entity", "a"): b"1"}, 1)
+    store.begin()
+    store.put("entity", "a", b"2")
+    store.put("entity", "b", b"3")
+    store.remove("entity", "a")
+    store.rollback()
+    fill(store, {("entity", "c"): b"4"}, 2)
+    store.close()
+
+    assert read_state(tmp_path) == (2, 0, {"a": b"1", "c": b"4"})
+
+
+def test_store_is_locked_for_a_second_server(tmp_path: Path) -> None:
     first = open_store(tmp_path)
 
-    with pytest.raises(JournalError, match="used by another server"):
+    with pytest.raises(JournalError):
         open_store(tmp_path)
 
     first.close()
     open_store(tmp_path).close()
 
 
-def test_ledger_can_be_read_while_a_server_writes(tmp_path: Path) -> None:
-    ledger = open_store(tmp_path)
-    fill(ledger, {("entity", "a"): b"1"}, 1)
+def test_store_can_be_read_while_a_server_writes(tmp_path: Path) -> None:
+    store = open_store(tmp_path)
+    fill(store, {("entity", "a"): b"1"}, 1)
 
     with open_store_read_only(tmp_path) as reader:
-        fill(ledger, {("entity", "b"): b"2"}, 2)
+        fill(store, {("entity", "b"): b"2"}, 2)
 
         assert reader.rows("entity") == {"a": b"1"}
-    ledger.close()
+    store.close()
 
 
-def test_ledger_of_a_newer_version_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_store_of_a_newer_version_is_refused(tmp_path: Path) -> None:
     open_store(tmp_path).close()
     connection = sqlite3.connect(tmp_path / DATABASE)
     connection.execute(f"PRAGMA user_version = {len(MIGRATIONS) + 1}")
     connection.close()
 
-    with pytest.raises(JournalError, match=r"has version 2, .* use the zensim that wrote it"):
+    with pytest.raises(JournalError):
         open_store(tmp_path)
 
 
-def test_ledger_of_an_older_version_is_brought_up_to_date(
+def test_store_of_an_older_version_is_migrated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ledger = open_store(tmp_path)
-    fill(ledger, {("entity", "a"): b"1"}, 1)
-    ledger.close()
+    store = open_store(tmp_path)
+    fill(store, {("entity", "a"): b"1"}, 1)
+    store.close()
     newer = (*MIGRATIONS, "CREATE TABLE more (id INTEGER PRIMARY KEY)")
-    monkeypatch.setattr(ledger_module, "MIGRATIONS", newer)
+    monkeypatch.setattr(sqlite_store, "MIGRATIONS", newer)
 
-    assert state_of(tmp_path) == (1, 0, {"a": b"1"})
+    assert read_state(tmp_path) == (1, 0, {"a": b"1"})
     connection = sqlite3.connect(tmp_path / DATABASE)
     assert connection.execute("PRAGMA user_version").fetchone() == (2,)
     assert connection.execute("SELECT count(*) FROM more").fetchone() == (0,)
@@ -137,12 +137,12 @@ def test_ledger_of_an_older_version_is_brought_up_to_date(
 
 
 @pytest.mark.parametrize("kind", ["file", "garbage", "no journal"])
-def test_ledger_says_in_one_line_what_cannot_be_opened(tmp_path: Path, kind: str) -> None:
+def test_files_that_are_not_a_store_are_refused_in_one_line(tmp_path: Path, kind: str) -> None:
     folder = tmp_path / "j"
     if kind == "file":
         folder.write_text("no folder")
     elif kind == "garbage":
-        put_there(folder, {DATABASE: b"this is no database" * 100})
+        write_files(folder, {DATABASE: b"this is no database" * 100})
 
     with pytest.raises(JournalError) as caught:
         read(folder) if kind == "no journal" else open_store(folder)
@@ -150,26 +150,26 @@ def test_ledger_says_in_one_line_what_cannot_be_opened(tmp_path: Path, kind: str
     assert "\n" not in str(caught.value)
 
 
-def test_ledger_that_lost_its_whole_file_is_not_begun_anew(tmp_path: Path) -> None:
-    files = killed(tmp_path / "a", ROWS)
-    folder = put_there(tmp_path / "b", {LOCK: files[LOCK]})
+def test_store_without_its_database_is_not_created_again(tmp_path: Path) -> None:
+    files = write_and_crash(tmp_path / "a", ROWS)
+    folder = write_files(tmp_path / "b", {LOCK: files[LOCK]})
 
-    with pytest.raises(JournalError, match="is empty, but 1 changes were written"):
+    with pytest.raises(JournalError):
         open_store(folder)
 
 
-def test_ledger_says_how_many_changes_a_cut_log_lost(tmp_path: Path) -> None:
+def test_store_counts_changes_lost_with_a_truncated_log(tmp_path: Path) -> None:
     one, two = {("entity", "a"): b"1"}, {("entity", "b"): b"2"}
-    files = killed(tmp_path / "a", one, two)
+    files = write_and_crash(tmp_path / "a", one, two)
     log = files[f"{DATABASE}-wal"]
-    folder = put_there(tmp_path / "b", {**files, f"{DATABASE}-wal": log[: len(log) - 100]})
+    folder = write_files(tmp_path / "b", {**files, f"{DATABASE}-wal": log[: len(log) - 100]})
 
-    assert state_of(folder) == (1, 1, {"a": b"1"})
+    assert read_state(folder) == (1, 1, {"a": b"1"})
 
 
-def test_ledger_cut_anywhere_is_a_former_state_or_one_line(tmp_path: Path) -> None:
+def test_truncated_store_has_a_former_state_or_is_refused_in_one_line(tmp_path: Path) -> None:
     batches = [dict(list(ROWS.items())[i * 10 : i * 10 + 10]) for i in range(4)]
-    files = killed(tmp_path / "a", *batches)
+    files = write_and_crash(tmp_path / "a", *batches)
     states = [
         {key: body for batch in batches[:n] for (_, key), body in batch.items()} for n in range(5)
     ]
@@ -177,13 +177,15 @@ def test_ledger_cut_anywhere_is_a_former_state_or_one_line(tmp_path: Path) -> No
     for number in range(CUTS):
         name = chance.choice([DATABASE, f"{DATABASE}-wal"])
         cut = chance.randrange(len(files[name]))
-        folder = put_there(tmp_path / f"c{number}", {**files, name: files[name][:cut]})
+        folder = write_files(tmp_path / f"c{number}", {**files, name: files[name][:cut]})
         assert_consistent(folder, states)
 
 
-def test_ledger_with_a_flipped_bit_is_a_former_state_or_one_line(tmp_path: Path) -> None:
+def test_store_with_a_flipped_bit_has_a_former_state_or_is_refused_in_one_line(
+    tmp_path: Path,
+) -> None:
     batches = [dict(list(ROWS.items())[i * 10 : i * 10 + 10]) for i in range(4)]
-    logged = killed(tmp_path / "a", *batches)
+    logged = write_and_crash(tmp_path / "a", *batches)
     folded = {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir() if path.is_file()}
     states = [
         {key: body for batch in batches[:n] for (_, key), body in batch.items()} for n in range(5)
@@ -195,20 +197,20 @@ def test_ledger_with_a_flipped_bit_is_a_former_state_or_one_line(tmp_path: Path)
         data = bytearray(files[name])
         if data:
             data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
-        folder = put_there(tmp_path / f"f{number}", {**files, name: bytes(data)})
+        folder = write_files(tmp_path / f"f{number}", {**files, name: bytes(data)})
         assert_consistent(folder, states)
 
 
 def assert_consistent(folder: Path, states: list[dict[str, bytes]]) -> None:
     try:
-        position, lost, rows = state_of(folder)
+        position, lost, rows = read_state(folder)
     except JournalError as error:
-        said = str(error)
+        message = str(error)
     else:
-        said = "one line"
+        message = ""
         assert rows == states[position]
         assert lost in (0, 4 - position)
-    assert "\n" not in said
+    assert "\n" not in message
 
 
 KEYS = st.sampled_from("abcd")
@@ -217,24 +219,24 @@ OPERATIONS = st.lists(st.tuples(KEYS, st.one_of(st.none(), st.binary(max_size=9)
 
 @settings(max_examples=25, deadline=None)
 @given(operations=OPERATIONS)
-def test_ledger_is_whole_after_any_operations(
+def test_store_is_consistent_after_any_operations(
     tmp_path_factory: pytest.TempPathFactory, operations: list[tuple[str, bytes | None, bool]]
 ) -> None:
     folder = tmp_path_factory.mktemp("journal")
-    ledger, expected = open_store(folder), dict[str, bytes]()
-    for position, (key, body, is_kept) in enumerate(operations, start=1):
-        ledger.begin()
+    store, expected = open_store(folder), dict[str, bytes]()
+    for position, (key, body, is_committed) in enumerate(operations, start=1):
+        store.begin()
         if body is None:
-            ledger.remove("entity", key)
+            store.remove("entity", key)
         else:
-            ledger.put("entity", key, body)
-        if not is_kept:
-            ledger.rollback()
+            store.put("entity", key, body)
+        if not is_committed:
+            store.rollback()
             continue
-        ledger.commit(position)
+        store.commit(position)
         expected.pop(key, None)
         if body is not None:
             expected[key] = body
-    ledger.close()
+    store.close()
 
-    assert state_of(folder)[2] == expected
+    assert read_state(folder)[2] == expected
