@@ -18,7 +18,7 @@ from zensim.proto.bus import BusPublisher
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.process_limits import die_with_supervisor
 from zensim.sim_server.physics.engine import Engine
-from zensim.sim_server.runtime import world_publisher
+from zensim.sim_server.runtime import loop_channels
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
 from zensim.sim_server.world.simulated_world import World
 from zensim.sim_server.world.simulation_clock import SimulationClock
@@ -91,7 +91,7 @@ class Watch:
         for owner, name, part in (
             (World, "states", "read-back"),
             (World, "snapshot", "messages"),
-            (world_publisher, "encode", "encode"),
+            (loop_channels, "encode", "encode"),
             (BusPublisher, "send", "put"),
             (AgentSessions, "serve", "take"),
         ):

@@ -29,10 +29,9 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import create_world_engine
 from zensim.sim_server.physics.kinematic.tiered_engine import TieredEngine
 from zensim.sim_server.ros2_node.server_node import start_server_node
-from zensim.sim_server.runtime.inbox import BusInbox
 from zensim.sim_server.runtime.linux_scheduling import request_short_time_slice
 from zensim.sim_server.runtime.loop import ServerLoop
-from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
+from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.server_config import (
     ServerConfig,
     WorldAlreadyServed,
@@ -202,7 +201,7 @@ def _run(
         node = start_server_node(bus, config.ros)
         ending.callback(node.close)
         inbox = BusInbox(bus, config.world, node.sources)
-        publisher = BusWorldPublisher(bus, config.world, node.faces, node.on_progress)
+        publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
         loop = ServerLoop(parts, inbox, publisher, clock, tracker)
         ending.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)

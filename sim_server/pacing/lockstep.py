@@ -1,4 +1,4 @@
-"""Lockstep: which agents have not answered the newest drive state. No clock, no network."""
+"""Lockstep: which agents have not replied to the newest drive state. No clock, no network."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,18 +9,18 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 OnMiss = Literal["wait", "hold", "fail"]
 LOCKSTEP_TIMEOUT_S = 1.0
 MAX_CHECK_INTERVAL_NS = 20_000_000
-"""Most that one look counts as waiting: a server that was stopped itself has not waited."""
+"""Most waiting time counted per check: the server itself may have been stopped."""
 
 
 @dataclass(frozen=True)
 class LockstepSettings:
-    """What to do at control steps.
+    """Waiting for agents at control steps.
 
     Attributes:
         is_on: Wait for the agents at each control step; without it only at requested steps.
-        timeout_s: Wall time that an agent has for its answer.
-        on_miss: After that: `wait` on until its token goes, `hold` the old targets and go on, or
-            `fail`: stand still and say so.
+        timeout_s: Wall time that an agent has for its command.
+        on_miss: Then `wait` until its token disappears, `hold` the old targets and continue, or
+            `fail`: pause and abort the requested steps.
     """
 
     is_on: bool = False
@@ -30,7 +30,7 @@ class LockstepSettings:
 
 @dataclass
 class _SentState:
-    """What an agent was told last, and whether time waits for its answer."""
+    """Last state published to an agent, and whether its reply is awaited."""
 
     epoch: int
     step: int
@@ -43,7 +43,7 @@ class _SentState:
 
 
 class Lockstep:
-    """Keeps the books of one world's agents."""
+    """Replies that the agents of one world owe."""
 
     def __init__(self, settings: LockstepSettings | None = None) -> None:
         self.settings = settings or LockstepSettings()
@@ -55,29 +55,29 @@ class Lockstep:
 
     @property
     def awaited(self) -> tuple[str, ...]:
-        """Agents that owe an answer."""
+        """Agents whose reply is awaited."""
         return tuple(sorted(self._awaited))
 
     @property
     def is_waiting(self) -> bool:
-        """Whether any agent owes an answer."""
+        """Whether any reply is awaited."""
         return bool(self._awaited)
 
     @property
     def misses(self) -> dict[str, int]:
-        """States that were not answered in time, by agent."""
+        """Number of late or missing replies, by agent."""
         return dict(self._misses)
 
     def has_sent(self, agent: str, state: DriveState) -> bool:
-        """Whether an agent knows what it drives, in this epoch."""
-        told = self._sent.get(agent)
-        return told is not None and (told.epoch, told.claims) == (state.epoch, state.claims)
+        """Whether the agent has been sent a state with these claims in this epoch."""
+        sent = self._sent.get(agent)
+        return sent is not None and (sent.epoch, sent.claims) == (state.epoch, state.claims)
 
     def record_sent(self, agent: str, state: DriveState, now_ns: int) -> bool:
-        """Note that an agent is told a state; answers to older ones are owed no more.
+        """Record a published state; replies to older ones are not awaited any more.
 
         Returns:
-            False when its answer should be awaited, but the agent has been silent too long for it.
+            False if the agent was late before, so that its reply is not awaited.
         """
         if not self._awaited:
             self._last_check_ns = now_ns
@@ -92,22 +92,22 @@ class Lockstep:
         return True
 
     def record_answer(self, agent: str, command: DriveCommand) -> bool:
-        """Take note of a command; tell whether it may be carried out.
+        """Record a command; return whether it may be applied.
 
-        A state that is awaited has one answer: a command for another one is not carried out.
+        While a reply is awaited, commands for older states are not applied.
         """
         self._unresponsive.discard(agent)
-        if (told := self._sent.get(agent)) is None:
+        if (sent := self._sent.get(agent)) is None:
             return True
-        if not told.matches(command):
-            return not told.is_awaited
+        if not sent.matches(command):
+            return not sent.is_awaited
         self._awaited.discard(agent)
         return True
 
     def find_late(self, now_ns: int) -> tuple[str, ...]:
-        """Let wall time pass; name the agents whose time for an answer has just run out.
+        """Advance wall time; list the agents whose timeout has just ended.
 
-        With `wait` they go on owing it, and their time begins anew.
+        With `wait` their replies stay awaited, with a new timeout.
         """
         passed_ns = min(now_ns - self._last_check_ns, MAX_CHECK_INTERVAL_NS)
         self._last_check_ns = now_ns
@@ -121,7 +121,7 @@ class Lockstep:
         return late
 
     def forget(self, agent: str) -> None:
-        """Owe nothing: the agent has gone, or drives nothing any more."""
+        """Await nothing from an agent that has disappeared or drives nothing any more."""
         self._sent.pop(agent, None)
         self._misses.pop(agent, None)
         self._awaited.discard(agent)

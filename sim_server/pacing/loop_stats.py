@@ -1,4 +1,4 @@
-"""Statistics of the loop over windows of a second: real-time factor, step times, lateness. Wall times are passed in."""
+"""Statistics of the loop over windows of one second: real-time factor, step times, lateness."""
 
 from zensim.proto.messages.standard_messages import NANOSECONDS
 
@@ -6,7 +6,7 @@ STEP_SHARE = 4
 
 
 class LoopStats:
-    """Sums over windows of about a second."""
+    """Sums and maxima over windows of about one second of wall time."""
 
     def __init__(self, now_ns: int) -> None:
         self.real_time_factor = 0.0
@@ -29,8 +29,8 @@ class LoopStats:
         """Count one turn.
 
         Args:
-            busy_ns: CPU time that it took.
-            paced_ns: Wall time that its step stands for; 0 when none was due, so none is late.
+            busy_ns: CPU time used.
+            paced_ns: Wall time until the next deadline; 0 if no step was due.
         """
         self._backlog_ns = busy_ns + (self._backlog_ns if paced_ns else 0)
         self._busiest_ns = max(self._busiest_ns, self._backlog_ns)
@@ -45,14 +45,14 @@ class LoopStats:
         self._latest_ns = max(self._latest_ns, late_ns)
 
     def work_budget_ns(self, least_ns: int) -> int:
-        """Say for how long work that can be parted may hold up the loop at each turn.
+        """Return the time [ns] that divisible work may take in a turn, at least `least_ns`.
 
-        A quarter of a step where steps take long, so that it ends some time.
+        A quarter of the step time where that is more, so that the work ends eventually.
         """
         return max(least_ns, round(self.step_time_s * NANOSECONDS / STEP_SHARE))
 
     def close_window(self, now_ns: int) -> bool:
-        """Turn the sums into figures once a second has passed; say whether it has."""
+        """Compute the statistics if a second has passed; return whether it has."""
         elapsed_ns = now_ns - self._since_ns
         if elapsed_ns < NANOSECONDS:
             return False

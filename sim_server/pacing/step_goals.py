@@ -9,17 +9,17 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 
 PROGRESS_HZ = 10
 MAX_FINISHED_GOALS = 256
-"""Goals that are over and whose results can still be fetched."""
+"""Ended goals whose results can still be fetched."""
 
 
 @dataclass
 class StepGoal:
-    """So many steps; a reset sets time back, not what is left.
+    """A number of requested steps; a reset does not change how many remain.
 
     Attributes:
-        goal_id: Empty when nobody is to hear of its progress.
-        late: Agents that did not answer all of its control steps in time.
-        reason: Why it was aborted.
+        goal_id: Empty if no progress is published.
+        late: Agents that did not reply to all of its control steps in time.
+        reason: Why the goal was aborted.
     """
 
     steps: int
@@ -29,26 +29,26 @@ class StepGoal:
     late: set[str] = field(default_factory=set)
     reason: str = ""
     progress_sent_ns: int | None = None
-    """Wall time when its progress was told last."""
+    """Wall time of the last progress message."""
 
     @property
     def remaining(self) -> int:
-        """Steps that are not made yet."""
+        """Steps still to be made."""
         return self.steps - self.completed
 
     @property
     def is_over(self) -> bool:
-        """Whether nothing more will be done for it."""
+        """Whether the goal has ended."""
         return self.status != "executing"
 
     @property
     def progress(self) -> StepsProgress:
-        """How far it is."""
+        """Progress message of the goal."""
         return StepsProgress(self.goal_id, self.completed, self.remaining, self.status)
 
 
 class StepGoals:
-    """The goals that are not over yet, and the last of those that are."""
+    """Queue of active goals, and the newest ended ones."""
 
     def __init__(self) -> None:
         self._goals: list[StepGoal] = []
@@ -73,7 +73,7 @@ class StepGoals:
         return goal
 
     def find(self, goal_id: str) -> StepGoal | None:
-        """Find a goal by its id, also one that is over."""
+        """Find an active or ended goal by its id."""
         return self._known.get(goal_id)
 
     def note_step(self) -> None:
@@ -81,39 +81,35 @@ class StepGoals:
         self._goals[0].completed += 1
 
     def note_late(self, agents: Iterable[str]) -> None:
-        """Remember which agents the steps of the first goal went on without."""
+        """Note agents that were late in a step of the first goal."""
         if self._goals:
             self._goals[0].late.update(agents)
 
     def finish_completed(self) -> None:
-        """End the goals that have made all their steps; call it when no agent is awaited."""
+        """End the goals whose steps are made; call it when no agent is awaited."""
         while self._goals and self._goals[0].remaining <= 0:
             self._end(self._goals[0], "succeeded")
 
     def cancel(self, goal_id: str) -> list[StepGoal]:
-        """End a goal before its last step, or without an id all goals; return those ended."""
+        """Cancel the goal with an id, or all if it is empty; return those canceled."""
         canceled = [goal for goal in self._goals if goal_id in ("", goal.goal_id)]
         for goal in canceled:
             self._end(goal, "canceled")
         return canceled
 
     def abort(self, reason: str) -> None:
-        """End all goals: they cannot be reached."""
+        """Abort all active goals."""
         for goal in self._goals[:]:
             self.abort_goal(goal, reason)
 
     def abort_goal(self, goal: StepGoal, reason: str) -> None:
-        """End a goal, unless it is over."""
+        """Abort a goal if it is active."""
         if not goal.is_over:
             goal.reason = reason
             self._end(goal, "aborted")
 
     def due_progress(self, now_ns: int) -> Iterator[StepsProgress]:
-        """Tell how far goals with an id are: the first of them now and then, those ended at once.
-
-        Args:
-            now_ns: Wall time.
-        """
+        """Make the progress messages due at a wall time: ended goals at once, the first at 10 Hz."""
         ended, self._ended = self._ended, []
         yield from (goal.progress for goal in ended if goal.goal_id)
         first = self._goals[0] if self._goals else None

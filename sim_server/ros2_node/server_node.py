@@ -1,4 +1,4 @@
-"""The ROS 2 node of the server: its services over rmw_zenoh and zenoh-bridge-ros2dds, its topics and its action."""
+"""ROS 2 node of the server: services over rmw_zenoh and zenoh-bridge-ros2dds, topics, action."""
 
 import logging
 import time
@@ -44,7 +44,7 @@ NO_REQUEST_ID: Final = b""
 
 
 class Ros2Call:
-    """A request that came on a key of rmw_zenoh or of a bridge; see `ServiceCall`."""
+    """A request received on a key of rmw_zenoh or of a bridge; see `ServiceCall`."""
 
     def __init__(
         self, call: Query, forms: tuple[RosService, ...], attachment: Attachment | None
@@ -58,14 +58,14 @@ class Ros2Call:
         self.request_id = NO_REQUEST_ID if attachment is None else _make_request_id(attachment)
 
     def read(self, kind: type[Message]) -> Message:
-        """See `ServiceCall`: the first form that fits."""
+        """See `ServiceCall`; the first form that fits is used."""
         for form in self._forms[:-1]:
             with suppress(MalformedPayload):
                 return self._read(form, kind)
         return self._read(self._forms[-1], kind)
 
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """See `ServiceCall`: with the attachment by which ROS finds who asked."""
+        """See `ServiceCall`; the attachment identifies the request for the ROS client."""
         del key
         answer = self._form.encode_response(payload, encoding)
         back = b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
@@ -82,7 +82,7 @@ class Ros2Call:
 
 
 class Ros2CallQueues:
-    """All requests that come in forms of ROS 2."""
+    """Service calls of ROS 2 clients."""
 
     def __init__(
         self, queues: tuple[QueryQueue, ...], forms: Mapping[str, tuple[RosService, ...]]
@@ -91,7 +91,7 @@ class Ros2CallQueues:
         self._forms = forms
 
     def take(self) -> list[ServiceCall]:
-        """Take what has come; what no form fits is let go, since nobody serves it."""
+        """Take the calls received; calls on unknown keys are dropped."""
         found: list[ServiceCall] = []
         for queue in self._queues:
             for call in queue.take():
@@ -105,20 +105,20 @@ class Ros2CallQueues:
 
 
 def serve_rmw_calls(bus: ServingNetwork, domain: int) -> Ros2CallQueues:
-    """Serve what rmw_zenoh asks for in a domain."""
+    """Serve the service keys of rmw_zenoh in a domain."""
     return Ros2CallQueues(
         tuple(bus.serve(key) for key in find_served_keys(domain)), index_by_key(domain)
     )
 
 
 def serve_bridge_calls(bus: ServingNetwork) -> Ros2CallQueues:
-    """Serve what zenoh-bridge-ros2dds asks for."""
+    """Serve the service keys of zenoh-bridge-ros2dds."""
     forms = index_by_bridge_key()
     return Ros2CallQueues(tuple(bus.serve(key) for key in forms), forms)
 
 
 def announce_services(node: RosNode) -> None:
-    """Say that a node offers every service, in each form that its distribution has."""
+    """Announce every service of a node, in the forms that its ROS distribution has."""
     has_hashes = node.graph.settings.has_hashes
     for form in ROS_SERVICES:
         if has_hashes or form.is_humble_form:
@@ -137,59 +137,59 @@ def _stamp_now(attachment: Attachment) -> Attachment:
 
 
 def _widen_request(request: msgspec.Struct, kind: type[Message]) -> Message:
-    """Give what a type of ours adds to the interface its defaults."""
+    """Extend a standard request to our type with defaults."""
     if isinstance(request, kind):
         return request
     return kind(**{name: getattr(request, name) for name in request.__struct_fields__})
 
 
 NODE_NAME: Final = "zensim"
-"""What the server is called in ROS 2."""
+"""Name of the server's ROS 2 node."""
 
 
 @dataclass(frozen=True)
 class MergedQueries:
-    """Requests on several keys, as if on one."""
+    """Requests on several keys as one source."""
 
     queues: tuple[QuerySource, ...]
 
     def take(self) -> list[Query]:
-        """Take what has come, queue by queue."""
+        """Take the requests received, queue by queue."""
         return [query for queue in self.queues for query in queue.take()]
 
 
 @dataclass(frozen=True)
 class ServerNode:
-    """What the loop's inbox and outlet need of it.
+    """Connections of the node to the loop.
 
     Attributes:
-        heed: Hears of the progress of steps.
-        close: Withdraws everything.
+        on_progress: Called with the progress of steps.
+        close: Undeclares the node.
     """
 
     sources: tuple[ServiceCallSource, ...]
-    faces: TopicFactory
+    topics: TopicFactory
     on_progress: Callable[[StepsProgress], None]
     close: Callable[[], None]
 
 
 def start_server_node(bus: ServerNetwork, settings: RosSettings) -> ServerNode:
-    """Show the server to ROS 2, as far as the settings want it."""
+    """Declare the server's ROS 2 node as the settings say, or none."""
     graph = RosGraph(bus, settings)
     node = graph.add_node("", NODE_NAME)
-    faces = TopicFactory(bus, node, settings)
+    topics = TopicFactory(bus, node, settings)
     if node is None:
-        return ServerNode((), faces, lambda _: None, graph.close)
+        return ServerNode((), topics, lambda _: None, graph.close)
     announce_services(node)
-    steps = _make_steps_action(bus, node, faces)
+    steps = _make_steps_action(bus, node, topics)
     sources: tuple[ServiceCallSource, ...] = (serve_rmw_calls(bus, node.domain), steps)
     if settings.is_bridged:
         sources = (*sources, serve_bridge_calls(bus))
-    return ServerNode(sources, faces, steps.on_progress, graph.close)
+    return ServerNode(sources, topics, steps.on_progress, graph.close)
 
 
 def _make_steps_action(
-    bus: ServerNetwork, node: RosNode, faces: TopicFactory
+    bus: ServerNetwork, node: RosNode, topics: TopicFactory
 ) -> SimulateStepsAction:
     settings = node.graph.settings
     node.announce_action(action.ACTION_NAME, action.ACTION_TYPE)
@@ -202,10 +202,10 @@ def _make_steps_action(
         if settings.is_bridged:
             keys.append(name.strip("/"))
         queues[name] = MergedQueries(tuple(bus.serve(key) for key in keys))
-    tellers: dict[str, TopicPublisher] = {
-        name: faces.publisher(
+    publishers: dict[str, TopicPublisher] = {
+        name: topics.publisher(
             Topic(name.strip("/"), kind, LATCHED if name == action.STATUS_TOPIC else RELIABLE_10)
         )
         for name, kind in action.ACTION_TOPICS.items()
     }
-    return SimulateStepsAction(queues, tellers)
+    return SimulateStepsAction(queues, publishers)

@@ -27,9 +27,9 @@ from zensim.proto.service_catalog import CANCEL_STEPS, SIMULATE_STEPS
 CDR_ENCODING: Final = str(Format.CDR.value)
 MSGPACK_ENCODING: Final = str(Format.MSGPACK.value)
 MAX_FINISHED_ACTION_GOALS: Final = 256
-"""Goals that are over and whose results can still be had."""
+"""Ended goals whose results can still be fetched."""
 MAX_RESULT_QUERIES: Final = 64
-"""Who wait for the result of one goal."""
+"""Most clients that wait for the result of one goal."""
 FINAL_STATUSES: Final = {
     "succeeded": action.GoalStatusCode.SUCCEEDED,
     "canceled": action.GoalStatusCode.CANCELED,
@@ -44,54 +44,54 @@ Message = TypeVar("Message", bound=msgspec.Struct)
 
 
 class ActionTopic(Protocol):
-    """A topic on all its faces."""
+    """Publisher of a topic of the action."""
 
     @property
     def is_matched(self) -> bool:
-        """Whether anybody listens."""
+        """Whether the topic has a subscriber."""
 
     def send(self, payload: bytes) -> None:
-        """Put one message."""
+        """Publish one message."""
 
     def reply_to_late_joiners(self, payload: Callable[[], bytes]) -> None:
-        """Tell the value of now to those who come late."""
+        """Reply to late subscribers with the last value."""
 
 
 @dataclass
 class ActionGoal:
-    """One goal, from the wish to its result."""
+    """One goal of the action."""
 
     goal_id: action.GoalId
     stamp: Time
     goal_query: Query | None
-    """Who waits to hear whether it is accepted."""
+    """Query that waits for acceptance."""
     status: action.GoalStatusCode = action.GoalStatusCode.ACCEPTED
     result: Result = field(default_factory=Result)
     result_queries: list[Query] = field(default_factory=list)
-    """Who waits for its result."""
+    """Queries that wait for the result."""
 
     @property
     def info(self) -> action.GoalInfo:
-        """What ROS 2 calls it."""
+        """Goal id and time, as in ROS 2."""
         return action.GoalInfo(self.goal_id, self.stamp)
 
     @property
     def is_over(self) -> bool:
-        """Whether its result is known."""
+        """Whether the goal has ended."""
         return self.status in FINAL_STATUSES.values()
 
 
 @dataclass
 class CancelBatch:
-    """What became of several goals that one request would end."""
+    """Results of canceling several goals by one request."""
 
     awaited: int
-    """Of which it is not known yet."""
+    """Goals whose result is not known yet."""
     ended: list[str] = field(default_factory=list)
 
 
 class ActionCall:
-    """A request that this action makes of the server; see `ServiceCall`."""
+    """A call of the server's own step services by this action; see `ServiceCall`."""
 
     payload, encoding, request_id, size = b"", MSGPACK_ENCODING, b"", 0
 
@@ -108,7 +108,7 @@ class ActionCall:
         return self._request
 
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
-        """See `ServiceCall`: there is nobody on the network who could have asked otherwise."""
+        """See `ServiceCall`; passes the reply to the action."""
         del key
         self._on_reply(payload, encoding)
 
@@ -117,27 +117,27 @@ class ActionCall:
 
 
 class SimulateStepsAction:
-    """All goals that ROS 2 sent."""
+    """Action server over the services simulate_steps and cancel_steps."""
 
     def __init__(
-        self, queues: Mapping[str, QuerySource], tellers: Mapping[str, ActionTopic]
+        self, queues: Mapping[str, QuerySource], publishers: Mapping[str, ActionTopic]
     ) -> None:
-        """Take the channels.
+        """Start without goals.
 
         Args:
-            queues: One for each of `ros_actions.SERVICES`.
-            tellers: One for each of `ros_actions.TOPICS`.
+            queues: One for each of `action_messages.ACTION_SERVICES`.
+            publishers: One for each of `action_messages.ACTION_TOPICS`.
         """
         self._queues = queues
-        self._publishers = tellers
+        self._publishers = publishers
         self._goals: OrderedDict[str, ActionGoal] = OrderedDict()
         self._new: list[ActionGoal] = []
 
     def take(self) -> list[ServiceCall]:
-        """Take what has come, as requests of the server's own; results are told at once."""
+        """Take the requests received, as calls of the server's step services."""
         self._publishers[action.STATUS_TOPIC].reply_to_late_joiners(self.statuses)
         while self._new:
-            self._accept(self._new.pop())  # what was refused was so before this turn
+            self._accept(self._new.pop())  # a refusal would have come before this turn
         calls: list[ServiceCall] = []
         for query in self._queues[action.SEND_GOAL_SERVICE].take():
             calls += self._on_send_goal(query)
@@ -148,22 +148,22 @@ class SimulateStepsAction:
         return calls
 
     def on_progress(self, progress: StepsProgress) -> None:
-        """Tell of the progress of a goal, if it is one of these."""
+        """Publish the progress of a goal of this action as feedback."""
         goal = self._goals.get(progress.goal_id)
         if goal is None:
             return
         self._accept(goal)
-        if (teller := self._publishers[action.FEEDBACK_TOPIC]).is_matched:
+        if (publisher := self._publishers[action.FEEDBACK_TOPIC]).is_matched:
             steps = action.StepsFeedback(progress.completed_steps, progress.remaining_steps)
-            teller.send(encode(action.FeedbackMessage(goal.goal_id, steps), Format.CDR))
+            publisher.send(encode(action.FeedbackMessage(goal.goal_id, steps), Format.CDR))
 
     def _end(self, goal: ActionGoal, payload: bytes, encoding: str) -> None:
-        """Take the answer to a goal: what is refused was never accepted."""
+        """Handle the reply of simulate_steps; a refused goal was never accepted."""
         response = decode(SimulateStepsResponse, payload, encoding)
         is_refused = response.result.result != ResultCode.OK and not response.goal_id
         if goal.goal_query is not None and is_refused:
             del self._goals[goal_id_to_hex(goal.goal_id)]
-            self._answer(goal.goal_query, action.SendGoalResponse())
+            self._reply(goal.goal_query, action.SendGoalResponse())
             goal.goal_query = None
             return
         self._accept(goal)
@@ -174,10 +174,10 @@ class SimulateStepsAction:
         self._forget_oldest()
         self._publish_status()
 
-    def _reply_canceled(self, asked: Query, payload: bytes, encoding: str) -> None:
-        told = decode(CancelStepsResponse, payload, encoding)
-        code = CANCEL_CODES.get(told.result.result, action.CancelCode.REJECTED)
-        self._answer(asked, action.CancelGoalResponse(code, self._infos(told.goal_ids)))
+    def _reply_canceled(self, query: Query, payload: bytes, encoding: str) -> None:
+        response = decode(CancelStepsResponse, payload, encoding)
+        code = CANCEL_CODES.get(response.result.result, action.CancelCode.REJECTED)
+        self._reply(query, action.CancelGoalResponse(code, self._infos(response.goal_ids)))
 
     def _infos(self, names: Sequence[str]) -> tuple[action.GoalInfo, ...]:
         return tuple(self._goals[name].info for name in names if name in self._goals)
@@ -186,28 +186,28 @@ class SimulateStepsAction:
         request = _decode_query(action.SendGoalRequest, query)
         name = "" if request is None else goal_id_to_hex(request.goal_id)
         if request is None or not name or name in self._goals:
-            self._answer(query, action.SendGoalResponse())
+            self._reply(query, action.SendGoalResponse())
             return []
         goal = ActionGoal(request.goal_id, time_from_ns(time.time_ns()), query)
         self._goals[name] = goal
         self._new.append(goal)
-        asked = SimulateStepsRequest(request.goal.steps, name)
-        return [ActionCall(SIMULATE_STEPS.name, asked, partial(self._end, goal))]
+        steps = SimulateStepsRequest(request.goal.steps, name)
+        return [ActionCall(SIMULATE_STEPS.name, steps, partial(self._end, goal))]
 
     def _on_cancel_goal(self, query: Query) -> list[ServiceCall]:
-        """End the goal of an id, those begun until a time, both, or when neither is told all."""
+        """Cancel the goal with an id, goals up to a time, both, or all if neither is given."""
         request = _decode_query(action.CancelGoalRequest, query)
         if request is None:
             rejected = action.CancelGoalResponse(action.CancelCode.REJECTED)
-            self._answer(query, rejected)
+            self._reply(query, rejected)
             return []
         name, until_ns = (
             goal_id_to_hex(request.goal_info.goal_id),
             ns_from_time(request.goal_info.stamp),
         )
         if name and not until_ns:
-            tell = partial(self._reply_canceled, query)
-            return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(name), tell)]
+            on_reply = partial(self._reply_canceled, query)
+            return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(name), on_reply)]
         return self._cancel_many(query, name, until_ns)
 
     def _cancel_many(self, query: Query, name: str, until_ns: int) -> list[ServiceCall]:
@@ -218,54 +218,54 @@ class SimulateStepsAction:
             and (one == name or not until_ns or ns_from_time(goal.stamp) <= until_ns)
         ]
         if not wanted:
-            self._answer(query, action.CancelGoalResponse(action.CancelCode.NONE))
-        gather = partial(self._collect_canceled, query, CancelBatch(len(wanted)))
-        return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(one), gather) for one in wanted]
+            self._reply(query, action.CancelGoalResponse(action.CancelCode.NONE))
+        on_reply = partial(self._collect_canceled, query, CancelBatch(len(wanted)))
+        return [ActionCall(CANCEL_STEPS.name, CancelStepsRequest(one), on_reply) for one in wanted]
 
     def _collect_canceled(
-        self, asked: Query, gathered: "CancelBatch", payload: bytes, encoding: str
+        self, query: Query, batch: CancelBatch, payload: bytes, encoding: str
     ) -> None:
-        gathered.ended += decode(CancelStepsResponse, payload, encoding).goal_ids
-        gathered.awaited -= 1
-        if not gathered.awaited:
-            ended = self._infos(gathered.ended)
-            self._answer(asked, action.CancelGoalResponse(action.CancelCode.NONE, ended))
+        batch.ended += decode(CancelStepsResponse, payload, encoding).goal_ids
+        batch.awaited -= 1
+        if not batch.awaited:
+            ended = self._infos(batch.ended)
+            self._reply(query, action.CancelGoalResponse(action.CancelCode.NONE, ended))
 
     def _on_get_result(self, query: Query) -> None:
         request = _decode_query(action.GetResultRequest, query)
         goal = None if request is None else self._goals.get(goal_id_to_hex(request.goal_id))
         if goal is None or len(goal.result_queries) >= MAX_RESULT_QUERIES:
-            self._answer(query, action.GetResultResponse(action.GoalStatusCode.UNKNOWN))
+            self._reply(query, action.GetResultResponse(action.GoalStatusCode.UNKNOWN))
         elif goal.is_over:
             self._reply_result(query, goal)
         else:
             goal.result_queries.append(query)
 
     def _accept(self, goal: ActionGoal) -> None:
-        if (asked := goal.goal_query) is None:
+        if (query := goal.goal_query) is None:
             return
         goal.goal_query, goal.status = None, action.GoalStatusCode.EXECUTING
-        self._answer(asked, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
+        self._reply(query, action.SendGoalResponse(accepted=True, stamp=goal.stamp))
         self._publish_status()
 
     def _reply_result(self, query: Query, goal: ActionGoal) -> None:
         result = action.StepsResult(goal.result)
-        self._answer(query, action.GetResultResponse(goal.status, result))
+        self._reply(query, action.GetResultResponse(goal.status, result))
 
     def _publish_status(self) -> None:
-        if (teller := self._publishers[action.STATUS_TOPIC]).is_matched:
-            teller.send(self.statuses())
+        if (publisher := self._publishers[action.STATUS_TOPIC]).is_matched:
+            publisher.send(self.statuses())
 
     def statuses(self) -> bytes:
-        """Write how far all goals are, as the status topic tells it."""
+        """Encode the status of all accepted goals."""
         goals = [one for one in self._goals.values() if one.goal_query is None]
-        told = tuple(action.GoalStatusMessage(goal.info, goal.status) for goal in goals)
-        return encode(action.GoalStatusArray(told), Format.CDR)
+        statuses = tuple(action.GoalStatusMessage(goal.info, goal.status) for goal in goals)
+        return encode(action.GoalStatusArray(statuses), Format.CDR)
 
-    def _answer(self, query: Query, response: msgspec.Struct) -> None:
+    def _reply(self, query: Query, response: msgspec.Struct) -> None:
         attachment = read_attachment(query.request_id)
-        back = b"" if attachment is None else write_attachment(_restamp(attachment))
-        query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=back)
+        attachment_out = b"" if attachment is None else write_attachment(_restamp(attachment))
+        query.reply(encode(response, Format.CDR), CDR_ENCODING, attachment=attachment_out)
 
     def _forget_oldest(self) -> None:
         over = [name for name, goal in self._goals.items() if goal.is_over]
@@ -274,7 +274,7 @@ class SimulateStepsAction:
 
 
 def goal_id_to_hex(goal_id: action.GoalId) -> str:
-    """Write a goal's id as our services know it; empty for none."""
+    """Write a goal's id as the step services use it; empty for none."""
     return "" if goal_id.uuid == action.NO_GOAL_ID else bytes(goal_id.uuid).hex()
 
 

@@ -1,4 +1,4 @@
-"""Sessions of agents: publish drive states, apply drive commands, follow liveliness, wait in lockstep."""
+"""Agent sessions: drive states, drive commands, liveliness, waiting in lockstep."""
 
 import logging
 
@@ -11,20 +11,19 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.telemetry_messages import Event
 from zensim.proto.network_protocols import Sample
 from zensim.proto.topic_catalog import EVENTS
-from zensim.sim_server.runtime.inbox import Inbox
-from zensim.sim_server.runtime.world_publisher import WorldPublisher
+from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.service_parts import Agents, Bonds, Pacing
 from zensim.sim_server.world.simulated_world import World
 
 MIN_STATE_INTERVAL_NS = 2_000_000
-"""Wall time between two states that nobody waits for: an agent answers no more often."""
+"""Least wall time between two states when the loop does not wait for commands."""
 RESEND_AFTER_NS = 20_000_000
-"""Wall time after which an agent that has not answered is told anew: something may be lost."""
+"""Wall time after which a state is published again to an agent that has not replied."""
 LOG = logging.getLogger(__name__)
 
 
 class AgentSessions:
-    """Tells agents where their entities are, takes their commands, and waits where it must."""
+    """Publish drive states, apply drive commands, and wait for agents in lockstep."""
 
     def __init__(
         self,
@@ -45,12 +44,12 @@ class AgentSessions:
         self._published_version = self._version
         self._published_ns = -MIN_STATE_INTERVAL_NS
         self._has_unsent_states = False
-        """Whether a control step has passed that somebody was not told of."""
+        """Whether an agent did not get the state of the last control step."""
         self._awaited_since_ns: dict[str, int] = {}
-        """Wall time when agents were told whose answer is still to come."""
+        """By agent: wall time of a state that it has not replied to."""
 
     def serve(self) -> None:
-        """Take in who came and went, and what was commanded."""
+        """Handle liveliness changes, then apply drive commands."""
         for agent, is_alive in self._inbox.take_agents():
             self._on_agent_liveliness(agent, is_alive=is_alive)
         for bond, is_alive in self._inbox.take_bonds():
@@ -59,9 +58,9 @@ class AgentSessions:
             self._command(sample)
 
     def publish_states(self) -> None:
-        """Tell every agent: this is a control step.
+        """Publish the state of a control step to every agent.
 
-        When time runs faster than the wall clock they are told no more often than they answer.
+        When simulation time runs faster than wall time, agents that have not replied are left out.
         """
         now_ns = self._pacing.now_ns()
         runs_fast = self._is_unpaced
@@ -76,7 +75,7 @@ class AgentSessions:
         self._published_version = self._version
 
     def publish_changed_claims(self) -> None:
-        """Tell those whose claims or whose epoch are others than when they were told last."""
+        """Publish states to agents whose claims or epoch have changed since the last state."""
         if self._has_unsent_states and self._world.clock.state != State.PLAYING:
             self.publish_states()
         if self._published_version == self._version:
@@ -87,10 +86,7 @@ class AgentSessions:
         self._published_version = self._version
 
     def must_wait(self) -> bool:
-        """Whether time stands until agents have answered; those that are too late are dealt with.
-
-        What to do then is `LockstepSettings.on_miss`.
-        """
+        """Whether the next step must wait; apply `LockstepSettings.on_miss` to late agents."""
         if not self._lockstep.is_waiting:
             return False
         late = self._lockstep.find_late(self._pacing.now_ns())
@@ -114,25 +110,25 @@ class AgentSessions:
         return self._world.clock.epoch, self._world.claims.changes
 
     def _find_busy_agents(self, now_ns: int) -> frozenset[str]:
-        """Find who has a state to answer yet: another would only take its place."""
-        asked = self._awaited_since_ns.items()
-        return frozenset(agent for agent, told_ns in asked if now_ns - told_ns < RESEND_AFTER_NS)
+        """Find the agents that have not replied to their last state."""
+        sent = self._awaited_since_ns.items()
+        return frozenset(agent for agent, sent_ns in sent if now_ns - sent_ns < RESEND_AFTER_NS)
 
     def _publish_state(self, agent: str, state: DriveState) -> None:
-        told = msgspec.structs.replace(
+        sent = msgspec.structs.replace(
             state,
             newest_claim=self._world.claims.newest,
             is_awaited=self._is_awaited,
         )
-        self._publisher.publish_drive_state(agent, told)
+        self._publisher.publish_drive_state(agent, sent)
         self._awaited_since_ns[agent] = self._pacing.now_ns()
-        if not told.claims:
+        if not sent.claims:
             self._lockstep.forget(agent)
-        elif not self._lockstep.record_sent(agent, told, self._pacing.now_ns()):
+        elif not self._lockstep.record_sent(agent, sent, self._pacing.now_ns()):
             self._pacing.step_goals.note_late((agent,))
 
     def _publish_again(self, late: tuple[str, ...]) -> None:
-        """Repeat what may have been lost on the way: a congested network drops messages."""
+        """Publish states again: a congested network drops messages."""
         for agent, state in self._world.drive_states():
             if agent in late:
                 self._publish_state(agent, state)

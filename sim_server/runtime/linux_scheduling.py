@@ -7,18 +7,18 @@ import struct
 import sys
 
 TIME_SLICE_NS = 100_000
-"""The shortest that the kernel grants."""
+"""Shortest slice that the kernel grants."""
 SCHED_ATTR = struct.Struct("=IIQiIQQQ")
-"""Size, policy, flags, niceness, priority, and for this policy the length of turns [ns]; 0, 0."""
+"""`struct sched_attr`: size, policy, flags, niceness, priority, time slice [ns], 0, 0."""
 RESET_ON_FORK = 1
 SYSCALLS = {"x86_64": (314, 315), "aarch64": (274, 275)}
-"""To set and to get, by machine."""
+"""Numbers of sched_setattr and sched_getattr, by machine."""
 
 
 def request_short_time_slice() -> bool:
-    """Ask for the calling thread; say whether the kernel took it.
+    """Request short slices for the calling thread; return whether the kernel accepted.
 
-    What the thread starts has ordinary turns. A thread with a policy of its own keeps that.
+    Threads and processes started later have ordinary slices. Other policies are left unchanged.
     """
     if not _has_default_policy():
         return False
@@ -36,7 +36,7 @@ def request_short_time_slice() -> bool:
 
 
 def read_time_slice_ns() -> int:
-    """Ask how long turns of the calling thread are; 0 when the kernel does not tell."""
+    """Read the time slice of the calling thread; 0 if the kernel does not report it."""
     room = ctypes.create_string_buffer(SCHED_ATTR.size)
     if not _has_default_policy() or _call_kernel(1, room, SCHED_ATTR.size, 0) != 0:
         return 0

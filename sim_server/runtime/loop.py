@@ -1,4 +1,4 @@
-"""The server loop: requests, commands, physics and telemetry, in this order, paced to a real-time factor."""
+"""Server loop: requests, commands, physics and telemetry in this order, at the target speed."""
 
 import logging
 from collections.abc import Callable
@@ -10,9 +10,8 @@ from zensim.proto.messages.simulation_messages import State
 from zensim.proto.topic_catalog import EVENTS, STATS, STEPS_PROGRESS
 from zensim.sim_server.journal_protocol import ChangeJournal
 from zensim.sim_server.runtime.agent_sessions import AgentSessions
-from zensim.sim_server.runtime.inbox import Inbox
+from zensim.sim_server.runtime.loop_channels import Inbox, WorldPublisher
 from zensim.sim_server.runtime.request_dispatcher import RequestDispatcher
-from zensim.sim_server.runtime.world_publisher import WorldPublisher
 from zensim.sim_server.runtime.world_telemetry import WorldTelemetry
 from zensim.sim_server.service_parts import ServerParts
 from zensim.sim_server.services.service_registry import ServiceHandlers
@@ -22,26 +21,26 @@ LOG = logging.getLogger(__name__)
 POLL_S = 0.0003
 IDLE_POLL_S = 0.001
 MAX_EVENTS_PER_TURN = 128
-"""That are told at a turn: a fleet brings more, and steps come between."""
+"""Events published per turn; spawning many robots makes more than fit between two steps."""
 MAX_LAG_NS = 50_000_000
-"""How far the loop may run behind and still catch up; beyond, the deadline slips."""
+"""Most that the loop catches up; beyond that the deadline moves."""
 
 
 class LoopClock(Protocol):
-    """Wall time, and the thread's share of it."""
+    """Wall time, and CPU time of the thread."""
 
     def now_ns(self) -> int:
-        """Monotonic time."""
+        """Read monotonic wall time."""
 
     def used_ns(self) -> int:
-        """CPU time of this thread."""
+        """Read the CPU time of this thread."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Sleep for a wall time."""
 
 
 class ServerLoop:
-    """Drives one world."""
+    """Loop of one world."""
 
     def __init__(
         self,
@@ -73,7 +72,7 @@ class ServerLoop:
         )
 
     def run(self, should_stop: Callable[[], bool]) -> None:
-        """Go on until told to stop, or to quit by a request: its reply has gone out by then."""
+        """Run until `should_stop`, or until a request to quit has its reply."""
         while not (should_stop() or self._has_quit):
             self.turn()
 
@@ -82,7 +81,7 @@ class ServerLoop:
         return self._world.clock.state == State.QUITTING and not self._dispatcher.has_unsent_replies
 
     def turn(self) -> None:
-        """Serve what has come, then step if it is time, else wait a little."""
+        """Serve the input received, then step if one is due, else sleep."""
         began_ns, self._paced_ns = self._clock.used_ns(), 0
         self.serve()
         if self._agent_sessions.must_wait():
@@ -95,9 +94,9 @@ class ServerLoop:
         self._loop_stats.note_turn(busy_ns=busy_ns, paced_ns=self._paced_ns)
 
     def serve(self) -> None:
-        """Take in everything that has come."""
+        """Handle liveliness changes, drive commands and requests."""
         self._pacing.due_ns = self._deadline_ns
-        # Calls are taken before tokens and answered after them: an agent's token comes first.
+        # Calls are taken before tokens and handled after them: an agent declares its token first.
         calls = self._inbox.take_calls()
         self._agent_sessions.serve()
         for call in calls:
@@ -107,7 +106,7 @@ class ServerLoop:
         self._agent_sessions.publish_changed_claims()
 
     def tick(self, now_ns: int) -> None:
-        """Advance by one step and tell the agents."""
+        """Advance by one step; publish drive states if it is a control step."""
         self._world.step()
         took_ns = self._clock.now_ns() - now_ns
         self._loop_stats.note_step(
@@ -119,7 +118,7 @@ class ServerLoop:
             self._agent_sessions.publish_states()
 
     def publish(self) -> None:
-        """Tell everybody what is due."""
+        """Publish events, progress, statistics and the topics that are due."""
         for event in self._world.clock.take_events(MAX_EVENTS_PER_TURN):
             LOG.info(
                 "event kind=%s entity=%s agent=%s message=%s",
@@ -151,7 +150,7 @@ class ServerLoop:
             self._clock.sleep(min(POLL_S, (self._deadline_ns - now_ns) * 1e-9))
 
     def _apply_speed_change(self, now_ns: int) -> None:
-        """Begin to pace anew when the speed was changed: the old deadline may be far off."""
+        """Restart pacing when the target speed has changed: the old deadline may be far away."""
         if self._factor != self._pacing.target_real_time_factor:
             self._factor = self._pacing.target_real_time_factor
             self._deadline_ns = now_ns
@@ -175,13 +174,13 @@ class ServerLoop:
             self._finish_goals()
 
     def _finish_goals(self) -> None:
-        """End the goals whose steps are made and whose agents have answered; answer for them."""
+        """End the goals whose steps are made, and reply to their calls."""
         if not self._pacing.step_goals:
             return
         if self._world.clock.state not in (State.PAUSED, State.PLAYING):
             self._pacing.step_goals.abort(f"the simulation is {self._world.clock.state_name}")
         self._pacing.step_goals.finish_completed()
-        # Progress first: who hears of the end may then be sure that nothing more comes.
+        # Progress first: no progress message follows the reply.
         self._publish_progress(self._clock.now_ns())
         self._dispatcher.reply_to_ready()
 

@@ -1,4 +1,4 @@
-"""Dispatch of requests: decode, execute once for all retries, and reply when the journal is durable."""
+"""Dispatch of requests: decode, handle once for all retries, reply when the journal is durable."""
 
 from collections import OrderedDict, deque
 from collections.abc import Callable, Iterable
@@ -28,33 +28,33 @@ from zensim.sim_server.services.service_registry import ServiceHandlers, make_re
 MAX_CACHED_RESPONSES = 4096
 MAX_CACHED_BYTES = 32 << 20
 NOT_JOURNALED = frozenset({CLAIM_ENTITY.name, CLAIM_SHARE.name})
-"""Services whose answers mean nothing to another server."""
+"""Services whose responses are useless after a restart."""
 
 
 @dataclass(frozen=True)
 class CachedResponse:
-    """A reply as it was sent."""
+    """An encoded response."""
 
     payload: bytes
     encoding: str
 
 
 class ResponseCache:
-    """The newest answers of services that change something."""
+    """Newest responses of mutating services, by service and request id."""
 
     def __init__(self) -> None:
         self._responses: OrderedDict[tuple[str, bytes], CachedResponse] = OrderedDict()
         self._bytes = 0
 
     def find(self, call: ServiceCall) -> CachedResponse | None:
-        """Find the answer that this very request has had."""
+        """Find the response to an earlier call with the same request id."""
         return self._responses.get((call.name, call.request_id)) if call.request_id else None
 
-    def keep(self, call: ServiceCall, answer: CachedResponse) -> tuple[tuple[str, bytes], ...]:
-        """Remember an answer; forget the oldest when there are many, and say which."""
+    def keep(self, call: ServiceCall, cached: CachedResponse) -> tuple[tuple[str, bytes], ...]:
+        """Cache a response; return the keys of the responses that were dropped to make room."""
         if not call.request_id or not is_mutating(call.name):
             return ()
-        self._add((call.name, call.request_id), answer)
+        self._add((call.name, call.request_id), cached)
         forgotten = []
         while len(self._responses) > MAX_CACHED_RESPONSES or (
             self._bytes > MAX_CACHED_BYTES and len(self._responses) > 1
@@ -65,49 +65,49 @@ class ResponseCache:
         return tuple(forgotten)
 
     def forget(self, call: ServiceCall) -> None:
-        """Forget an answer: what it told of has been taken back."""
+        """Drop a response whose changes have been undone."""
         if (call.name, call.request_id) in self._responses:
             self._remove((call.name, call.request_id))
 
-    def load(self, told: Iterable[JournaledResponse]) -> None:
-        """Remember what another server answered, oldest first."""
-        for one in told:
+    def load(self, earlier: Iterable[JournaledResponse]) -> None:
+        """Cache the responses of an earlier server, oldest first."""
+        for one in earlier:
             self._add((one.service, one.request_id), CachedResponse(one.payload, one.encoding))
 
-    def _add(self, key: tuple[str, bytes], answer: CachedResponse) -> None:
+    def _add(self, key: tuple[str, bytes], cached: CachedResponse) -> None:
         if key in self._responses:
             self._remove(key)
-        self._responses[key] = answer
-        self._bytes += len(answer.payload)
+        self._responses[key] = cached
+        self._bytes += len(cached.payload)
 
     def _remove(self, key: tuple[str, bytes]) -> None:
         self._bytes -= len(self._responses.pop(key).payload)
 
 
 def is_mutating(name: str) -> bool:
-    """Whether a service changes something."""
+    """Whether a service changes the simulation."""
     service = SERVICES.get(name)
     return service is not None and service.is_mutating
 
 
-def make_journaled_response(call: ServiceCall, answer: CachedResponse) -> JournaledResponse | None:
-    """Say what a journal keeps of an answer; nothing when no retry could ask for it."""
+def make_journaled_response(call: ServiceCall, cached: CachedResponse) -> JournaledResponse | None:
+    """Make the journal's record of a response; None if no retry can use it."""
     if not call.request_id or not is_mutating(call.name) or call.name in NOT_JOURNALED:
         return None
-    return JournaledResponse(call.name, call.request_id, answer.payload, answer.encoding)
+    return JournaledResponse(call.name, call.request_id, cached.payload, cached.encoding)
 
 
 @dataclass(frozen=True)
 class QueuedReply:
-    """A reply, and how far the journal must have come for it."""
+    """A response that is sent when the journal is durable up to a position."""
 
     call: ServiceCall
-    answer: CachedResponse
+    cached: CachedResponse
     position: int
 
 
 class ReplyQueue:
-    """First in, first out."""
+    """Responses in the order in which they are sent."""
 
     def __init__(self, key_of: Callable[[str], str]) -> None:
         self._key_of = key_of
@@ -116,24 +116,24 @@ class ReplyQueue:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def add(self, waiting: QueuedReply) -> None:
-        """Take a reply in."""
-        self._waiting.append(waiting)
+    def add(self, queued: QueuedReply) -> None:
+        """Append a response."""
+        self._waiting.append(queued)
 
     def send_durable(self, durable: int) -> None:
-        """Send what may be known."""
+        """Send the responses up to a durable position of the journal."""
         while self._waiting and self._waiting[0].position <= durable:
             self.send(self._waiting.popleft())
 
     def take_unsent(self) -> list[QueuedReply]:
-        """Take all that nobody has been told yet."""
+        """Remove and return all responses."""
         taken, self._waiting = list(self._waiting), deque()
         return taken
 
-    def send(self, waiting: QueuedReply) -> None:
-        """Send one at once."""
-        call, answer = waiting.call, waiting.answer
-        call.reply(answer.payload, answer.encoding, self._key_of(call.name))
+    def send(self, queued: QueuedReply) -> None:
+        """Send a response now."""
+        call, cached = queued.call, queued.cached
+        call.reply(cached.payload, cached.encoding, self._key_of(call.name))
 
 
 JOURNALED_SERVICES = frozenset(
@@ -147,19 +147,19 @@ JOURNALED_SERVICES = frozenset(
         "reset_simulation",
     }
 )
-"""Services that wait for a disk that takes nothing, and are refused if it stays so."""
+"""Services that wait while the journal cannot be written, and are refused if it stays so."""
 
 
 @dataclass
 class _PendingRequest:
-    """A request that has begun and cannot be answered yet."""
+    """A request whose response is deferred."""
 
     call: ServiceCall
     deferred: DeferredResponse[Any]
 
 
 class RequestDispatcher:
-    """All that was asked of one world."""
+    """Requests to one world, from receipt to reply."""
 
     def __init__(
         self,
@@ -183,16 +183,16 @@ class RequestDispatcher:
 
     @property
     def has_unsent_replies(self) -> bool:
-        """Whether a reply has not gone out yet."""
+        """Whether a reply waits for the journal."""
         return len(self._reply_queue) > 0
 
     def take(self, call: ServiceCall) -> None:
-        """Carry a request out and answer it, or begin to."""
+        """Handle a request; reply now, or when its response is ready and durable."""
         self._loop_stats.requests += 1
         self._take(call)
 
     def reply_to_ready(self) -> None:
-        """Answer what has become ready meanwhile, in the order of asking."""
+        """Reply to the pending requests that are ready, in the order of receipt."""
         for pending in self._pending[:]:
             if pending.deferred.is_ready():
                 self._pending.remove(pending)
@@ -202,13 +202,13 @@ class RequestDispatcher:
     def _take(self, call: ServiceCall) -> None:
         if (topic := GETTABLE_TOPICS.get(call.name)) is not None:
             self._reply(call, self._telemetry.message(topic))
-        elif (answer := self._responses.find(call)) is not None:
-            self._send(call, answer)
+        elif (cached := self._responses.find(call)) is not None:
+            self._send(call, cached)
         elif not (self._attach_to_pending(call) or self._defer_until_writable(call)):
             self._execute(call)
 
     def _attach_to_pending(self, call: ServiceCall) -> bool:
-        """Let a retry take the place of a request that is still being carried out."""
+        """Replace the call of a pending request by its retry."""
         this = (call.name, call.request_id)
         for pending in self._pending:
             if call.request_id and (pending.call.name, pending.call.request_id) == this:
@@ -217,7 +217,7 @@ class RequestDispatcher:
         return False
 
     def _defer_until_writable(self, call: ServiceCall) -> bool:
-        """Put a request off while the disk takes nothing, and see whether it does again."""
+        """Park a request while the journal cannot be written, and try to write."""
         journal = self._journal
         if journal is None or call.name not in JOURNALED_SERVICES or not journal.is_failing:
             return False
@@ -250,32 +250,32 @@ class RequestDispatcher:
         return response
 
     def _flush_unrelated_changes(self) -> None:
-        """What a request did not do is not taken back with it."""
+        """Flush unrelated changes first, so that a rollback cannot undo them."""
         if self._journal is not None:
             self._journal.note()
 
     def _reply(self, call: ServiceCall, response: msgspec.Struct) -> None:
-        answer = _encode_response(call, response)
-        forgotten = self._responses.keep(call, answer)
+        cached = _encode_response(call, response)
+        forgotten = self._responses.keep(call, cached)
         if self._journal is not None:
             is_asked = is_mutating(call.name)
-            self._journal.note(make_journaled_response(call, answer), forgotten, is_asked=is_asked)
-        self._send(call, answer)
+            self._journal.note(make_journaled_response(call, cached), forgotten, is_asked=is_asked)
+        self._send(call, cached)
 
-    def _send(self, call: ServiceCall, answer: CachedResponse) -> None:
+    def _send(self, call: ServiceCall, cached: CachedResponse) -> None:
         journal = self._journal
         position = 0 if journal is None else journal.position
-        self._reply_queue.add(QueuedReply(call, answer, position))
+        self._reply_queue.add(QueuedReply(call, cached, position))
         self._reply_queue.send_durable(0 if journal is None else journal.durable)
 
     def _settle(self) -> None:
-        """Let replies go as far as the journal has come; take back what it could not keep."""
+        """Send durable responses; refuse the requests whose changes were not written."""
         if (journal := self._journal) is None:
             return
         if reason := journal.poll():
             self._reason = reason
-            for waiting in self._reply_queue.take_unsent():
-                self._answer_again(waiting)
+            for queued in self._reply_queue.take_unsent():
+                self._reply_again(queued)
         self._reply_queue.send_durable(journal.durable)
         for call, attempt in self._parked[:]:
             if journal.is_decided(attempt):
@@ -285,13 +285,13 @@ class RequestDispatcher:
                 else:
                     self._take(call)
 
-    def _answer_again(self, waiting: QueuedReply) -> None:
-        call = waiting.call
+    def _reply_again(self, queued: QueuedReply) -> None:
+        call = queued.call
         if call.name in JOURNALED_SERVICES:
             self._responses.forget(call)
             self._refuse(call)
         elif self._responses.find(call) is not None:
-            self._reply_queue.send(waiting)  # what it did stands, and is kept as soon as can be
+            self._reply_queue.send(queued)  # its changes stand and are written later
         else:
             self._take(call)
 
@@ -312,7 +312,7 @@ def _encode_response(call: ServiceCall, response: msgspec.Struct) -> CachedRespo
     try:
         payload = encode(response, wanted)
     except TypeError:
-        # A response that CDR cannot express, such as a claim with its model.
+        # CDR cannot express some responses, such as claims with models.
         wanted = Format.MSGPACK
         payload = encode(response, wanted)
     return CachedResponse(payload, make_encoding(response, wanted))
@@ -330,7 +330,7 @@ def _check_size(call: ServiceCall) -> None:
 
 
 class RequestTooLarge(SimError):
-    """A request that is not even decoded."""
+    """The request is too large to be decoded."""
 
     slug = "request.size"
 
@@ -343,7 +343,7 @@ class RequestTooLarge(SimError):
 
 
 class UnknownService(SimError):
-    """A service that no server offers."""
+    """The service does not exist."""
 
     code = ResultCode.FEATURE_UNSUPPORTED
 

@@ -1,11 +1,11 @@
-"""Messages of a world's topics and when each is due; Gazebo's model_states and link_states among them."""
+"""Messages of a world's topics, and the times at which they are due."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import msgspec
 import numpy as np
 
-from zensim.proto.forward_kinematics import compute_link_states as motion_of
+from zensim.proto.forward_kinematics import compute_link_states
 from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import State
 from zensim.proto.messages.standard_messages import (
@@ -35,12 +35,12 @@ from zensim.sim_server.world.simulated_world import World
 
 
 def make_model_states(world: World) -> ModelStates:
-    """Tell of entities in the order of spawning."""
+    """Make the states of all entities, in the order of spawning."""
     return ModelStates(world.entities.index.names, *_to_poses_and_twists(world.states().base))
 
 
 def make_link_states(world: World) -> LinkStates:
-    """Tell of links, entity by entity, in the order of `Model.links`."""
+    """Make the states of all links, by entity, in the order of `Model.links`."""
     names: list[str] = []
     rows = np.zeros((sum(len(one.model.links) for one in world.entities), 13))
     start = {}
@@ -68,8 +68,8 @@ def _compute_link_states(world: World, alike: Sequence[Entity]) -> dict[str, Flo
     rows = [roster.row[entity.name] for entity in alike]
     first = roster.joint_start[rows]
     joints = first[:, None] + np.arange(len(alike[0].model.joints), dtype=np.intp)
-    return motion_of(
-        # Merged links are not told, and cost as much as the others.
+    return compute_link_states(
+        # Merged links are not published, and cost as much as others.
         msgspec.structs.replace(alike[0].model, frames=()),
         reading.base[rows],
         reading.joint_positions[joints],
@@ -90,7 +90,7 @@ GETTABLE_TOPICS = {topic.suffix: topic for topic in WORLD_TOPICS if topic.is_get
 
 
 class WorldTelemetry:
-    """Decides what is due."""
+    """Makes the messages of a world's topics at their rates."""
 
     def __init__(self, world: World, pacing: Pacing) -> None:
         self._world = world
@@ -138,13 +138,13 @@ class WorldTelemetry:
         return self._make_message[topic]()
 
     def clock(self) -> WorldClock:
-        """Simulation time."""
+        """Make the clock message."""
         world = self._world
         return WorldClock(time_from_ns(world.clock.time_ns), world.clock.steps, world.clock.epoch)
 
     def stats(self) -> Stats:
-        """How the loop is doing."""
-        world, meter, engine = self._world, self._loop_stats, self._world.engine
+        """Make the statistics message."""
+        world, loop_stats, engine = self._world, self._loop_stats, self._world.engine
         return Stats(
             world=world.name,
             sim_time_s=world.clock.time_ns * 1e-9,
@@ -154,11 +154,11 @@ class WorldTelemetry:
             entities=len(world.entities),
             agents=len(world.claims.agents),
             claimed=len(world.claims),
-            step_time_s=meter.step_time_s,
-            step_time_max_s=meter.step_time_max_s,
-            late_max_s=meter.late_max_s,
-            slipped_s=meter.slipped_ns * 1e-9,
-            requests=meter.requests,
+            step_time_s=loop_stats.step_time_s,
+            step_time_max_s=loop_stats.step_time_max_s,
+            late_max_s=loop_stats.late_max_s,
+            slipped_s=loop_stats.slipped_ns * 1e-9,
+            requests=loop_stats.requests,
             commands=world.claims.taken,
             dropped=world.claims.dropped,
             ready_s=dict(world.ready_s),
@@ -166,7 +166,7 @@ class WorldTelemetry:
             awaited=self._pacing.lockstep.awaited,
             misses=self._pacing.lockstep.misses,
             kinematic=engine.kinematic_count,
-            busy_max_s=meter.busy_max_s,
+            busy_max_s=loop_stats.busy_max_s,
         )
 
     def _real_time_factor(self) -> float:

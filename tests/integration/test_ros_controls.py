@@ -158,7 +158,7 @@ def telling(ways: Ways) -> Iterator[Bus]:
     with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
         bus = cast("Bus", BrokenBus(router, ways))
         side, is_over = start_server_node(bus, RosSettings()), threading.Event()
-        odom = side.faces.publisher(Topic("r1/odom", Odometry))
+        odom = side.topics.publisher(Topic("r1/odom", Odometry))
         response, message = (
             encode(DeleteEntityResponse(), Format.CDR),
             make_sample_message(Odometry),

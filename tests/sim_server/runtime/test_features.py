@@ -9,9 +9,8 @@ from tests.features import PROOFS
 from tests.sim_server.fakes import WallTime, a_world, make_parts
 from zensim.proto.messages.simulation_messages import Feature
 from zensim.proto.service_catalog import SERVICES
-from zensim.sim_server.runtime.inbox import BusInbox
 from zensim.sim_server.runtime.loop import ServerLoop
-from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
+from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.sim_server.services.service_registry import FEATURES, SERVICE_TABLE
 from zensim.spawner.client.sim_client import SimClient
 

@@ -12,9 +12,8 @@ from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.simulation_messages import Feature, ResetScope, State
 from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Pose, Twist, Vector3
-from zensim.sim_server.runtime.inbox import BusInbox
 from zensim.sim_server.runtime.loop import ServerLoop
-from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
+from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.spawner.client.sim_client import SimClient
 
 

@@ -12,9 +12,8 @@ from zensim.proto.messages.simulation_messages import (
     SimulateStepsResponse,
     StepsProgress,
 )
-from zensim.sim_server.runtime.inbox import BusInbox
 from zensim.sim_server.runtime.loop import ServerLoop
-from zensim.sim_server.runtime.world_publisher import BusWorldPublisher
+from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.spawner.client.sim_client import OnProgress, SimClient, run_step_goal
 
 if TYPE_CHECKING:

@@ -1,0 +1,147 @@
+"""Input and output of the loop: requests, commands and liveliness in, topics and states out."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+import msgspec
+
+from zensim.proto import keys
+from zensim.proto.codec.message_codec import Format, encode
+from zensim.proto.messages.agent_messages import DriveState
+from zensim.proto.messages.simulation_messages import StepsProgress
+from zensim.proto.network_protocols import (
+    Publisher,
+    PublishingNetwork,
+    Sample,
+    ServerNetwork,
+    ServiceCall,
+    ServiceCallSource,
+)
+from zensim.proto.topic_catalog import DRIVE_STATE, WORLD_TOPICS, TopicSpec
+from zensim.proto.topic_endpoints import TopicFactory
+
+COMMAND_DEPTH = 8192
+
+
+class Inbox(Protocol):
+    """Input of the loop, polled at every turn."""
+
+    def take_calls(self) -> list[ServiceCall]:
+        """Take the requests received."""
+
+    def take_commands(self) -> list[Sample]:
+        """Take the drive commands received."""
+
+    def take_agents(self) -> list[tuple[str, bool]]:
+        """Take the agents that appeared (True) or disappeared (False)."""
+
+    def take_bonds(self) -> list[tuple[str, bool]]:
+        """Take the bonds that appeared (True) or disappeared (False)."""
+
+
+class BusInbox:
+    """Inbox on the keys of one world, and other sources of service calls."""
+
+    def __init__(
+        self, network: ServerNetwork, world: str, others: tuple[ServiceCallSource, ...] = ()
+    ) -> None:
+        self._agents = network.watch_tokens(keys.alive_agents(world))
+        self._bonds = network.watch_tokens(keys.bonds(world))
+        self._commands = network.subscribe(keys.drive_commands(world), COMMAND_DEPTH)
+        self._calls = network.serve(keys.services(world))
+        self._others = others
+
+    def take_calls(self) -> list[ServiceCall]:
+        """See `Inbox`."""
+        calls: list[ServiceCall] = [*self._calls.take()]
+        for source in self._others:
+            calls += source.take()
+        return calls
+
+    def take_commands(self) -> list[Sample]:
+        """See `Inbox`."""
+        return self._commands.take()
+
+    def take_agents(self) -> list[tuple[str, bool]]:
+        """See `Inbox`."""
+        return [(keys.parse_agent(key), alive) for key, alive in self._agents.take()]
+
+    def take_bonds(self) -> list[tuple[str, bool]]:
+        """See `Inbox`."""
+        return [(keys.last_chunk(key), alive) for key, alive in self._bonds.take()]
+
+
+class WorldPublisher(Protocol):
+    """Output of the loop."""
+
+    def is_wanted(self, topic: TopicSpec) -> bool:
+        """Whether a topic has a subscriber."""
+
+    def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
+        """Publish on a topic of the world."""
+
+    def publish_drive_state(self, agent: str, state: DriveState) -> None:
+        """Publish a drive state for one agent."""
+
+    def forget_agent(self, agent: str) -> None:
+        """Close the publisher of an agent."""
+
+
+class BusWorldPublisher:
+    """Publisher on a world's keys in MessagePack, and on the root topics of ROS 2 in CDR."""
+
+    def __init__(
+        self,
+        network: PublishingNetwork,
+        world: str,
+        ros2_topics: TopicFactory | None = None,
+        on_progress: Callable[[StepsProgress], None] | None = None,
+    ) -> None:
+        """Declare the topics.
+
+        Args:
+            network: Declares the publishers.
+            world: Name of the world, in all keys.
+            ros2_topics: Declares the root topics; None = no ROS 2.
+            on_progress: Called with the progress of steps before it is published.
+        """
+        self._on_progress = on_progress
+        self._network = network
+        self._world = world
+        self._topics = {
+            topic: network.advertise(topic.key(world), topic.encoding) for topic in WORLD_TOPICS
+        }
+        self._root_topics = {
+            topic: ros2_topics.publisher(topic.root())
+            for topic in WORLD_TOPICS
+            if ros2_topics and topic.root_message
+        }
+        self._agents: dict[str, Publisher] = {}
+
+    def is_wanted(self, topic: TopicSpec) -> bool:
+        """See `WorldPublisher`."""
+        root = self._root_topics.get(topic)
+        return self._topics[topic].is_matched or (root is not None and root.is_matched)
+
+    def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
+        """See `WorldPublisher`."""
+        if self._on_progress is not None and isinstance(message, StepsProgress):
+            self._on_progress(message)
+        root = self._root_topics.get(topic)
+        if root is not None and root.is_matched:
+            root.send(encode(message, Format.CDR))
+        if root is None or self._topics[topic].is_matched:
+            self._topics[topic].send(encode(message, Format.MSGPACK))
+
+    def publish_drive_state(self, agent: str, state: DriveState) -> None:
+        """See `WorldPublisher`."""
+        if (publisher := self._agents.get(agent)) is None:
+            key = DRIVE_STATE.key(self._world, agent)
+            publisher = self._network.advertise(key, DRIVE_STATE.encoding)
+            self._agents[agent] = publisher
+        publisher.send(encode(state, Format.MSGPACK))
+
+    def forget_agent(self, agent: str) -> None:
+        """See `WorldPublisher`."""
+        if (publisher := self._agents.pop(agent, None)) is not None:
+            publisher.close()
