@@ -31,7 +31,7 @@ from zensim.proto.messages.telemetry_messages import Stats
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 from zensim.spawner.client.sim_client import SimClient
-from zensim.spawner.spawn.spawn_client import make_resource, read_description
+from zensim.spawner.spawn.spawn_client import make_resource, read_payload
 
 __all__ = ["rows", "table"]
 
@@ -70,7 +70,7 @@ def an_order(number: int) -> SpawnEntityOrder:
     name = f"far{number}"
     return SpawnEntityOrder(
         name,
-        entity_resource=make_resource("box_bot", read_description("box_bot"), name),
+        entity_resource=make_resource("box_bot", read_payload("box_bot").text, name),
         entity_namespace=name,
         initial_pose=PoseStamped(pose=Pose(Point(FAR_M + number, FAR_M, 0.0))),
         snap_to_ground=True,

@@ -1,4 +1,4 @@
-"""GazeboClient: a typed method for each service that keeps Gazebo's own name."""
+"""GazeboClient: a typed method for each service with a name of Gazebo."""
 
 from zensim.proto import service_catalog
 from zensim.proto.bus import Bus
@@ -13,9 +13,10 @@ ORIGIN = Point()
 
 
 class GazeboClient:
-    """One world's Gazebo services; refusals raise ServiceError, silence TimeoutError or NoServer.
+    """Client of the Gazebo services of one world.
 
-    Links and joints are named as Gazebo names them: `entity::link`. Times are of simulation.
+    Methods raise ServiceError if the server refuses, TimeoutError or NoServer without a reply.
+    Links and joints have Gazebo's names: `entity::link`. Times are simulation times.
     """
 
     def __init__(self, bus: Bus, world: str = "default", timeout_s: float = CALL_TIMEOUT_S) -> None:
@@ -24,25 +25,25 @@ class GazeboClient:
         self._timeout_s = timeout_s
 
     def entity_state(self, name: str, reference_frame: str = "") -> GazeboEntityState:
-        """Ask where an entity or a link is, in the world or another frame."""
+        """Get pose and twist of an entity or link, in the world or another frame."""
         request = gazebo_messages.GazeboGetEntityStateRequest(name, reference_frame)
         return self._call(service_catalog.GAZEBO_GET_ENTITY_STATE, request).state
 
     def set_entity_state(self, state: GazeboEntityState) -> None:
-        """Put an entity somewhere, in the frame that the state names."""
+        """Set pose and twist of an entity, in the frame given by the state."""
         request = gazebo_messages.GazeboSetEntityStateRequest(state)
         self._call(service_catalog.GAZEBO_SET_ENTITY_STATE, request)
 
     def pause_physics(self) -> None:
-        """Let time stand."""
+        """Pause the simulation."""
         self._call(service_catalog.PAUSE_PHYSICS, gazebo_messages.PausePhysicsRequest())
 
     def unpause_physics(self) -> None:
-        """Let time run."""
+        """Resume the simulation."""
         self._call(service_catalog.UNPAUSE_PHYSICS, gazebo_messages.UnpausePhysicsRequest())
 
     def reset_world(self) -> None:
-        """Put every entity back where it was spawned; time goes on."""
+        """Reset all entities to their initial poses; time continues."""
         self._call(service_catalog.RESET_WORLD, gazebo_messages.ResetWorldRequest())
 
     def apply_link_wrench(
@@ -55,7 +56,7 @@ class GazeboClient:
         start_s: float = 0.0,
         duration_s: float = FOREVER_S,
     ) -> str:
-        """Push a link for a while, and return from when to when."""
+        """Apply a wrench to a link for a duration, and return the status with start and end."""
         request = gazebo_messages.ApplyLinkWrenchRequest(
             link,
             reference_frame,
@@ -67,7 +68,7 @@ class GazeboClient:
         return self._call(service_catalog.APPLY_LINK_WRENCH, request).status_message
 
     def clear_link_wrenches(self, link: str) -> None:
-        """Push a link no more."""
+        """Remove all wrenches of a link."""
         self._call(
             service_catalog.CLEAR_LINK_WRENCHES, gazebo_messages.ClearLinkWrenchesRequest(link)
         )
@@ -80,35 +81,35 @@ class GazeboClient:
         start_s: float = 0.0,
         duration_s: float = FOREVER_S,
     ) -> str:
-        """Push a joint [N m or N] for a while, and return from when to when."""
+        """Apply an effort [N m or N] to a joint for a duration, and return the status."""
         request = gazebo_messages.ApplyJointEffortRequest(
             joint, effort, _to_time(start_s), _to_duration(duration_s)
         )
         return self._call(service_catalog.APPLY_JOINT_EFFORT, request).status_message
 
     def clear_joint_efforts(self, joint: str) -> None:
-        """Push a joint no more."""
+        """Remove all efforts of a joint."""
         self._call(
             service_catalog.CLEAR_JOINT_EFFORTS, gazebo_messages.ClearJointEffortsRequest(joint)
         )
 
     def joint_properties(self, joint: str) -> gazebo_messages.GetJointPropertiesReport:
-        """Ask how a joint moves, and where it is."""
+        """Get type, damping, positions and rates of a joint."""
         request = gazebo_messages.GetJointPropertiesRequest(joint)
         return self._call(service_catalog.GET_JOINT_PROPERTIES, request)
 
-    def set_joint_properties(self, joint: str, wanted: ODEJointProperties) -> None:
-        """Change damping, friction and limits of a joint."""
-        request = gazebo_messages.SetJointPropertiesRequest(joint, wanted)
+    def set_joint_properties(self, joint: str, properties: ODEJointProperties) -> None:
+        """Set damping, friction and limits of a joint."""
+        request = gazebo_messages.SetJointPropertiesRequest(joint, properties)
         self._call(service_catalog.SET_JOINT_PROPERTIES, request)
 
     def link_properties(self, link: str) -> gazebo_messages.GetLinkPropertiesReport:
-        """Ask what a link weighs."""
+        """Get mass and inertia of a link."""
         request = gazebo_messages.GetLinkPropertiesRequest(link)
         return self._call(service_catalog.GET_LINK_PROPERTIES, request)
 
     def set_link_properties(self, request: gazebo_messages.SetLinkPropertiesRequest) -> None:
-        """Change what a link weighs; every field counts."""
+        """Set mass and inertia of a link; all fields are used."""
         self._call(service_catalog.SET_LINK_PROPERTIES, request)
 
     def _call(self, service: Service[Request, Response], request: Request) -> Response:

@@ -1,4 +1,4 @@
-"""SimClient: a typed method for each service of a world, and step goals with progress and cancellation."""
+"""SimClient: a typed method for each service; step goals with progress and cancellation."""
 
 import time
 import uuid
@@ -103,32 +103,32 @@ def run_step_goal(
     on_progress: OnProgress,
     timeout_s: float,
 ) -> SimulateStepsResponse:
-    """Run a goal and tell of its progress, on this thread; the last is told before the return.
+    """Run a goal; call `on_progress` on this thread, the last time before the return.
 
-    What `on_progress` raises, or an interrupt, cancels the goal; a timeout does not: the same
-    request again joins it.
+    An exception of `on_progress` or an interrupt cancels the goal. A timeout does not: the same
+    request again joins the goal.
 
     Raises:
-        GoalInterrupted: Instead of KeyboardInterrupt.
-        ServiceError: It was refused, canceled or aborted.
-        TimeoutError: It is not over in time.
-        NoServer: Nothing serves this world.
+        StepGoalInterrupted: Instead of KeyboardInterrupt.
+        ServiceError: The goal was refused, canceled or aborted.
+        TimeoutError: The goal did not finish in time.
+        NoServer: No server has this world.
     """
     progress = bus.subscribe(STEPS_PROGRESS.key(world), PROGRESS_DEPTH)
     try:
-        with ThreadPoolExecutor(1) as waiting:
-            answer = waiting.submit(
+        with ThreadPoolExecutor(1) as executor:
+            response = executor.submit(
                 bus.call, SIMULATE_STEPS, request, world=world, timeout_s=timeout_s
             )
             try:
-                _follow_progress(progress, request.goal_id, answer, on_progress)
+                _follow_progress(progress, request.goal_id, response, on_progress)
             except KeyboardInterrupt as interrupt:
                 _cancel_goal(bus, world, request.goal_id)
-                raise StepGoalInterrupted(_count_completed_steps(answer)) from interrupt
+                raise StepGoalInterrupted(_count_completed_steps(response)) from interrupt
             except BaseException:
                 _cancel_goal(bus, world, request.goal_id)
                 raise
-            return answer.result()
+            return response.result()
     finally:
         progress.close()
 
@@ -136,20 +136,20 @@ def run_step_goal(
 def _follow_progress(
     progress: BusSubscription,
     goal_id: str,
-    answer: "Future[SimulateStepsResponse]",
+    response: "Future[SimulateStepsResponse]",
     on_progress: OnProgress,
 ) -> None:
     is_over = False
     while not is_over:
-        # Asked before the look, so that what came with the answer is not left behind.
-        is_over = answer.done()
+        # Checked first, so that progress that arrived with the response is not lost.
+        is_over = response.done()
         for sample in progress.take():
             try:
-                told = decode(StepsProgress, sample.payload, sample.encoding)
+                status = decode(StepsProgress, sample.payload, sample.encoding)
             except MalformedPayload:
                 continue
-            if told.goal_id == goal_id:
-                on_progress(told)
+            if status.goal_id == goal_id:
+                on_progress(status)
         if not is_over:
             time.sleep(GOAL_POLL_S)
 
@@ -158,35 +158,38 @@ def _cancel_goal(bus: Bus, world: str, goal_id: str) -> None:
     try:
         bus.call(CANCEL_STEPS, CancelStepsRequest(goal_id), world=world, timeout_s=CANCEL_TIMEOUT_S)
     except (ServiceError, TimeoutError, NoServer):
-        # Over already, or out of reach: the caller has something better to hear.
+        # The goal is over or unreachable; the caller raises the more important error.
         return
 
 
-def _count_completed_steps(answer: "Future[SimulateStepsResponse]") -> int | None:
-    """Tell how far a goal came that was ended."""
+def _count_completed_steps(response: "Future[SimulateStepsResponse]") -> int | None:
+    """Count the completed steps of a canceled goal; None without a reply."""
     try:
-        return answer.result(CANCEL_TIMEOUT_S).completed_steps
+        return response.result(CANCEL_TIMEOUT_S).completed_steps
     except ServiceError as error:
-        found = error.response
-        return found.completed_steps if isinstance(found, SimulateStepsResponse) else None
+        reply = error.response
+        return reply.completed_steps if isinstance(reply, SimulateStepsResponse) else None
     except (FutureTimeout, TimeoutError, NoServer):
         return None
 
 
 CALL_TIMEOUT_S = 10.0
 LOAD_TIMEOUT_S = 60.0
-"""For a world: it may hold 2000 models."""
+"""A world may have 2000 models."""
 SPAWN_TIMEOUT_S = 30.0
-"""A server on a busy machine takes long over a large description."""
+"""For a large description on a busy host."""
 POLL_S = 0.05
 TIMEOUT_PER_SPAWN_S = 0.1
-"""What each of many spawns may take."""
+"""Per entity of a batch."""
 TIMEOUT_PER_STEP_S = 0.05
-"""How long a step that was asked for may take, before the server counts as silent."""
+"""Per requested step."""
 
 
 class SimClient:
-    """One world's services; refusals raise ServiceError, silence TimeoutError or NoServer."""
+    """Client of the services of one world.
+
+    Methods raise ServiceError if the server refuses, TimeoutError or NoServer without a reply.
+    """
 
     def __init__(self, bus: Bus, world: str = "default", timeout_s: float = CALL_TIMEOUT_S) -> None:
         self.bus = bus
@@ -194,10 +197,10 @@ class SimClient:
         self._timeout_s = timeout_s
 
     def wait_for_server(self, timeout_s: float, on_wait: Callable[[], None] | None = None) -> Info:
-        """Ask for info until somebody answers.
+        """Call `info` until a server replies.
 
         Raises:
-            NoServer: Nobody did within the timeout.
+            NoServer: There is no server within the timeout.
         """
         deadline = time.monotonic() + timeout_s
         while True:
@@ -214,7 +217,7 @@ class SimClient:
         return self.bus.call(service, request, world=self.world, timeout_s=self._timeout_s)
 
     def info(self) -> Info:
-        """Ask who is there."""
+        """Get version, engine, time and load of the server."""
         return self.bus.call(
             service_catalog.INFO,
             InfoRequest(),
@@ -223,18 +226,18 @@ class SimClient:
         )
 
     def spawn(self, order: SpawnEntityOrder) -> SpawnEntityReport:
-        """Put one entity into the world."""
+        """Spawn one entity."""
         timeout_s = max(self._timeout_s, SPAWN_TIMEOUT_S)
         return self.bus.call(
             service_catalog.SPAWN_ENTITY, order, world=self.world, timeout_s=timeout_s
         )
 
     def spawn_all(self, order: SpawnEntitiesOrder) -> SpawnEntitiesResponse:
-        """Put many entities into the world; a result each, refused or not."""
-        patience_s = max(self._timeout_s, len(order.spawn_requests) * TIMEOUT_PER_SPAWN_S)
+        """Spawn many entities, with a result for each, also if refused."""
+        timeout_s = max(self._timeout_s, len(order.spawn_requests) * TIMEOUT_PER_SPAWN_S)
         try:
             return self.bus.call(
-                service_catalog.SPAWN_ENTITIES, order, world=self.world, timeout_s=patience_s
+                service_catalog.SPAWN_ENTITIES, order, world=self.world, timeout_s=timeout_s
             )
         except ServiceError as error:
             if isinstance(error.response, SpawnEntitiesResponse) and error.response.results:
@@ -242,92 +245,92 @@ class SimClient:
             raise
 
     def missing_assets(self, sha256s: tuple[str, ...]) -> MissingAssetsResponse:
-        """Ask which files the server does not have."""
+        """Find the files that the server lacks."""
         return self._call(service_catalog.MISSING_ASSETS, MissingAssetsRequest(sha256s))
 
     def put_asset(self, sha256: str, *, offset: int, total: int, data: bytes) -> int:
-        """Send a piece of a file, and return how many bytes of it are there."""
+        """Upload a chunk of a file, and return the number of bytes that the server has."""
         request = PutAssetRequest(sha256, offset, total, data)
         return self._call(service_catalog.PUT_ASSET, request).received
 
     def delete(self, entity: str) -> None:
-        """Take one entity out."""
+        """Delete an entity."""
         self._call(service_catalog.DELETE_ENTITY, DeleteEntityRequest(entity))
 
     def entities(self, filters: EntityFilters | None = None) -> tuple[str, ...]:
-        """Name all entities, or those that pass filters."""
+        """List the names of all entities that pass the filters."""
         request = GetEntitiesRequest(filters or EntityFilters())
         return self._call(service_catalog.GET_ENTITIES, request).entities
 
     def entity_states(
         self, filters: EntityFilters | None = None, reference_frame: str = ""
     ) -> dict[str, EntityState]:
-        """Ask where entities are, in the world or another frame, all at one step."""
+        """Get poses and twists of entities at one step, in the world or another frame."""
         request = GetEntitiesStatesOrder(filters or EntityFilters(), reference_frame)
-        found = self._call(service_catalog.GET_ENTITIES_STATES, request)
-        return dict(zip(found.entities, found.states, strict=True))
+        reply = self._call(service_catalog.GET_ENTITIES_STATES, request)
+        return dict(zip(reply.entities, reply.states, strict=True))
 
     def entity_state(self, entity: str, reference_frame: str = "") -> EntityState:
-        """Ask where one entity is, in the world or another frame."""
+        """Get pose and twist of an entity, in the world or another frame."""
         request = GetEntityStateOrder(entity, reference_frame)
         return self._call(service_catalog.GET_ENTITY_STATE, request).state
 
     def entity_info(self, entity: str) -> EntityInfo:
-        """Ask for category, description and tags of one entity."""
+        """Get category, description and tags of an entity."""
         return self._call(service_catalog.GET_ENTITY_INFO, GetEntityInfoRequest(entity)).info
 
     def set_entity_info(self, entity: str, info: EntityInfo) -> None:
-        """Say what an entity is, all of it anew."""
+        """Replace category, description and tags of an entity."""
         self._call(service_catalog.SET_ENTITY_INFO, SetEntityInfoRequest(entity, info))
 
     def entity_bounds(self, entity: str, kind: int = ANY_BOUNDS) -> Bounds:
-        """Ask how much room an entity takes, in the frame of its base link; see `BoundsType`."""
+        """Get the bounds of an entity in the frame of its base link; see `BoundsType`."""
         return self._call(
             service_catalog.GET_ENTITY_BOUNDS, GetEntityBoundsOrder(entity, kind)
         ).bounds
 
     def spawnables(self) -> tuple[Spawnable, ...]:
-        """Ask what can be spawned by uri."""
+        """List the models that can be spawned by URI."""
         return self._call(service_catalog.GET_SPAWNABLES, GetSpawnablesRequest()).spawnables
 
     def named_poses(self, tags: TagsFilter | None = None) -> tuple[NamedPose, ...]:
-        """Ask for the named poses of the world, or those that have tags."""
+        """List the named poses of the world that pass the filter."""
         request = GetNamedPosesRequest(tags or TagsFilter())
         return self._call(service_catalog.GET_NAMED_POSES, request).poses
 
     def named_pose_bounds(self, name: str) -> Bounds:
-        """Ask how much room a named pose has, in its own frame; empty = unbounded."""
+        """Get the bounds of a named pose in its own frame; empty = unbounded."""
         request = GetNamedPoseBoundsRequest(name)
         return self._call(service_catalog.GET_NAMED_POSE_BOUNDS, request).bounds
 
     def set_entity_state(
         self, entity: str, state: EntityState, *, has_pose: bool = True, has_twist: bool = True
     ) -> None:
-        """Put an entity at a pose, with a twist, or one of both; in the frame of the header."""
+        """Set pose, twist or both of an entity, in the frame of the header."""
         request = SetEntityStateRequest(entity, state, set_pose=has_pose, set_twist=has_twist)
         self._call(service_catalog.SET_ENTITY_STATE, request)
 
     def models(self, entities: tuple[str, ...] = ()) -> GetModelsResponse:
-        """Ask how entities look; all of them unless named."""
+        """Get the models of the named entities, or of all."""
         return self._call(service_catalog.GET_MODELS, GetModelsRequest(entities))
 
     def entity_model(self, entity: str) -> EntityModel:
-        """Ask for the namespace, agent and model number of one entity."""
+        """Get namespace, agent and model index of an entity."""
         return self.models((entity,)).entities[0]
 
     def simulation_state(self) -> State:
-        """Ask whether it plays."""
+        """Get the state of the simulation."""
         response = self._call(service_catalog.GET_SIMULATION_STATE, GetSimulationStateRequest())
         return State(response.state.state)
 
     def set_simulation_state(self, state: State) -> None:
-        """Play or pause."""
+        """Set the state of the simulation."""
         self._call(
             service_catalog.SET_SIMULATION_STATE, SetSimulationStateRequest(SimulationState(state))
         )
 
     def step(self, steps: int) -> None:
-        """Advance a paused world, and return when it is done."""
+        """Advance a paused simulation, and wait for completion."""
         self.bus.call(
             service_catalog.STEP_SIMULATION,
             StepSimulationRequest(steps),
@@ -343,50 +346,50 @@ class SimClient:
         on_progress: OnProgress | None = None,
         timeout_s: float | None = None,
     ) -> SimulateStepsResponse:
-        """Advance a paused world, tell of the progress, and return when it is done.
+        """Advance a paused simulation with progress, and wait for completion.
 
         Args:
-            steps: How many.
-            goal_id: Names the goal for `cancel_steps` and for joining it; made up unless given.
-            on_progress: What it raises cancels the goal.
-            timeout_s: After it TimeoutError is raised, but the goal goes on.
+            steps: > 0.
+            goal_id: For `cancel_steps` and for joining the goal; generated if empty.
+            on_progress: An exception that it raises cancels the goal.
+            timeout_s: Then TimeoutError is raised, but the goal continues.
         """
         request = SimulateStepsRequest(steps, goal_id or uuid.uuid4().hex)
-        patience_s = self._step_timeout_s(steps) if timeout_s is None else timeout_s
+        timeout_s = self._step_timeout_s(steps) if timeout_s is None else timeout_s
         return run_step_goal(
             self.bus,
             self.world,
             request,
             on_progress=on_progress or (lambda _: None),
-            timeout_s=patience_s,
+            timeout_s=timeout_s,
         )
 
     def cancel_steps(self, goal_id: str = "") -> tuple[str, ...]:
-        """End a goal before its last step, or all goals; return the ids of those ended."""
+        """Cancel a goal, or all goals; return the ids of the canceled ones."""
         return self._call(service_catalog.CANCEL_STEPS, CancelStepsRequest(goal_id)).goal_ids
 
     def run_to(self, time_ns: int, timeout_s: float | None = None) -> RunToResponse:
-        """Advance a paused world to the first step at or after a simulation time [ns]."""
+        """Advance a paused simulation to the first step at or after a simulation time [ns]."""
         if timeout_s is None:
             timeout_s = self._step_timeout_s(self.steps_until(time_ns))
         request = RunToRequest(time_from_ns(time_ns))
         return self.bus.call(service_catalog.RUN_TO, request, world=self.world, timeout_s=timeout_s)
 
     def steps_until(self, time_ns: int) -> int:
-        """Count the steps up to the first at or after a time [ns]; negative when it is past."""
+        """Count the steps to the first one at or after a time [ns]; negative if that is past."""
         info = self.info()
         now_ns = round(info.sim_time_s * NANOSECONDS)
         return -((now_ns - time_ns) // max(1, info.step_ns))
 
     def set_speed(self, real_time_factor: float) -> None:
-        """Choose the real-time factor to hold; 0 = as fast as it can."""
+        """Set the target real-time factor; 0 = as fast as possible."""
         self._call(service_catalog.SET_SPEED, SetSpeedRequest(real_time_factor))
 
     def _step_timeout_s(self, steps: int) -> float:
         return max(self._timeout_s, steps * TIMEOUT_PER_STEP_S)
 
     def reset(self, scope: int = ResetScope.DEFAULT) -> None:
-        """Go back to the start."""
+        """Reset the parts of the simulation in `scope`."""
         self._call(service_catalog.RESET_SIMULATION, ResetSimulationRequest(scope))
 
     def load_world(
@@ -397,7 +400,7 @@ class SimClient:
         is_strict: bool = False,
         may_lack_assets: bool = False,
     ) -> LoadWorldReport:
-        """Put another world in the place of this one: by name, or SDF text; it stands stopped."""
+        """Replace the world by a named one or an SDF text; its state is STOPPED."""
         request = LoadWorldRequest(Resource(uri, text), is_strict, may_lack_assets)
         return self.bus.call(
             service_catalog.LOAD_WORLD,
@@ -407,22 +410,22 @@ class SimClient:
         )
 
     def unload_world(self) -> None:
-        """Take the world away with everything in it."""
+        """Unload the world, and delete all entities."""
         self._call(service_catalog.UNLOAD_WORLD, UnloadWorldRequest())
 
     def current_world(self) -> WorldResource:
-        """Ask which world is there."""
+        """Get the current world."""
         return self._call(service_catalog.GET_CURRENT_WORLD, GetCurrentWorldRequest()).world
 
     def available_worlds(
         self, tags: TagsFilter | None = None, sources: tuple[str, ...] = ()
     ) -> tuple[WorldResource, ...]:
-        """Ask which worlds can be loaded, or those that have tags."""
+        """List the worlds that can be loaded and pass the filter."""
         request = GetAvailableWorldsRequest(sources, tags or TagsFilter())
         return self._call(service_catalog.GET_AVAILABLE_WORLDS, request).worlds
 
     def features(self) -> SimulatorFeatures:
-        """Ask what the server can do."""
+        """Get the features of the server."""
         return self._call(
             service_catalog.GET_SIMULATOR_FEATURES, GetSimulatorFeaturesRequest()
         ).features

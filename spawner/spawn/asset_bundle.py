@@ -1,4 +1,4 @@
-"""The files that a description names: found on this host, named by content, uploaded where missing."""
+"""Files of a description: found on this host, identified by SHA-256, uploaded if missing."""
 
 import hashlib
 import xml.etree.ElementTree as ET
@@ -27,23 +27,23 @@ from zensim.spawner.spawn.description_xml import (
 )
 from zensim.spawner.spawn.search_paths import FileLocation, SearchPaths
 
-MESH_ENDINGS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-"""Nothing else is sent, so that a stranger's description cannot ask for what is no mesh."""
+MESH_SUFFIXES = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
+"""Only these are uploaded, so that an untrusted description cannot read other files."""
 UNSENT_REFERENCES = {".dae": b"<init_from>", ".obj": b"mtllib"}
-"""Marks of further files that a mesh names: textures and materials."""
+"""Text in a mesh file that refers to textures or materials."""
 BLOCK_BYTES = 1 << 20
 MIB = 1 << 20
 
 
 class MeshReference(msgspec.Struct, frozen=True):
-    """A mesh as a description names it."""
+    """A mesh URI of a description."""
 
     uri: str
     is_collision: bool
 
 
 class AssetFile(msgspec.Struct, frozen=True):
-    """A file to send."""
+    """A file to upload."""
 
     path: Path
     sha256: str
@@ -51,34 +51,28 @@ class AssetFile(msgspec.Struct, frozen=True):
 
 
 class MissingMesh(msgspec.Struct, frozen=True):
-    """A mesh that is not on this host."""
+    """A mesh that was not found on this host."""
 
     mesh: MeshReference
     reason: str
 
 
 class AssetBundle(msgspec.Struct, frozen=True):
-    """What goes with a description."""
+    """Files and notes that accompany a description."""
 
     refs: tuple[AssetRef, ...] = ()
     files: tuple[AssetFile, ...] = ()
-    """Each content once."""
+    """Files of equal content once."""
     missing: tuple[MissingMesh, ...] = ()
     notes: tuple[ReportEntry, ...] = ()
 
 
-def list_meshes(text: str) -> tuple[MeshReference, ...]:
-    """List the meshes of a URDF or SDF, each uri once.
-
-    Raises:
-        DescriptionError: It is neither.
-    """
-    return _find_meshes(parse_description(text))
-
-
-def _find_meshes(root: ET.Element) -> tuple[MeshReference, ...]:
-    solid = {uri for part in root.iter("collision") for uri in _find_mesh_uris(part)}
-    return tuple(MeshReference(uri, uri in solid) for uri in dict.fromkeys(_find_mesh_uris(root)))
+def find_meshes(root: ET.Element) -> tuple[MeshReference, ...]:
+    """Find the meshes of a URDF or SDF, each URI once."""
+    collisions = {uri for part in root.iter("collision") for uri in _find_mesh_uris(part)}
+    return tuple(
+        MeshReference(uri, uri in collisions) for uri in dict.fromkeys(_find_mesh_uris(root))
+    )
 
 
 def _find_mesh_uris(element: ET.Element) -> Iterable[str]:
@@ -89,82 +83,86 @@ def _find_mesh_uris(element: ET.Element) -> Iterable[str]:
 
 
 class _FileCollector:
-    """All that a description names, and what the models that it includes name."""
+    """Collects the files of a description and of the models that it includes."""
 
     def __init__(self) -> None:
         self.meshes: dict[MeshReference, FileLocation] = {}
         self.models: dict[str, Path] = {}
-        self._waiting: list[tuple[Path, SearchPaths, str]] = []
+        self._pending: list[tuple[Path, SearchPaths, str]] = []
 
     def read(self, text: str, paths: SearchPaths) -> None:
         self._add(parse_description(text), paths, include="")
-        while self._waiting and len(self.models) <= MAX_BUNDLE_FILES:
-            file, around, uri = self._waiting.pop()
-            # What is wrong with an included model is for the server to say.
+        while self._pending and len(self.models) <= MAX_BUNDLE_FILES:
+            file, file_paths, uri = self._pending.pop()
+            # The server reports errors of included models.
             with suppress(DescriptionError, UnicodeDecodeError):
-                self._add(parse_description(file.read_text(encoding="utf-8")), around, include=uri)
+                text = file.read_text(encoding="utf-8")
+                self._add(parse_description(text), file_paths, include=uri)
 
     def _add(self, root: ET.Element, paths: SearchPaths, *, include: str) -> None:
-        for mesh in _find_meshes(root):
-            whole = MeshReference(resolve_include_uri(include, mesh.uri), mesh.is_collision)
-            self.meshes.setdefault(whole, _locate_mesh(mesh, paths))
+        for mesh in find_meshes(root):
+            resolved = MeshReference(resolve_include_uri(include, mesh.uri), mesh.is_collision)
+            self.meshes.setdefault(resolved, _locate_mesh(mesh, paths))
         for tag in root.iter("include"):
             uri = (tag.findtext("uri") or "").strip()
-            whole_uri = resolve_include_uri(include, uri)
-            if whole_uri in self.models or (file := paths.find_model(uri)) is None:
+            resolved_uri = resolve_include_uri(include, uri)
+            if resolved_uri in self.models or (file := paths.find_model(uri)) is None:
                 continue
-            self.models[whole_uri] = file
+            self.models[resolved_uri] = file
             if file.stat().st_size <= MAX_TEXT_BYTES:
-                self._waiting.append((file, paths.beside(file), whole_uri))
+                self._pending.append((file, paths.with_folder_of(file), resolved_uri))
 
 
 def make_bundle(text: str, paths: SearchPaths) -> AssetBundle:
-    """Find the files of a description and name each by its content.
+    """Find the files of a description and compute their hashes.
 
     Raises:
         DescriptionError: The text is neither URDF nor SDF.
-        ServiceError: The files are too many or too large.
+        ServiceError: There are too many files, or they are too large.
     """
-    named = _FileCollector()
-    named.read(text, paths)
-    meshes = {mesh: place.path for mesh, place in named.meshes.items() if place.path}
-    by_uri = {**named.models, **{mesh.uri: path for mesh, path in meshes.items()}}
-    paths_once = tuple(dict.fromkeys(by_uri.values()))
-    _check_sizes(paths_once)
-    by_path = {path: _hash_file(path) for path in paths_once}
+    collector = _FileCollector()
+    collector.read(text, paths)
+    meshes = {mesh: found.path for mesh, found in collector.meshes.items() if found.path}
+    by_uri = {**collector.models, **{mesh.uri: path for mesh, path in meshes.items()}}
+    unique_paths = tuple(dict.fromkeys(by_uri.values()))
+    _check_sizes(unique_paths)
+    by_path = {path: _hash_file(path) for path in unique_paths}
     return AssetBundle(
         refs=tuple(AssetRef(uri, by_path[path].sha256) for uri, path in by_uri.items()),
         files=tuple({file.sha256: file for file in by_path.values()}.values()),
         missing=tuple(
-            MissingMesh(mesh, place.reason)
-            for mesh, place in named.meshes.items()
-            if not place.path
+            MissingMesh(mesh, found.reason)
+            for mesh, found in collector.meshes.items()
+            if not found.path
         ),
         notes=tuple(_report_unsent(meshes)),
     )
 
 
 def check_collision_meshes(bundle: AssetBundle) -> None:
-    """Refuse a bundle that lacks a mesh of a collision.
+    """Check that no collision mesh is missing.
 
     Raises:
-        ServiceError: It does.
+        ServiceError: A collision mesh is missing.
     """
-    lost = [file for file in bundle.missing if file.mesh.is_collision]
-    if not lost:
+    missing = [file for file in bundle.missing if file.mesh.is_collision]
+    if not missing:
         return
-    first, more = lost[0], f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+    first, count = missing[0], len(missing)
+    more = f" and {count - 1} more" if count > 1 else ""
     raise make_refusal(
         SpawnCode.MISSING_ASSETS,
         "mesh.missing",
         f"collision mesh {first.mesh.uri[:160]!r}{more}: {first.reason}, "
-        "or leave collisions out by --allow-missing",
+        "or leave out such collisions with --allow-missing",
     )
 
 
 def _locate_mesh(mesh: MeshReference, paths: SearchPaths) -> FileLocation:
-    if not mesh.uri.lower().endswith(MESH_ENDINGS):
-        return FileLocation(reason=f"is no mesh that is sent; use one of {', '.join(MESH_ENDINGS)}")
+    if not mesh.uri.lower().endswith(MESH_SUFFIXES):
+        return FileLocation(
+            reason=f"has an unsupported suffix; use one of {', '.join(MESH_SUFFIXES)}"
+        )
     return paths.find(mesh.uri)
 
 
@@ -175,20 +173,20 @@ def _check_sizes(paths: tuple[Path, ...]) -> None:
             raise make_refusal(
                 SpawnCode.UNSUPPORTED_ASSETS,
                 "bundle.size",
-                f"{path} has {size / MIB:.1f} MiB; a file has at most {MAX_FILE_BYTES // MIB} MiB",
+                f"{path} has {size / MIB:.1f} MiB; the limit is {MAX_FILE_BYTES // MIB} MiB",
             )
     if len(paths) > MAX_BUNDLE_FILES:
         raise make_refusal(
             SpawnCode.UNSUPPORTED_ASSETS,
             "bundle.files",
-            f"the description names {len(paths)} files; at most {MAX_BUNDLE_FILES} are sent",
+            f"the description names {len(paths)} files; the limit is {MAX_BUNDLE_FILES}",
         )
     if (total := sum(sizes.values())) > MAX_BUNDLE_BYTES:
         raise make_refusal(
             SpawnCode.UNSUPPORTED_ASSETS,
             "bundle.size",
-            f"the files of the description have {total / MIB:.1f} MiB in all; "
-            f"at most {MAX_BUNDLE_BYTES // MIB} MiB are sent",
+            f"the files of the description have {total / MIB:.1f} MiB; "
+            f"the limit is {MAX_BUNDLE_BYTES // MIB} MiB",
         )
 
 
@@ -201,64 +199,66 @@ def _hash_file(path: Path) -> AssetFile:
     return AssetFile(path, digest.hexdigest(), size)
 
 
-def _report_unsent(found: dict[MeshReference, Path]) -> Iterable[ReportEntry]:
-    for mesh, path in found.items():
+def _report_unsent(meshes: dict[MeshReference, Path]) -> Iterable[ReportEntry]:
+    for mesh, path in meshes.items():
         mark = UNSENT_REFERENCES.get(path.suffix.lower())
         if mark and not mesh.is_collision and mark in path.read_bytes():
-            reason = "its materials and textures are not sent, only its shape is"
+            reason = "materials and textures are not used, only the shape"
             yield ReportEntry("ignored", mesh.uri, reason)
 
 
 MAX_SEND_ATTEMPTS = 3
-"""At one place in a file, before silence counts."""
+"""Attempts without progress, before the upload fails."""
 
 
 class PendingFile(msgspec.Struct, frozen=True):
-    """A file that the server lacks, and how many bytes of its beginning are there."""
+    """A file that the server lacks, and the number of bytes that it has."""
 
     file: AssetFile
     received: int
 
 
 def find_pending_files(client: SimClient, files: Sequence[AssetFile]) -> list[PendingFile]:
-    """Ask which of these files the server lacks."""
+    """Find which of these files the server lacks."""
     if not files:
         return []
-    answer = client.missing_assets(tuple(file.sha256 for file in files))
-    received = answer.received or (0,) * len(answer.missing)
-    begun = dict(zip(answer.missing, received, strict=False))
-    return [PendingFile(file, begun[file.sha256]) for file in files if file.sha256 in begun]
+    response = client.missing_assets(tuple(file.sha256 for file in files))
+    received = response.received or (0,) * len(response.missing)
+    pending = dict(zip(response.missing, received, strict=False))
+    return [PendingFile(file, pending[file.sha256]) for file in files if file.sha256 in pending]
 
 
-def send_file(client: SimClient, lacking: PendingFile, on_bytes: Callable[[int], None]) -> None:
-    """Send one file from where the server has it.
+def send_file(client: SimClient, pending: PendingFile, on_bytes: Callable[[int], None]) -> None:
+    """Upload one file, beginning with the first missing byte.
 
     Raises:
-        ServiceError: The server refuses it.
-        TimeoutError: It does not answer, though asked again.
+        ServiceError: The server refused the file.
+        TimeoutError: The server does not reply to repeated calls.
     """
-    offset, attempts = lacking.received, 0
-    with lacking.file.path.open("rb") as file:
+    offset, attempts = pending.received, 0
+    with pending.file.path.open("rb") as file:
         while True:
             file.seek(offset)
             try:
                 received = client.put_asset(
-                    lacking.file.sha256,
+                    pending.file.sha256,
                     offset=offset,
-                    total=lacking.file.size,
+                    total=pending.file.size,
                     data=file.read(MAX_CHUNK_BYTES),
                 )
             except TimeoutError:
-                received = _count_received(client, lacking.file)
+                received = _count_received(client, pending.file)
             attempts = 0 if received > offset else attempts + 1
             if attempts >= MAX_SEND_ATTEMPTS:
-                raise TimeoutError(f"the server takes no more than {offset} bytes of {file.name}")
+                raise TimeoutError(
+                    f"the server has {offset} bytes of {file.name} and accepts no more"
+                )
             on_bytes(max(0, received - offset))
             offset = received
-            if offset >= lacking.file.size:
+            if offset >= pending.file.size:
                 return
 
 
 def _count_received(client: SimClient, file: AssetFile) -> int:
-    still = find_pending_files(client, [file])
-    return still[0].received if still else file.size
+    pending = find_pending_files(client, [file])
+    return pending[0].received if pending else file.size

@@ -1,4 +1,4 @@
-"""Where a description comes from: a file, a shipped model, a model folder, a stream or a key; xacro is expanded."""
+"""Read a description from a file, built-in model, model folder, stream or topic; expand xacro."""
 
 import re
 import time
@@ -34,57 +34,57 @@ XACRO_SUFFIX = ".xacro"
 XACRO_TAG = "<xacro:"
 XACRO_COMMAND = make_module_command("zensim.spawner.spawn.xacro_process")
 XACRO_TIMEOUT_S = 60.0
-"""Of wall time: only one that sleeps takes as long."""
-XACRO_TOO_LONG = f"it takes more than {CPU_LIMIT_S} s"
+"""Wall time; the limit of CPU time is lower, so only a process that sleeps takes this long."""
+XACRO_TOO_LONG = f"it takes more than {CPU_LIMIT_S} s of CPU time"
 
 
 def is_xacro(text: str, path: Path) -> bool:
-    """Whether a file is xacro: by its ending, or by the tags in it, comments apart."""
+    """Whether a file is xacro: by its suffix, or by a tag outside of comments."""
     return path.suffix == XACRO_SUFFIX or XACRO_TAG in blank_comments(text)
 
 
 def parse_xacro_arguments(words: Sequence[str]) -> dict[str, str]:
-    """Read `key:=value` words.
+    """Parse `key:=value` arguments.
 
     Raises:
-        ValueError: One is none.
+        ValueError: A word has no key or no separator.
     """
     pairs = [word.partition(":=") for word in words]
     for word, (key, separator, _) in zip(words, pairs, strict=True):
         if not key or not separator:
-            raise ValueError(f"--xacro-arg {word[:80]!r} is no argument; use key:=value")
+            raise ValueError(f"--xacro-arg must be key:=value, got {word[:80]!r}")
     return {key: value for key, _, value in pairs}
 
 
 def expand_xacro(text: str, path: Path, arguments: Mapping[str, str], paths: SearchPaths) -> str:
-    """Expand xacro, in a process with little time and memory.
+    """Expand xacro in a process with limited CPU time and memory.
 
     Args:
-        text: What is in the file.
-        path: The file; includes are relative to its folder.
-        arguments: Values of its `<xacro:arg>`s.
-        paths: Where `$(find PACKAGE)` looks, besides ROS's own places.
+        text: Content of the file.
+        path: Path of the file; includes are relative to its folder.
+        arguments: Values of `<xacro:arg>`.
+        paths: Search paths of `$(find PACKAGE)`, besides those of ROS.
 
     Raises:
-        DescriptionError: It cannot be expanded, or xacrodoc is not installed.
+        DescriptionError: The text cannot be expanded, or xacrodoc is not installed.
     """
-    found = _run_xacro_process(XacroRequest(text, path, dict(arguments), paths))
-    if found.sentence:
-        raise DescriptionError(found.sentence)
-    if found.reason:
+    result = _run_xacro_process(XacroRequest(text, path, dict(arguments), paths))
+    if result.missing:
+        raise DescriptionError(result.missing)
+    if result.reason:
         raise DescriptionError(
-            f"{path} cannot be expanded: {found.reason}; give arguments by --xacro-arg key:=value "
-            "and packages by --package-path"
+            f"{path} cannot be expanded: {result.reason}; set arguments with --xacro-arg "
+            "key:=value and package folders with --package-path"
         )
-    return found.text
+    return result.text
 
 
-def _run_xacro_process(wish: XacroRequest) -> XacroResult:
-    outcome = run_process(XACRO_COMMAND, encode_request(wish), timeout_s=XACRO_TIMEOUT_S)
+def _run_xacro_process(request: XacroRequest) -> XacroResult:
+    outcome = run_process(XACRO_COMMAND, encode_request(request), timeout_s=XACRO_TIMEOUT_S)
     if outcome.is_out_of_time:
         return XacroResult(reason=XACRO_TOO_LONG)
     if outcome.status:
-        return XacroResult(reason=f"xacro ended over it (status {outcome.status})")
+        return XacroResult(reason=f"xacro exited with status {outcome.status}")
     return msgspec.msgpack.decode(outcome.output, type=XacroResult)
 
 
@@ -96,14 +96,14 @@ LATIN_DECLARATION = re.compile(
 POLL_S = 0.02
 GET_TIMEOUT_S = 1.0
 STDIN_PATH = Path("standard input")
-"""Stands for it in errors; what it includes is relative to the working folder."""
+"""Path in error texts; includes are relative to the working directory."""
 
 
 class RobotDescription(msgspec.Struct, frozen=True):
-    """What to spawn."""
+    """A description: its text, or the name of a built-in model of the server."""
 
     text: str = ""
-    """Empty when the server knows it by its uri."""
+    """Empty if `uri` names a model of the server."""
     uri: str = ""
     path: Path | None = None
     """The file that it was read from."""
@@ -112,17 +112,17 @@ class RobotDescription(msgspec.Struct, frozen=True):
 def read_model_argument(
     model: str, arguments: Mapping[str, str], paths: SearchPaths
 ) -> RobotDescription:
-    """Read what MODEL says: the path of a file, or the name of a shipped model.
+    """Read a file by its path, or a built-in model by its name.
 
     Raises:
-        FileNotFoundError: It looks like a path, but there is no such file.
-        DescriptionError: It cannot be read as text, or not expanded.
+        FileNotFoundError: There is no such file, and the word is not a valid name.
+        DescriptionError: The file is not text, or cannot be expanded.
     """
     if Path(model).is_file():
         return read_description_file(Path(model), arguments, paths)
     if not NAME_PATTERN.fullmatch(model):
-        raise FileNotFoundError(2, "no such file, nor a shipped model", model)
-    return _read_shipped_model(model) or RobotDescription(uri=model)
+        raise FileNotFoundError(2, "no such file or built-in model", model)
+    return _read_builtin_model(model) or RobotDescription(uri=model)
 
 
 def read_description_file(
@@ -131,15 +131,15 @@ def read_description_file(
     """Read a URDF, SDF or xacro file.
 
     Raises:
-        OSError: There is none.
-        DescriptionError: It is no text, or cannot be expanded.
-        ServiceError: It is too large.
+        OSError: The file cannot be read.
+        DescriptionError: The file is not text, or cannot be expanded.
+        ServiceError: The file is too large.
     """
     if (size := file.stat().st_size) > MAX_TEXT_BYTES:
         raise _too_large_error(f"{file} has {size} bytes")
     text = decode_description(file.read_bytes(), str(file))
     if is_xacro(text, file):
-        text = expand_xacro(text, file, arguments, paths.beside(file))
+        text = expand_xacro(text, file, arguments, paths.with_folder_of(file))
     return RobotDescription(text, path=file)
 
 
@@ -149,8 +149,8 @@ def read_description_stream(
     """Read a URDF, SDF or xacro from standard input.
 
     Raises:
-        DescriptionError: It is no text, or cannot be expanded.
-        ServiceError: It is too large.
+        DescriptionError: The input is not text, or cannot be expanded.
+        ServiceError: The input is too large.
     """
     data = stream.read(MAX_TEXT_BYTES + 1)
     if len(data) > MAX_TEXT_BYTES:
@@ -165,17 +165,17 @@ def _too_large_error(fault: str) -> ServiceError:
     return make_refusal(
         SpawnCode.RESOURCE_PARSE_ERROR,
         "xml.size",
-        f"{fault}; a description has at most {MAX_TEXT_BYTES}",
+        f"{fault}; the limit is {MAX_TEXT_BYTES}",
     )
 
 
 def decode_description(data: bytes, where: str) -> str:
-    """Read bytes as XML says how: UTF-16 with its mark, a Latin that is declared, or UTF-8.
+    """Decode XML: UTF-16 with a byte order mark, a declared Latin encoding, or UTF-8.
 
-    Bytes of another encoding do no harm in comments.
+    Invalid bytes in comments are ignored.
 
     Raises:
-        DescriptionError: They are none of these.
+        DescriptionError: A byte is invalid.
     """
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         encoding = "utf-16"
@@ -189,52 +189,50 @@ def decode_description(data: bytes, where: str) -> str:
         if encoding == "utf-8-sig" and "\ufffd" not in blank_comments(text):
             return text
         raise DescriptionError(
-            f"{where} cannot be decoded: byte {error.start} is no {error.encoding}; use UTF-8"
+            f"{where} cannot be decoded: byte {error.start} is not {error.encoding}; use UTF-8"
         ) from error
 
 
 def find_model_by_name(
     name: str, arguments: Mapping[str, str], paths: SearchPaths
 ) -> RobotDescription:
-    """Find a model by name: in a folder of the search paths, or shipped.
+    """Find a model by name: in a folder of the search paths, or built in.
 
     Raises:
-        FileNotFoundError: There is none.
+        FileNotFoundError: There is no such model.
     """
     for folder in paths.package_folders(name):
         if (file := find_model_file(folder)) is not None:
             return read_description_file(file, arguments, paths)
-    if NAME_PATTERN.fullmatch(name) and (found := _read_shipped_model(name)):
-        return found
-    raise FileNotFoundError(2, "no such model in GAZEBO_MODEL_PATH or shipped", name)
+    if NAME_PATTERN.fullmatch(name) and (model := _read_builtin_model(name)):
+        return model
+    raise FileNotFoundError(2, "no such model in GAZEBO_MODEL_PATH or built in", name)
 
 
-def _read_shipped_model(name: str) -> RobotDescription | None:
-    shipped = resources.files("zensim.sim_server") / "models" / f"{name}.urdf"
-    return (
-        RobotDescription(shipped.read_text(encoding="utf-8"), name) if shipped.is_file() else None
-    )
+def _read_builtin_model(name: str) -> RobotDescription | None:
+    file = resources.files("zensim.sim_server") / "models" / f"{name}.urdf"
+    return RobotDescription(file.read_text(encoding="utf-8"), name) if file.is_file() else None
 
 
 def receive_description(bus: Bus, key: str, timeout_s: float) -> RobotDescription:
-    """Wait for a description on a key: one that is kept there, or the next that is put.
+    """Receive a description from a topic: the latched message, or the next one.
 
     Raises:
-        ValueError: The key is none.
-        TimeoutError: None came.
-        DescriptionError: What came is no text.
+        ValueError: The key is not valid.
+        TimeoutError: No message arrived.
+        DescriptionError: The message is not a text.
     """
     bare = key.removeprefix("/")
     if not TOPIC_KEY.fullmatch(bare):
-        raise ValueError(f"-topic {key[:80]!r} is no key; use one such as r1/robot_description")
+        raise ValueError(f"-topic must be a key such as r1/robot_description, got {key[:80]!r}")
     subscription = bus.subscribe(bare)
     deadline = time.monotonic() + timeout_s
     try:
-        kept = bus.get(bare, min(timeout_s, GET_TIMEOUT_S))
-        sample = kept[0] if kept else subscription.newest()
+        latched = bus.get(bare, min(timeout_s, GET_TIMEOUT_S))
+        sample = latched[0] if latched else subscription.newest()
         while sample is None:
             if time.monotonic() >= deadline:
-                raise TimeoutError(f"no description came on {bare} within {timeout_s:g} s")
+                raise TimeoutError(f"no description on {bare} within {timeout_s:g} s")
             time.sleep(POLL_S)
             sample = subscription.newest()
     finally:
@@ -249,10 +247,12 @@ def _decode_message(sample: Sample) -> str:
     try:
         return decode(String, data, sample.encoding).data
     except MalformedPayload as error:
-        raise DescriptionError(f"what came on {sample.key} is no description: {error}") from error
+        raise DescriptionError(
+            f"the message on {sample.key} is not a description: {error}"
+        ) from error
 
 
 def to_model_uris(description: RobotDescription) -> RobotDescription:
-    """Write `model://` where meshes say `package://`."""
+    """Replace `package://` by `model://` in the file names of meshes."""
     text = PACKAGE_URI.sub(r"\1model://", description.text)
     return msgspec.structs.replace(description, text=text)

@@ -1,4 +1,4 @@
-"""XML of a description: parsed without DOCTYPE and with bounded depth, refused, and given a namespace."""
+"""XML of descriptions: parsing without DOCTYPE and with limited depth; namespaces of drives."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -10,17 +10,17 @@ from zensim.proto.names import check_namespace
 
 MAX_DEPTH = 64
 MAX_TEXT_BYTES = 2 << 20
-"""A request has `MAX_REQUEST_BYTES`, in JSON with escapes."""
+"""Below `MAX_REQUEST_BYTES`, as JSON adds escapes."""
 ROOT_TAGS = ("robot", "sdf")
 BLANKS = "\ufeff \t\r\n"
 
 
 class DescriptionError(ValueError):
-    """A text that is no robot description."""
+    """A text is not a robot description."""
 
 
 class ElementCounts(NamedTuple):
-    """How many links and joints a description has, before any are merged."""
+    """Numbers of links and joints of a description, before fixed joints are merged."""
 
     links: int
     joints: int
@@ -28,19 +28,19 @@ class ElementCounts(NamedTuple):
 
 class _NoDoctypeBuilder(ET.TreeBuilder):
     def doctype(self, name: str, *_: object) -> None:
-        """Refuse a DOCTYPE before its entities are read."""
+        """Refuse a DOCTYPE before its entities are parsed."""
         raise DescriptionError(f"the description has a DOCTYPE {name[:80]!r}; remove it")
 
 
 def make_refusal(code: SpawnCode, slug: str, fault: str) -> ServiceError:
-    """Make the refusal that the server would give, before anything is sent."""
+    """Make the error that the server would return."""
     return ServiceError("spawn_entity", code, code.name, f"{slug}: {fault}")
 
 
 def blank_comments(text: str) -> str:
-    """Blank comments out, all but their line ends, so that lines keep their numbers.
+    """Remove comments, but keep their line breaks, so that line numbers stay valid.
 
-    Gazebo takes comments with two hyphens inside, which XML parsers refuse.
+    Gazebo accepts comments that contain two hyphens, which XML parsers refuse.
     """
     pieces, at = [], 0
     while (start := text.find("<!--", at)) >= 0 and (end := text.find("-->", start + 4)) >= 0:
@@ -50,10 +50,10 @@ def blank_comments(text: str) -> str:
 
 
 def parse_description(text: str) -> ET.Element:
-    """Read a URDF or an SDF into elements.
+    """Parse a URDF or an SDF.
 
     Raises:
-        DescriptionError: It is no XML, has a DOCTYPE, is too deep, or begins otherwise.
+        DescriptionError: The text is not XML, has a DOCTYPE, is nested too deep, or is neither.
     """
     try:
         root = _parse_elements(text)
@@ -61,8 +61,7 @@ def parse_description(text: str) -> ET.Element:
         raise DescriptionError(f"the description is not well-formed XML: {error}") from error
     if root.tag not in ROOT_TAGS:
         raise DescriptionError(
-            f"the description begins with <{root.tag[:80]}>; a URDF begins with <robot>, "
-            "an SDF with <sdf>"
+            f"the root element is <{root.tag[:80]}>; use <robot> for URDF or <sdf> for SDF"
         )
     _check_depth(root)
     return root
@@ -76,13 +75,13 @@ def _parse_elements(text: str) -> ET.Element:
 
 
 def _parse_as_gazebo(text: str) -> ET.Element:
-    # Prefixes need not be declared: they are part of the name.
+    # Unlike ElementTree, this accepts undeclared namespace prefixes.
     parser, tree = expat.ParserCreate(), _NoDoctypeBuilder()
     parser.StartDoctypeDeclHandler = tree.doctype
     parser.StartElementHandler = tree.start
     parser.EndElementHandler = tree.end
     parser.CharacterDataHandler = tree.data
-    parser.Parse(text, True)  # noqa: FBT003 - expat knows it by place only
+    parser.Parse(text, True)  # noqa: FBT003 - positional-only in expat
     return tree.close()
 
 
@@ -96,45 +95,42 @@ def _check_depth(root: ET.Element) -> None:
 
 
 def count_elements(root: ET.Element) -> ElementCounts:
-    """Count the links and joints of a URDF or SDF; what it includes is left out."""
+    """Count the links and joints of a URDF or SDF, without included models."""
     owners = [root] if root.tag == "robot" else list(root.iter("model"))
     return ElementCounts(
         *(sum(len(owner.findall(tag)) for owner in owners) for tag in ("link", "joint"))
     )
 
 
-__all__ = ["DescriptionError", "add_namespace", "remove_namespace"]
-
 DRIVE_FILES = ("gazebo_ros_diff_drive", "gazebo_ros_skid_steer_drive")
 DRIVE_NAME = "differential_drive_controller"
 
 
 def add_namespace(urdf_text: str, namespace: str) -> str:
-    """Give every differential drive this namespace, and a tf topic inside it.
+    """Set the namespace of every differential drive, and remap its /tf into the namespace.
 
-    A drive is found by its plug-in's file or by the name `differential_drive_controller`. Its
-    <ros> block is made when missing; a namespace and a remapping of /tf that it has are replaced,
-    so that doing this twice is as doing it once. Without a drive the text is returned as it is.
+    A drive is a plug-in with a file name of `DRIVE_FILES` or the name `DRIVE_NAME`. A present
+    namespace and remapping of /tf are replaced. Without a drive the text is returned unchanged.
 
     Args:
-        urdf_text: The description, any xacro expanded.
+        urdf_text: Description with expanded xacro.
         namespace: With or without a leading slash.
 
     Raises:
-        DescriptionError: The text is no XML, has a DOCTYPE, or is neither URDF nor SDF.
-        InvalidName: The namespace is none.
+        DescriptionError: See `parse_description`.
+        InvalidName: The namespace is not valid.
     """
     bare = check_namespace(namespace)
     return _change_drives(urdf_text, lambda drive: _set_namespace(drive, f"/{bare}"))
 
 
 def remove_namespace(urdf_text: str) -> str:
-    """Take the namespace and the remapping of /tf that a drive may have away.
+    """Remove namespace and remapping of /tf from every drive.
 
-    What is left does for every robot of a fleet: each has the namespace that it is spawned with.
+    The result is valid for all robots of a fleet; each gets its namespace from its spawn order.
 
     Raises:
-        DescriptionError: The text is no XML, has a DOCTYPE, or is neither URDF nor SDF.
+        DescriptionError: See `parse_description`.
     """
     return _change_drives(urdf_text, _clear_namespace)
 

@@ -1,7 +1,7 @@
-"""Where the files that a description names are looked for, on the operator's host.
+"""Search paths of the files that a description names.
 
-A description may be untrusted: only files in a folder that the operator named, or in the package that
-holds the description, are found. Links are resolved before this check.
+A description may be untrusted: only files in a folder that the user gave, or in the package of the
+description, are found. Symbolic links are resolved before this check.
 """
 
 import os
@@ -18,7 +18,7 @@ PATH_VARIABLES = (
     ("GZ_SIM_RESOURCE_PATH", ""),
     ("AMENT_PREFIX_PATH", "share"),
 )
-"""Lists of folders, and which folder inside each holds packages."""
+"""Environment variables with lists of folders, and the subfolder that contains packages."""
 PACKAGE_FILES = ("package.xml", "manifest.xml", "model.config")
 PACKAGE_NAME = re.compile(r"<name>\s*([\w.-]+)\s*</name>")
 MODEL_FILE = re.compile(r"<sdf[^>]*>\s*([^<\s]+)\s*</sdf>")
@@ -28,80 +28,84 @@ MAX_PACKAGE_FILE = 65536
 
 
 class FileLocation(msgspec.Struct, frozen=True):
-    """Where a file is, or why it is nowhere."""
+    """Path of a file, or the reason why it was not found."""
 
     path: Path | None = None
     reason: str = ""
 
 
 class SearchPaths(msgspec.Struct, frozen=True):
-    """Folders to look in; all resolved."""
+    """Folders to search; resolved."""
 
     roots: tuple[Path, ...] = ()
-    """Named by the operator: options first, then the environment."""
+    """Given by the user: options first, then environment variables."""
     folder: Path | None = None
-    """Where the description lies."""
+    """Folder of the description."""
 
     @property
-    def own(self) -> tuple[Path, ...]:
-        """The description's folder and the packages around it."""
+    def own_folders(self) -> tuple[Path, ...]:
+        """The folder of the description and the packages that contain it."""
         if self.folder is None:
             return ()
         packages = (parent for parent in self.folder.parents if is_package(parent))
         return (self.folder, *packages)
 
-    def beside(self, file: Path) -> "SearchPaths":
-        """Look beside this description too."""
+    def with_folder_of(self, file: Path) -> "SearchPaths":
+        """Add the folder of a description."""
         return SearchPaths(self.roots, file.resolve().parent)
 
     def find(self, uri: str) -> FileLocation:
-        """Look for the file that a description means by this uri."""
+        """Find the file of a URI in a description."""
         scheme, separator, _ = uri.partition("://")
         if separator and f"{scheme}://" not in (*PACKAGE_SCHEMES, FILE_SCHEME):
             return FileLocation(
-                reason=f"{scheme[:20]}:// is not fetched; put the file on this host"
+                reason=f"scheme {scheme[:20]}:// is not supported; use a file on this host"
             )
         outside = None
         for candidate, allowed in self._candidates(uri):
             real = _resolve_file(candidate)
             if real is None:
                 continue
-            # A folder that is a link to elsewhere is a prefix of nothing real.
-            if any(real.is_relative_to(root) for root in (allowed, *self.own, *self.roots)):
+            # `allowed` may be a symbolic link, and is then no prefix of a resolved path.
+            if any(real.is_relative_to(root) for root in (allowed, *self.own_folders, *self.roots)):
                 return FileLocation(real)
             outside = outside or real
         if outside is not None:
-            hint = f"allow it by --package-path {outside.parent}"
+            hint = f"allow it with --package-path {outside.parent}"
             return FileLocation(reason=f"is outside the search paths; {hint}")
         return FileLocation(
-            reason="no such file in the search paths; name its folder by --package-path"
+            reason="no such file in the search paths; add its folder with --package-path"
         )
 
     def find_model(self, uri: str) -> Path | None:
-        """Look for the SDF of a model that another includes: `model://NAME`, or the file itself."""
+        """Find the file of an included model: `model://NAME`, or a path of an SDF file."""
         if uri.endswith(".sdf"):
             return self.find(uri).path
         scheme = next((known for known in PACKAGE_SCHEMES if uri.startswith(known)), "")
         for folder in self.package_folders(uri.removeprefix(scheme)) if scheme else ():
             file = find_model_file(folder)
-            if file and any(file.is_relative_to(r) for r in (folder, *self.own, *self.roots)):
+            if file and any(
+                file.is_relative_to(r) for r in (folder, *self.own_folders, *self.roots)
+            ):
                 return file
         return None
 
     def package_folders(self, name: str) -> Iterator[Path]:
-        """List the folders that may be the package or model of this name, best first."""
+        """List the folders that may be the package or model of a name, best first."""
         if name in ("", ".", "..") or "/" in name:
             return
         yield from (
-            folder for folder in self.own if name in (folder.name, read_package_name(folder))
+            folder
+            for folder in self.own_folders
+            if name in (folder.name, read_package_name(folder))
         )
         for root in self.roots:
             yield from _find_package_below(root, name)
-        beside = (home.parent / name for home in self.own if is_package(home))
-        yield from (folder for folder in beside if is_package(folder))
+        siblings = (own.parent / name for own in self.own_folders if is_package(own))
+        yield from (folder for folder in siblings if is_package(folder))
 
     def _candidates(self, uri: str) -> Iterator[tuple[Path, Path]]:
-        """List where the file may be, each with a folder that it must not leave."""
+        """List candidate paths, each with the folder that must contain it."""
         for text in dict.fromkeys((uri, unquote(uri))):
             scheme = next((known for known in PACKAGE_SCHEMES if text.startswith(known)), "")
             if scheme:
@@ -110,26 +114,28 @@ class SearchPaths(msgspec.Struct, frozen=True):
                     yield folder / inside, folder
             else:
                 plain = text.removeprefix(FILE_SCHEME)
-                yield from ((folder / plain, folder) for folder in (*self.own[:1], *self.roots))
+                yield from (
+                    (folder / plain, folder) for folder in (*self.own_folders[:1], *self.roots)
+                )
 
 
-def collect_search_paths(named: Sequence[Path], environment: Mapping[str, str]) -> SearchPaths:
-    """Collect the folders that the operator named, by options or by the environment."""
-    found = [*named]
+def collect_search_paths(folders: Sequence[Path], environment: Mapping[str, str]) -> SearchPaths:
+    """Collect the folders of options and environment variables."""
+    paths = [*folders]
     for variable, inside in PATH_VARIABLES:
         entries = environment.get(variable, "").split(os.pathsep)
-        found += [Path(entry) / inside for entry in entries if entry]
-    roots = dict.fromkeys(path.resolve() for path in found if path.is_dir())
+        paths += [Path(entry) / inside for entry in entries if entry]
+    roots = dict.fromkeys(path.resolve() for path in paths if path.is_dir())
     return SearchPaths(tuple(roots))
 
 
 def is_package(folder: Path) -> bool:
-    """Whether ROS or Gazebo would take this folder for a package or a model."""
+    """Whether a folder is a package of ROS or a model of Gazebo."""
     return any((folder / name).is_file() for name in PACKAGE_FILES)
 
 
 def read_package_name(folder: Path) -> str:
-    """Read the name that a folder's package.xml gives it; empty when there is none."""
+    """Read the package name in package.xml; empty if there is none."""
     try:
         with (folder / "package.xml").open(encoding="utf-8", errors="replace") as file:
             match = PACKAGE_NAME.search(file.read(MAX_PACKAGE_FILE))
@@ -139,7 +145,7 @@ def read_package_name(folder: Path) -> str:
 
 
 def find_model_file(folder: Path) -> Path | None:
-    """Find the newest file that a model's model.config names, or model.sdf; inside the folder."""
+    """Find the last file named in model.config, or model.sdf; only inside the folder."""
     config = folder / "model.config"
     names = MODEL_FILE.findall(config.read_text(errors="replace")) if config.is_file() else []
     for name in (*reversed(names), "model.sdf", "model.urdf"):
@@ -150,7 +156,7 @@ def find_model_file(folder: Path) -> Path | None:
 
 
 def _find_package_below(root: Path, name: str) -> Iterator[Path]:
-    """Find a package in a root, at most two folders down, as a workspace of repositories has it."""
+    """Find a package at most two folders below a root, as in a workspace of repositories."""
     if name in (root.name, read_package_name(root)):
         yield root
     level = [root]
@@ -170,5 +176,5 @@ def _resolve_file(path: Path) -> Path | None:
     try:
         real = path.resolve()
         return real if real.is_file() else None
-    except (OSError, ValueError):  # a name too long, or one that no file can have
+    except (OSError, ValueError):  # the name is too long or contains NUL
         return None

@@ -1,4 +1,4 @@
-"""Spawn one robot or a fleet with its files, and bonds that delete an entity when its process ends."""
+"""Spawn entities with their files, and delete them when the spawning process ends (bonds)."""
 
 import os
 import time
@@ -33,21 +33,21 @@ from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 from zensim.spawner.spawn.spawn_poses import RobotPlacement, make_pose
 
 TOKEN_TIMEOUT_S = 2.0
-"""How long a server may take to see the token of a bond."""
+"""Limit on the delay until the server sees the liveliness token of a bond."""
 BOND_POLL_S = 0.05
 CHECK_PERIOD_S = 1.0
 
 
 def make_bond_name() -> str:
-    """Make up a name that no other process has."""
+    """Generate a unique name."""
     return f"bond_{uuid.uuid4().hex[:16]}"
 
 
 def spawn_bonded(client: SimClient, order: SpawnEntityOrder) -> SpawnEntityReport:
-    """Spawn; ask again while the server has not seen the bond's token yet.
+    """Spawn an entity; retry while the server has not seen the token of the bond.
 
     Raises:
-        ServiceError: The server refuses.
+        ServiceError: The server refused the request.
     """
     deadline = time.monotonic() + TOKEN_TIMEOUT_S
     while True:
@@ -61,13 +61,13 @@ def spawn_bonded(client: SimClient, order: SpawnEntityOrder) -> SpawnEntityRepor
 
 
 def hold_bond(client: SimClient, entity: str, is_over: Callable[[], bool]) -> bool:
-    """Wait until it is over, then delete the entity; return whether it was still there."""
-    ask_at = time.monotonic() + CHECK_PERIOD_S
+    """Wait until `is_over`, then delete the entity; return False if it was deleted before."""
+    check_at = time.monotonic() + CHECK_PERIOD_S
     while not is_over():
         time.sleep(BOND_POLL_S)
-        if time.monotonic() < ask_at:
+        if time.monotonic() < check_at:
             continue
-        ask_at = time.monotonic() + CHECK_PERIOD_S
+        check_at = time.monotonic() + CHECK_PERIOD_S
         if not _entity_exists(client, entity):
             return False
     try:
@@ -80,15 +80,15 @@ def hold_bond(client: SimClient, entity: str, is_over: Callable[[], bool]) -> bo
 
 
 def wait_for_entity(client: SimClient, entity: str, timeout_s: float) -> None:
-    """Wait until an entity is in the world.
+    """Wait until an entity exists.
 
     Raises:
-        TimeoutError: It did not come.
+        TimeoutError: It does not exist in time.
     """
     deadline = time.monotonic() + timeout_s
     while entity not in client.entities():
         if time.monotonic() >= deadline:
-            raise TimeoutError(f"entity '{entity}' did not come within {timeout_s:g} s")
+            raise TimeoutError(f"entity '{entity}' does not exist after {timeout_s:g} s")
         time.sleep(BOND_POLL_S)
 
 
@@ -98,7 +98,7 @@ def _entity_exists(client: SimClient, entity: str) -> bool:
     except ServiceError as error:
         return error.code != ResultCode.NOT_FOUND
     except (NoServer, TimeoutError):
-        # A server that is away for a moment has not lost the entity.
+        # The entity survives a short absence of the server.
         return True
     return True
 
@@ -107,11 +107,11 @@ OnBytes = Callable[[int, int], None]
 
 
 def ignore_progress(_count: int, _total: int) -> None:
-    """Show no progress."""
+    """Do nothing."""
 
 
 class SpawnOutcome(msgspec.Struct, frozen=True):
-    """What became of one robot of a fleet."""
+    """Result of one robot of a fleet."""
 
     name: str
     code: int
@@ -119,28 +119,28 @@ class SpawnOutcome(msgspec.Struct, frozen=True):
 
 
 class SpawnPayload(msgspec.Struct, frozen=True):
-    """A description ready to go: its text, or a name that the server knows, and its files."""
+    """A description to send: its text, or the name of a built-in model, and its files."""
 
     model: str
     text: str = ""
     bundle: AssetBundle = AssetBundle()
     is_readable: bool = True
-    """Otherwise the server says what is wrong with the text."""
+    """False = not parsed here; the server reports the error."""
 
 
 def make_payload(
     description: RobotDescription, paths: SearchPaths, *, allow_missing: bool
 ) -> SpawnPayload:
-    """Gather the files that a description names.
+    """Collect the files that a description names.
 
     Raises:
-        ServiceError: Files are too many, too large, or missing for a collision.
+        ServiceError: There are too many files, a file is too large, or a collision mesh is missing.
     """
     if not description.text:
         return SpawnPayload(description.uri)
-    near = paths if description.path is None else paths.beside(description.path)
+    paths = paths if description.path is None else paths.with_folder_of(description.path)
     try:
-        bundle = make_bundle(description.text, near)
+        bundle = make_bundle(description.text, paths)
     except DescriptionError:
         return SpawnPayload(description.uri, description.text, is_readable=False)
     if not allow_missing:
@@ -148,55 +148,46 @@ def make_payload(
     return SpawnPayload(description.uri, description.text, bundle)
 
 
-def read_description(model: str) -> str:
-    """Read a URDF: a file by its path, or a shipped model by its name; empty when it is neither.
-
-    Raises:
-        FileNotFoundError: It looks like a path, but there is no such file.
-    """
-    return read_model_argument(model, {}, SearchPaths()).text
-
-
 def read_payload(model: str) -> SpawnPayload:
-    """Read what a path or name says, with the files that it names.
+    """Read a description by path or name, and collect its files.
 
     Raises:
-        FileNotFoundError: It looks like a path, but there is no such file.
-        ServiceError: Files are too many, too large, or missing for a collision.
+        FileNotFoundError: There is no such file.
+        ServiceError: See `make_payload`.
     """
     paths = collect_search_paths((), os.environ)
     return make_payload(read_model_argument(model, {}, paths), paths, allow_missing=False)
 
 
 def send_files(client: SimClient, bundle: AssetBundle, on_bytes: OnBytes = ignore_progress) -> int:
-    """Send what the server lacks of a bundle, and return how many files that were.
+    """Upload the files that the server lacks, and return their number.
 
     Args:
-        client: Of the server.
-        bundle: What the description names.
-        on_bytes: Called with how many bytes went, and how many were to go in all.
+        client: Client of the server.
+        bundle: Files of the description.
+        on_bytes: Called after each chunk with its size and the total size [bytes].
     """
-    lacking = find_pending_files(client, bundle.files)
-    total = sum(one.file.size - one.received for one in lacking)
-    for one in lacking:
+    pending = find_pending_files(client, bundle.files)
+    total = sum(one.file.size - one.received for one in pending)
+    for one in pending:
         send_file(client, one, lambda count: on_bytes(count, total))
-    return len(lacking)
+    return len(pending)
 
 
-def add_payload(cargo: SpawnPayload, order: SpawnEntityOrder, namespace: str) -> SpawnEntityOrder:
-    """Put a description and its files into an order, its drive in the namespace."""
-    text = cargo.text if cargo.is_readable else ""
-    resource = make_resource(cargo.model, text, namespace)
-    if not cargo.is_readable:
-        resource = Resource(resource_string=cargo.text)
-    return msgspec.structs.replace(order, entity_resource=resource, assets=cargo.bundle.refs)
+def add_payload(payload: SpawnPayload, order: SpawnEntityOrder, namespace: str) -> SpawnEntityOrder:
+    """Add a description and its files to an order; the drive gets the namespace."""
+    text = payload.text if payload.is_readable else ""
+    resource = make_resource(payload.model, text, namespace)
+    if not payload.is_readable:
+        resource = Resource(resource_string=payload.text)
+    return msgspec.structs.replace(order, entity_resource=resource, assets=payload.bundle.refs)
 
 
 def make_resource(model: str, description: str, namespace: str) -> Resource:
-    """Say what to spawn: the namespaced text, or the bare name for the server to judge.
+    """Make a resource from the text with a namespace, or from the name if there is no text.
 
     Raises:
-        DescriptionError: The text is no robot description.
+        DescriptionError: The text is not a robot description.
     """
     if not description:
         return Resource(uri=model)
@@ -205,29 +196,29 @@ def make_resource(model: str, description: str, namespace: str) -> Resource:
     )
 
 
-def make_shared_resource(cargo: SpawnPayload) -> Resource:
-    """Say what all of a fleet are, in no namespace."""
-    if not cargo.text:
-        return Resource(uri=cargo.model)
-    text = remove_namespace(cargo.text) if cargo.is_readable else cargo.text
+def make_shared_resource(payload: SpawnPayload) -> Resource:
+    """Make the resource that all robots of a fleet share, without a namespace."""
+    if not payload.text:
+        return Resource(uri=payload.model)
+    text = remove_namespace(payload.text) if payload.is_readable else payload.text
     return Resource(resource_string=text)
 
 
 def spawn_fleet(
     client: SimClient,
     model: str,
-    places: Sequence[RobotPlacement],
+    placements: Sequence[RobotPlacement],
     on_done: Callable[[SpawnOutcome], None],
 ) -> list[SpawnOutcome]:
-    """Spawn a fleet of one model between two steps, all of it or none.
+    """Spawn all robots of a fleet in one step, or none.
 
     Raises:
-        NoServer: The server is gone.
-        TimeoutError: It does not answer.
+        NoServer: There is no server.
+        TimeoutError: The server does not reply.
     """
-    cargo = read_payload(model)
-    send_files(client, cargo.bundle)
-    outcomes = spawn_many(client, cargo, places, SpawnEntityOrder())
+    payload = read_payload(model)
+    send_files(client, payload.bundle)
+    outcomes = spawn_many(client, payload, placements, SpawnEntityOrder())
     for outcome in outcomes:
         on_done(outcome)
     return outcomes
@@ -235,48 +226,46 @@ def spawn_fleet(
 
 def spawn_many(
     client: SimClient,
-    cargo: SpawnPayload,
-    places: Sequence[RobotPlacement],
-    wishes: SpawnEntityOrder,
+    payload: SpawnPayload,
+    placements: Sequence[RobotPlacement],
+    order: SpawnEntityOrder,
     *,
     is_atomic: bool = True,
 ) -> list[SpawnOutcome]:
-    """Spawn robots on the ground, each under its own namespace, by one request.
+    """Spawn robots on the ground, each in its own namespace, by one request.
 
     Args:
-        client: Of the server, which has the files.
-        cargo: What they all are; it is sent once.
-        places: Where they stand.
-        wishes: What is wished besides name, place and model.
-        is_atomic: All between two steps or none; else one after another, whichever can be.
+        client: Client of a server that has the files.
+        payload: Model of all robots; sent once.
+        placements: Names and poses.
+        order: All other properties of the robots.
+        is_atomic: Spawn all in one step or none; else as many as possible, one after another.
 
     Raises:
-        NoServer: The server is gone.
-        TimeoutError: It does not answer.
-        ServiceError: It refuses the request as a whole.
+        NoServer: There is no server.
+        TimeoutError: The server does not reply.
+        ServiceError: The server refused the whole request.
     """
     common = msgspec.structs.replace(
-        wishes,
+        order,
         snap_to_ground=True,
-        entity_resource=make_shared_resource(cargo),
-        assets=cargo.bundle.refs,
+        entity_resource=make_shared_resource(payload),
+        assets=payload.bundle.refs,
     )
-    answer = client.spawn_all(
-        SpawnEntitiesOrder(tuple(_make_order(place) for place in places), is_atomic, common)
+    response = client.spawn_all(
+        SpawnEntitiesOrder(tuple(map(_make_order, placements)), is_atomic, common)
     )
-    return [
-        _make_outcome(place, result) for place, result in zip(places, answer.results, strict=True)
-    ]
+    return list(map(_make_outcome, placements, response.results))
 
 
-def _make_order(place: RobotPlacement) -> SpawnEntity:
-    pose = make_pose((place.x, place.y, 0.0), (0.0, 0.0, place.yaw))
-    return SpawnEntity(place.name, entity_namespace=place.name, initial_pose=PoseStamped(pose=pose))
+def _make_order(robot: RobotPlacement) -> SpawnEntity:
+    pose = make_pose((robot.x, robot.y, 0.0), (0.0, 0.0, robot.yaw))
+    return SpawnEntity(robot.name, entity_namespace=robot.name, initial_pose=PoseStamped(pose=pose))
 
 
-def _make_outcome(place: RobotPlacement, spawned: SpawnResult) -> SpawnOutcome:
-    code = spawned.result.result
+def _make_outcome(robot: RobotPlacement, result: SpawnResult) -> SpawnOutcome:
+    code = result.result.result
     if code == ResultCode.OK:
-        return SpawnOutcome(spawned.entity_name, code)
+        return SpawnOutcome(result.entity_name, code)
     name = service_catalog.SPAWN_ENTITY.code_name(code)
-    return SpawnOutcome(place.name, code, f"{name} ({code}): {spawned.result.error_message}")
+    return SpawnOutcome(robot.name, code, f"{name} ({code}): {result.result.error_message}")

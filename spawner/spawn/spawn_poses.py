@@ -28,13 +28,13 @@ class RobotPlacement(msgspec.Struct, frozen=True):
 def make_fleet_layout(
     prefix: str, count: int, layout: FleetLayout, spacing_m: float
 ) -> list[RobotPlacement]:
-    """List `count` robots named `prefix0`, `prefix1` and so on.
+    """Arrange `count` robots named `prefix0`, `prefix1` and so on.
 
     Args:
-        prefix: Beginning of each name.
+        prefix: Start of each name.
         count: > 0.
-        layout: row along x; grid, rows of about sqrt(count); circle, facing outward.
-        spacing_m: Between neighbours; > 0.
+        layout: row = along x; grid = rows of about sqrt(count); circle = facing outward.
+        spacing_m: Distance between neighbours; > 0.
 
     Raises:
         ValueError: A number is out of range.
@@ -43,8 +43,8 @@ def make_fleet_layout(
         raise ValueError(
             f"a fleet needs a count >= 1 and a spacing > 0 m, got {count} and {spacing_m:g}"
         )
-    spots = {"row": _row, "grid": _grid, "circle": _circle}[layout](count, spacing_m)
-    return [RobotPlacement(f"{prefix}{i}", *spot) for i, spot in enumerate(spots)]
+    poses = {"row": _row, "grid": _grid, "circle": _circle}[layout](count, spacing_m)
+    return [RobotPlacement(f"{prefix}{i}", *pose) for i, pose in enumerate(poses)]
 
 
 def _row(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
@@ -60,7 +60,7 @@ def _grid(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
 
 
 def _circle(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]]:
-    # The chord between neighbours is the spacing; one robot stands in the middle.
+    # The chord between neighbours is the spacing; a single robot is at the centre.
     radius_m = 0.0 if count == 1 else spacing_m / (2.0 * math.sin(math.pi / count))
     for i in range(count):
         angle = 2.0 * math.pi * i / count
@@ -68,10 +68,10 @@ def _circle(count: int, spacing_m: float) -> Iterator[tuple[float, float, float]
 
 
 def derive_prefix(model: str) -> str:
-    """Find what robots of a model are called: its name, or its file's without the ending.
+    """Derive a name prefix from a model: its name, or its file name without suffix.
 
     Raises:
-        InvalidName: That is no name.
+        InvalidName: The result is not a valid name.
     """
     return check_name(model.rsplit("/", 1)[-1].split(".", 1)[0], "prefix")
 

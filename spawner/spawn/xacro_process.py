@@ -1,6 +1,6 @@
-"""Expands xacro in a process of its own, with limits on CPU time and memory; run with `python -m`.
+"""Process that expands xacro with limited CPU time and memory; run with `python -m`.
 
-The request arrives on stdin, the result leaves on stdout.
+It reads a request from stdin and writes the result to stdout.
 """
 
 import os
@@ -21,12 +21,12 @@ from zensim.spawner.spawn.search_paths import SearchPaths, is_package, read_pack
 XACRO_PACKAGES = ("xacrodoc", "xacro", "rospkg")
 CPU_LIMIT_S = 6
 MEMORY_LIMIT_BYTES = 1 << 29
-"""Address space on top of what the imports took."""
+"""Address space on top of the present use."""
 LIMITS = ResourceLimits(extra_memory_bytes=MEMORY_LIMIT_BYTES, total_cpu_s=CPU_LIMIT_S)
 
 
 class XacroRequest(msgspec.Struct, frozen=True):
-    """What to expand."""
+    """A text to expand."""
 
     text: str
     path: Path
@@ -35,52 +35,54 @@ class XacroRequest(msgspec.Struct, frozen=True):
 
 
 class XacroResult(msgspec.Struct, frozen=True):
-    """URDF, or why there is none: a whole sentence, or a reason."""
+    """The expanded text, or an error."""
 
     text: str = ""
-    sentence: str = ""
+    missing: str = ""
+    """Error if a package of xacro is not installed."""
     reason: str = ""
+    """Error of the expansion."""
 
 
-def encode_request(wish: XacroRequest) -> bytes:
-    """Write a wish; paths as text."""
-    return msgspec.msgpack.encode(wish, enc_hook=str)
+def encode_request(request: XacroRequest) -> bytes:
+    """Encode a request; paths as text."""
+    return msgspec.msgpack.encode(request, enc_hook=str)
 
 
 def decode_request(data: bytes) -> XacroRequest:
-    """Read what `write_wish` wrote."""
+    """Decode the output of `encode_request`."""
     return msgspec.msgpack.decode(data, type=XacroRequest, dec_hook=lambda kind, value: kind(value))
 
 
 def main() -> None:
-    """Expand one text."""
+    """Expand the text of one request."""
     die_with_parent()
-    wish = decode_request(sys.stdin.buffer.read())
-    # What macros print is no reply.
-    answers = os.fdopen(reserve_stdout(), "wb")
+    request = decode_request(sys.stdin.buffer.read())
+    # Output of macros must not mix with the reply.
+    output = os.fdopen(reserve_stdout(), "wb")
     try:
-        xacro, packages = _import_xacro(wish.path)
+        xacro, packages = _import_xacro(request.path)
     except LookupError as error:
-        _reply(answers, XacroResult(sentence=str(error.args[0])))
+        _reply(output, XacroResult(missing=str(error.args[0])))
         return
     set_resource_limits(LIMITS)
-    _reply(answers, _expand(wish, xacro, packages))
+    _reply(output, _expand(request, xacro, packages))
 
 
-def _reply(answers: BinaryIO, found: XacroResult) -> None:
-    answers.write(msgspec.msgpack.encode(found))
-    answers.close()
+def _reply(output: BinaryIO, result: XacroResult) -> None:
+    output.write(msgspec.msgpack.encode(result))
+    output.close()
 
 
-def _expand(wish: XacroRequest, xacro: ModuleType, packages: ModuleType) -> XacroResult:
+def _expand(request: XacroRequest, xacro: ModuleType, packages: ModuleType) -> XacroResult:
     packages.reset()
-    packages.look_in([str(root) for root in wish.paths.roots])
-    packages.walk_up_from(wish.path)
-    packages.update_package_cache(_find_packages(wish.paths))
+    packages.look_in([str(root) for root in request.paths.roots])
+    packages.walk_up_from(request.path)
+    packages.update_package_cache(_find_packages(request.paths))
     try:
-        xacro.init_stacks(str(wish.path))
-        document = xacro.parse(wish.text, str(wish.path))
-        xacro.process_doc(document, mappings=wish.arguments)
+        xacro.init_stacks(str(request.path))
+        document = xacro.parse(request.text, str(request.path))
+        xacro.process_doc(document, mappings=request.arguments)
         text: str = document.documentElement.toxml()
     except (
         MemoryError,
@@ -93,7 +95,7 @@ def _expand(wish: XacroRequest, xacro: ModuleType, packages: ModuleType) -> Xacr
     ) as error:
         return XacroResult(reason=_describe_error(error))
     if len(text) > MAX_TEXT_BYTES:
-        return XacroResult(reason=f"it becomes longer than {MAX_TEXT_BYTES} bytes")
+        return XacroResult(reason=f"the result has more than {MAX_TEXT_BYTES} bytes")
     return XacroResult(text)
 
 
@@ -108,7 +110,7 @@ def _describe_error(error: BaseException) -> str:
 
 def _import_xacro(path: Path) -> tuple[ModuleType, ModuleType]:
     try:
-        # xacrodoc comes first: it teaches xacro to find packages without ROS.
+        # xacrodoc comes first: it patches xacro to find packages without ROS.
         packages = import_module("xacrodoc.packages")
         return import_module("xacro"), packages
     except ModuleNotFoundError as error:
@@ -116,21 +118,21 @@ def _import_xacro(path: Path) -> tuple[ModuleType, ModuleType]:
             raise
         raise LookupError(
             f"{path} is xacro, and {error.name} is not installed; use pip install 'zensim[xacro]', "
-            "or expand it by hand"
+            "or expand the file first"
         ) from error
 
 
 def _find_packages(paths: SearchPaths) -> dict[str, str]:
-    """Name the folders that are packages to us: those of the search paths, and neighbours."""
-    known: dict[str, str] = {}
-    for own in paths.own:
+    """Map package names to folders: of the search paths, and siblings of the own package."""
+    packages: dict[str, str] = {}
+    for own in paths.own_folders:
         if is_package(own):
-            neighbours = (folder for folder in own.parent.iterdir() if is_package(folder))
-            known.update({_label_package(folder): str(folder) for folder in neighbours})
+            siblings = (folder for folder in own.parent.iterdir() if is_package(folder))
+            packages.update({_label_package(folder): str(folder) for folder in siblings})
     for root in reversed(paths.roots):
-        known.update({folder.name: str(folder) for folder in root.iterdir() if folder.is_dir()})
-        known[_label_package(root)] = str(root)
-    return known
+        packages.update({folder.name: str(folder) for folder in root.iterdir() if folder.is_dir()})
+        packages[_label_package(root)] = str(root)
+    return packages
 
 
 def _label_package(folder: Path) -> str:

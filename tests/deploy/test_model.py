@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from tests.spawner.packages import a_package, robot_of
+from tests.spawner.packages import make_package, robot_of
 from zensim.deploy.cli.model_commands import app
 from zensim.proto.exit_codes import ExitCode
 
@@ -19,7 +19,7 @@ XACRO = (
 
 
 def make_file(folder: Path, text: str, name: str = "r.urdf") -> str:
-    file = a_package(folder) / "urdf" / name
+    file = make_package(folder) / "urdf" / name
     file.write_text(text, encoding="utf-8")
     return str(file)
 

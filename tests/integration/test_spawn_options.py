@@ -21,7 +21,7 @@ from tests.integration.processes import (
     zensim,
 )
 from tests.spawner.cli.commands import run_at
-from tests.spawner.packages import a_package, robot_of
+from tests.spawner.packages import make_package, robot_of
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.exit_codes import ExitCode
@@ -217,23 +217,23 @@ def test_unpause_plays_the_world(server: Server) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "value"),
     [
-        (("box_bot", "-J", "a", "1"), "initial joint positions are not supported"),
-        (("box_bot", "-database", "box_bot"), "MODEL and -database exclude one another"),
-        (("-file", "nowhere.urdf"), "nowhere.urdf: No such file"),
-        (("-database", "nothing"), "no such model"),
-        (("-topic", "a b"), "is no key"),
-        (("box_bot", "--compat", "ignition"), "use fixed or gazebo11"),
-        (("box_bot", "-timeout", "-1"), "out of range"),
-        (("box_bot", "--package-path", "/nowhere"), "/nowhere: --package-path is no folder"),
+        (("box_bot", "-J", "a", "1"), "-J"),
+        (("box_bot", "-database", "box_bot"), "MODEL and -database"),
+        (("-file", "nowhere.urdf"), "nowhere.urdf"),
+        (("-database", "nothing"), "nothing"),
+        (("-topic", "a b"), "'a b'"),
+        (("box_bot", "--compat", "ignition"), "'ignition'"),
+        (("box_bot", "-timeout", "-1"), "-1"),
+        (("box_bot", "--package-path", "/nowhere"), "/nowhere"),
     ],
     ids=str,
 )
 def test_option_that_cannot_be_is_refused_in_one_line(
-    server: Server, arguments: tuple[str, ...], message: str
+    server: Server, arguments: tuple[str, ...], value: str
 ) -> None:
-    assert message in refused(server, *arguments)
+    assert value in refused(server, *arguments)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
@@ -258,7 +258,7 @@ def test_bond_ends_when_the_entity_has_gone(server: Server) -> None:
 
 
 def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
-    file = a_package(tmp_path) / "urdf" / "r.urdf"
+    file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of(BASE, DRAWN, name="first"))
 
     spawned(server, str(file), "--name", "m1")
@@ -271,7 +271,7 @@ def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
 
 
 def test_second_spawn_sends_nothing(server: Server, tmp_path: Path) -> None:
-    file = a_package(tmp_path) / "urdf" / "r.urdf"
+    file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of(BASE, DRAWN))
     digests = tuple(ref.sha256 for ref in read_payload(str(file)).bundle.refs)
 
@@ -282,7 +282,7 @@ def test_second_spawn_sends_nothing(server: Server, tmp_path: Path) -> None:
 
 
 def test_sdf_is_spawned_with_the_models_that_it_includes(server: Server, tmp_path: Path) -> None:
-    crate = a_package(tmp_path, "crate")
+    crate = make_package(tmp_path, "crate")
     (crate / "model.sdf").write_text(
         "<sdf version='1.6'><model name='crate'><link name='box'><inertial><mass>3</mass>"
         "</inertial><collision name='c'><geometry><mesh><uri>model://crate/meshes/base.stl</uri>"
@@ -301,7 +301,7 @@ def test_sdf_is_spawned_with_the_models_that_it_includes(server: Server, tmp_pat
 
 
 def test_missing_visual_is_one_warning(server: Server, tmp_path: Path) -> None:
-    file = a_package(tmp_path) / "urdf" / "r.urdf"
+    file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of(BASE, "package://my_robot/meshes/gone.stl"))
 
     report = json.loads(spawned(server, str(file), "--json"))["report"]
@@ -310,7 +310,7 @@ def test_missing_visual_is_one_warning(server: Server, tmp_path: Path) -> None:
 
 
 def test_missing_collision_is_refused_unless_it_may_be(server: Server, tmp_path: Path) -> None:
-    file = a_package(tmp_path) / "urdf" / "r.urdf"
+    file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of("package://my_robot/meshes/gone.stl", DRAWN))
 
     assert "MISSING_ASSETS (107): mesh.missing: " in refused(server, str(file))
@@ -321,7 +321,7 @@ def test_missing_collision_is_refused_unless_it_may_be(server: Server, tmp_path:
 def test_package_to_model_finds_meshes_all_the_same(server: Server, tmp_path: Path) -> None:
     file = tmp_path / "r.urdf"
     file.write_text(robot_of(BASE))
-    a_package(tmp_path / "models")
+    make_package(tmp_path / "models")
 
     spawned(server, str(file), "-package_to_model", "--package-path", str(tmp_path / "models"))
 
@@ -340,8 +340,8 @@ def test_xacro_that_cannot_be_expanded_is_refused_in_one_line(
 ) -> None:
     (tmp_path / "r.xacro").write_text(XACRO)
 
-    assert "cannot be expanded" in refused(server, str(tmp_path / "r.xacro"))
-    assert "use key:=value" in refused(server, str(tmp_path / "r.xacro"), "--xacro-arg", "a=1")
+    assert "r.xacro" in refused(server, str(tmp_path / "r.xacro"))
+    assert "'a=1'" in refused(server, str(tmp_path / "r.xacro"), "--xacro-arg", "a=1")
 
 
 def test_xacro_names_the_extra_when_it_is_not_installed(tmp_path: Path) -> None:

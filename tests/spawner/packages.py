@@ -28,7 +28,7 @@ def robot_of(collision: str, visual: str = "", name: str = "meshed") -> str:
     )
 
 
-def a_package(folder: Path, name: str = "my_robot") -> Path:
+def make_package(folder: Path, name: str = "my_robot") -> Path:
     """Make a package with urdf/ and meshes/base.stl, meshes/drawn.stl."""
     package = folder / name
     (package / "urdf").mkdir(parents=True)

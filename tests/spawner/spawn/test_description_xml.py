@@ -1,4 +1,4 @@
-"""A robot's drive gets its namespace, once, however often it is asked for."""
+"""Parsing of descriptions, and namespaces of drives."""
 
 import xml.etree.ElementTree as ET
 
@@ -27,7 +27,7 @@ from zensim.spawner.spawn.description_xml import (
         "<robot><link/><a:b c:d='1'/></robot>",
     ],
 )
-def test_description_is_read_as_gazebo_reads_it(text: str) -> None:
+def test_description_is_parsed_like_gazebo(text: str) -> None:
     assert parse_description(text)[0].tag == "link"
 
 
@@ -46,12 +46,12 @@ def test_description_is_read_as_gazebo_reads_it(text: str) -> None:
         "<robot>\ud800</robot>",
     ],
 )
-def test_text_that_is_no_description_is_refused(text: str) -> None:
+def test_invalid_text_is_refused(text: str) -> None:
     with pytest.raises(DescriptionError):
         parse_description(text)
 
 
-def test_lines_keep_their_numbers_when_comments_are_blanked() -> None:
+def test_blanked_comments_keep_line_numbers() -> None:
     assert blank_comments("a<!-- b\n -- \n-->c\n<!---->") == "a\n\nc\n"
 
 
@@ -65,7 +65,7 @@ def test_lines_keep_their_numbers_when_comments_are_blanked() -> None:
         ),
     ],
 )
-def test_links_and_joints_are_counted_as_written(text: str, written: ElementCounts) -> None:
+def test_links_and_joints_are_counted(text: str, written: ElementCounts) -> None:
     assert count_elements(parse_description(text)) == written
 
 
@@ -74,15 +74,15 @@ NAMES = st.from_regex(r"/?[a-z][a-z0-9_]{0,5}(/[a-z]{1,3})?", fullmatch=True).fi
 )
 
 
-def a_drive(ros: str = "<ros/>", filename: str = "libgazebo_ros_diff_drive.so") -> str:
+def make_drive(ros: str = "<ros/>", filename: str = "libgazebo_ros_diff_drive.so") -> str:
     return f'<gazebo><plugin name="d" filename="{filename}">{ros}<x/></plugin></gazebo>'
 
 
-def a_robot(*parts: str) -> str:
+def make_robot(*parts: str) -> str:
     return f'<robot name="r"><link name="a"/>{"".join(parts)}</robot>'
 
 
-def ros_of(text: str) -> list[tuple[str, str]]:
+def find_ros_entries(text: str) -> list[tuple[str, str]]:
     return [
         (child.tag, child.text or "") for ros in ET.fromstring(text).iter("ros") for child in ros
     ]
@@ -102,8 +102,8 @@ TEN = [("namespace", "/r10"), ("remapping", "/tf:=/r10/tf")]
     ],
 )
 @pytest.mark.parametrize("namespace", ["r10", "/r10"])
-def test_drive_has_one_namespace_and_one_tf(ros: str, namespace: str) -> None:
-    assert ros_of(add_namespace(a_robot(a_drive(ros)), namespace)) == TEN
+def test_drive_has_one_namespace_and_one_tf_remapping(ros: str, namespace: str) -> None:
+    assert find_ros_entries(add_namespace(make_robot(make_drive(ros)), namespace)) == TEN
 
 
 @pytest.mark.parametrize(
@@ -114,22 +114,22 @@ def test_drive_has_one_namespace_and_one_tf(ros: str, namespace: str) -> None:
         "<ros><namespace>/old</namespace><remapping>/tf:=/old/tf</remapping></ros>",
     ],
 )
-def test_a_drive_of_many_robots_has_no_namespace(ros: str) -> None:
-    assert ros_of(remove_namespace(a_robot(a_drive(ros)))) == []
+def test_removal_leaves_no_namespace(ros: str) -> None:
+    assert find_ros_entries(remove_namespace(make_robot(make_drive(ros)))) == []
 
 
-def test_other_entries_of_the_ros_block_stay_when_the_namespace_goes() -> None:
+def test_removal_keeps_other_entries_of_the_ros_block() -> None:
     ros = "<ros><namespace>/old</namespace><remapping>cmd_vel:=drive</remapping></ros>"
 
-    found = ros_of(remove_namespace(a_robot(a_drive(ros))))
+    found = find_ros_entries(remove_namespace(make_robot(make_drive(ros))))
 
     assert found == [("remapping", "cmd_vel:=drive")]
 
 
-def test_other_entries_of_the_ros_block_stay() -> None:
+def test_addition_keeps_other_entries_of_the_ros_block() -> None:
     ros = "<ros><remapping>cmd_vel:=drive</remapping><argument>a</argument></ros>"
 
-    assert ros_of(add_namespace(a_robot(a_drive(ros)), "r10")) == [
+    assert find_ros_entries(add_namespace(make_robot(make_drive(ros)), "r10")) == [
         ("remapping", "cmd_vel:=drive"),
         ("argument", "a"),
         *TEN,
@@ -139,27 +139,29 @@ def test_other_entries_of_the_ros_block_stay() -> None:
 @pytest.mark.parametrize(
     "plugin",
     [
-        a_drive(filename="libgazebo_ros_skid_steer_drive.so"),
+        make_drive(filename="libgazebo_ros_skid_steer_drive.so"),
         '<gazebo><plugin name="differential_drive_controller" filename="libmine.so"/></gazebo>',
     ],
 )
-def test_drive_is_found_by_its_file_or_its_name(plugin: str) -> None:
-    assert ros_of(add_namespace(a_robot(plugin), "r10")) == TEN
+def test_drive_is_found_by_file_or_name(plugin: str) -> None:
+    assert find_ros_entries(add_namespace(make_robot(plugin), "r10")) == TEN
 
 
-def test_every_drive_is_namespaced_when_there_are_two() -> None:
-    assert ros_of(add_namespace(a_robot(a_drive(), a_drive("")), "r10")) == TEN * 2
+def test_all_drives_get_the_namespace() -> None:
+    assert (
+        find_ros_entries(add_namespace(make_robot(make_drive(), make_drive("")), "r10")) == TEN * 2
+    )
 
 
-def test_text_is_returned_as_it_is_when_there_is_no_drive() -> None:
-    text = a_robot('<gazebo><plugin name="imu" filename="libimu.so"><ros/></plugin></gazebo>')
+def test_text_without_drive_is_unchanged() -> None:
+    text = make_robot('<gazebo><plugin name="imu" filename="libimu.so"><ros/></plugin></gazebo>')
 
     assert add_namespace(text, "r10") is text
 
 
 @given(NAMES, NAMES)
 def test_second_namespace_replaces_the_first(first: str, second: str) -> None:
-    text = a_robot(a_drive())
+    text = make_robot(make_drive())
 
     assert add_namespace(add_namespace(text, first), second) == add_namespace(text, second)
 
@@ -177,7 +179,7 @@ def test_second_namespace_replaces_the_first(first: str, second: str) -> None:
         (f"<robot>{'<a>' * 70}{'</a>' * 70}</robot>", "64"),
     ],
 )
-def test_error_is_one_line_when_the_text_is_not_a_robot(text: str, value: str) -> None:
+def test_invalid_text_is_refused_in_one_line(text: str, value: str) -> None:
     with pytest.raises(DescriptionError, match=value) as caught:
         add_namespace(text, "r10")
 
@@ -185,11 +187,11 @@ def test_error_is_one_line_when_the_text_is_not_a_robot(text: str, value: str) -
 
 
 @pytest.mark.parametrize("namespace", ["", "/", "1r", "a b", "sim/r", "<ros>"])
-def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
+def test_invalid_namespace_is_refused(namespace: str) -> None:
     with pytest.raises(InvalidName):
-        add_namespace(a_robot(a_drive()), namespace)
+        add_namespace(make_robot(make_drive()), namespace)
 
 
 @pytest.mark.parametrize("head", ['<?xml version="1.0" encoding="utf-8"?>', "\ufeff", "\n"])
-def test_text_is_read_when_it_has_a_harmless_head(head: str) -> None:
-    assert ros_of(add_namespace(head + a_robot(a_drive()), "r10")) == TEN
+def test_text_may_start_with_blanks_and_declarations(head: str) -> None:
+    assert find_ros_entries(add_namespace(head + make_robot(make_drive()), "r10")) == TEN

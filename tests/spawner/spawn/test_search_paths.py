@@ -1,15 +1,15 @@
-"""Search paths: what a description's uri finds, and what it must not find."""
+"""Files that URIs of a description find, and files that they must not find."""
 
 from pathlib import Path
 
 import pytest
 
-from tests.spawner.packages import a_package
+from tests.spawner.packages import make_package
 from zensim.spawner.spawn.search_paths import SearchPaths, collect_search_paths
 
 
-def beside(file: Path, *roots: Path) -> SearchPaths:
-    return collect_search_paths(roots, {}).beside(file)
+def make_paths(file: Path, *roots: Path) -> SearchPaths:
+    return collect_search_paths(roots, {}).with_folder_of(file)
 
 
 @pytest.mark.parametrize(
@@ -23,41 +23,41 @@ def beside(file: Path, *roots: Path) -> SearchPaths:
     ],
 )
 def test_mesh_is_found_in_the_package_of_the_description(tmp_path: Path, uri: str) -> None:
-    package = a_package(tmp_path)
+    package = make_package(tmp_path)
 
-    place = beside(package / "urdf" / "r.urdf").find(uri)
+    place = make_paths(package / "urdf" / "r.urdf").find(uri)
 
     assert place.path == (package / "meshes" / "base.stl").resolve()
 
 
 def test_mesh_is_found_by_an_absolute_path_inside_the_package(tmp_path: Path) -> None:
-    mesh = a_package(tmp_path) / "meshes" / "base.stl"
-    paths = beside(tmp_path / "my_robot" / "urdf" / "r.urdf")
+    mesh = make_package(tmp_path) / "meshes" / "base.stl"
+    paths = make_paths(tmp_path / "my_robot" / "urdf" / "r.urdf")
 
     assert paths.find(str(mesh)).path == mesh.resolve()
     assert paths.find(f"file://{mesh}").path == mesh.resolve()
 
 
-def test_mesh_is_found_in_a_neighbour_that_is_a_package(tmp_path: Path) -> None:
-    a_package(tmp_path, "other")
-    package = a_package(tmp_path)
+def test_mesh_is_found_in_a_sibling_package(tmp_path: Path) -> None:
+    make_package(tmp_path, "other")
+    package = make_package(tmp_path)
 
-    place = beside(package / "urdf" / "r.urdf").find("package://other/meshes/base.stl")
+    place = make_paths(package / "urdf" / "r.urdf").find("package://other/meshes/base.stl")
 
     assert place.path == (tmp_path / "other" / "meshes" / "base.stl").resolve()
 
 
 @pytest.mark.parametrize("depth", ["", "src", "src/repository"])
-def test_mesh_is_found_below_a_named_folder(tmp_path: Path, depth: str) -> None:
-    package = a_package(tmp_path / depth)
+def test_mesh_is_found_below_a_given_folder(tmp_path: Path, depth: str) -> None:
+    package = make_package(tmp_path / depth)
 
     place = collect_search_paths([tmp_path], {}).find("package://my_robot/meshes/base.stl")
 
     assert place.path == (package / "meshes" / "base.stl").resolve()
 
 
-def test_mesh_is_found_when_the_named_folder_is_the_package(tmp_path: Path) -> None:
-    package = a_package(tmp_path)
+def test_mesh_is_found_if_the_given_folder_is_the_package(tmp_path: Path) -> None:
+    package = make_package(tmp_path)
 
     place = collect_search_paths([package], {}).find("package://my_robot/meshes/base.stl")
 
@@ -68,8 +68,10 @@ def test_mesh_is_found_when_the_named_folder_is_the_package(tmp_path: Path) -> N
     ("variable", "inside"),
     [("ROS_PACKAGE_PATH", ""), ("GAZEBO_MODEL_PATH", ""), ("AMENT_PREFIX_PATH", "share")],
 )
-def test_mesh_is_found_by_a_variable(tmp_path: Path, variable: str, inside: str) -> None:
-    a_package(tmp_path / inside)
+def test_mesh_is_found_by_an_environment_variable(
+    tmp_path: Path, variable: str, inside: str
+) -> None:
+    make_package(tmp_path / inside)
 
     paths = collect_search_paths((), {variable: f"/nowhere:{tmp_path}"})
 
@@ -92,19 +94,19 @@ def test_mesh_is_found_by_a_variable(tmp_path: Path, variable: str, inside: str)
     ],
 )
 def test_file_outside_the_search_paths_is_not_found(tmp_path: Path, uri: str) -> None:
-    package = a_package(tmp_path)
+    package = make_package(tmp_path)
     (tmp_path / "secret.stl").write_bytes(b"secret")
     (package / "meshes" / "link.stl").symlink_to(tmp_path / "secret.stl")
 
-    place = beside(package / "urdf" / "r.urdf").find(uri.format(folder=tmp_path))
+    place = make_paths(package / "urdf" / "r.urdf").find(uri.format(folder=tmp_path))
 
     assert place.path is None
     assert place.reason
 
 
-def test_folder_that_links_outside_is_not_followed(tmp_path: Path) -> None:
+def test_link_to_an_outside_folder_is_not_followed(tmp_path: Path) -> None:
     (tmp_path / "outside").mkdir()
-    a_package(tmp_path / "outside")
+    make_package(tmp_path / "outside")
     root = tmp_path / "root"
     root.mkdir()
     (root / "my_robot").symlink_to(tmp_path / "outside" / "my_robot")
@@ -115,17 +117,17 @@ def test_folder_that_links_outside_is_not_followed(tmp_path: Path) -> None:
     assert "--package-path" in place.reason
 
 
-def test_neighbour_that_is_no_package_is_not_searched(tmp_path: Path) -> None:
-    package = a_package(tmp_path)
+def test_sibling_without_package_file_is_not_searched(tmp_path: Path) -> None:
+    package = make_package(tmp_path)
     (tmp_path / "keys").mkdir()
     (tmp_path / "keys" / "a.stl").write_bytes(b"")
 
-    assert beside(package / "urdf" / "r.urdf").find("package://keys/a.stl").path is None
+    assert make_paths(package / "urdf" / "r.urdf").find("package://keys/a.stl").path is None
 
 
 @pytest.mark.parametrize("uri", ["http://host/a.stl", "x" * 5000, "a\0b", "", ".", "package://"])
-def test_uri_that_is_no_file_is_not_found(tmp_path: Path, uri: str) -> None:
-    place = beside(tmp_path / "r.urdf", tmp_path).find(uri)
+def test_invalid_uri_is_not_found(tmp_path: Path, uri: str) -> None:
+    place = make_paths(tmp_path / "r.urdf", tmp_path).find(uri)
 
     assert place.path is None
     assert place.reason

@@ -1,7 +1,6 @@
-"""Launch: what is read, what is sent, and what becomes of a fleet."""
+"""Payloads, resources, bonds and fleets."""
 
 import math
-import re
 from pathlib import Path
 from typing import cast
 
@@ -32,7 +31,7 @@ from zensim.spawner.spawn.spawn_client import (
     hold_bond,
     make_bond_name,
     make_resource,
-    read_description,
+    read_payload,
     spawn_bonded,
     spawn_fleet,
     wait_for_entity,
@@ -44,8 +43,8 @@ def refusal(code: ResultCode) -> ServiceError:
     return ServiceError("service", code, code.name, "no")
 
 
-class Answers(SimClient):
-    """Fails with each of these in turn, then does what it is asked."""
+class FailingClient(SimClient):
+    """Raises each of the failures once, then succeeds."""
 
     def __init__(self, *failures: Exception) -> None:
         super().__init__(cast("Bus", MemoryBus()))
@@ -78,10 +77,10 @@ def test_bond_names_differ() -> None:
     assert make_bond_name() != make_bond_name()
 
 
-def test_spawn_is_asked_for_again_until_the_token_is_seen() -> None:
+def test_bonded_spawn_is_retried_until_the_token_is_seen() -> None:
     early = refusal(ResultCode.INCORRECT_STATE)
 
-    report = spawn_bonded(Answers(early, early), SpawnEntityOrder("r1", bond="b"))
+    report = spawn_bonded(FailingClient(early, early), SpawnEntityOrder("r1", bond="b"))
 
     assert report.entity_name == "r1"
 
@@ -89,37 +88,37 @@ def test_spawn_is_asked_for_again_until_the_token_is_seen() -> None:
 @pytest.mark.parametrize(
     ("code", "bond"), [(ResultCode.INCORRECT_STATE, ""), (ResultCode.OPERATION_FAILED, "b")]
 )
-def test_spawn_that_is_refused_otherwise_is_not_repeated(code: ResultCode, bond: str) -> None:
-    client = Answers(refusal(code))
+def test_bonded_spawn_is_not_retried_after_another_refusal(code: ResultCode, bond: str) -> None:
+    client = FailingClient(refusal(code))
 
     with pytest.raises(ServiceError):
         spawn_bonded(client, SpawnEntityOrder("r1", bond=bond))
 
 
-def test_entity_is_deleted_when_it_is_over() -> None:
-    client = Answers()
+def test_bond_deletes_the_entity_at_its_end() -> None:
+    client = FailingClient()
 
     assert hold_bond(client, "r1", lambda: True)
 
     assert client.deleted == ["r1"]
 
 
-def test_entity_that_had_gone_already_is_no_failure() -> None:
-    assert not hold_bond(Answers(refusal(ResultCode.NOT_FOUND)), "r1", lambda: True)
+def test_bond_accepts_that_the_entity_was_deleted() -> None:
+    assert not hold_bond(FailingClient(refusal(ResultCode.NOT_FOUND)), "r1", lambda: True)
 
 
-def test_bond_ends_when_the_entity_has_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bond_ends_when_the_entity_is_deleted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(spawn_client, "CHECK_PERIOD_S", 0.0)
-    client = Answers(NoServer("away"), TimeoutError("away"), refusal(ResultCode.NOT_FOUND))
+    client = FailingClient(NoServer("away"), TimeoutError("away"), refusal(ResultCode.NOT_FOUND))
 
     assert not hold_bond(client, "r1", lambda: False)
 
 
-def test_waiting_for_an_entity_ends() -> None:
-    wait_for_entity(Answers(), "r1", 0.0)
+def test_waiting_for_an_entity_has_a_timeout() -> None:
+    wait_for_entity(FailingClient(), "r1", 0.0)
 
-    with pytest.raises(TimeoutError, match=r"'r9'.*0\.1 s"):
-        wait_for_entity(Answers(), "r9", 0.1)
+    with pytest.raises(TimeoutError, match="r9"):
+        wait_for_entity(FailingClient(), "r9", 0.1)
 
 
 DRIVEN = (
@@ -129,8 +128,8 @@ DRIVEN = (
 angles = st.floats(-3.0, 3.0)
 
 
-class ListeningClient(SimClient):
-    """Takes orders down; refuses names that it was told to."""
+class RecordingClient(SimClient):
+    """Records orders; refuses the given names."""
 
     def __init__(self, *refused: str) -> None:
         super().__init__(cast("Bus", MemoryBus()))
@@ -148,40 +147,40 @@ class ListeningClient(SimClient):
         )
 
 
-def test_description_is_read_from_a_file(tmp_path: Path) -> None:
+def test_payload_is_read_from_a_file(tmp_path: Path) -> None:
     file = tmp_path / "r.urdf"
     file.write_text("<robot/>", encoding="utf-8")
 
-    assert read_description(str(file)) == "<robot/>"
+    assert read_payload(str(file)).text == "<robot/>"
 
 
-def test_description_is_read_from_a_shipped_model() -> None:
-    assert '<robot name="box_bot">' in read_description("box_bot")
+def test_payload_is_read_from_a_built_in_model() -> None:
+    assert '<robot name="box_bot">' in read_payload("box_bot").text
 
 
-def test_description_is_empty_when_a_name_is_not_known_here() -> None:
-    assert read_description("tank") == ""
+def test_payload_has_no_text_for_an_unknown_name() -> None:
+    assert read_payload("tank").text == ""
 
 
 @pytest.mark.parametrize("model", ["nowhere/r.urdf", "r.urdf", "", "a b"])
-def test_description_is_refused_when_there_is_no_such_file(model: str) -> None:
-    with pytest.raises(FileNotFoundError, match=re.escape(repr(model))):
-        read_description(model)
+def test_payload_is_refused_without_a_file(model: str) -> None:
+    with pytest.raises(FileNotFoundError, match=f"{model}'$"):
+        read_payload(model)
 
 
-def test_description_is_refused_when_it_is_no_text(tmp_path: Path) -> None:
+def test_payload_is_refused_for_a_binary_file(tmp_path: Path) -> None:
     file = tmp_path / "r.urdf"
     file.write_bytes(b"\xff\xfe\x00")
 
-    with pytest.raises(ValueError, match="decode"):
-        read_description(str(file))
+    with pytest.raises(DescriptionError):
+        read_payload(str(file))
 
 
-def test_resource_is_the_name_when_there_is_no_text() -> None:
+def test_resource_is_the_name_without_a_text() -> None:
     assert make_resource("tank", "", "r1") == Resource(uri="tank")
 
 
-def test_resource_is_the_text_as_it_is_when_there_is_no_namespace() -> None:
+def test_resource_is_the_unchanged_text_without_a_namespace() -> None:
     assert make_resource("r", DRIVEN, "") == Resource(resource_string=DRIVEN)
 
 
@@ -192,28 +191,28 @@ def test_resource_is_the_text_with_its_namespace() -> None:
     assert "<remapping>/tf:=/team/r1/tf</remapping>" in text
 
 
-def test_resource_is_refused_when_the_text_is_no_robot() -> None:
+def test_resource_is_refused_for_another_root_element() -> None:
     with pytest.raises(DescriptionError, match="<html>"):
         make_resource("r", "<html/>", "r1")
 
 
-def test_pose_is_where_it_says() -> None:
+def test_pose_has_the_given_position() -> None:
     assert make_pose((1.0, 2.0, 3.0)).position.z == 3.0
     assert make_pose((0.0, 0.0, 0.0)) == Pose()
 
 
 @given(angles, angles, angles)
-def test_pose_turns_as_urdf_does(roll: float, pitch: float, yaw: float) -> None:
+def test_pose_has_the_angles_of_urdf(roll: float, pitch: float, yaw: float) -> None:
     q = make_pose((0.0, 0.0, 0.0), (roll, pitch, yaw)).orientation
 
     assert [q.x, q.y, q.z, q.w] == pytest.approx(from_rpy(roll, pitch, yaw), abs=1e-12)
 
 
-def test_fleet_is_spawned_on_the_ground_each_in_its_namespace_by_one_request() -> None:
-    client = ListeningClient()
-    places = [RobotPlacement("r0", 1.0, 2.0), RobotPlacement("r1", 3.0, 4.0, math.pi)]
+def test_fleet_is_one_request_with_a_namespace_each() -> None:
+    client = RecordingClient()
+    placements = [RobotPlacement("r0", 1.0, 2.0), RobotPlacement("r1", 3.0, 4.0, math.pi)]
 
-    outcomes = spawn_fleet(client, "box_bot", places, lambda _: None)
+    outcomes = spawn_fleet(client, "box_bot", placements, lambda _: None)
 
     assert outcomes == [SpawnOutcome("r0", ResultCode.OK), SpawnOutcome("r1", ResultCode.OK)]
     (order,) = client.orders
@@ -227,8 +226,8 @@ def test_fleet_is_spawned_on_the_ground_each_in_its_namespace_by_one_request() -
     assert np.allclose([pose.orientation.z, pose.orientation.w], [1.0, 0.0])
 
 
-def test_fleet_shares_one_description_that_is_in_no_namespace() -> None:
-    client = ListeningClient()
+def test_fleet_shares_a_description_without_namespace() -> None:
+    client = RecordingClient()
 
     spawn_fleet(client, "box_bot", [RobotPlacement("r0", 0.0, 0.0)], lambda _: None)
 
@@ -238,8 +237,8 @@ def test_fleet_shares_one_description_that_is_in_no_namespace() -> None:
     assert "libgazebo_ros_diff_drive.so" in order.common.entity_resource.resource_string
 
 
-def test_fleet_says_what_became_of_each() -> None:
-    client = ListeningClient("r1")
+def test_fleet_returns_an_outcome_per_robot() -> None:
+    client = RecordingClient("r1")
     done: list[str] = []
 
     outcomes = spawn_fleet(
@@ -250,16 +249,16 @@ def test_fleet_says_what_became_of_each() -> None:
     )
 
     assert [outcome.code for outcome in outcomes] == [1, SpawnCode.NAME_NOT_UNIQUE, 1]
-    assert "taken" in outcomes[1].message
+    assert outcomes[1].message == "NAME_NOT_UNIQUE (101): taken"
     assert done == ["r0", "r1", "r2"]
 
 
-def test_fleet_ends_when_the_server_has_gone() -> None:
+def test_fleet_fails_without_a_server() -> None:
     client = SimClient(cast("Bus", MemoryBus()))
 
     with pytest.raises(NoServer):
         spawn_fleet(client, "box_bot", [RobotPlacement("r0", 0.0, 0.0)], lambda _: None)
 
 
-def test_quaternion_of_no_turn_is_identity() -> None:
+def test_pose_without_angles_is_the_identity() -> None:
     assert make_pose((0.0, 0.0, 0.0)).orientation == Quaternion()

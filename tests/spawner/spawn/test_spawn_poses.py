@@ -1,4 +1,4 @@
-"""Angles of rotations, against the poses that are made of angles."""
+"""Names and poses of fleets."""
 
 import math
 
