@@ -272,7 +272,7 @@ class LazyTopicPublisher:
         """Publish the value to subscribers that are new since the last call."""
         self._publisher.publish_to_new(self._payload)
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to all queued queries."""
         for call in self._queries.take():
             payload = self._payload()

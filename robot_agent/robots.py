@@ -184,7 +184,7 @@ class Robot:
     def answer(self) -> None:
         """Reply to queries with the last values."""
         for publisher in self._list_publishers():
-            publisher.answer()
+            publisher.reply_to_queries()
 
     def close(self) -> None:
         """Undeclare all topics."""

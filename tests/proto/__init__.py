@@ -1,1 +1,1 @@
-"""Tests of the wire, file by file."""
+"""Tests of proto."""

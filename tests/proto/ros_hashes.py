@@ -1,4 +1,4 @@
-"""Hashes of ROS types by rosbags, from the interface files' words and not from our Structs."""
+"""Type hashes by rosbags, from interface definitions instead of structs."""
 
 from functools import cache
 from typing import Any, cast
@@ -31,7 +31,7 @@ def hash_of_service(service: str) -> str:
 
 
 def _store() -> Typestore:
-    """Know the oracle's types by the names of services' halves too, and what ROS says of char."""
+    """Add the names of requests and responses, and the type of char, to the types of the oracle."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.fielddefs.update(HUMBLE.fielddefs)
     for name, (constants, fields) in HUMBLE.fielddefs.items():

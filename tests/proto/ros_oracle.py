@@ -1,4 +1,4 @@
-"""An independent CDR implementation that knows every ROS type of proto, and some of our own."""
+"""An independent CDR implementation with all ROS types of proto and some of zensim."""
 
 from typing import Any
 
@@ -134,7 +134,7 @@ ACTION = {
     "SimulateSteps_FeedbackMessage": "unique_identifier_msgs/UUID goal_id;"
     " simulation_interfaces/action/SimulateSteps_Feedback feedback",
 }
-"""What rosidl makes of the one action."""
+"""Messages that rosidl generates for the action."""
 CANCEL = {
     "CancelGoal_Request": "action_msgs/GoalInfo goal_info",
     "CancelGoal_Response": "int8 return_code; action_msgs/GoalInfo[] goals_canceling",
@@ -161,11 +161,11 @@ ZENSIM = {
     "GetAsset_Request": "string sha256; uint64 offset",
     "GetAsset_Response": "simulation_interfaces/Result result; uint8[] data; uint64 total",
 }
-"""Messages of ours that CDR can express."""
+"""Messages of zensim that are expressible in CDR."""
 
 
 def define(name: str, fields: str) -> None:
-    """Make a type known; fields as in an interface file, parted by semicolons."""
+    """Define a type; fields as in an interface file, separated by semicolons."""
     HUMBLE.register(get_types_from_msg(fields.replace(";", "\n"), name))
 
 
@@ -188,14 +188,14 @@ def knows(ros_type: str) -> bool:
 
 
 def ros_bytes(message: msgspec.Struct, ros_type: str, *, little_endian: bool = True) -> bytes:
-    """Write a message as ROS does."""
+    """Encode with the oracle."""
     name = message_name(ros_type)
     written = HUMBLE.serialize_cdr(as_ros(message, name), name, little_endian=little_endian)
     return bytes(written)
 
 
 def rewritten_by_ros(payload: bytes, ros_type: str) -> bytes:
-    """Read bytes as ROS does and write what was read."""
+    """Decode and encode again with the oracle."""
     name = message_name(ros_type)
     return bytes(HUMBLE.serialize_cdr(HUMBLE.deserialize_cdr(payload, name), name))
 

@@ -35,7 +35,7 @@ def test_decode_twist_reads_both_types_with_and_without_an_encoding(
 
 
 @given(frame_id=st.text(st.characters(exclude_categories=["Cs"]), max_size=40))
-def test_decode_twist_tells_the_types_apart_by_length(frame_id: str) -> None:
+def test_decode_twist_distinguishes_the_types_by_length(frame_id: str) -> None:
     payload = encode(TwistStamped(Header(frame_id=frame_id), TWIST), Format.CDR)
 
     assert decode_twist(payload) == TWIST
@@ -53,7 +53,7 @@ def test_decode_twist_tells_the_types_apart_by_length(frame_id: str) -> None:
         (b'{"speed": 3}', Twist()),
     ],
 )
-def test_decode_twist_tells_the_types_apart_by_their_keys(text: bytes, twist: Twist) -> None:
+def test_decode_twist_distinguishes_the_types_by_their_keys(text: bytes, twist: Twist) -> None:
     read = decode_twist(text)
 
     assert read == twist

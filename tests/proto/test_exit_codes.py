@@ -1,4 +1,4 @@
-"""Exits: each kind of failure has its status and its one line."""
+"""Exit status and error line of each kind of failure."""
 
 import os
 import subprocess
@@ -23,8 +23,8 @@ def a_refusal(code: int, name: str = "SOME_CODE") -> ServiceError:
         (a_refusal(ResultCode.NOT_FOUND), ExitCode.NOT_FOUND),
         (a_refusal(ResultCode.OPERATION_FAILED), ExitCode.FAILED),
         (a_refusal(SpawnCode.NAME_NOT_UNIQUE), ExitCode.FAILED),
-        (NoServer("nobody"), ExitCode.UNREACHABLE),
-        (Unreachable("nobody"), ExitCode.UNREACHABLE),
+        (NoServer("none"), ExitCode.UNREACHABLE),
+        (Unreachable("none"), ExitCode.UNREACHABLE),
         (EndpointTaken("taken"), ExitCode.FAILED),
         (BusError("odd"), ExitCode.FAILED),
         (TimeoutError("late"), ExitCode.TIMEOUT),
@@ -52,7 +52,7 @@ def test_failure_has_its_exit_status(error: Exception, status: ExitCode) -> None
     ],
     ids=lambda value: type(value).__name__,
 )
-def test_failure_is_said_in_one_line_with_its_code(error: Exception, line: str) -> None:
+def test_failure_is_one_line_with_its_code(error: Exception, line: str) -> None:
     assert format_failure(error) == line
 
 
@@ -60,13 +60,13 @@ def test_command_ends_with_one_line_and_a_status(capsys: pytest.CaptureFixture[s
     with pytest.raises(SystemExit) as ended, exit_on_failure("spawn"):
         raise NoServer("no server")
 
-    said = capsys.readouterr()
+    printed = capsys.readouterr()
     assert ended.value.code == ExitCode.UNREACHABLE
-    assert said.err == "zensim spawn: UNREACHABLE (4): no server\n"
-    assert said.out == ""
+    assert printed.err == "zensim spawn: UNREACHABLE (4): no server\n"
+    assert printed.out == ""
 
 
-def test_command_expects_further_failures_when_it_names_them(
+def test_command_reports_further_failures_that_it_declares(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     with pytest.raises(SystemExit) as ended, exit_on_failure("up", LookupError):
@@ -76,12 +76,12 @@ def test_command_expects_further_failures_when_it_names_them(
     assert capsys.readouterr().err == "zensim up: FAILED (1): lost\n"
 
 
-def test_command_lets_a_fault_of_its_own_through() -> None:
+def test_unexpected_error_propagates() -> None:
     with pytest.raises(ZeroDivisionError), exit_on_failure("spawn"):
         raise ZeroDivisionError
 
 
-def test_command_says_nothing_when_nothing_fails(capsys: pytest.CaptureFixture[str]) -> None:
+def test_command_prints_nothing_when_nothing_fails(capsys: pytest.CaptureFixture[str]) -> None:
     with exit_on_failure("spawn"):
         pass
 
@@ -96,7 +96,7 @@ def test_command_ends_quietly_when_interrupted(capsys: pytest.CaptureFixture[str
     assert capsys.readouterr().err == ""
 
 
-def test_command_ends_well_when_its_reader_has_gone() -> None:
+def test_command_exits_with_ok_on_a_broken_pipe() -> None:
     program = (
         "from zensim.proto.exit_codes import exit_on_failure\n"
         "import sys\n"

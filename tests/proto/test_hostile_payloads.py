@@ -1,4 +1,4 @@
-"""Bytes from anybody: they are read or refused in one line, and never cost more than they weigh."""
+"""Hostile payloads are decoded or refused in one line, with memory limited by their size."""
 
 import tracemalloc
 from typing import TypeAlias
@@ -42,7 +42,7 @@ DEEP = 100_000
 
 
 def refusal_of(kind: type[msgspec.Struct], payload: bytes, encoding: str = "") -> str:
-    """Say how a payload was refused; empty when it was read."""
+    """Return the error of a refused payload; empty if it was decoded."""
     try:
         message = decode(kind, payload, encoding)
     except MalformedPayload as refusal:
@@ -111,7 +111,7 @@ def test_decode_refuses_a_message_that_ends_early(sample: Sample, data: st.DataO
         (Stats, b"\x81\xa7ready_s\xdf\xff\xff\xff\xff"),
     ],
 )
-def test_decode_believes_no_length_of_message_pack(
+def test_decode_allocates_nothing_for_a_length_of_message_pack(
     kind: type[msgspec.Struct], payload: bytes
 ) -> None:
     tracemalloc.start()

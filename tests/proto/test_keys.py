@@ -38,12 +38,12 @@ NAMES = st.from_regex(NAME_PATTERN, fullmatch=True)
         (keys.robot_topics("team/r1"), "team/r1/*"),
     ],
 )
-def test_key_is_as_the_design_says(key: str, expected: str) -> None:
+def test_key_has_its_documented_form(key: str, expected: str) -> None:
     assert key == expected
 
 
 @given(world=NAMES, agent=NAMES)
-def test_agent_is_read_from_the_keys_that_hold_one(world: str, agent: str) -> None:
+def test_agent_is_parsed_from_drive_and_alive_keys(world: str, agent: str) -> None:
     assert keys.parse_agent(DRIVE_STATE.key(world, agent)) == agent
     assert keys.parse_agent(DRIVE_COMMAND.key(world, agent)) == agent
     assert keys.parse_agent(keys.alive_agent(world, agent)) == agent
@@ -67,5 +67,5 @@ def test_agent_of_another_key_is_empty(key: str) -> None:
 @pytest.mark.parametrize(
     ("key", "chunk"), [("sim/default/clock", "clock"), ("r1/odom", "odom"), ("odom", "odom")]
 )
-def test_last_chunk_is_what_a_key_ends_with(key: str, chunk: str) -> None:
+def test_last_chunk_is_the_end_of_a_key(key: str, chunk: str) -> None:
     assert keys.last_chunk(key) == chunk

@@ -1,4 +1,4 @@
-"""What a valid entity name, namespace and frame_id is."""
+"""Validation of names, namespaces and frame ids."""
 
 import pytest
 from hypothesis import given
@@ -42,7 +42,7 @@ def test_check_name_returns_a_name(name: str) -> None:
         "a" * 65,
     ],
 )
-def test_check_name_refuses_what_is_no_name(name: str) -> None:
+def test_check_name_refuses_invalid_names(name: str) -> None:
     with pytest.raises(InvalidName):
         check_name(name)
 
@@ -102,7 +102,7 @@ def test_check_namespace_accepts_names_joined_by_slashes(chunks: list[str]) -> N
         "team/@r",
     ],
 )
-def test_check_namespace_refuses_what_is_none(namespace: str) -> None:
+def test_check_namespace_refuses_invalid_namespaces(namespace: str) -> None:
     with pytest.raises(InvalidName):
         check_namespace(namespace)
 
@@ -124,12 +124,12 @@ def test_check_frame_returns_a_frame(frame_id: str) -> None:
 
 
 @pytest.mark.parametrize("frame_id", ["", "/odom", "base link", "odom\n", "x" * 257])
-def test_check_frame_refuses_what_tf_would_not_take(frame_id: str) -> None:
+def test_check_frame_refuses_invalid_frames(frame_id: str) -> None:
     with pytest.raises(InvalidName):
         check_frame(frame_id)
 
 
-def test_check_namespace_refuses_what_makes_topics_longer_than_ros_allows() -> None:
+def test_check_namespace_refuses_more_than_200_characters() -> None:
     levels = "/".join(["n" * 49] * 4) + "n"
 
     assert check_namespace(levels) == levels

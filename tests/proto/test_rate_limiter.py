@@ -17,7 +17,7 @@ def test_limiter_opens_at_once_with_one_period_elapsed() -> None:
     assert RateLimiter(100.0).elapsed_s(5 * MS) == pytest.approx(0.01)
 
 
-def test_limiter_opens_whenever_asked_when_the_rate_is_zero() -> None:
+def test_limiter_opens_at_each_call_when_the_rate_is_zero() -> None:
     limiter = RateLimiter(0.0)
 
     elapsed = [limiter.elapsed_s(time_ns) for time_ns in (0, 3 * MS, 4 * MS)]
@@ -37,7 +37,7 @@ def test_limiter_opens_when_a_state_comes_a_few_nanoseconds_early() -> None:
     assert len(openings(RateLimiter(80.0), 12_499_998, 80)) == 80
 
 
-def test_limiter_tells_the_time_that_passed_when_its_beat_lies_between_states() -> None:
+def test_limiter_returns_the_elapsed_time_when_its_period_ends_between_states() -> None:
     limiter = RateLimiter(30.0)
 
     elapsed = [limiter.elapsed_s(i * 12_500_000) for i in range(7)]
@@ -52,7 +52,7 @@ def test_limiter_does_not_open_twice_at_one_moment() -> None:
     assert limiter.elapsed_s(MS) is None
 
 
-def test_limiter_opens_once_when_it_was_not_asked_for_long() -> None:
+def test_limiter_opens_once_after_a_long_time_without_calls() -> None:
     limiter = RateLimiter(100.0)
     limiter.elapsed_s(0)
 

@@ -1,4 +1,4 @@
-"""Examples of messages: filled, valid and the same on every run."""
+"""Sample messages: filled, valid and the same on every run."""
 
 from datetime import timedelta
 
@@ -37,7 +37,7 @@ def test_example_fills_every_kind_of_field() -> None:
     assert set(make_sample_message(Stats).ready_s) == {"ready_s_0", "ready_s_1"}
 
 
-def test_example_says_when_it_cannot_fill_a_field() -> None:
+def test_sample_refuses_a_field_of_unknown_type() -> None:
     class Odd(msgspec.Struct):
         when: timedelta
 

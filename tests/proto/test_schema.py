@@ -1,4 +1,4 @@
-"""The description of the wire: what it holds, and how it is written and compared."""
+"""Content, writing and comparison of the schemas."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ def test_messages_are_listed_by_name() -> None:
     assert {"Twist", "Model", "SpawnEntityReport"} <= set(names)
 
 
-def test_spoken_types_travel_by_themselves() -> None:
+def test_top_level_types_are_those_of_topics_and_services() -> None:
     spoken = schema.list_top_level_types()
 
     assert {Twist, TwistStamped, WorldClock, SpawnEntityReport} <= set(spoken)
@@ -36,7 +36,7 @@ def test_message_schemas_keep_the_order_of_the_fields() -> None:
     assert "x-ros-type" not in described["Origin"]
 
 
-def test_service_list_tells_which_formats_both_ways_can_have() -> None:
+def test_service_list_has_the_formats_of_request_and_response() -> None:
     listed = schema.list_services()
 
     assert list(listed) == sorted(SERVICES)
@@ -81,7 +81,7 @@ def test_written_artefacts_have_not_drifted(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "schemas" / "keys.json").read_text()) == schema.list_keys()
 
 
-def test_drifted_names_what_is_changed_missing_or_left_over(tmp_path: Path) -> None:
+def test_find_stale_lists_changed_missing_and_extra_files(tmp_path: Path) -> None:
     schema.write(tmp_path)
     (tmp_path / "keys.json").write_text("{}")
     (tmp_path / "codes.json").unlink()

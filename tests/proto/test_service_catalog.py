@@ -1,4 +1,4 @@
-"""The table of services."""
+"""The service catalog."""
 
 import pytest
 
@@ -14,7 +14,7 @@ GAZEBO = {
     "gazebo_get_entity_state": "GetEntityState",
     "gazebo_set_entity_state": "SetEntityState",
 }
-"""Services whose type ROS names otherwise."""
+"""Services with another type name in ROS."""
 
 
 @pytest.mark.parametrize("name", SERVICES)

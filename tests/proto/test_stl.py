@@ -1,4 +1,4 @@
-"""Binary STL: what is written is read back, and nothing else is."""
+"""Binary STL is read as written; other bytes are refused."""
 
 import numpy as np
 import pytest
@@ -17,6 +17,6 @@ def test_written_triangles_are_read_back() -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"short", write_corners(CORNERS)[:-1]])
-def test_bytes_that_hold_no_triangles_are_refused(data: bytes) -> None:
+def test_bytes_without_triangles_are_refused(data: bytes) -> None:
     with pytest.raises(ValueError, match="buffer"):
         read_corners(data)

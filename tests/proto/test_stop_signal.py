@@ -1,4 +1,4 @@
-"""StopFlag: set by the first stop signal, which interrupts what waits unless armed."""
+"""StopFlag: set by the first stop signal, which raises KeyboardInterrupt before `arm`."""
 
 import signal
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ def test_flag_is_set_by_a_stop_signal(number: signal.Signals) -> None:
     assert (was_set, stop()) == (False, True)
 
 
-def test_flag_interrupts_once_until_it_is_armed() -> None:
+def test_flag_interrupts_once_before_it_is_armed() -> None:
     stop = StopFlag(is_armed=False)
 
     with pytest.raises(KeyboardInterrupt):

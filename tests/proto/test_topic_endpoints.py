@@ -1,18 +1,25 @@
-"""A topic on its bare key and on ROS 2's."""
+"""Topics on plain keys and on ROS 2 keys."""
 
 from collections.abc import Callable
 from typing import cast
 
 from tests.fakes import MemoryBus
+from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.standard_messages import String, Twist, TwistStamped
 from zensim.proto.network_protocols import Stamp
 from zensim.proto.ros2.liveliness_tokens import LATCHED, gid_from_token
 from zensim.proto.ros2.rmw_attachment import read_attachment
 from zensim.proto.ros2.ros_graph import RosGraph, Topic
 from zensim.proto.ros2.ros_settings import RosSettings
-from zensim.proto.topic_endpoints import KeyPublisher, TopicFactory, TopicPublisher
+from zensim.proto.topic_endpoints import (
+    KeyPublisher,
+    LazyTopicPublisher,
+    TopicFactory,
+    TopicPublisher,
+)
 
 TOPIC = Topic("r1/description", String, LATCHED)
+PLAIN_TOPIC = Topic("r1/description", String)
 ROS_KEY = (
     "0/r1/description/std_msgs::msg::dds_::String_/"
     "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
@@ -21,12 +28,12 @@ ENCODING = "application/cdr;std_msgs/msg/String"
 PAYLOAD = b"\x00\x01\x00\x00payload"
 
 
-def faces_on(bus: MemoryBus, settings: RosSettings = RosSettings()) -> TopicFactory:  # noqa: B008
+def a_factory(bus: MemoryBus, settings: RosSettings = RosSettings()) -> TopicFactory:  # noqa: B008
     return TopicFactory(bus, RosGraph(bus, settings).add_node("r1", "agent"), settings)
 
 
 def a_publisher(bus: MemoryBus) -> TopicPublisher:
-    return faces_on(bus).publisher(TOPIC)
+    return a_factory(bus).publisher(TOPIC)
 
 
 def value() -> bytes:
@@ -37,7 +44,7 @@ def nothing() -> bytes | None:
     return None
 
 
-def test_message_goes_to_each_face_that_is_looked_at() -> None:
+def test_message_is_published_on_each_key_with_a_subscriber() -> None:
     bus = MemoryBus()
     plain, ros = bus.subscribe("r1/description", 8), bus.subscribe(ROS_KEY, 8)
 
@@ -49,7 +56,7 @@ def test_message_goes_to_each_face_that_is_looked_at() -> None:
     assert [(s.key, s.payload) for s in ros.take()] == [(ROS_KEY, PAYLOAD)]
 
 
-def test_ros_messages_are_numbered_from_one_and_signed_with_the_endpoints_gid() -> None:
+def test_ros_messages_have_sequence_numbers_from_one_and_the_gid_of_the_endpoint() -> None:
     bus = MemoryBus()
     ros = bus.subscribe(ROS_KEY, 8)
     publisher = a_publisher(bus)
@@ -63,7 +70,7 @@ def test_ros_messages_are_numbered_from_one_and_signed_with_the_endpoints_gid() 
     assert {one.gid for one in attachments if one} == {gid_from_token(token)}
 
 
-def test_number_does_not_grow_while_nobody_looks() -> None:
+def test_sequence_number_is_kept_without_a_subscriber() -> None:
     bus = MemoryBus()
     publisher = a_publisher(bus)
     publisher.send(PAYLOAD)
@@ -77,7 +84,7 @@ def test_number_does_not_grow_while_nobody_looks() -> None:
     assert attachment.sequence_number == 1
 
 
-def test_topic_is_matched_by_any_face() -> None:
+def test_topic_is_matched_by_a_subscriber_on_any_key() -> None:
     bus = MemoryBus()
     publisher = a_publisher(bus)
     assert not publisher.is_matched
@@ -87,7 +94,7 @@ def test_topic_is_matched_by_any_face() -> None:
     assert publisher.is_matched
 
 
-def test_each_face_greets_its_own_first_listener() -> None:
+def test_value_is_published_to_the_first_subscriber_of_each_key() -> None:
     bus = MemoryBus()
     publisher = a_publisher(bus)
     plain = bus.subscribe("r1/description", 8)
@@ -104,41 +111,41 @@ def late_join(
     bus: MemoryBus, publisher: TopicPublisher, payload: Callable[[], bytes | None]
 ) -> int:
     bus.pumps.append(lambda: publisher.reply_to_late_joiners(payload))
-    answers = bus.get(f"{ROS_KEY}/@adv/**")
-    assert all(answer.key == ROS_KEY for answer in answers)
-    assert all(read_attachment(answer.attachment) for answer in answers)
-    return len(answers)
+    replies = bus.get(f"{ROS_KEY}/@adv/**")
+    assert all(reply.key == ROS_KEY for reply in replies)
+    assert all(read_attachment(reply.attachment) for reply in replies)
+    return len(replies)
 
 
-def test_latched_topic_tells_late_joiners_its_value() -> None:
+def test_latched_topic_replies_to_late_joiners() -> None:
     bus = MemoryBus()
 
     assert late_join(bus, a_publisher(bus), value) == 1
 
 
-def test_latched_topic_tells_late_joiners_nothing_while_there_is_nothing() -> None:
+def test_latched_topic_does_not_reply_without_a_value() -> None:
     bus = MemoryBus()
 
     assert late_join(bus, a_publisher(bus), nothing) == 0
 
 
-def test_other_topics_have_nothing_for_late_joiners() -> None:
+def test_other_topics_do_not_serve_late_joiners() -> None:
     bus = MemoryBus()
 
-    faces_on(bus).publisher(Topic("r1/description", String))
+    a_factory(bus).publisher(PLAIN_TOPIC)
 
     assert not bus.is_served(f"{ROS_KEY}/@adv/**")
 
 
 def test_command_of_either_type_and_of_any_hash_is_heard() -> None:
     bus = MemoryBus()
-    heard = faces_on(bus).subscription("r1/cmd_vel", (Twist, TwistStamped), 8)
+    received = a_factory(bus).subscription("r1/cmd_vel", (Twist, TwistStamped), 8)
 
     bus.put("0/r1/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/RIHS01_5f0f", b"stamped")
     bus.put("0/r1/cmd_vel/geometry_msgs::msg::dds_::Twist_/TypeHashNotSupported", b"bare")
     bus.put("r1/cmd_vel", b"plain", "application/json")
 
-    samples = [(sample.key, sample.payload, sample.encoding) for sample in heard.take()]
+    samples = [(sample.key, sample.payload, sample.encoding) for sample in received.take()]
     assert samples == [
         ("r1/cmd_vel", b"plain", "application/json"),
         ("r1/cmd_vel", b"bare", "application/cdr;geometry_msgs/msg/Twist"),
@@ -146,31 +153,31 @@ def test_command_of_either_type_and_of_any_hash_is_heard() -> None:
     ]
 
 
-def test_command_in_another_domain_is_not_heard() -> None:
+def test_command_in_another_domain_is_not_received() -> None:
     bus = MemoryBus()
-    heard = faces_on(bus).subscription("r1/cmd_vel", (Twist,), 8)
+    received = a_factory(bus).subscription("r1/cmd_vel", (Twist,), 8)
 
     bus.put("7/r1/cmd_vel/geometry_msgs::msg::dds_::Twist_/RIHS01_9c45", b"other")
 
-    assert heard.newest() is None
+    assert received.newest() is None
 
 
-def test_topics_have_one_face_without_ros() -> None:
+def test_topics_have_plain_keys_only_without_ros() -> None:
     bus = MemoryBus()
-    faces = TopicFactory(bus)
+    factory = TopicFactory(bus)
 
-    publisher, heard = faces.publisher(TOPIC), faces.subscription("r1/cmd_vel", (Twist,), 8)
+    publisher, received = factory.publisher(TOPIC), factory.subscription("r1/cmd_vel", (Twist,), 8)
 
     bus.subscribe(ROS_KEY)
     assert not publisher.is_matched
     assert bus.is_heard("r1/cmd_vel")
     assert not bus.is_heard("0/r1/cmd_vel/a/b")
-    heard.close()
+    received.close()
     assert not bus.is_heard("r1/cmd_vel")
 
 
 class Stamps:
-    """A publisher that keeps the stamps of what is put, and a clock that makes them."""
+    """Records the stamps of published messages, and makes stamps."""
 
     is_matched = True
 
@@ -190,10 +197,10 @@ class Stamps:
 
 def test_latched_value_keeps_its_stamp_until_it_changes() -> None:
     stamps = Stamps()
-    face = KeyPublisher(stamps, None, stamps.make)
+    publisher = KeyPublisher(stamps, None, stamps.make)
 
     for payload in (b"1", b"1", b"2"):
-        face.send(payload)
+        publisher.send(payload)
 
     first, again, changed = stamps.sent
     assert first is again
@@ -206,3 +213,98 @@ def test_value_that_is_not_latched_is_not_stamped() -> None:
     KeyPublisher(stamps).send(b"1")
 
     assert stamps.sent == [None]
+
+
+class CountedValue:
+    """Counts how often the value is made."""
+
+    def __init__(self, message: String | None) -> None:
+        self.message = message
+        self.made = 0
+
+    def __call__(self) -> String | None:
+        self.made += 1
+        return self.message
+
+
+def test_lazy_publisher_publishes_its_value_when_there_is_a_subscriber() -> None:
+    bus = MemoryBus()
+    subscription = bus.subscribe("r1/description")
+    publisher = LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, CountedValue(String("hello")))
+
+    publisher.publish()
+
+    (sample,) = subscription.take()
+    assert sample.encoding == ENCODING
+    assert decode(String, sample.payload, sample.encoding) == String("hello")
+
+
+def test_lazy_publisher_publishes_bytes_unchanged() -> None:
+    bus = MemoryBus()
+    subscription = bus.subscribe("r1/description")
+
+    LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, lambda: b"ready").publish()
+
+    (sample,) = subscription.take()
+    assert (sample.payload, sample.encoding) == (b"ready", ENCODING)
+
+
+def test_lazy_publisher_makes_no_value_without_a_subscriber() -> None:
+    value = CountedValue(String("hello"))
+
+    LazyTopicPublisher(TopicFactory(MemoryBus()), PLAIN_TOPIC, value).publish()
+
+    assert value.made == 0
+
+
+def test_lazy_publisher_publishes_nothing_without_a_value() -> None:
+    bus = MemoryBus()
+    subscription = bus.subscribe("r1/description")
+
+    LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, CountedValue(None)).publish()
+
+    assert subscription.take() == []
+
+
+def test_lazy_publisher_announces_once_to_each_first_subscription() -> None:
+    bus = MemoryBus()
+    publisher = LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, CountedValue(String("hello")))
+    publisher.announce()
+
+    subscription = bus.subscribe("r1/description", 8)
+    publisher.announce()
+    publisher.announce()
+    assert len(subscription.take()) == 1
+
+    subscription.close()
+    publisher.announce()
+    later = bus.subscribe("r1/description", 8)
+    publisher.announce()
+    assert len(later.take()) == 1
+
+
+def test_lazy_publisher_replies_to_a_get_with_its_value() -> None:
+    bus = MemoryBus()
+    publisher = LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, CountedValue(String("hello")))
+    bus.pumps.append(publisher.reply_to_queries)
+
+    (sample,) = bus.get("r1/*")
+
+    assert (sample.key, sample.encoding) == ("r1/description", ENCODING)
+    assert decode(String, sample.payload) == String("hello")
+
+
+def test_lazy_publisher_drops_a_query_without_a_value() -> None:
+    bus = MemoryBus()
+    publisher = LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, CountedValue(None))
+    bus.pumps.append(publisher.reply_to_queries)
+
+    assert bus.get("r1/description") == []
+
+
+def test_lazy_publisher_undeclares_its_queryable_when_closed() -> None:
+    bus = MemoryBus()
+
+    LazyTopicPublisher(TopicFactory(bus), PLAIN_TOPIC, CountedValue(String("hello"))).close()
+
+    assert not bus.is_served("r1/description")

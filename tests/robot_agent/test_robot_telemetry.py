@@ -213,7 +213,7 @@ def test_last_values_are_answered_once_there_are_any_and_until_a_reset() -> None
         MotionTelemetry(TopicFactory(bus), a_claim()),
         JointTelemetry(TopicFactory(bus), a_claim()),
     )
-    bus.pumps += [outlet.answer for outlet in (*motion.publishers, *joints.publishers)]
+    bus.pumps += [outlet.reply_to_queries for outlet in (*motion.publishers, *joints.publishers)]
     assert bus.get("r1/*") == []
 
     motion.publish(reading(), MOTION)
@@ -243,7 +243,9 @@ def test_joint_states_come_at_once_after_a_reset() -> None:
 
 def test_constants_are_the_fixed_frames_and_the_description() -> None:
     bus = MemoryBus()
-    bus.pumps += [outlet.answer for outlet in make_static_publishers(TopicFactory(bus), a_claim())]
+    bus.pumps += [
+        outlet.reply_to_queries for outlet in make_static_publishers(TopicFactory(bus), a_claim())
+    ]
 
     (fixed,) = bus.get("r1/tf_static")
     (description,) = bus.get("r1/robot_description")

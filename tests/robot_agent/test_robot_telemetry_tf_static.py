@@ -98,7 +98,7 @@ def test_encoders_of_a_robot_whose_spawn_nobody_told_begin_at_the_root() -> None
 def test_fixed_transforms_are_for_late_joiners_too() -> None:
     bus = MemoryBus()
     publishers = make_static_publishers(TopicFactory(bus, settings=RosSettings()), a_claim())
-    bus.pumps += [publisher.answer for publisher in publishers]
+    bus.pumps += [publisher.reply_to_queries for publisher in publishers]
 
     fixed = make_fixed_transforms(a_claim().model)
     (own,), (shared,) = bus.get("r1/tf_static"), bus.get("tf_static")

@@ -269,7 +269,7 @@ def test_encode_writes_one_byte_for_a_message_without_fields() -> None:
     assert cdr.decode(GetSimulationStateRequest, payload) == GetSimulationStateRequest()
 
 
-def test_encode_leaves_out_what_a_subclass_adds() -> None:
+def test_encode_omits_fields_of_a_subclass() -> None:
     order = SpawnEntityOrder(name="r1", snap_to_ground=True)
     report = SpawnEntityReport(entity_name="r1", entity_namespace="team/r1")
 

@@ -1,4 +1,4 @@
-"""Which struct types CDR can express, and what is said of the others."""
+"""Struct types that are expressible in CDR, and errors of others."""
 
 import struct
 from operator import attrgetter
@@ -122,7 +122,7 @@ def test_layout_names_the_field_that_cdr_has_no_form_for() -> None:
         CdrLayout(ClaimEntityRequest)
 
 
-def test_layout_says_when_a_type_has_no_ros_name() -> None:
+def test_layout_refuses_a_type_without_a_ros_type() -> None:
     with pytest.raises(TypeError, match="Claim"):
         CdrLayout(Claim)
 
@@ -173,7 +173,7 @@ def test_runs_join_fixed_leaves_up_to_the_next_sized_one() -> None:
     assert isinstance(frame_id, StringLeaf)
 
 
-def test_images_pad_by_the_place_that_a_run_begins_at() -> None:
+def test_structs_pad_by_the_offset_of_their_run() -> None:
     run = [FixedLeaf("flag", 0, "?"), FixedLeaf("number", 1, "d")]
 
     sizes = [image.size for image in compile_structs(run, "<")]

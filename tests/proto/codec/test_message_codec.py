@@ -1,4 +1,4 @@
-"""Formats: how they are told apart, what goes round, and what is said of what does not fit."""
+"""Formats: detection, round trips and errors."""
 
 import math
 from itertools import permutations
@@ -70,7 +70,7 @@ def test_self_describing_formats_give_back_every_message(
     ],
 )
 @pytest.mark.parametrize("encoding", ["", "zenoh/bytes", "zenoh/string", "video/h264"])
-def test_format_is_told_by_the_first_byte_when_no_encoding_says_it(
+def test_format_is_detected_by_the_first_byte_without_an_encoding(
     payload: bytes, format_: Format, encoding: str
 ) -> None:
     assert detect_format(payload, encoding) is format_
@@ -87,7 +87,7 @@ def test_format_is_told_by_the_first_byte_when_no_encoding_says_it(
         ("text/json", Format.JSON),
     ],
 )
-def test_format_is_told_by_the_encoding(encoding: str, format_: Format) -> None:
+def test_format_is_detected_by_the_encoding(encoding: str, format_: Format) -> None:
     payload = encode(TWIST, format_)
 
     assert detect_format(payload, encoding) is format_
@@ -95,13 +95,13 @@ def test_format_is_told_by_the_encoding(encoding: str, format_: Format) -> None:
     assert decode(Twist, payload, encoding) == TWIST
 
 
-@pytest.mark.parametrize(("said", "sent"), [*permutations(Format, 2)])
+@pytest.mark.parametrize(("declared", "actual"), [*permutations(Format, 2)])
 def test_decode_refuses_bytes_of_another_format_than_the_encoding(
-    said: Format, sent: Format
+    declared: Format, actual: Format
 ) -> None:
-    payload, encoding = encode(TWIST, sent), make_encoding(TWIST, said)
+    payload, encoding = encode(TWIST, actual), make_encoding(TWIST, declared)
 
-    with pytest.raises(MalformedPayload, match=rf"{said.value}.*{sent.name}"):
+    with pytest.raises(MalformedPayload, match=rf"{declared.value}.*{actual.name}"):
         decode(Twist, payload, encoding)
 
 
@@ -222,7 +222,7 @@ def test_encode_refuses_integers_beyond_64_bits(format_: Format) -> None:
         encode(StepSimulationRequest(steps=2**64), format_)
 
 
-def test_codec_keeps_what_a_subclass_adds_in_all_formats_but_cdr() -> None:
+def test_fields_of_a_subclass_are_in_all_formats_but_cdr() -> None:
     report = SpawnEntityReport(entity_name="r1", entity_namespace="team/r1")
 
     assert decode(SpawnEntityReport, encode(report, Format.MSGPACK)) == report

@@ -1,4 +1,4 @@
-"""What a relative URI means in a model that was included."""
+"""Relative URIs in included models."""
 
 import pytest
 
@@ -19,7 +19,5 @@ from zensim.proto.messages.asset_messages import resolve_include_uri
         ("model://crate", "", ""),
     ],
 )
-def test_relative_uri_is_beside_the_model_that_writes_it(
-    include: str, uri: str, whole: str
-) -> None:
+def test_relative_uri_is_relative_to_the_included_model(include: str, uri: str, whole: str) -> None:
     assert resolve_include_uri(include, uri) == whole

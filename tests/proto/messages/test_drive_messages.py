@@ -1,4 +1,4 @@
-"""What a drive command addresses, drive by drive."""
+"""Actuators of each drive."""
 
 import msgspec
 import pytest
@@ -83,7 +83,7 @@ def test_drive_counts_wheels_when_it_has_some_to_count(
 
 
 @pytest.mark.parametrize("drive", [DiffDrive(), PlanarMove(), AckermannDrive(), TricycleDrive()])
-def test_drive_is_told_by_its_kind(drive: Drive) -> None:
+def test_drive_is_decoded_by_its_kind(drive: Drive) -> None:
     model = Model("m", (Link("base"),), drive=drive)
 
     assert msgspec.msgpack.decode(msgspec.msgpack.encode(model), type=Model).drive == drive

@@ -1,4 +1,4 @@
-"""What a model tells of itself."""
+"""Derived properties of a model."""
 
 from zensim.proto.messages.drive_messages import DiffDrive, PlanarMove, WheelPair
 from zensim.proto.messages.model_messages import Inertial, Link, Model

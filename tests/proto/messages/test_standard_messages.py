@@ -1,4 +1,4 @@
-"""Simulation time as the ROS pair of seconds and nanoseconds."""
+"""Conversion of simulation time to seconds and nanoseconds."""
 
 import pytest
 from hypothesis import given
@@ -23,7 +23,7 @@ def test_time_splits_into_seconds_and_nanoseconds(time_ns: int, time: Time) -> N
 
 
 @given(time_ns=st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1))
-def test_time_goes_round(time_ns: int) -> None:
+def test_time_round_trip_keeps_nanoseconds(time_ns: int) -> None:
     time = time_from_ns(time_ns)
 
     assert ns_from_time(time) == time_ns

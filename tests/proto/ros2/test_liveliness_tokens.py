@@ -1,4 +1,4 @@
-"""Tokens as the design document and the sources show them, written and read."""
+"""Tokens and QoS profiles against documented examples and another implementation."""
 
 import pytest
 from hypothesis import given
@@ -35,7 +35,7 @@ def test_bridge_token_names_the_session() -> None:
     assert make_bridge_token("1a2b") == "@/1a2b/@ros2_lv"
 
 
-def test_route_of_a_topic_tells_its_qos_in_the_numbers_of_dds() -> None:
+def test_route_of_a_topic_has_its_qos_in_the_numbers_of_dds() -> None:
     route = BridgeRoute(
         zid="1a2b",
         kind="MP",
@@ -49,7 +49,7 @@ def test_route_of_a_topic_tells_its_qos_in_the_numbers_of_dds() -> None:
     )
 
 
-def test_route_of_a_latched_topic_is_the_one_seen_in_the_wild() -> None:
+def test_route_of_a_latched_topic_equals_that_of_a_bridge() -> None:
     route = BridgeRoute(
         zid="1",
         kind="MP",
@@ -109,7 +109,7 @@ def test_qos_is_read_as_written(qos: Qos) -> None:
     assert read_qos(write_qos(qos)) == qos
 
 
-def test_qos_is_understood_by_another_implementation() -> None:
+def test_qos_is_read_by_another_implementation() -> None:
     theirs = QosProfile.decode(write_qos(Qos(reliability="best_effort", depth=5)))
     latched = QosProfile.decode(write_qos(LATCHED))
 

@@ -41,7 +41,7 @@ def test_name_is_qualified_by_its_namespace() -> None:
 @pytest.mark.parametrize(
     "dds", ["", "a::b", "a::msg::dds::B_", "a::msg::dds_::B", "::msg::dds_::B_"]
 )
-def test_ros_type_is_empty_for_what_dds_does_not_write(dds: str) -> None:
+def test_ros_type_is_empty_for_an_invalid_dds_name(dds: str) -> None:
     assert not parse_dds_type(dds)
 
 
@@ -91,7 +91,7 @@ def test_data_key_is_read_as_written() -> None:
         "9999/a/b/c",
     ],
 )
-def test_parse_data_key_finds_nothing_in_another_key(key: str) -> None:
+def test_parse_data_key_returns_none_for_another_key(key: str) -> None:
     assert parse_data_key(key) is None
 
 
@@ -101,7 +101,7 @@ def test_parse_data_key_never_fails(key: str) -> None:
 
 
 @pytest.mark.parametrize("ros_type", ["Odometry", "nav_msgs/Odometry", "a/b/c/d", "nav_msgs//O"])
-def test_data_key_refuses_what_is_no_ros_type(ros_type: str) -> None:
+def test_data_key_refuses_an_invalid_ros_type(ros_type: str) -> None:
     with pytest.raises(ValueError, match="package/msg/Name"):
         make_data_key(0, "/odom", ros_type, NO_HASH)
 

@@ -1,4 +1,4 @@
-"""Nodes and endpoints as tokens, where they are declared, and that they go."""
+"""Tokens of nodes and endpoints: sessions, content, removal."""
 
 import pytest
 
@@ -65,7 +65,7 @@ def test_closed_node_leaves_no_token() -> None:
     assert bus.list_tokens("@/*/@ros2_lv/MP/**") == []
 
 
-def test_bridge_is_told_of_routes_when_asked_for() -> None:
+def test_bridge_tokens_are_declared_if_bridged() -> None:
     bus = MemoryBus()
     node = a_node(bus, RosSettings(is_bridged=True))
 
@@ -76,7 +76,7 @@ def test_bridge_is_told_of_routes_when_asked_for() -> None:
     assert bus.list_tokens("@/*/@ros2_lv") == [f"@/{bus.zid}/@ros2_lv"]
 
 
-def test_bridge_is_told_of_an_action_and_not_of_what_it_is_made_of() -> None:
+def test_action_has_one_bridge_token() -> None:
     bus = MemoryBus()
     node = a_node(bus, RosSettings(is_bridged=True))
 
@@ -89,7 +89,7 @@ def test_bridge_is_told_of_an_action_and_not_of_what_it_is_made_of() -> None:
     assert bus.list_tokens("@ros2_lv/0/*/*/*/MP/**") != []
 
 
-def test_bridge_is_not_told_unless_asked_for() -> None:
+def test_bridge_tokens_are_absent_by_default() -> None:
     bus = MemoryBus()
 
     a_node(bus).add_topic_endpoint("MP", ODOM)
@@ -97,7 +97,7 @@ def test_bridge_is_not_told_unless_asked_for() -> None:
     assert bus.list_tokens("@/**") == []
 
 
-def test_nothing_is_told_without_a_domain() -> None:
+def test_no_tokens_are_declared_without_a_domain() -> None:
     bus = MemoryBus()
 
     assert RosGraph(bus, NO_ROS).add_node("r1", "agent") is None
@@ -132,7 +132,7 @@ def test_closed_graph_leaves_no_token() -> None:
     assert bus.list_tokens("@ros2_lv/**") == bus.list_tokens("@/**") == []
 
 
-def test_seat_of_a_closed_node_is_taken_again() -> None:
+def test_session_of_a_closed_node_is_used_again() -> None:
     bus = MemoryBus()
     graph = RosGraph(bus, RosSettings())
     for number in range(MAX_NODES_PER_SESSION + 1):

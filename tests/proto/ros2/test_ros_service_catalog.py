@@ -1,4 +1,4 @@
-"""Names, types and forms by which ROS 2 asks for services."""
+"""Names, types and versions of ROS 2 services."""
 
 import pytest
 import zenoh
@@ -65,7 +65,7 @@ def test_a_name_has_a_key_for_each_package_and_each_version() -> None:
     assert len(standard) == len({"2.1", "1.x", "humble"})
 
 
-def test_humble_asks_in_version_1_on_keys_without_a_hash() -> None:
+def test_humble_calls_version_1_on_keys_without_a_hash() -> None:
     key = "0/spawn_entity/simulation_interfaces::srv::dds_::SpawnEntity_/TypeHashNotSupported"
 
     (found,) = index_by_key(0)[key]
@@ -73,14 +73,14 @@ def test_humble_asks_in_version_1_on_keys_without_a_hash() -> None:
     assert found.request is ros_service_catalog.SpawnEntityRequestV1
 
 
-def test_every_key_is_served_by_what_is_declared() -> None:
+def test_served_key_expressions_match_every_key() -> None:
     patterns = [zenoh.KeyExpr(pattern) for pattern in find_served_keys(7)]
 
     assert [key for key in index_by_key(7) if not any(one.includes(key) for one in patterns)] == []
     assert len(patterns) < 10
 
 
-def test_a_bridge_finds_gazebos_services_in_a_folder_of_their_own() -> None:
+def test_bridge_keys_of_gazebo_services_begin_with_gazebo() -> None:
     keys = index_by_bridge_key()
 
     assert {one.ros_type for one in keys["spawn_entity"]} == {
@@ -90,11 +90,11 @@ def test_a_bridge_finds_gazebos_services_in_a_folder_of_their_own() -> None:
 
 
 def test_version_1_of_a_spawn_names_its_resource_by_two_fields() -> None:
-    asked = ros_service_catalog.SpawnEntityRequestV1(
+    request = ros_service_catalog.SpawnEntityRequestV1(
         "r1", uri="u", resource_string="text", entity_namespace="ns"
     )
 
-    read = form("spawn_entity", "V1").decode_request(encode(asked, Format.CDR))
+    read = form("spawn_entity", "V1").decode_request(encode(request, Format.CDR))
 
     assert read == SpawnEntityRequest(
         "r1", entity_resource=Resource("u", "text"), entity_namespace="ns"
@@ -102,20 +102,20 @@ def test_version_1_of_a_spawn_names_its_resource_by_two_fields() -> None:
 
 
 def test_version_1_of_a_state_sets_pose_and_twist() -> None:
-    asked = ros_service_catalog.SetEntityStateRequestV1("r1", EntityState(pose=POSE))
+    request = ros_service_catalog.SetEntityStateRequestV1("r1", EntityState(pose=POSE))
 
-    read = form("set_entity_state", "V1").decode_request(encode(asked, Format.CDR))
+    read = form("set_entity_state", "V1").decode_request(encode(request, Format.CDR))
 
     assert read == SetEntityStateRequest(
         "r1", EntityState(pose=POSE), set_pose=True, set_twist=True
     )
 
 
-def test_gazebos_spawn_is_ours_in_other_words() -> None:
-    asked = ros_service_catalog.GazeboSpawnEntityRequest("r1", "<robot/>", "ns", POSE, "world")
+def test_gazebo_spawn_request_is_converted() -> None:
+    request = ros_service_catalog.GazeboSpawnEntityRequest("r1", "<robot/>", "ns", POSE, "world")
 
     read = form("spawn_entity", "GazeboSpawnEntityRequest").decode_request(
-        encode(asked, Format.CDR)
+        encode(request, Format.CDR)
     )
 
     assert read == SpawnEntityRequest(
@@ -126,95 +126,99 @@ def test_gazebos_spawn_is_ours_in_other_words() -> None:
     )
 
 
-def test_gazebos_delete_is_ours_in_other_words() -> None:
-    asked = encode(ros_service_catalog.GazeboDeleteEntityRequest("r1"), Format.CDR)
+def test_gazebo_delete_request_is_converted() -> None:
+    request = encode(ros_service_catalog.GazeboDeleteEntityRequest("r1"), Format.CDR)
 
     assert form("delete_entity", "GazeboDeleteEntityRequest").decode_request(
-        asked
+        request
     ) == DeleteEntityRequest("r1")
 
 
 @pytest.mark.parametrize("written", [Format.CDR, Format.MSGPACK])
-def test_an_answer_to_gazebo_says_why_it_is_no(written: Format) -> None:
+def test_gazebo_response_has_the_error_message(written: Format) -> None:
     no = DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "there is no r1"))
 
-    told = form("delete_entity", "GazeboDeleteEntityRequest").encode_response(
+    response = form("delete_entity", "GazeboDeleteEntityRequest").encode_response(
         encode(no, written), make_encoding(no, written)
     )
 
-    assert decode(ros_service_catalog.GazeboDeleteEntityResponse, told, CDR_ENCODING_NAME) == (
+    assert decode(ros_service_catalog.GazeboDeleteEntityResponse, response, CDR_ENCODING_NAME) == (
         ros_service_catalog.GazeboDeleteEntityResponse(
             success=False, status_message="there is no r1"
         )
     )
 
 
-def test_an_answer_to_gazebo_names_what_was_spawned() -> None:
+def test_gazebo_response_names_the_spawned_entity() -> None:
     yes = SpawnEntityReport(Result(), "r1_0")
 
-    told = form("spawn_entity", "GazeboSpawnEntityRequest").encode_response(
+    response = form("spawn_entity", "GazeboSpawnEntityRequest").encode_response(
         encode(yes, Format.MSGPACK), make_encoding(yes, Format.MSGPACK)
     )
 
-    answer = decode(ros_service_catalog.GazeboSpawnEntityResponse, told, CDR_ENCODING_NAME)
+    answer = decode(ros_service_catalog.GazeboSpawnEntityResponse, response, CDR_ENCODING_NAME)
     assert answer.success
     assert "r1_0" in answer.status_message
 
 
-def test_an_answer_in_our_own_form_goes_as_it_is() -> None:
+def test_cdr_of_the_current_version_is_returned_unchanged() -> None:
     yes = encode(SpawnEntityReport(Result(), "r1"), Format.CDR)
 
-    told = form("spawn_entity", "SpawnEntityOrder").encode_response(
+    response = form("spawn_entity", "SpawnEntityOrder").encode_response(
         yes, make_encoding(SpawnEntityReport, Format.CDR)
     )
 
-    assert decode(SpawnEntityResponse, told, CDR_ENCODING_NAME).entity_name == "r1"
+    assert decode(SpawnEntityResponse, response, CDR_ENCODING_NAME).entity_name == "r1"
 
 
 def test_spawnables_of_version_1_are_uris() -> None:
-    ours = GetSpawnablesResponse(Result(), (Spawnable(Resource("zensim://box_bot"), "a bot"),))
+    current = GetSpawnablesResponse(Result(), (Spawnable(Resource("zensim://box_bot"), "a bot"),))
 
     (found,) = (
         one for one in ROS_SERVICES if one.response is ros_service_catalog.GetSpawnablesResponseV1
     )
-    told = found.encode_response(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
+    response = found.encode_response(
+        encode(current, Format.MSGPACK), make_encoding(current, Format.MSGPACK)
+    )
 
-    answer = decode(ros_service_catalog.GetSpawnablesResponseV1, told, CDR_ENCODING_NAME)
+    answer = decode(ros_service_catalog.GetSpawnablesResponseV1, response, CDR_ENCODING_NAME)
     assert [one.uri for one in answer.spawnables] == ["zensim://box_bot"]
 
 
-def test_a_refusal_that_a_response_has_no_place_for_leaves_it_empty() -> None:
+def test_refusal_yields_an_empty_response_if_that_has_no_result() -> None:
     no = DeleteEntityResponse(Result(ResultCode.OPERATION_FAILED, "malformed"))
 
-    told = form("get_simulator_features", "Request").encode_response(
+    response = form("get_simulator_features", "Request").encode_response(
         encode(no, Format.MSGPACK), make_encoding(no, Format.MSGPACK)
     )
 
     assert (
-        decode(GetSimulatorFeaturesResponse, told, CDR_ENCODING_NAME)
+        decode(GetSimulatorFeaturesResponse, response, CDR_ENCODING_NAME)
         == GetSimulatorFeaturesResponse()
     )
 
 
 @pytest.mark.parametrize("one", ROS_SERVICES, ids=lambda one: f"{one.service} {one.ros_type}")
-def test_every_form_says_all_that_a_request_of_ours_needs(one: RosService) -> None:
-    ours = SERVICES[one.service].request
+def test_requests_of_all_versions_have_all_fields(one: RosService) -> None:
+    current = SERVICES[one.service].request
 
     read = one.decode_request(encode(make_sample_message(one.request), Format.CDR))
 
-    assert set(read.__struct_fields__) <= set(ours.__struct_fields__)
-    assert issubclass(ours, type(read))
+    assert set(read.__struct_fields__) <= set(current.__struct_fields__)
+    assert issubclass(current, type(read))
 
 
 @pytest.mark.parametrize("one", ROS_SERVICES, ids=lambda one: f"{one.service} {one.ros_type}")
-def test_every_form_of_an_answer_can_be_written(one: RosService) -> None:
-    ours = make_sample_message(SERVICES[one.service].response)
+def test_responses_of_all_versions_are_encoded(one: RosService) -> None:
+    current = make_sample_message(SERVICES[one.service].response)
 
-    told = one.encode_response(encode(ours, Format.MSGPACK), make_encoding(ours, Format.MSGPACK))
+    response = one.encode_response(
+        encode(current, Format.MSGPACK), make_encoding(current, Format.MSGPACK)
+    )
 
-    assert type(decode(one.response, told, CDR_ENCODING_NAME)) is one.response
+    assert type(decode(one.response, response, CDR_ENCODING_NAME)) is one.response
 
 
-def test_bytes_that_are_no_request_are_malformed() -> None:
+def test_bytes_of_another_request_are_malformed() -> None:
     with pytest.raises(MalformedPayload):
         form("spawn_entity", "V1").decode_request(b"\x00\x01\x00\x00\xff\xff\xff\xff")

@@ -3,18 +3,18 @@ import pytest
 from zensim.proto.ros2.ros_settings import RosSettings, parse_ros_settings, to_cli_arguments
 
 
-def test_settings_are_read_from_words() -> None:
+def test_settings_are_parsed_from_options() -> None:
     read = parse_ros_settings("7", "humble", "global", is_bridged=True)
 
     assert read == RosSettings(domain=7, has_hashes=False, tf="global", is_bridged=True)
     assert (read.has_global_tf, read.has_namespaced_tf) == (True, False)
 
 
-def test_ros_is_left_out_by_an_explicit_word() -> None:
+def test_ros_is_disabled_by_off() -> None:
     assert parse_ros_settings("off", "jazzy", is_bridged=False).domain is None
 
 
-def test_settings_are_written_as_words() -> None:
+def test_settings_are_written_as_options() -> None:
     assert to_cli_arguments(RosSettings()) == ("--ros-domain", "0")
     assert to_cli_arguments(RosSettings(domain=None)) == ("--ros-domain", "off")
 
@@ -29,7 +29,7 @@ def test_settings_are_written_as_words() -> None:
         ("0", "jazzy", "none", "--tf 'none'"),
     ],
 )
-def test_settings_refuse_what_is_unknown(
+def test_settings_refuse_unknown_values(
     domain: str, distribution: str, tf: str, refused: str
 ) -> None:
     with pytest.raises(ValueError, match=refused):
@@ -44,6 +44,6 @@ def test_root_frame_is_read() -> None:
     assert [one.tf_root for one in read] == ["map", ""]
 
 
-def test_root_frame_that_tf_refuses_is_refused() -> None:
+def test_invalid_root_frame_is_refused() -> None:
     with pytest.raises(ValueError, match="/map"):
         parse_ros_settings("0", "jazzy", "both", "/map", is_bridged=False)

@@ -1,4 +1,4 @@
-"""Hashes of our Structs against published ones, and against an independent implementation."""
+"""Type hashes against published ones and an independent implementation."""
 
 from typing import Annotated, ClassVar
 
@@ -24,7 +24,7 @@ PUBLISHED = {
     standard_messages.Clock: "692f7a66",
     standard_messages.PoseStamped: "10f3786d",
 }
-"""Or how they begin."""
+"""Hashes or their prefixes."""
 PUBLISHED_SERVICES = {
     "delete_entity": "ff7e96a5b83dc8e2bb34b8b034480028b3a24d9f8376b2c0590bac3704be3e28",
     "get_available_worlds": "ce5589b5523f2732d1969a3c5a7e6b17a387091df8190c62f78d7fdd1109e3e3",
@@ -49,7 +49,7 @@ PUBLISHED_SERVICES = {
     "step_simulation": "913fe0653690ce6bf8f09f316e6a626747012e9fca31e26719910d417aa8565c",
     "unload_world": "ac7f9a73df1b5b15015d854c5ac552b7726506e22f886c6792804f0b7f88b30b",
 }
-"""Of simulation_interfaces 2.1, whose interface files they were computed from."""
+"""Computed from the interface files of simulation_interfaces 2.1."""
 
 
 Int64 = Annotated[int, msgspec.Meta(extra={"cdr": "q"})]
