@@ -1,1 +1,1 @@
-"""How fast, how small: measured, not asserted."""
+"""Benchmarks: measured, not asserted."""

@@ -1,6 +1,6 @@
 """`python -m benchmarks [NAME ...] [--short]`: measure, print, and rewrite docs/benchmarks.md.
 
-The page is written only when everything was measured at full length.
+The page is written only if every section was measured at full length.
 """
 
 from benchmarks.command import Document

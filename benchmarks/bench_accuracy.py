@@ -1,8 +1,7 @@
 """Accuracy
 
-Ten box_bots are driven at once for 10 simulated seconds and then stopped; what each did is read
-from its odometry, which a box_bot takes from the world and not from its wheels. A sample is a
-robot.
+Ten box_bots drive at once for 10 simulated seconds and then stop. The motion is read from their
+odometry, which a box_bot takes from the world and not from its wheels. A sample is a robot.
 """
 
 from collections.abc import Iterator

@@ -1,8 +1,8 @@
-"""Sending meshes
+"""Uploading meshes
 
-Twenty meshes of 20,160 triangles each go to a server with ten standing robots: gathered and named
-by content as `zensim spawn` does, sent in pieces, then sent again when all are there. Floor: the
-same pieces in requests to a process that takes them and does nothing else, through the same router.
+Twenty meshes of 20,160 triangles each are uploaded to a server with ten standing robots: collected
+and hashed as `zensim spawn` does, sent in pieces, then sent again when the server has all of them.
+Floor: the same pieces as requests to a process that only receives them, through the same router.
 """
 
 from collections.abc import Iterator, Sequence

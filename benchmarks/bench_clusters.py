@@ -1,10 +1,10 @@
 """Worlds in cells
 
-Engines alone, without a network, in turns: box_bots, one on each square metre, that drive arcs
-drawn anew each simulated second and meet now and then; all are commanded and read at each step.
-"One world" is the same engine without cells. Processor time of this process, which has all cells,
-but for the last rows: there a worker has half of them, and the wall's time is compared with that of
-a world in the same cells without one. Sizes of fleets are compared within a turn.
+Engines alone, without a network, in turns: box_bots, one per square metre, drive random arcs, a new
+one each simulated second, and meet now and then. All are commanded and read at each step. "One
+world" is the same engine without cells. CPU time of this process, which has all cells, except in
+the last rows: there a worker has half of them, and wall time is compared with the same cells
+without a worker. Fleet sizes are compared within a turn.
 """
 
 import time

@@ -1,11 +1,11 @@
 """From command to motion
 
-A robot stands, a Twist is put on its `cmd_vel` at a random moment, and the time runs until its
-first odometry that shows motion has come; nine others drive circles meanwhile, all at real-time
-factor 1. The server tells agents every 12.5 ms and steps every 4.2 ms: a command waits for the
-agent's next look (3.5 ms), then for the next step; the body moves one to four steps after its
-wheels, and that waits for the next state. Floor: the same way through the router twice, to a
-process that puts back at once what it gets.
+A robot stands, a Twist is published on its `cmd_vel` at a random moment, and the time is measured
+until its first odometry that shows motion. Nine others drive circles, all at real-time factor 1.
+The server publishes states every 12.5 ms and steps every 4.2 ms: a command waits for the agent's
+next check (3.5 ms), then for the next step; the body moves one to four steps after its wheels, and
+that waits for the next state. Floor: the same way through the router twice, to a process that
+publishes what it receives.
 """
 
 import random

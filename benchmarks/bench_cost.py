@@ -1,10 +1,10 @@
-"""What ten robots cost
+"""Cost of ten robots
 
-`zensim up` with its page served and nobody looking at it: first the robots stand and nobody
-listens, then they drive circles, commanded at 10 Hz, and one process listens to all odometry and
-tf. That process is this one and is not among `all processes`. A sample is a second, or of memory
-a process; CPU is in cores: seconds of work a second. Floor of memory: an interpreter with the
-outside libraries of an agent and one open session.
+`zensim up` with its page served and not open: first the robots stand without subscribers, then they
+drive circles, commanded at 10 Hz, and one process subscribes to all odometry and tf. That process
+is this one and is not among `all processes`. A sample is a second, or a process for memory; CPU is
+in cores: seconds of CPU time per second. Floor of memory: an interpreter with the outside libraries
+of an agent and one open session.
 """
 
 import subprocess

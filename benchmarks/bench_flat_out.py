@@ -1,8 +1,8 @@
-"""Flat out
+"""As fast as possible
 
-How many simulated seconds a second gives at `zensim serve --rtf 0`, while every robot drives a
-circle with an agent of its own; a sample is a second. Floor: the same robots in the same engine,
-in a loop that only steps, and in one that also reads and commands all robots each control period.
+Simulated seconds per second at `zensim serve --rtf 0`, while every robot drives a circle with its
+own agent; a sample is a second. Floor: the same robots in the same engine, in a loop that only
+steps, and in one that also reads and commands all robots each control period.
 """
 
 import statistics

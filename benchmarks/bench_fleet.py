@@ -1,15 +1,14 @@
-"""Fleets flat out
+"""Fleets as fast as possible
 
-Box_bots drive circles in one world: in a real server at `--rtf 0`, whose drive states one other
-process answers and whose snapshots it takes, and in a plain PyBullet loop with the best settings,
-driven and read at the same control periods, without a network (the floor). The two take turns. CPU
-is that of the loop's thread, and of the processes that step the cells of a large world; `floor /
-served` compares it turn by turn: the engine's share. The best settings are 10 iterations of the
-solver; with them a robot that has stopped rocks a little, so the server allows 20, and the floor is
-measured with these too. Flat out a server tells its agents at most every 2 ms of the wall's time.
-Where the time of the loop goes is measured in turns of its own, since looking costs: `messages` are
-drive states and snapshots made from arrays, `take` is taking in what has come, and the engine is
-also waited for where other processes step cells.
+Box_bots drive circles in one world: in a real server at `--rtf 0`, whose drive states another
+process answers and whose snapshots it receives, and in a plain PyBullet loop with the best
+settings, driven and read at the same control periods, without a network (the floor). The two take
+turns. CPU is that of the loop thread, and of the processes that step the cells of a large world;
+`floor / served` compares it turn by turn: the engine's share. The best settings are 10 solver
+iterations; a stopped robot then rocks a little, so the server allows 20, and the floor is measured
+with these too. As fast as possible, a server publishes states at most every 2 ms of wall time. The
+parts of the loop are measured in turns of their own: `messages` are drive states and snapshots made
+from arrays, `take` receives messages, and the engine includes waiting for other processes' cells.
 """
 
 import statistics

@@ -1,8 +1,8 @@
-"""Fleets: answers
+"""Fleets: response time
 
 `get_entity_state` of one robot at random moments, as a caller sees it, while all robots drive
-circles and the server paces them to real time, or tries to. Floor: a request to a process that
-answers at once and does nothing else, through the same router.
+circles and the server paces itself to real time, or tries to. Floor: a request to an echo process
+through the same router.
 """
 
 import random

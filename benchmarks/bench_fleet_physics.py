@@ -1,10 +1,10 @@
 """Fleets: kinds of physics
 
-A real server at `--rtf 0` with box_bots that drive circles; one other process answers every drive
-state and takes the snapshots, which go out 30 times a second of the wall's clock. Robots of
-different kinds of physics are not to be compared: a kinematic one is a point with a heading, a
-fully dynamic one has wheels, masses and contacts. A sample is a turn of some seconds; CPU is that
-of all threads and processes of the server.
+A real server at `--rtf 0` with box_bots that drive circles. One other process answers every drive
+state and receives the snapshots, 30 per second of wall time. Do not compare robots of different
+kinds of physics: a kinematic robot is a point with a heading, a fully dynamic one has wheels,
+masses and contacts. A sample is a turn of some seconds; CPU is that of all threads and processes of
+the server.
 """
 
 from collections.abc import Iterator

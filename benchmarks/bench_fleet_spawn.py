@@ -1,13 +1,12 @@
 """Fleets: spawning
 
-Box_bots are spawned by one request, all between two steps or none, while a robot far away drives at
-real-time factor 1: with `--dynamics auto` at 100 Hz and with MuJoCo at 100 Hz, which two cores can
-pace, and with full dynamics of PyBullet at 240 Hz, which they cannot. `longest wait` is how much
-later than due the robot's next state came at worst, in an equal time before the request (quiet) and
-from the request to its answer. Memory is what the server and the processes that step its cells hold
-alone (USS), before and after. Floor: the same bodies put into PyBullet. Last: two pools are up and
-users command every robot at 2 Hz before it is there; from the start of `zensim fleet` until each
-robot's own odometry has shown that it moves.
+One request spawns all box_bots in one step or none, while a robot far away drives at real-time
+factor 1: with `--dynamics auto` at 100 Hz and with MuJoCo at 100 Hz, which two cores can pace, and
+with full dynamics of PyBullet at 240 Hz, which they cannot. `longest wait` is the greatest delay of
+the robot's next state, in an equal time before the request (quiet) and from request to reply.
+Memory is that of the server and of the processes that step its cells (USS), before and after.
+Floor: the same bodies added to PyBullet. Last: two pools run and users command every robot at 2 Hz
+before it exists; from the start of `zensim fleet` until each robot's odometry shows motion.
 """
 
 import time

@@ -1,10 +1,9 @@
 """Fleets: traffic
 
-Router, server, agents and users are processes of their own, at real-time factor 1. One process is
-all users: it commands each robot at 10 Hz to drive a circle, and takes all odometry and tf. One
-robot more stands; it is told to move, again and again, and the time runs until its odometry shows
-that it does; 20 s when it does not within 20 s. A sample is a second, of an answer one command; CPU
-is in cores.
+Router, server, agents and users are separate processes, at real-time factor 1. One process is all
+users: it commands each robot at 10 Hz to drive a circle, and subscribes to all odometry and tf. One
+more robot stands; it is commanded to move, again and again, and the time until its odometry shows
+motion is measured, 20 s at most. A sample is a second, or a command; CPU is in cores.
 """
 
 import random

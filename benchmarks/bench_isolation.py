@@ -1,12 +1,11 @@
-"""Physics while large and bad files come
+"""Physics while large and bad files arrive
 
 Ten robots drive circles. A robot of 100 links and 20 meshes of 20,160 triangles each (STL, OBJ, DAE
-and GLB) is uploaded, read and put into the world, in runs that share no file; then one
-of which nothing moves, so that its triangles themselves are what others collide with; then
-descriptions and meshes are sent that are refused. A sample is a second of the server: how late its
-latest step began, and for how long the loop's own work held a step up. The first is also late when
-other programs have the cores, as "nothing else" shows; the second is CPU time of the loop's thread:
-what steps would be late by on a core of their own.
+and GLB) is uploaded, parsed and spawned, in runs that share no file; then a static one, whose
+triangles themselves collide; then descriptions and meshes that are refused. A sample is a second of
+the server: how late its latest step began, and for how long the loop's own work delayed a step. The
+first is also late when other programs have the cores, as "nothing else" shows; the second is CPU
+time of the loop thread: the delay on a core of its own.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,8 +1,8 @@
-"""The journal
+"""Journal
 
 The same spawns and deletes at random moments while ten robots drive circles, without a journal and
-with one; then the server is killed and started again on a journal of a hundred robots. Floor of a
-reply that waits for the disk: writing and syncing as many bytes as a spawn brings, in this process.
+with one; then the server is killed and restarted on a journal of a hundred robots. Floor of a reply
+that waits for the disk: writing and syncing as many bytes as a spawn has, in this process.
 """
 
 import os

@@ -1,9 +1,9 @@
 """Pools
 
-What one drive state costs the process that drives N box_bots, in CPU time of its thread: to answer
-it with targets, and to publish odometry and tf of every robot. A router of its own passes
-everything on to a listener in this process, who throws it away. Floor: the same count of ready
-payloads put on publishers; and agents as they are for single robots, in one process.
+CPU time of the thread that drives N box_bots for one drive state: replying with targets, and
+publishing odometry and tf of every robot. A separate router forwards everything to a subscriber in
+this process that discards it. Floor: as many prepared payloads on publishers; and agents of single
+robots in one process.
 """
 
 import time

@@ -1,9 +1,9 @@
-"""Reading and building robots
+"""Parsing and building robots
 
-Processor time of reading a URDF of 4, 100 and 500 links in the server's own way; of reading
-`box_bot_legacy`, of which there is most to report, with and without noting anything, by turns; of
-reading a robot of 100 links with twenty meshes of 20,160 triangles; and of putting a box_bot into
-PyBullet as the first and as the thousandth of a world.
+CPU time to parse a URDF of 4, 100 and 500 links as the server does; to parse `box_bot_legacy`,
+which has the most to report, with and without a report, in turns; to parse a robot of 100 links
+with twenty meshes of 20,160 triangles; and to add a box_bot to PyBullet as the first and as the
+thousandth of a world.
 """
 
 import time

@@ -1,11 +1,11 @@
-"""ROS 2's face
+"""ROS 2
 
 A server and a pool that drives 100 robots in circles, with odometry and tf at every state, without
-ROS 2 (the floor, `--ros-domain off`) and with its face, taken in turns: while nobody looks, while
-one looks at everything on the face, and while one also looks at everything on the plain keys of the
-floor. What is asked is asked of the server's tick: CPU time of the loop's thread a step. Below it
-stands what the look makes the server's other threads pass on and the pool tell, beyond what they do
-when nobody looks; there the floor is what the same messages cost on plain keys.
+ROS 2 (the floor, `--ros-domain off`) and with it, in turns: without subscribers, with one
+subscriber to everything on ROS 2 keys, and with one that also subscribes to the plain keys of the
+floor. The limits apply to the server's tick: CPU time of the loop thread per step. Below it is what
+the subscriber makes the server's other threads route and the pool publish, beyond what they do
+without one; there the floor is the cost of the same messages on plain keys.
 """
 
 import json

@@ -1,10 +1,10 @@
-"""ROS 2's face: fleets
+"""ROS 2: fleets
 
-A thousand robots stand in a server; two pools are started, that tell odometry and tf at 10 Hz, with
-ROS 2's face and without (the floor). Ready is a fleet when odometry of each robot has been heard,
-from the start of the pools on: on ROS 2's keys, and on the plain ones. Then a session joins late
-and watches the tokens of all endpoints, as rmw_zenoh does, until it has them all. Floor: as many
-tokens with short keys, on as many sessions of this process, watched by another that joins late.
+A thousand robots stand in a server. Two pools start and publish odometry and tf at 10 Hz, with ROS
+2 and without (the floor). A fleet is ready when odometry of each robot has arrived, from the start
+of the pools: on ROS 2 keys, and on plain keys. Then a session joins late and subscribes to the
+tokens of all endpoints, as rmw_zenoh does, until it has all. Floor: as many tokens with short keys,
+in as many sessions of this process, received by another that joins late.
 """
 
 import time

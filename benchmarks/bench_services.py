@@ -1,7 +1,7 @@
 """Services
 
 From request to response, as a caller sees it, at random moments while ten robots drive circles.
-Floor: a request to a process that answers at once and does nothing else, through the same router.
+Floor: a request to an echo process through the same router.
 """
 
 import random

@@ -1,9 +1,9 @@
-"""Robots that stand
+"""Robots at rest
 
 The engine of a server alone (cells where they pay, no workers), without a network: box_bots on a
-grid are commanded and read at each step; first they drive circles, then they are told to stand, and
-are measured again once they sleep, and while half of them drive. The floor is PyBullet in one world
-whose robots stand and never sleep. Processor time of this process.
+grid are commanded and read at each step. First they drive circles, then they are commanded to stand
+and are measured once they sleep, and while half of them drive. The floor is PyBullet in one world
+whose robots stand and never sleep. CPU time of this process.
 """
 
 import time

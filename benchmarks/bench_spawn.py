@@ -1,10 +1,10 @@
 """Spawning while others drive
 
-A box_bot is spawned far away and deleted again, at random moments, while ten robots drive
-circles. The server says each second how late its latest step began, how long its longest engine
-step took, and for how long the loop's own work held a step up (CPU time: the rest is what other
-programs took): once for a time without spawns, then with them. Floor: the same description read
-and put into PyBullet in this process, among as many bodies.
+A box_bot is spawned far away and deleted again, at random moments, while ten robots drive circles.
+The server reports each second how late its latest step began, how long its longest engine step
+took, and for how long the loop's own work delayed a step (CPU time: the rest is due to other
+programs): first without spawns, then with them. Floor: the same description parsed and added to
+PyBullet in this process, among as many bodies.
 """
 
 import random

@@ -1,11 +1,11 @@
-"""Start and end
+"""Start and stop
 
 From the exec of `zensim up --json` to its line that says that every robot has published odometry,
 and with the page also that it is served; then from Ctrl-C until no process is left. `ready_s` is
-what the line itself says: without the start of the interpreter, and without the page. One run
-before is not counted, so that the disk is warm. `CPU until ready` is what all processes have worked
-by then, which other programs hardly change. Floor: as many interpreters at once that import the
-outside libraries of agents and server and do nothing else.
+the time in that line: without the start of the interpreter, and without the page. One run before is
+not counted, so that the disk cache is warm. `CPU until ready` is the CPU time of all processes by
+then, which other programs hardly change. Floor: as many interpreters at once that only import the
+outside libraries of agents and server.
 """
 
 import signal

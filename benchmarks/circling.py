@@ -1,7 +1,7 @@
-"""A process that drives box_bots in circles, all in one claim, as cheaply as it can be done.
+"""Process that drives box_bots in circles in one claim, as cheaply as possible.
 
-`python -m benchmarks.circling ENDPOINT COUNT` takes box_bot0 and so on, says so in a line, and
-answers every drive state with the same wheel speeds. It also takes the world's snapshots.
+`python -m benchmarks.circling ENDPOINT COUNT` claims box_bot0 and so on, prints a line, and answers
+every drive state with the same wheel speeds. It also subscribes to the world's snapshots.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""The command line of what is measured in sections and written to a page."""
+"""Command line of programs that measure sections and write a page."""
 
 import argparse
 import os

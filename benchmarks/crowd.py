@@ -1,7 +1,7 @@
-"""A process that is the users of a fleet: commands robots, and takes all odometry and tf.
+"""Process that plays all users of a fleet: commands robots, and subscribes to all odometry and tf.
 
-`python -m benchmarks.crowd ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and puts
-on `bench/tally` what has come and gone so far: each second, and as soon as all have moved.
+`python -m benchmarks.crowd ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and publishes
+counts of sent and received messages on `bench/tally`: each second, and once all robots have moved.
 """
 
 import math

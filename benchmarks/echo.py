@@ -1,4 +1,4 @@
-"""A process that answers at once and does nothing else: the least that the network can cost.
+"""Echo process: the least that a request through the network can cost.
 
 `python -m benchmarks.echo ENDPOINT` joins there.
 """

@@ -1,4 +1,4 @@
-"""Figures: what was measured, what was asked of it, and how both are written."""
+"""Figures: what was measured, the limit, and how both are written."""
 
 import statistics
 from collections.abc import Callable, Iterable

@@ -1,4 +1,4 @@
-"""Ten box_bots and what drives them, as real processes; and how to watch them closely."""
+"""Ten box_bots and their programs as real processes, and close observation of them."""
 
 import time
 from collections.abc import Callable, Iterable, Iterator

@@ -1,4 +1,4 @@
-"""A robot as large as they come, with files of its own: a hundred links, twenty fine meshes."""
+"""A large robot with its own files: a hundred links, twenty fine meshes."""
 
 import numpy as np
 import trimesh

@@ -1,4 +1,4 @@
-"""How long a driven robot waits for its next step, seen from outside."""
+"""How long a driven robot waits for its next step, as seen by a subscriber."""
 
 import threading
 import time

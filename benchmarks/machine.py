@@ -1,4 +1,4 @@
-"""The machine that figures were measured on, and what ran there."""
+"""The machine on which figures were measured, and its other load."""
 
 import os
 import platform

@@ -1,4 +1,4 @@
-"""How soon a robot moves once it is told to, as its own odometry shows it."""
+"""Time from a command to motion in the robot's odometry."""
 
 import math
 import random

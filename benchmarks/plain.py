@@ -1,7 +1,7 @@
 """The floor of a fleet: box_bots in a plain PyBullet loop, best settings, no server, no network.
 
-The bodies are the server's own, each link without a moving joint lumped into its parent: PyBullet's
-own reading of the same URDF keeps them apart, and steps 1.4 times as long.
+The bodies are the server's own, with fixed links lumped: PyBullet's own parser keeps them apart and
+steps 1.4 times as long.
 """
 
 import time

@@ -1,4 +1,4 @@
-"""What benchmarks found, as a document."""
+"""Benchmark sections as a document."""
 
 from importlib import import_module
 

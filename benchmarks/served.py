@@ -1,4 +1,4 @@
-"""A server with a fleet in it that drives circles, started and stopped in short turns."""
+"""A server with a fleet that drives circles, played and paused in short turns."""
 
 import math
 import os

@@ -1,4 +1,4 @@
-"""A whole installation in processes of its own: router, server, agents, and a fleet's users."""
+"""A whole installation in separate processes: router, server, agents, and a fleet's users."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Where the time of one thread goes: each part's own time, without that of the parts inside it."""
+"""Time of one thread by part: each part's own time, without that of the parts inside it."""
 
 import time
 from collections.abc import Callable, Generator, Iterator

@@ -1,4 +1,4 @@
-"""Timing of short calls: the median of many repeats, and how far they spread."""
+"""Timing of short calls: the median of many repeats, and their spread."""
 
 import gc
 from collections.abc import Callable

@@ -1,7 +1,7 @@
-"""`zensim serve` that says what it used each time it begins and ceases to play.
+"""`zensim serve` that reports what it used each time it starts and stops playing.
 
-`python -m benchmarks.watched_server ARGUMENTS` takes the arguments of `zensim serve`. After
-SIGUSR1 it also says where the time of its loop went, from the next beginning on.
+`python -m benchmarks.watched_server ARGUMENTS` takes the arguments of `zensim serve`. After SIGUSR1
+it also reports the parts of its loop's time, from the next start on.
 """
 
 import os
