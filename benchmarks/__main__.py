@@ -3,9 +3,9 @@
 The page is written only if every section was measured at full length.
 """
 
-from benchmarks.command import Document
+from benchmarks.benchmark_report import HEAD, NAMES, measure
+from benchmarks.document_command import Document
 from benchmarks.machine import ROOT
-from benchmarks.report import HEAD, NAMES, measure
 
 PAGE = ROOT / "docs" / "benchmarks.md"
 DOCUMENT = Document(

@@ -7,7 +7,7 @@ odometry, which a box_bot takes from the world and not from its wheels. A sample
 from collections.abc import Iterator
 
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet
+from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT, fleet
 from tests.integration.robots import drive_for
 
 __all__ = ["rows", "table"]

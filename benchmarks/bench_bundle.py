@@ -12,10 +12,10 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from benchmarks import huge
-from benchmarks.echo import Echo, echo
+from benchmarks import large_robot
+from benchmarks.echo_process import Echo, echo
 from benchmarks.figures import Figure, table
-from benchmarks.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
+from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
 from zensim.proto.codec.message_codec import Format, encode
 from zensim.proto.messages.asset_messages import (
     MAX_CHUNK_BYTES,
@@ -45,7 +45,7 @@ class Run(msgspec.Struct, frozen=True):
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
     """Measure times, then count bytes."""
-    count = len(huge.ENDINGS) if is_short else huge.MESHES
+    count = len(large_robot.ENDINGS) if is_short else large_robot.MESHES
     with fleet(ROBOTS_WHEN_SHORT if is_short else ROBOTS) as found, echo(found.server.bus) as sink:
         runs: list[Run] = []
         for seed in range(1 if is_short else RUNS):
@@ -74,9 +74,9 @@ def _figure(what: str, samples: Sequence[float]) -> Figure:
 
 
 def _written(folder: Path, seed: int, count: int) -> tuple[str, SearchPaths]:
-    for name, data in huge.meshes(seed, count).items():
+    for name, data in large_robot.meshes(seed, count).items():
         folder.joinpath(name).write_bytes(data)
-    return huge.text(count=count), SearchPaths((folder.resolve(),))
+    return large_robot.text(count=count), SearchPaths((folder.resolve(),))
 
 
 def _put(sink: Echo, files: Sequence[AssetFile]) -> None:

@@ -11,10 +11,10 @@ publishes what it receives.
 import random
 from collections.abc import Iterator
 
-from benchmarks.echo import echo
+from benchmarks.echo_process import echo
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
 from benchmarks.motion import SPEED, response_ms, stop
+from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
 
 __all__ = ["rows", "table"]
 

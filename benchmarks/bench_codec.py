@@ -1,7 +1,7 @@
 """Codec
 
-One message to bytes and back, in each format: CDR for ROS, MessagePack for services and drives, JSON
-for everybody. Floor: rosbags, in the same run.
+One message to bytes and back, in each format: CDR for ROS, MessagePack for services and drives,
+JSON for all. Floor: rosbags, in the same run.
 """
 
 import struct

@@ -16,8 +16,8 @@ from typing import TypeAlias
 import numpy as np
 
 from benchmarks.figures import Figure, table
-from benchmarks.fleet import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT, SPACING_M
 from benchmarks.machine import used_s
+from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT, SPACING_M
 from tests.fakes import MemoryBus
 from tests.integration.processes import Server, running, serving, wait_for_agents
 from tests.integration.robots import robot

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import psutil
 
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
+from benchmarks.ten_robots import CIRCLE, ROBOTS, ROBOTS_WHEN_SHORT
 from tests.integration.processes import joined, read_json_line, running
 from tests.integration.robots import Robot, robot
 from zensim.proto.bus import BusSubscription

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 
 from benchmarks.bodies import CONFIG, Bodies
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import ROBOTS, Fleet, fleet
+from benchmarks.ten_robots import ROBOTS, Fleet, fleet
 
 __all__ = ["rows", "table"]
 

@@ -19,9 +19,9 @@ import msgspec
 from benchmarks import figures
 from benchmarks.bodies import CONFIG
 from benchmarks.figures import Asked, Figure, written
-from benchmarks.fleet import CIRCLE, MILLISECONDS
-from benchmarks.plain import PlainLoop, Turn
-from benchmarks.served import Served, Spent, served
+from benchmarks.fleet_server import Served, Spent, served
+from benchmarks.pybullet_floor import PlainLoop, Turn
+from benchmarks.ten_robots import CIRCLE, MILLISECONDS
 from zensim.sim_server.server_config import CONTROL_HZ, ServerConfig
 
 TURN_S, LONG_TURN_S, TURN_WHEN_SHORT_S = 0.3, 2.0, 0.1

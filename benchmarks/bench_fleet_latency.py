@@ -9,10 +9,10 @@ import random
 import time
 from collections.abc import Callable, Iterator
 
-from benchmarks.echo import echo
+from benchmarks.echo_process import echo
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import milliseconds
-from benchmarks.served import Served, served
+from benchmarks.fleet_server import Served, served
+from benchmarks.ten_robots import milliseconds
 from zensim.proto.messages.simulation_messages import State
 
 __all__ = ["rows", "table"]

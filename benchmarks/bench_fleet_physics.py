@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from benchmarks.bench_fleet import begin
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.served import Spent, served
+from benchmarks.fleet_server import Spent, served
 
 __all__ = ["rows", "table"]
 

@@ -18,13 +18,13 @@ import psutil
 
 from benchmarks.bench_fleet_traffic import POOLS, pool
 from benchmarks.bodies import CONFIG
-from benchmarks.crowd import Tally
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import SPACING_M, milliseconds, soon
+from benchmarks.fleet_server import Served, served, spawn
+from benchmarks.fleet_users import Tally
+from benchmarks.installation import crowd, staffed
 from benchmarks.lateness import Lateness, watched
-from benchmarks.plain import PlainLoop
-from benchmarks.served import Served, served, spawn
-from benchmarks.staffed import crowd, staffed
+from benchmarks.pybullet_floor import PlainLoop
+from benchmarks.ten_robots import SPACING_M, milliseconds, soon
 from tests.integration.processes import zensim
 from zensim.proto.bus import BusSubscription
 from zensim.proto.messages.simulation_messages import State

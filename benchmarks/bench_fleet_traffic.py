@@ -11,10 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import MILLISECONDS
+from benchmarks.fleet_server import spawn
+from benchmarks.installation import Span, crowd, observed, staffed
 from benchmarks.motion import PATIENCE_S, SPEED, response_ms
-from benchmarks.served import spawn
-from benchmarks.staffed import Span, crowd, observed, staffed
+from benchmarks.ten_robots import MILLISECONDS
 from tests.integration.processes import eventually
 from tests.integration.robots import Robot, robot
 

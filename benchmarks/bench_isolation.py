@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from benchmarks import huge
+from benchmarks import large_robot
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import (
+from benchmarks.ten_robots import (
     ROBOTS,
     ROBOTS_WHEN_SHORT,
     Fleet,
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 __all__ = ["rows", "table"]
 
 RUNS = 5
-MESHES_WHEN_SHORT = len(huge.ENDINGS)
+MESHES_WHEN_SHORT = len(large_robot.ENDINGS)
 FAR_M = 500.0
 QUIET_S = 4.5
 NO_NAME = "no-name"
@@ -99,12 +99,17 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def a_cargo(
-    folder: Path, seed: int, *, is_held: bool, links: int = huge.LINKS, count: int = huge.MESHES
+    folder: Path,
+    seed: int,
+    *,
+    is_held: bool,
+    links: int = large_robot.LINKS,
+    count: int = large_robot.MESHES,
 ) -> SpawnPayload:
     """Write a robot and its meshes, and gather them as `zensim spawn` does."""
-    for name, data in huge.meshes(seed, count).items():
+    for name, data in large_robot.meshes(seed, count).items():
         folder.joinpath(name).write_bytes(data)
-    return _cargo(folder, huge.text(links, count, is_held=is_held))
+    return _cargo(folder, large_robot.text(links, count, is_held=is_held))
 
 
 def _cargo(folder: Path, text: str) -> SpawnPayload:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from benchmarks.bench_spawn import LONGEST_PAUSE_S, Spawner, an_order
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import (
+from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
     ROBOTS_WHEN_SHORT,

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import MILLISECONDS
+from benchmarks.ten_robots import MILLISECONDS
 from tests.integration.processes import free_endpoint, joined, running
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, encode, make_encoding

@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks import huge
+from benchmarks import large_robot
 from benchmarks.figures import Asked, Figure, table
 from zensim.proto.messages.model_messages import Model, ReportStatus
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -81,9 +81,9 @@ def _report(repeats: int) -> Iterator[Figure]:
 def _meshes(repeats: int) -> Figure:
     samples = []
     for seed in range(repeats):
-        files: MeshFiles = {uri: (uri, data) for uri, data in huge.meshes(seed).items()}
+        files: MeshFiles = {uri: (uri, data) for uri, data in large_robot.meshes(seed).items()}
         read = partial(
-            parse_description, huge.text(), assets=files, allow_missing=False, compat="fixed"
+            parse_description, large_robot.text(), assets=files, allow_missing=False, compat="fixed"
         )
         samples.append(_milliseconds(read))
     return Figure(what="read a robot with twenty meshes", unit="ms", samples=tuple(samples))

@@ -19,9 +19,9 @@ import numpy as np
 import zenoh
 
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import CIRCLE, MILLISECONDS, SPACING_M
 from benchmarks.machine import thread_used_s, used_s
 from benchmarks.motion import MOVES
+from benchmarks.ten_robots import CIRCLE, MILLISECONDS, SPACING_M
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 
 from benchmarks.bench_fleet_traffic import POOLS, pool
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import POLL_S, soon
+from benchmarks.fleet_server import CALL_TIMEOUT_S, PATIENCE_S, spawn
 from benchmarks.machine import used_s
-from benchmarks.served import CALL_TIMEOUT_S, PATIENCE_S, spawn
+from benchmarks.ten_robots import POLL_S, soon
 from tests.integration.processes import free_endpoint, joined, running
 from zensim.proto.bus import Bus
 from zensim.proto.ros2.rmw_keys import OFF

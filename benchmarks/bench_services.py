@@ -8,9 +8,9 @@ import random
 import time
 from collections.abc import Callable, Iterator
 
-from benchmarks.echo import Echo, echo
+from benchmarks.echo_process import Echo, echo
 from benchmarks.figures import Figure, table
-from benchmarks.fleet import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
+from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT, fleet, milliseconds
 from tests.integration.processes import Server
 
 __all__ = ["rows", "table"]

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.bodies import standing_at
-from benchmarks.circling import WHEEL_SPEEDS
+from benchmarks.circling_driver import WHEEL_SPEEDS
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import SPACING_M
+from benchmarks.ten_robots import SPACING_M
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine

@@ -14,7 +14,7 @@ from functools import partial
 
 from benchmarks.bodies import Bodies, standing_at
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import (
+from benchmarks.ten_robots import (
     MILLISECONDS,
     ROBOTS,
     ROBOTS_WHEN_SHORT,

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from benchmarks.figures import Asked, Figure, table
-from benchmarks.fleet import ROBOTS, ROBOTS_WHEN_SHORT
 from benchmarks.machine import used_s
+from benchmarks.ten_robots import ROBOTS, ROBOTS_WHEN_SHORT
 from tests.integration.processes import children, read_json_line, running
 
 __all__ = ["rows", "table"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from benchmarks.fleet import SPACING_M
+from benchmarks.ten_robots import SPACING_M
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine

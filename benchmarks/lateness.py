@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from itertools import pairwise
 
 from benchmarks.bodies import CONFIG
-from benchmarks.circling import AGENT, WORLD
-from benchmarks.fleet import MILLISECONDS, POLL_S
+from benchmarks.circling_driver import AGENT, WORLD
+from benchmarks.ten_robots import MILLISECONDS, POLL_S
 from zensim.proto.bus import Bus
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.agent_messages import DriveState

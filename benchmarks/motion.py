@@ -4,7 +4,7 @@ import math
 import random
 import time
 
-from benchmarks.fleet import milliseconds, soon
+from benchmarks.ten_robots import milliseconds, soon
 from tests.integration.robots import Robot
 from zensim.proto.messages.standard_messages import Odometry
 

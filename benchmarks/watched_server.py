@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 
-from benchmarks.stopwatch import Stopwatch
+from benchmarks.part_timer import Stopwatch
 from zensim.deploy.cli import main
 from zensim.proto.bus import BusPublisher
 from zensim.proto.messages.simulation_messages import State

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from benchmarks.__main__ import PAGE
+from benchmarks.benchmark_report import NAMES, Section, measure, page
 from benchmarks.machine import ROOT, Work, others_cores
-from benchmarks.report import NAMES, Section, measure, page
 
 
 def run(*arguments: str) -> "subprocess.CompletedProcess[str]":

@@ -6,10 +6,10 @@ missed.
 
 from importlib import import_module
 
-from benchmarks.command import Document
+from benchmarks.benchmark_report import Section
+from benchmarks.document_command import Document
 from benchmarks.figures import Figure, missed_among, table
 from benchmarks.machine import ROOT
-from benchmarks.report import Section
 
 NAMES = (
     "agents",

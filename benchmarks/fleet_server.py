@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import msgspec
 import psutil
 
-from benchmarks.fleet import SPACING_M
 from benchmarks.machine import ROOT, used_s
-from benchmarks.plain import Turn
+from benchmarks.pybullet_floor import Turn
+from benchmarks.ten_robots import SPACING_M
 from benchmarks.watched_server import Used, mark
 from tests.integration.processes import end, free_endpoint, joined
 from zensim.proto.messages.simulation_messages import State
@@ -97,7 +97,7 @@ def served(count: int, *serve_arguments: str) -> Iterator[Served]:
         found = Served(process, SimClient(bus, timeout_s=CALL_TIMEOUT_S))
         found.client.wait_for_server(PATIENCE_S)
         spawn(found.client, count)
-        driver = stack.enter_context(program("circling", endpoint, str(count)))
+        driver = stack.enter_context(program("circling_driver", endpoint, str(count)))
         line_with(f"claimed {count}", driver)
         yield found
 

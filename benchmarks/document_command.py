@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from benchmarks import machine
-from benchmarks.report import Section, page
+from benchmarks.benchmark_report import Section, page
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 

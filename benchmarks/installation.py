@@ -9,10 +9,10 @@ from itertools import pairwise
 import msgspec
 import psutil
 
-from benchmarks.crowd import TALLY, Tally
-from benchmarks.fleet import soon
+from benchmarks.fleet_server import PATIENCE_S, program
+from benchmarks.fleet_users import TALLY, Tally
 from benchmarks.machine import used_s
-from benchmarks.served import PATIENCE_S, program
+from benchmarks.ten_robots import soon
 from tests.integration.processes import free_endpoint, joined, running
 from zensim.proto.bus import Bus, BusSubscription
 from zensim.spawner.client.sim_client import SimClient
@@ -63,7 +63,7 @@ def staffed(serve: Sequence[str], agents: Sequence[Sequence[str]]) -> Iterator[C
 def crowd(bus: Bus, count: int, hz: float) -> Iterator[tuple[BusSubscription, int]]:
     """Run the users of a fleet, who command each robot this often; return their tallies and pid."""
     tallies = bus.subscribe(TALLY, TALLIES)
-    with program("crowd", bus.endpoint, str(count), f"{hz:g}") as process:
+    with program("fleet_users", bus.endpoint, str(count), f"{hz:g}") as process:
         yield tallies, process.pid
     tallies.close()
 

@@ -11,8 +11,8 @@ import numpy as np
 import pybullet
 
 from benchmarks.bodies import standing_at
-from benchmarks.circling import WHEEL_SPEEDS
-from benchmarks.fleet import SPACING_M
+from benchmarks.circling_driver import WHEEL_SPEEDS
+from benchmarks.ten_robots import SPACING_M
 from tests.sim_server.physics.bullet_probe import client_of
 from zensim.sim_server.description.builtin_models import read_builtin_model
 from zensim.sim_server.description.urdf.urdf_parser import read_urdf

@@ -1,6 +1,6 @@
 """Process that plays all users of a fleet: commands robots, and subscribes to all odometry and tf.
 
-`python -m benchmarks.crowd ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and publishes
+`python -m benchmarks.fleet_users ENDPOINT COUNT HZ` drives box_bot0 and so on in circles, and publishes
 counts of sent and received messages on `bench/tally`: each second, and once all robots have moved.
 """
 
@@ -12,8 +12,8 @@ from typing import NoReturn
 
 import msgspec
 
-from benchmarks.fleet import CIRCLE, POLL_S
 from benchmarks.motion import MOVES
+from benchmarks.ten_robots import CIRCLE, POLL_S
 from zensim.proto.bus import Bus, BusConfig, BusSubscription, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3

@@ -1,6 +1,6 @@
 """Echo process: the least that a request through the network can cost.
 
-`python -m benchmarks.echo ENDPOINT` joins there.
+`python -m benchmarks.echo_process ENDPOINT` joins there.
 """
 
 import os
@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-from benchmarks.fleet import POLL_S, soon
 from benchmarks.machine import ROOT
+from benchmarks.ten_robots import POLL_S, soon
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.process_limits import die_with_supervisor
 
@@ -50,7 +50,7 @@ class Echo:
 @contextmanager
 def echo(bus: Bus) -> Iterator[Echo]:
     """Run an echo on the network of a bus."""
-    command = [sys.executable, "-m", "benchmarks.echo", bus.endpoint]
+    command = [sys.executable, "-m", "benchmarks.echo_process", bus.endpoint]
     process = subprocess.Popen(command, cwd=ROOT)
     try:
         asker = Echo(bus)

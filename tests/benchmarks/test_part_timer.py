@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 
-from benchmarks.stopwatch import Stopwatch
+from benchmarks.part_timer import Stopwatch
 
 
 class Clock:

@@ -1,6 +1,6 @@
 """Process that drives box_bots in circles in one claim, as cheaply as possible.
 
-`python -m benchmarks.circling ENDPOINT COUNT` claims box_bot0 and so on, prints a line, and answers
+`python -m benchmarks.circling_driver ENDPOINT COUNT` claims box_bot0 and so on, prints a line, and answers
 every drive state with the same wheel speeds. It also subscribes to the world's snapshots.
 """
 
@@ -11,7 +11,7 @@ from typing import NoReturn
 
 import numpy as np
 
-from benchmarks.fleet import POLL_S, soon
+from benchmarks.ten_robots import POLL_S, soon
 from zensim.proto import keys
 from zensim.proto.bus import Bus, BusConfig, open_bus
 from zensim.proto.codec.message_codec import Format, decode, encode, make_encoding
