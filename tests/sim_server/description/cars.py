@@ -1,4 +1,4 @@
-"""Cars and tricycles as URDF text, for tests."""
+"""URDF texts of cars and tricycles for tests."""
 
 from tests.sim_server.description.robots import a_joint, a_link, a_robot, an_inertial
 

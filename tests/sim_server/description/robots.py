@@ -1,4 +1,4 @@
-"""Small robots as URDF text, for tests."""
+"""URDF texts of small robots for tests."""
 
 from collections.abc import Iterable
 

@@ -1,4 +1,4 @@
-"""Small models as SDF text, for tests."""
+"""SDF texts of small models for tests."""
 
 from zensim.proto.messages.model_messages import Model
 from zensim.sim_server.description.sdf.sdf_model import read_sdf_model

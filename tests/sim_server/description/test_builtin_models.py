@@ -1,4 +1,4 @@
-"""Robots and worlds that come with the server can be read, and nothing else can."""
+"""Built-in robots and worlds can be read, and no other files."""
 
 from collections.abc import Callable
 
@@ -16,20 +16,20 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.errors import ModelError
 
 
-def test_library_names_the_tutorials_robot_and_world() -> None:
+def test_built_in_names_include_the_tutorials_robot_and_world() -> None:
     assert "box_bot" in list_builtin_models()
     assert "empty" in list_builtin_worlds()
 
 
 @pytest.mark.parametrize("name", sorted({*list_builtin_models()} - {"box_bot_legacy"}))
-def test_shipped_robot_reads_without_a_doubt(name: str) -> None:
+def test_built_in_robot_has_only_applied_entries(name: str) -> None:
     report = read_urdf(read_builtin_model(name)).report
 
     assert [entry for entry in report if entry.status != "applied"] == []
 
 
 @pytest.mark.parametrize("name", list_builtin_worlds())
-def test_shipped_world_reads_without_a_doubt(name: str) -> None:
+def test_built_in_world_has_only_applied_entries(name: str) -> None:
     report = read_world(read_builtin_world(name)).report
 
     assert [entry for entry in report if entry.status != "applied"] == []
@@ -39,7 +39,7 @@ def test_shipped_world_reads_without_a_doubt(name: str) -> None:
 @pytest.mark.parametrize(
     ("read", "shipped"), [(read_builtin_model, "box_bot"), (read_builtin_world, "empty")]
 )
-def test_library_names_what_it_has_when_asked_for_something_else(
+def test_error_lists_the_built_in_names(
     read: Callable[[str], str], shipped: str, name: str
 ) -> None:
     with pytest.raises(ModelError, match=shipped) as caught:

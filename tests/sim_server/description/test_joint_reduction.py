@@ -1,4 +1,4 @@
-"""Planar and floating joints become chains whose joints have one number each."""
+"""Lumped inertials, mimics, and chains for planar and floating joints."""
 
 import numpy as np
 import numpy.typing as npt
@@ -53,7 +53,7 @@ def origins(draw: st.DrawFn) -> Origin:
 
 
 @st.composite
-def clouds(draw: st.DrawFn) -> tuple[Array, Array]:
+def point_masses(draw: st.DrawFn) -> tuple[Array, Array]:
     count = draw(st.integers(1, 5))
     masses = draw(st.lists(st.floats(0.01, 5.0), min_size=count, max_size=count))
     points = draw(st.lists(coordinates(), min_size=count, max_size=count))
@@ -74,8 +74,8 @@ def inertial_of(masses: Array, points: Array) -> Inertial:
 
 
 @settings(deadline=None, max_examples=60)
-@given(st.lists(st.tuples(clouds(), origins()), min_size=1, max_size=6))
-def test_chain_of_fixed_joints_weighs_as_its_points_do(
+@given(st.lists(st.tuples(point_masses(), origins()), min_size=1, max_size=6))
+def test_lumped_inertial_is_that_of_all_points(
     parts: list[tuple[tuple[Array, Array], Origin]],
 ) -> None:
     links = [Link(f"l{i}", inertial_of(*cloud)) for i, (cloud, _) in enumerate(parts)]
@@ -101,7 +101,7 @@ def test_chain_of_fixed_joints_weighs_as_its_points_do(
     assert found.inertia == pytest.approx(expected.inertia, rel=1e-9, abs=1e-9)
 
 
-def test_child_with_an_offset_centre_counts_in_full_when_lumped() -> None:
+def test_offset_of_a_child_adds_to_the_inertia_when_lumped() -> None:
     unit = (0.02, 0.0, 0.0, 0.02, 0.0, 0.02)
     links = [
         Link("a", Inertial(1.0, (0, 0, 0), unit)),
@@ -115,13 +115,13 @@ def test_child_with_an_offset_centre_counts_in_full_when_lumped() -> None:
     assert inertial.inertia == pytest.approx((0.165, 0.0, 0.05, 0.185, 0.0, 0.06))
 
 
-def test_lone_link_is_untouched_when_nothing_merges() -> None:
+def test_single_link_is_unchanged() -> None:
     link = Link("a", Inertial(1.0, (0.1, 0.2, 0.3), (1.0, 0.1, 0.2, 1.0, 0.3, 1.0)))
 
     assert lump_fixed_joints([link], [], kept=frozenset()).links == (link,)
 
 
-def test_empty_root_takes_over_the_body_that_is_fixed_to_it() -> None:
+def test_empty_root_has_the_inertial_of_the_link_fixed_to_it() -> None:
     body = Inertial(2.0, (0.0, 0.0, 0.1), (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
     links = [Link("base_link"), Link("chassis", body)]
 
@@ -133,7 +133,7 @@ def test_empty_root_takes_over_the_body_that_is_fixed_to_it() -> None:
     assert lumped.frames == (Frame("chassis", "base_link"),)
 
 
-def test_frames_of_frames_hang_from_the_link_that_is_left() -> None:
+def test_frames_of_merged_links_are_in_the_remaining_link() -> None:
     links = [Link("a"), Link("b"), Link("c")]
     step = Origin((1.0, 0.0, 0.0), QUARTER_LEFT)
     joints = [Joint("j", "fixed", "a", "b", step), Joint("k", "fixed", "b", "c", step)]
@@ -172,7 +172,7 @@ def test_joint_moves_to_the_link_that_is_left_when_its_parent_merges() -> None:
     assert moved.origin.orientation == pytest.approx(QUARTER_LEFT)
 
 
-def test_fixed_joint_stays_when_it_is_to_be_kept() -> None:
+def test_kept_fixed_joint_is_not_lumped() -> None:
     links = [Link("a"), Link("b"), Link("c")]
     joints = [Joint("j", "fixed", "a", "b"), Joint("k", "fixed", "b", "c")]
 
@@ -183,11 +183,11 @@ def test_fixed_joint_stays_when_it_is_to_be_kept() -> None:
     assert lumped.frames == (Frame("c", "b"),)
 
 
-def test_nothing_weighs_nothing_when_combined() -> None:
+def test_combined_empty_inertials_are_empty() -> None:
     assert combine_inertials([(Inertial(), Origin())]) == Inertial()
 
 
-def test_massless_inertia_is_turned_when_combined() -> None:
+def test_massless_inertia_is_rotated_when_combined() -> None:
     part = Inertial(0.0, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 2.0, 0.0, 3.0))
 
     found = combine_inertials([(part, Origin((5.0, 0.0, 0.0), QUARTER_LEFT))])
@@ -207,7 +207,7 @@ def a_gripper(*inside: str, kinds: tuple[str, ...] = ("revolute",) * 3) -> str:
     return a_robot(a_link("palm", an_inertial()), fingers)
 
 
-def test_mimic_is_kept_with_its_numbers_when_it_can_be_followed() -> None:
+def test_valid_mimic_is_kept() -> None:
     mimic = '<mimic joint="j0" multiplier="-2" offset="0.1"/>'
 
     model = read_urdf(a_gripper("", mimic, '<mimic joint="j1"/>'))
@@ -232,7 +232,7 @@ def test_mimic_is_kept_with_its_numbers_when_it_can_be_followed() -> None:
         (('<mimic joint="j1"/>',), ("floating", "revolute", "revolute"), "floating"),
     ],
 )
-def test_mimic_is_noted_when_it_cannot_be_followed(
+def test_invalid_mimic_is_reported(
     inside: tuple[str, ...], kinds: tuple[str, ...], fault: str
 ) -> None:
     model = read_urdf(a_gripper(*inside, kinds=kinds))
@@ -266,7 +266,7 @@ def test_floating_joint_slides_and_turns_in_all_ways() -> None:
 
 
 @given(st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: sum(a * a for a in axis) > 0.01))
-def test_planar_joint_slides_across_its_normal_whatever_it_is(
+def test_planar_joint_slides_across_any_normal(
     axis: tuple[float, float, float],
 ) -> None:
     place = f'<axis xyz="{axis[0]} {axis[1]} {axis[2]}"/>'
@@ -278,7 +278,7 @@ def test_planar_joint_slides_across_its_normal_whatever_it_is(
     assert np.cross(axes[0], axes[1]) == pytest.approx(axes[2], abs=1e-9)
 
 
-def test_chain_takes_no_name_that_is_taken() -> None:
+def test_names_of_a_chain_are_unique() -> None:
     links = a_link("b_x", an_inertial()) + a_joint("j_x", ("a", "b_x"), "continuous")
 
     model = read_urdf(a_robot(PAIR, links, a_joint("j", ("a", "b"), "planar")))
@@ -287,7 +287,7 @@ def test_chain_takes_no_name_that_is_taken() -> None:
     assert len({joint.name for joint in model.joints}) == 4
 
 
-def test_robot_is_free_when_it_floats_in_the_world() -> None:
+def test_robot_on_a_floating_world_joint_is_free() -> None:
     world = a_joint("free", ("world", "a"), "floating")
 
     model = read_urdf(a_robot(a_link("world"), a_link("a", an_inertial()), world))
@@ -295,7 +295,7 @@ def test_robot_is_free_when_it_floats_in_the_world() -> None:
     assert (link_names(model), model.joints, model.is_static) == (["a"], (), False)
 
 
-def test_robot_is_held_when_its_root_is_the_world() -> None:
+def test_robot_with_a_world_root_is_static() -> None:
     fixed = a_joint("nail", ("world", "a")) + a_joint("j", ("a", "b"), "continuous")
 
     model = read_urdf(a_robot(a_link("world"), PAIR, fixed))
@@ -304,7 +304,7 @@ def test_robot_is_held_when_its_root_is_the_world() -> None:
     assert [frame.name for frame in model.frames] == ["a"]
 
 
-def a_hedgehog(spines: int, kind: str) -> str:
+def a_robot_with_joints(spines: int, kind: str) -> str:
     return a_robot(
         a_link("body", an_inertial()),
         *(
@@ -317,11 +317,11 @@ def a_hedgehog(spines: int, kind: str) -> str:
 @pytest.mark.parametrize(("spines", "kind"), [(MAX_JOINTS + 1, "continuous"), (41, "planar")])
 def test_robot_is_refused_when_too_many_joints_are_left(spines: int, kind: str) -> None:
     with pytest.raises(ModelError, match=str(MAX_JOINTS)) as caught:
-        read_urdf(a_hedgehog(spines, kind))
+        read_urdf(a_robot_with_joints(spines, kind))
 
     assert caught.value.slug == "urdf.joints"
 
 
 @pytest.mark.parametrize(("spines", "kind"), [(MAX_JOINTS, "continuous"), (499, "fixed")])
-def test_robot_is_read_when_few_joints_are_left(spines: int, kind: str) -> None:
-    assert read_urdf(a_hedgehog(spines, kind)).mass_kg == pytest.approx(spines + 1)
+def test_robot_is_read_when_joints_do_not_exceed_the_maximum(spines: int, kind: str) -> None:
+    assert read_urdf(a_robot_with_joints(spines, kind)).mass_kg == pytest.approx(spines + 1)

@@ -1,4 +1,4 @@
-"""Tags of surfaces: what each comes to, and what the report says of it."""
+"""Colours and surface tags: values, limits and report entries."""
 
 import pytest
 
@@ -61,14 +61,14 @@ def test_visual_has_no_colour_when_none_is_given() -> None:
     assert colours(a_link("a", a_visual())) == [None]
 
 
-def test_material_is_noted_when_nobody_defines_it() -> None:
+def test_undefined_material_is_reported() -> None:
     model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, USE_RED))))
 
     assert model.links[0].visuals[0].rgba is None
     assert subjects(model.report, "suspicious") == ["material 'red'"]
 
 
-def test_texture_is_noted_as_not_drawn_when_it_stands_for_a_colour() -> None:
+def test_texture_is_reported_as_ignored() -> None:
     material = '<material name="m"><texture filename="t.png"/></material>'
 
     model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, material))))
@@ -76,7 +76,7 @@ def test_texture_is_noted_as_not_drawn_when_it_stands_for_a_colour() -> None:
     assert [entry.status for entry in model.report] == ["ignored"]
 
 
-def test_colour_is_cut_and_noted_when_it_counts_to_255() -> None:
+def test_colour_is_clamped_when_it_is_out_of_range() -> None:
     material = '<material name="m"><color rgba="255 0 -1 1"/></material>'
 
     model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(BALL, material))))
@@ -85,7 +85,7 @@ def test_colour_is_cut_and_noted_when_it_counts_to_255() -> None:
     assert len(subjects(model.report, "suspicious")) == 1
 
 
-def test_gazebo_material_wins_over_the_urdf_material() -> None:
+def test_gazebo_material_overrides_the_urdf_material() -> None:
     block = a_reference("a", "<material>Gazebo/Blue</material>")
 
     assert colours(a_link("a", a_visual(BALL, RED)), block) == [(0.0, 0.0, 1.0, 1.0)]
@@ -106,7 +106,7 @@ def read(**texts: str) -> tuple[SurfaceParameters, ParseReport]:
     return SurfaceTagReader(texts, subject="s", slug="gazebo.mu1", report=report).read(), report
 
 
-def test_nothing_is_asked_for_when_nothing_is_written() -> None:
+def test_surface_is_the_default_without_tags() -> None:
     surface, report = read()
 
     assert surface == SurfaceParameters()
@@ -129,7 +129,7 @@ def test_nothing_is_asked_for_when_nothing_is_written() -> None:
         ("-5", None, Contact()),
     ],
 )
-def test_contact_gives_as_it_says_within_bounds(
+def test_contact_has_the_written_stiffness_within_limits(
     kp: str | None, kd: str | None, contact: Contact
 ) -> None:
     written = {tag: text for tag, text in (("kp", kp), ("kd", kd)) if text is not None}
@@ -137,7 +137,7 @@ def test_contact_gives_as_it_says_within_bounds(
     assert read(**written)[0].contact == contact
 
 
-def test_bounds_keep_how_long_a_contact_takes() -> None:
+def test_clamped_contact_keeps_its_time_constant() -> None:
     assert clamp_contact(1e27, 1e25) == pytest.approx((RIGID_STIFFNESS, 0.01 * RIGID_STIFFNESS))
 
 
@@ -167,7 +167,7 @@ def test_report_lists_the_effect_of_a_tag(
     assert mentions(read(**texts)[1].entries(), status, f"s: <{tag}>: ", value)
 
 
-def test_friction_has_a_direction_only_where_it_differs() -> None:
+def test_friction_has_a_direction_only_when_mu1_and_mu2_differ() -> None:
     surface, _ = read(mu1="1", mu2="0.5", fdir1="0 0 2")
 
     assert (surface.friction, surface.contact.friction_across) == (1.0, 0.5)
@@ -177,7 +177,7 @@ def test_friction_has_a_direction_only_where_it_differs() -> None:
 
 
 @pytest.mark.parametrize("tag", ["kp", "mu2", "fdir1", "gravity", "selfCollide", "dampingFactor"])
-def test_robot_is_read_whatever_a_tag_holds(tag: str) -> None:
+def test_robot_is_read_when_a_surface_tag_is_invalid(tag: str) -> None:
     body = a_link("body", an_inertial() + a_collision())
 
     model = read_urdf(a_robot(body, a_reference("body", f"<{tag}>nonsense</{tag}>")))
@@ -186,7 +186,7 @@ def test_robot_is_read_whatever_a_tag_holds(tag: str) -> None:
     assert len(subjects(model.report, "suspicious")) == 1
 
 
-def test_direction_turns_with_its_collision_and_with_its_link() -> None:
+def test_friction_direction_rotates_with_collision_and_link() -> None:
     quarter = '<origin xyz="0 0 1" rpy="0 0 1.5707963267948966"/>'
     parts = (
         a_link("body", an_inertial()),
@@ -200,7 +200,7 @@ def test_direction_turns_with_its_collision_and_with_its_link() -> None:
     assert shape.contact.direction == pytest.approx((-1.0, 0.0, 0.0))
 
 
-def test_merged_links_weigh_slow_down_and_touch_as_their_parts_do() -> None:
+def test_merged_link_combines_gravity_decay_and_self_collision() -> None:
     light = Inertial(1.0, (1.0, 0.0, 0.0))
     links = (
         Link("body", Inertial(3.0)),
@@ -222,7 +222,7 @@ def test_merged_links_weigh_slow_down_and_touch_as_their_parts_do() -> None:
     assert merged.self_collides
 
 
-def test_share_of_everything_is_lost_at_a_finite_rate() -> None:
+def test_decay_rate_is_finite() -> None:
     assert to_decay_rate(0.0) == 0.0
     assert 1e4 < to_decay_rate(1.0) == to_decay_rate(5.0) < 1e5
     assert SurfaceParameters().apply_to_shape(Shape("box", origin=Origin())) == Shape("box")

@@ -1,4 +1,4 @@
-"""Wheels touch at one point; a body that is moved itself slides."""
+"""Link poses, ground clearance, and wheels as spheres."""
 
 import math
 
@@ -52,7 +52,7 @@ def test_clearance_is_that_of_an_edge_when_a_box_is_tilted() -> None:
     assert ground_clearance(a_model(tilted)) == pytest.approx(-math.sqrt(2.0))
 
 
-def test_clearance_counts_links_where_their_joints_put_them() -> None:
+def test_clearance_uses_the_poses_of_links() -> None:
     ball = Shape("sphere", (0.1, 0.0, 0.0), Origin((0.0, 0.0, -1.0)))
     hung = Joint("j", "continuous", "base", "leg", Origin((0.0, 0.0, -2.0)))
 
@@ -61,11 +61,11 @@ def test_clearance_counts_links_where_their_joints_put_them() -> None:
     assert ground_clearance(model) == pytest.approx(-3.1)
 
 
-def test_clearance_is_zero_when_nothing_can_be_measured() -> None:
+def test_clearance_is_zero_without_collisions() -> None:
     assert ground_clearance(a_model(Shape("plane"))) == 0.0
 
 
-def test_clearance_is_that_of_the_robot_as_it_is_turned() -> None:
+def test_clearance_depends_on_the_orientation() -> None:
     arm = Joint("j", "continuous", "base", "arm", Origin((0.0, 3.0, 0.0)))
     base = Link("base", collisions=(Shape("box", (1.0, 2.0, 4.0)),))
     ball = Link("arm", collisions=(Shape("sphere", (0.5, 0.0, 0.0)),))
@@ -88,7 +88,7 @@ def a_cart_on(*shapes: Shape) -> Model:
     return msgspec.structs.replace(cart, links=(cart.links[0], wheel, cart.links[2]))
 
 
-def test_cylinder_about_an_axle_touches_as_a_sphere_about_its_centre() -> None:
+def test_wheel_cylinder_becomes_a_sphere() -> None:
     tyre = msgspec.structs.replace(TYRE, friction=0.7)
 
     (sphere,) = links_in_contact(a_cart_on(tyre))[1].collisions
@@ -108,18 +108,18 @@ def test_cylinder_about_an_axle_touches_as_a_sphere_about_its_centre() -> None:
     ],
     ids=["box", "upright", "roller", "eccentric"],
 )
-def test_what_is_no_tyre_stays_as_it_is(shape: Shape) -> None:
+def test_other_cylinder_is_unchanged(shape: Shape) -> None:
     model = a_cart_on(TYRE, shape)
 
     assert links_in_contact(model)[1].collisions[1] == shape
 
 
-def test_links_that_no_drive_moves_stay_as_they_are() -> None:
+def test_links_without_a_drive_are_unchanged() -> None:
     for model in (a_box(), a_cart(), msgspec.structs.replace(a_cart_on(TYRE), drive=None)):
         assert links_in_contact(model) == model.links
 
 
-def test_body_that_is_moved_itself_slides() -> None:
+def test_collisions_of_a_planar_move_have_no_friction() -> None:
     links = links_in_contact(a_puck())
 
     assert [shape.friction for link in links for shape in link.collisions] == [0.0]

@@ -1,4 +1,4 @@
-"""A model is shown as JSON and as a tree."""
+"""A model as JSON and as a tree."""
 
 import json
 
@@ -31,7 +31,7 @@ def test_json_has_no_drive_when_the_model_has_none() -> None:
     assert model_to_json(read_urdf(a_robot(a_link("a", an_inertial()))))["drive"] is None
 
 
-def test_tree_shows_links_below_the_links_that_carry_them() -> None:
+def test_tree_text_has_links_below_their_parents() -> None:
     lines = format_model_tree(BOX_BOT).splitlines()
 
     assert lines[:3] == ["box_bot: 1.400 kg", "base_link 1.000 kg", "  (base_footprint, merged)"]
@@ -42,7 +42,7 @@ def test_tree_shows_links_below_the_links_that_carry_them() -> None:
     assert "applied    gazebo 'left_wheel': <mu1>" in lines
 
 
-def test_tree_says_so_when_there_is_no_drive() -> None:
+def test_tree_text_has_no_drive() -> None:
     assert format_model_tree(read_urdf(a_robot(a_link("a", an_inertial())))).splitlines() == [
         "r: 1.000 kg",
         "a 1.000 kg",

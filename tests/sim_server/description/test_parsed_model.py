@@ -1,4 +1,4 @@
-"""Masses, sizes, moments and axes that matter cannot have are refused or noted."""
+"""Trees of links, and checks of masses, sizes, moments and axes."""
 
 import pytest
 
@@ -55,7 +55,7 @@ def links(*names: str) -> str:
         ),
     ],
 )
-def test_tree_is_refused_when_it_is_none(text: str, slug: str, named: str) -> None:
+def test_links_are_refused_when_they_form_no_tree(text: str, slug: str, named: str) -> None:
     with pytest.raises(ModelError, match=named) as caught:
         read_urdf(text)
 
@@ -79,7 +79,7 @@ def test_tree_names_only_some_links_when_many_are_roots() -> None:
     assert caught.value.slug == "urdf.two_roots"
 
 
-def test_tree_has_parents_first_when_the_file_lists_them_last() -> None:
+def test_links_are_in_tree_order() -> None:
     joints = (
         a_joint("to_leaf", ("middle", "leaf"), "continuous"),
         a_joint("to_other", ("root", "other"), "continuous"),
@@ -118,11 +118,11 @@ def moments(ixx: float, iyy: float, izz: float, ixy: float = 0.0) -> str:
         (a_visual(BALL, '<origin xyz="1e200 0 0"/>'), "urdf.number"),
     ],
 )
-def test_link_is_refused_when_a_value_cannot_be(inside: str, slug: str) -> None:
+def test_link_is_refused_when_a_value_is_invalid(inside: str, slug: str) -> None:
     assert slug_of(a_robot(a_link("a", inside))) == slug
 
 
-def test_moment_that_rounding_left_below_zero_is_zero() -> None:
+def test_moment_rounded_below_zero_is_zero() -> None:
     text = a_robot(a_link("a", moments(-5.4e-20, -5.4e-20, 0.0)))
 
     assert subjects(report_of(text), "suspicious") == ["link 'a'"]
@@ -140,7 +140,7 @@ def test_mesh_is_refused_when_its_scale_is_zero() -> None:
 @pytest.mark.parametrize(
     "inside", ['<dynamics damping="-1"/>', '<dynamics friction="-0.1"/>', '<axis xyz="0 0 0"/>']
 )
-def test_joint_is_refused_when_a_value_cannot_be(inside: str) -> None:
+def test_joint_is_refused_when_a_value_is_invalid(inside: str) -> None:
     pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
 
     slug = slug_of(a_robot(pair, a_joint("j", ("a", "b"), "continuous", inside)))
@@ -148,7 +148,7 @@ def test_joint_is_refused_when_a_value_cannot_be(inside: str) -> None:
     assert slug in ("urdf.dynamics", "urdf.axis")
 
 
-def test_joint_has_a_unit_axis_when_the_file_has_a_long_one() -> None:
+def test_axis_of_a_joint_is_normalized() -> None:
     pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
 
     model = read_urdf(a_robot(pair, a_joint("j", ("a", "b"), "continuous", '<axis xyz="0 3 -4"/>')))
@@ -175,17 +175,17 @@ def test_fixed_joint_may_have_a_zero_axis() -> None:
         (moments(1, 0, 1), 0),
     ],
 )
-def test_moments_are_noted_when_no_solid_has_them(inertial: str, noted: int) -> None:
+def test_impossible_moments_are_reported(inertial: str, noted: int) -> None:
     assert len(subjects(report_of(a_robot(a_link("a", inertial))), "suspicious")) == noted
 
 
-def test_weightless_links_are_noted_when_they_move() -> None:
+def test_massless_moving_links_are_reported() -> None:
     text = a_robot(a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "continuous"))
 
     assert subjects(report_of(text), "suspicious") == ["robot", "link 'b'"]
 
 
-def test_limits_are_noted_when_they_cross() -> None:
+def test_reversed_limits_are_reported() -> None:
     pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
     limit = '<limit lower="1" upper="-1" effort="1" velocity="1"/>'
 

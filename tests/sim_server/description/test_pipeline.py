@@ -1,4 +1,4 @@
-"""A text and its meshes to a model, as the spawn asks for it."""
+"""A description and its meshes become a model."""
 
 import pytest
 
@@ -21,7 +21,7 @@ from zensim.sim_server.errors import ModelError
         ("", False),
     ],
 )
-def test_root_tag_is_found_after_what_may_come_before_it(text: str, expected: bool) -> None:  # noqa: FBT001
+def test_root_tag_is_found_after_comments_and_instructions(text: str, expected: bool) -> None:  # noqa: FBT001
     assert is_sdf(text) == expected
 
 
@@ -30,7 +30,7 @@ def test_robots_of_both_formats_are_read() -> None:
     assert read_robot(read_builtin_model("box_bot")).name == "box_bot"
 
 
-def test_text_of_neither_is_refused_as_urdf() -> None:
+def test_text_without_a_known_root_is_refused_as_urdf() -> None:
     with pytest.raises(ModelError) as caught:
         read_robot("<html/>")
 
@@ -41,7 +41,7 @@ COMPATS: tuple[Compat, ...] = ("fixed", "gazebo11")
 
 
 @pytest.mark.parametrize("compat", COMPATS)
-def test_drive_is_as_compatible_as_the_spawn_asks(compat: Compat) -> None:
+def test_drive_has_the_compat_of_the_spawn_request(compat: Compat) -> None:
     drive = parse_description(
         a_cart(a_drive()), assets={}, allow_missing=False, compat=compat
     ).model.drive
@@ -50,7 +50,7 @@ def test_drive_is_as_compatible_as_the_spawn_asks(compat: Compat) -> None:
     assert drive.compat == compat
 
 
-def test_robot_without_a_drive_is_the_same_whatever_the_spawn_asks() -> None:
+def test_robot_without_a_drive_does_not_depend_on_compat() -> None:
     text = a_robot(a_link("base", an_inertial()))
 
     fixed, as_gazebo = (

@@ -1,10 +1,10 @@
-"""The report tells what became of each tag, and stays small."""
+"""The report of a description and its limits."""
 
 from tests.sim_server.description.robots import mentions, subjects
 from zensim.sim_server.description.report import MAX_ENTRIES, MAX_SUSPICIOUS_ENTRIES, ParseReport
 
 
-def test_report_lists_entries_in_order_when_noted() -> None:
+def test_report_lists_entries_in_order() -> None:
     report = ParseReport()
 
     report.applied("a")
@@ -20,7 +20,7 @@ def test_report_lists_entries_in_order_when_noted() -> None:
     ]
 
 
-def test_report_suggests_a_tag_when_one_looks_misspelt() -> None:
+def test_unread_tag_is_suspicious_when_a_tag_is_similar() -> None:
     report = ParseReport()
 
     report.unread_tag("plugin", "wheel_seperation", ["wheel_separation", "wheel_diameter"])
@@ -29,7 +29,7 @@ def test_report_suggests_a_tag_when_one_looks_misspelt() -> None:
     assert mentions(report.entries(), "suspicious", "<wheel_separation>")
 
 
-def test_report_calls_a_tag_unknown_when_nothing_is_like_it() -> None:
+def test_unread_tag_is_unknown_when_no_tag_is_similar() -> None:
     report = ParseReport()
 
     report.unread_tag("plugin", "banana", ["wheel_separation"])
@@ -37,7 +37,7 @@ def test_report_calls_a_tag_unknown_when_nothing_is_like_it() -> None:
     assert subjects(report.entries(), "unknown") == ["plugin: <banana>"]
 
 
-def test_report_says_a_thing_once_when_it_is_noted_twice() -> None:
+def test_report_has_equal_entries_once() -> None:
     report = ParseReport()
 
     report.ignored("a", "no")
@@ -46,7 +46,7 @@ def test_report_says_a_thing_once_when_it_is_noted_twice() -> None:
     assert len(report.entries()) == 1
 
 
-def test_report_counts_the_rest_when_it_is_full() -> None:
+def test_full_report_counts_further_entries() -> None:
     report = ParseReport()
 
     for index in range(MAX_ENTRIES):
@@ -58,7 +58,7 @@ def test_report_counts_the_rest_when_it_is_full() -> None:
     assert mentions(report.entries(), "ignored", "report: 2 ")
 
 
-def test_report_keeps_what_is_suspicious_when_it_is_full_of_the_rest() -> None:
+def test_full_report_accepts_suspicious_entries() -> None:
     report = ParseReport()
 
     for index in range(MAX_ENTRIES + 1):

@@ -1,4 +1,4 @@
-"""Untrusted XML is bounded before it is looked at."""
+"""Strict parsing of XML and numbers, with limits."""
 
 import pytest
 from hypothesis import given
@@ -21,7 +21,7 @@ def read(text: str, *counts: int) -> tuple[float, ...]:
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
-def test_number_is_read_back_when_python_wrote_it(number: float) -> None:
+def test_number_formatted_by_python_is_parsed(number: float) -> None:
     assert read_number(f" {number!r}\n", where="mass", slug="s") == number
 
 
@@ -94,13 +94,13 @@ def test_parser_drops_a_default_namespace_when_the_root_has_one() -> None:
     assert [root.tag, *(child.tag for child in root)] == ["robot", "link", "{urn:x}link"]
 
 
-def test_parser_takes_a_prefix_that_nothing_declares_as_part_of_the_name() -> None:
+def test_undeclared_prefix_is_part_of_the_name() -> None:
     root = parse_xml("<robot><a:b c:d='1'/></robot>", root_tag="robot", slug="urdf")
 
     assert [child.tag for child in root] == ["a:b"]
 
 
-def test_parser_takes_two_hyphens_in_a_comment_as_gazebo_does() -> None:
+def test_comment_may_have_two_hyphens() -> None:
     text = "<!-- -- a -- -->\n<robot><!--\n--\n--><link/><a:b/></robot>"
 
     root = parse_xml(text, root_tag="robot", slug="urdf")
@@ -108,14 +108,14 @@ def test_parser_takes_two_hyphens_in_a_comment_as_gazebo_does() -> None:
     assert [(child.tag, child.sourceline) for child in root] == [("link", 4), ("a:b", 4)]
 
 
-def test_parser_mends_nothing_else_when_a_comment_has_two_hyphens() -> None:
+def test_other_faults_are_refused_when_a_comment_has_two_hyphens() -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml("<robot><!-- -- --></robt>", root_tag="robot", slug="urdf")
 
     assert caught.value.slug == "xml.syntax"
 
 
-def test_parser_mends_nothing_else_when_a_prefix_is_undeclared() -> None:
+def test_other_faults_are_refused_when_a_prefix_is_undeclared() -> None:
     with pytest.raises(ModelError) as caught:
         parse_xml("<robot><a:b/></robt>", root_tag="robot", slug="urdf")
 

@@ -1,4 +1,4 @@
-"""OBJ: however it is written, the same triangles."""
+"""OBJ files in each notation, and limits of COLLADA and GLB files."""
 
 import json
 
@@ -25,12 +25,12 @@ def a_node(name: str, *parts: str) -> str:
     return f'<node id="{name}">{"".join(parts)}</node>'
 
 
-def naming(*names: str) -> str:
+def make_names(*names: str) -> str:
     return "".join(f'<instance_node url="#{name}"/>' for name in names)
 
 
 def doubled(times: int) -> bytes:
-    above = (a_node(f"n{i}", naming(f"n{i - 1}", f"n{i - 1}")) for i in range(1, times))
+    above = (a_node(f"n{i}", make_names(f"n{i - 1}", f"n{i - 1}")) for i in range(1, times))
     return a_scene(a_node("n0", DRAWN), *above)
 
 
@@ -38,25 +38,29 @@ def doubled(times: int) -> bytes:
     "data",
     [
         a_scene(a_node("a", DRAWN * 20_000)),
-        a_scene(a_node("a", DRAWN, naming("ghost"))),
-        a_scene(a_node("a", DRAWN), a_node("b", naming("a", "a"), a_node("c", naming("a")))),
+        a_scene(a_node("a", DRAWN, make_names("ghost"))),
+        a_scene(
+            a_node("a", DRAWN), a_node("b", make_names("a", "a"), a_node("c", make_names("a")))
+        ),
         doubled(10),
     ],
 )
-def test_nodes_are_taken_when_they_draw_little(data: bytes) -> None:
+def test_nodes_are_accepted_with_few_instances(data: bytes) -> None:
     check_collada_instances(data)
 
 
 @pytest.mark.parametrize(
     "data",
     [
-        a_scene(a_node("a", naming("a"))),
-        a_scene(a_node("a", naming("b")), a_node("b", naming("c")), a_node("c", naming("a"))),
+        a_scene(a_node("a", make_names("a"))),
+        a_scene(
+            a_node("a", make_names("b")), a_node("b", make_names("c")), a_node("c", make_names("a"))
+        ),
         doubled(30),
         doubled(3000),
     ],
 )
-def test_nodes_are_refused_when_they_draw_without_end(data: bytes) -> None:
+def test_nodes_are_refused_when_instances_multiply(data: bytes) -> None:
     with pytest.raises(TooManyInstances):
         check_collada_instances(data)
 
@@ -69,7 +73,7 @@ def a_glb(**head: object) -> bytes:
     return HEAD + len(text).to_bytes(4, "little") + b"JSON" + text + b"more"
 
 
-def test_plain_file_is_taken() -> None:
+def test_plain_file_is_accepted() -> None:
     check_glb_header(a_glb(accessors=[{"count": 12}], nodes=[{"children": [1]}, {"mesh": 0}]))
 
 
@@ -87,7 +91,7 @@ def test_plain_file_is_taken() -> None:
         a_glb(extensionsRequired=["KHR_draco_mesh_compression"]),
     ],
 )
-def test_file_that_promises_too_much_is_refused(data: bytes) -> None:
+def test_file_is_refused_when_a_count_is_too_large(data: bytes) -> None:
     with pytest.raises(GltfError):
         check_glb_header(data)
 
@@ -116,14 +120,14 @@ def triangles(data: bytes) -> set[tuple[int, ...]]:
         b"f\t1\t2\t3\t4",
     ],
 )
-def test_faces_are_read_however_they_are_written(face: bytes) -> None:
+def test_faces_are_read_in_each_notation(face: bytes) -> None:
     assert triangles(SQUARE + face) == FANS
 
 
 @pytest.mark.parametrize(
     "tail", [b"v 5 5 5\n", b"v 5 5 5 1\n", b"v 5 5 5 .1 .2 .3\n", b"  v 5 5 5\n"]
 )
-def test_corners_are_read_with_what_stands_behind(tail: bytes) -> None:
+def test_vertices_are_read_when_other_values_follow(tail: bytes) -> None:
     corners, _ = read_obj(SQUARE + tail, MOST)
 
     assert corners.tolist()[-2:] == [[0.0, 1.0, 0.0], [5.0, 5.0, 5.0]]
@@ -147,32 +151,32 @@ def test_face_of_very_many_sides_is_read() -> None:
 @pytest.mark.parametrize(
     "line", [b"v 1 2", b"v one 2 3", b"f 1 2 x", b"f 1 // 3", b"v 1/2 3 4", b"f 1 2 \xff"]
 )
-def test_line_that_is_none_is_named(line: bytes) -> None:
+def test_invalid_line_is_in_the_error(line: bytes) -> None:
     with pytest.raises(ObjSyntaxError) as refused:
         read_obj(SQUARE + line, MOST)
 
     assert refused.value.line == line
 
 
-def test_nothing_is_read_from_nothing() -> None:
+def test_empty_file_has_no_triangles() -> None:
     corners, faces = read_obj(b"", MOST)
 
     assert (corners.shape, faces.shape) == ((0, 3), (0, 3))
 
 
 @pytest.mark.parametrize("face", ["f 1 2 99999999999999999999", "f " + "1 2 3 " * 4000])
-def test_face_that_no_mesh_has_is_named(face: str) -> None:
+def test_invalid_face_is_in_the_error(face: str) -> None:
     with pytest.raises(ObjSyntaxError):
         read_obj(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n".encode(), MOST)
 
 
-def test_faces_name_corners_that_stand_far_before_them() -> None:
+def test_faces_may_use_corners_of_earlier_chunks() -> None:
     far = b"# nothing to see here\n" * (CHUNK_BYTES // 20)
 
     assert triangles(SQUARE + far + b"f -4 2 3 -1\n") == FANS
 
 
-def test_reading_ends_where_there_are_too_many_triangles() -> None:
+def test_reading_stops_after_too_many_triangles() -> None:
     piece = SQUARE + b"f 1 2 3\n" * (CHUNK_BYTES // 8)
 
     _, faces = read_obj(piece + b"no end of it\n" * CHUNK_BYTES, len(piece) // 10)
@@ -180,7 +184,7 @@ def test_reading_ends_where_there_are_too_many_triangles() -> None:
     assert len(faces) < CHUNK_BYTES // 8
 
 
-def test_line_without_end_is_none() -> None:
+def test_endless_line_is_refused() -> None:
     with pytest.raises(ObjSyntaxError) as refused:
         read_obj(SQUARE + b"f " + b"1 2 3 " * CHUNK_BYTES, MOST)
 

@@ -1,7 +1,7 @@
-"""A description that nothing was sent with has no meshes."""
+"""Mesh policies without meshes."""
 
 from zensim.sim_server.description.meshes.mesh_lookup import no_meshes
 
 
-def test_no_mesh_is_here_when_none_was_sent() -> None:
+def test_no_meshes_has_no_mesh() -> None:
     assert not no_meshes("package://my_robot/meshes/body.stl")

@@ -1,4 +1,4 @@
-"""A drive whose numbers the links contradict is used as written, and the contradiction is told."""
+"""Contradictions between a drive and the links are reported."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Every plug-in is read, or its entry says why not."""
+"""Plug-ins are read, or reported as unused or unknown."""
 
 from tests.sim_server.description.robots import (
     a_cart,
@@ -15,7 +15,7 @@ JOINTS = "<joint_name>left_joint</joint_name>"
 STATES = "libgazebo_ros_joint_state_publisher.so"
 
 
-def test_plugins_say_what_they_come_to_when_read() -> None:
+def test_plugins_that_are_read_are_reported() -> None:
     entries = report_of(a_cart(a_drive(), a_plugin(STATES, JOINTS)))
 
     assert subjects(entries, "applied") == ["plugin 'p'"] * 2
@@ -23,7 +23,7 @@ def test_plugins_say_what_they_come_to_when_read() -> None:
     assert mentions(entries, "applied", "joint states", "left_joint")
 
 
-def test_plugins_are_noted_when_they_are_known_but_not_used() -> None:
+def test_unused_plugins_are_reported() -> None:
     entries = report_of(
         a_cart(
             a_plugin("libgazebo_ros_control.so", "<robotNamespace>/</robotNamespace>", name="c"),
@@ -42,7 +42,7 @@ def test_unknown_plugins_are_reported() -> None:
     assert mentions(entries, "unknown", "'libmine.so'")
 
 
-def test_first_drive_and_publisher_count_when_there_are_two() -> None:
+def test_first_drive_and_publisher_are_used() -> None:
     other = a_plugin(STATES, "<joint_name>right_joint</joint_name>")
 
     model = read_urdf(
@@ -63,13 +63,13 @@ def test_first_drive_and_publisher_count_when_there_are_two() -> None:
     assert mentions(model.report, "suspicious", "joint state")
 
 
-def test_second_drive_counts_when_the_first_does_not_work() -> None:
+def test_second_drive_is_used_when_the_first_is_unusable() -> None:
     model = read_urdf(a_cart(a_drive(wheels=""), a_drive()))
 
     assert model.drive is not None
 
 
-def test_plugins_beyond_a_hundred_are_left_out_and_noted() -> None:
+def test_plugins_beyond_a_hundred_are_left_out() -> None:
     entries = report_of(a_cart(*[a_plugin("libmine.so", name=f"p{i}") for i in range(103)]))
 
     assert len(subjects(entries, "unknown")) == 100

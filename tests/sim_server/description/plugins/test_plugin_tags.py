@@ -1,4 +1,4 @@
-"""The <ros> block gives a namespace and remappings; the rest is noted."""
+"""The <ros> block gives a namespace and remappings."""
 
 import pytest
 from lxml import etree
@@ -35,14 +35,14 @@ def test_ros_block_has_no_namespace_when_it_is_the_root() -> None:
     assert read("<namespace>/</namespace>")[0] == RosBlock()
 
 
-def test_first_namespace_counts_when_there_are_two() -> None:
+def test_first_namespace_is_used_when_there_are_two() -> None:
     block, entries = read("<namespace>/a</namespace><namespace>/b</namespace>")
 
     assert block.namespace == "a"
     assert subjects(entries, "suspicious") == ["plugin 'p': <namespace>"]
 
 
-def test_namespace_is_left_out_and_noted_when_it_is_none() -> None:
+def test_invalid_namespace_is_left_out() -> None:
     block, entries = read("<namespace>/1 robot</namespace>")
 
     assert block.namespace == ""
@@ -50,7 +50,7 @@ def test_namespace_is_left_out_and_noted_when_it_is_none() -> None:
 
 
 @pytest.mark.parametrize("topic", ["my-odom", "a//odom", "/2nd/odom", "~/odom", "/sim/x", "odom/*"])
-def test_remapping_to_what_ros_refuses_is_left_out_and_noted(topic: str) -> None:
+def test_invalid_remapping_is_left_out(topic: str) -> None:
     block, entries = read(f"<remapping>odom:={topic}</remapping>")
 
     assert block.remappings == ()
@@ -58,11 +58,11 @@ def test_remapping_to_what_ros_refuses_is_left_out_and_noted(topic: str) -> None
     assert mentions(entries, "suspicious", repr(topic))
 
 
-def test_remapping_to_a_name_within_the_namespace_may_begin_with_any_word() -> None:
+def test_relative_remapping_may_start_with_a_reserved_name() -> None:
     assert read("<remapping>odom:=sim/x</remapping>")[0].remappings == ("odom:=sim/x",)
 
 
-def test_ros_block_notes_what_it_cannot_use() -> None:
+def test_unusable_tags_of_a_ros_block_are_reported() -> None:
     block, entries = read(
         "<remapping>tf</remapping><remapping>:=a</remapping><argument>x</argument>"
         "<parameter/><qos/><name_space/><zebra/>"

@@ -1,4 +1,4 @@
-"""The p3d plug-in is read in full, or the report says why not."""
+"""Joint state and ground truth plug-ins."""
 
 import pytest
 
@@ -31,7 +31,7 @@ def test_joint_states_are_of_the_joints_named() -> None:
     assert subjects(model.report, "suspicious") == []
 
 
-def test_joint_states_leave_out_and_note_joints_that_do_not_exist() -> None:
+def test_joint_states_leave_out_joints_that_do_not_exist() -> None:
     inside = "<joint_name>left_joint</joint_name><joint_name>wheel_left_joint</joint_name>"
 
     model = read_urdf(a_cart(a_plugin(FILE, inside)))
@@ -77,19 +77,19 @@ def test_joint_states_of_gazebo_sim_are_of_all_joints_or_those_named(
 P3D = "libgazebo_ros_p3d.so"
 
 
-def a_seen_cart(inside: str) -> Model:
+def a_cart_with_ground_truth(inside: str) -> Model:
     return read_urdf(a_cart(a_plugin(P3D, inside)))
 
 
 def test_ground_truth_has_gazebos_defaults() -> None:
-    model = a_seen_cart("<body_name>left</body_name>")
+    model = a_cart_with_ground_truth("<body_name>left</body_name>")
 
     assert model.ground_truths == (GroundTruth("left"),)
     assert mentions(model.report, "applied", "plugin 'p'", "'left'", "'world'")
 
 
-def test_ground_truth_is_read_in_full() -> None:
-    model = a_seen_cart(
+def test_ground_truth_has_the_written_parameters() -> None:
+    model = a_cart_with_ground_truth(
         "<ros><remapping>odom:=truth</remapping></ros><body_name>base</body_name>"
         "<frame_name>map</frame_name><update_rate>20</update_rate>"
         "<xyz_offset>1 2 3</xyz_offset><rpy_offset>0 0 0</rpy_offset>"
@@ -109,7 +109,7 @@ def test_ground_truth_is_read_in_full() -> None:
 
 
 def test_ground_truth_is_read_in_spellings_of_ros_1() -> None:
-    model = a_seen_cart(
+    model = a_cart_with_ground_truth(
         "<bodyName>base</bodyName><topicName>ground_truth/state</topicName>"
         "<frameName>/map</frameName><updateRate>5</updateRate><xyzOffsets>1 0 0</xyzOffsets>"
         "<gaussianNoise>0.5</gaussianNoise><alwaysOn>true</alwaysOn>"
@@ -128,15 +128,15 @@ def test_robot_may_have_several_ground_truths() -> None:
     assert [one.body for one in read_urdf(a_cart(two)).ground_truths] == ["left", "right"]
 
 
-def test_ground_truth_of_nothing_is_noted() -> None:
-    model = a_seen_cart("<body_name>ghost</body_name>")
+def test_ground_truth_of_an_unknown_link_is_reported() -> None:
+    model = a_cart_with_ground_truth("<body_name>ghost</body_name>")
 
     assert model.ground_truths == ()
     assert mentions(model.report, "suspicious", "plugin 'p'", "'ghost'")
 
 
-def test_frame_that_is_no_link_means_the_world() -> None:
-    model = a_seen_cart("<body_name>base</body_name><frame_name>there</frame_name>")
+def test_unknown_frame_of_ground_truth_is_reported() -> None:
+    model = a_cart_with_ground_truth("<body_name>base</body_name><frame_name>there</frame_name>")
 
     assert model.ground_truths[0].frame_id == "there"
     assert mentions(model.report, "suspicious", "plugin 'p': <frame_name>", "'there'", "world")
@@ -150,14 +150,14 @@ def test_frame_that_is_no_link_means_the_world() -> None:
         ("<xyz_offset>1 2</xyz_offset>", "ground_truth.xyz_offset"),
     ],
 )
-def test_ground_truth_is_refused_when_a_number_is_none(inside: str, slug: str) -> None:
+def test_ground_truth_is_refused_when_a_number_is_invalid(inside: str, slug: str) -> None:
     with pytest.raises(ModelError) as caught:
-        a_seen_cart(f"<body_name>base</body_name>{inside}")
+        a_cart_with_ground_truth(f"<body_name>base</body_name>{inside}")
 
     assert caught.value.slug == slug
 
 
-def test_ground_truth_is_as_compatible_as_the_spawn_asks() -> None:
+def test_ground_truth_has_the_compat_of_the_spawn_request() -> None:
     text = a_cart(a_plugin(P3D, "<body_name>base</body_name>"))
 
     described = parse_description(text, assets={}, allow_missing=False, compat="gazebo11")

@@ -1,4 +1,4 @@
-"""Sensors are read in full, placed in the link that moves them, and said to be known."""
+"""Sensors keep their settings and are placed in moving links."""
 
 import pytest
 
@@ -34,7 +34,7 @@ def a_robot_with(sensor: str, on: str = "mast") -> Model:
     return read_urdf(text)
 
 
-def test_sensor_is_placed_in_the_link_that_its_own_was_merged_into() -> None:
+def test_sensor_is_placed_in_the_merged_link() -> None:
     (lidar,) = a_robot_with(LIDAR).sensors
 
     assert (lidar.name, lidar.kind, lidar.update_rate_hz) == ("lidar", "gpu_ray", 5.0)
@@ -51,14 +51,14 @@ def test_sensor_keeps_its_plugin_and_every_setting() -> None:
 
 
 @pytest.mark.parametrize("kind", ["imu", "ray", "contact", "camera", "depth", "depth_camera"])
-def test_sensor_is_noted_as_known_when_gazebo_has_it(kind: str) -> None:
+def test_known_sensor_is_reported(kind: str) -> None:
     report = a_robot_with(f'<sensor type="{kind}" name="s"/>').report
 
     assert subjects(report, "ignored") == ["sensor 's' on 'mast'"]
     assert mentions(report, "ignored", f"'{kind}'")
 
 
-def test_sensor_is_noted_as_unknown_when_gazebo_has_none_of_its_type() -> None:
+def test_unknown_sensor_is_reported() -> None:
     model = a_robot_with('<sensor type="crystal_ball" name="s"/>')
 
     assert subjects(model.report, "unknown") == ["sensor 's' on 'mast'"]
@@ -70,21 +70,21 @@ def test_sensor_is_noted_as_unknown_when_gazebo_has_none_of_its_type() -> None:
     "inside",
     ["<update_rate>fast</update_rate>", "<pose>0 0 0</pose>", "<pose>0 0 0 0 0 nan</pose>"],
 )
-def test_sensor_is_refused_when_a_number_is_none(inside: str) -> None:
+def test_sensor_is_refused_when_a_number_is_invalid(inside: str) -> None:
     with pytest.raises(ModelError, match="sensor 's'") as caught:
         a_robot_with(f'<sensor type="imu" name="s">{inside}</sensor>')
 
     assert caught.value.slug == "urdf.sensor"
 
 
-def test_sensor_keeps_so_many_settings_when_it_has_more() -> None:
+def test_sensor_keeps_a_limited_number_of_settings() -> None:
     model = a_robot_with('<sensor type="imu" name="s">' + "<a/>" * 500 + "</sensor>")
 
     assert len(model.sensors[0].parameters) == MAX_PARAMETERS
     assert mentions(model.report, "suspicious", "sensor 's'", "500", str(MAX_PARAMETERS))
 
 
-def test_sensors_beyond_five_hundred_are_left_out_and_noted() -> None:
+def test_sensors_beyond_five_hundred_are_left_out() -> None:
     model = a_robot_with('<sensor name="s" type="imu"/>' * 503)
 
     assert len(model.sensors) == MAX_SENSORS

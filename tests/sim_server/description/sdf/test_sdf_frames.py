@@ -1,4 +1,4 @@
-"""Frames of SDF are composed as matrices are."""
+"""Poses of SDF frames against products of matrices."""
 
 import numpy as np
 import pytest
@@ -48,12 +48,12 @@ def test_pose_is_the_product_of_matrices_when_frames_are_nested(
 
 
 @given(ORIGINS)
-def test_inverse_takes_a_pose_back(origin: Origin) -> None:
+def test_inverse_of_a_pose_is_the_identity_when_composed(origin: Origin) -> None:
     np.testing.assert_allclose(matrix(compose(invert(origin), origin)), np.eye(4), atol=1e-9)
 
 
 @given(ORIGINS, ORIGINS)
-def test_placement_frame_stands_where_the_model_is_put(pose: Origin, inner: Origin) -> None:
+def test_pose_of_an_include_is_that_of_its_placement_frame(pose: Origin, inner: Origin) -> None:
     frames = PoseGraph()
     frames.add("arm", RelativePose(pose), scope="", implied=MODEL_FRAME)
     frames.add("hand", RelativePose(inner), scope="arm", implied=MODEL_FRAME)
@@ -62,7 +62,7 @@ def test_placement_frame_stands_where_the_model_is_put(pose: Origin, inner: Orig
     np.testing.assert_allclose(matrix(frames.pose("arm::hand")), matrix(pose), atol=1e-9)
 
 
-def test_names_are_looked_for_in_their_own_model() -> None:
+def test_names_are_resolved_in_their_model() -> None:
     frames = PoseGraph()
     frames.add("arm", at(1.0), scope="", implied=MODEL_FRAME)
     frames.add("hand", at(5.0), scope="", implied=MODEL_FRAME)
@@ -72,7 +72,7 @@ def test_names_are_looked_for_in_their_own_model() -> None:
     assert transform_point(frames.pose("arm::tip"), (0.0, 0.0, 0.0)) == (7.0, 0.0, 0.0)
 
 
-def test_first_frame_counts_when_two_have_one_name() -> None:
+def test_first_frame_is_used_when_two_have_one_name() -> None:
     frames = PoseGraph()
     frames.add("a", at(1.0), scope="", implied=MODEL_FRAME)
     frames.add("a", at(2.0), scope="", implied=MODEL_FRAME)
@@ -80,7 +80,7 @@ def test_first_frame_counts_when_two_have_one_name() -> None:
     assert frames.pose("a").position == (1.0, 0.0, 0.0)
 
 
-def test_frames_placed_in_a_circle_are_refused() -> None:
+def test_poses_in_a_cycle_are_refused() -> None:
     frames = PoseGraph()
     for name, parent in (("a", "b"), ("b", "c"), ("c", "a")):
         frames.add(name, at(frame=parent), scope="", implied=MODEL_FRAME)
@@ -102,7 +102,7 @@ def test_placement_frame_placed_outside_its_model_is_refused() -> None:
     assert caught.value.slug == "sdf.unknown_frame"
 
 
-def test_thousand_frames_in_a_row_are_placed() -> None:
+def test_chain_of_a_thousand_frames_is_resolved() -> None:
     frames = PoseGraph()
     for number in range(1000):
         parent = f"f{number + 1}" if number < 999 else MODEL_FRAME

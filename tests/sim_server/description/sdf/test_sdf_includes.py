@@ -1,4 +1,4 @@
-"""Includes of SDF are what the resolver finds, and nothing else."""
+"""Includes of SDF are replaced by the models of the resolver."""
 
 import pytest
 
@@ -21,7 +21,7 @@ def read(files: dict[str, str], *parts: str) -> Model:
     return read_sdf_model(a_model(*parts), resolve=files.get)
 
 
-def test_included_model_is_read_where_it_is_put() -> None:
+def test_included_model_has_the_pose_of_its_include() -> None:
     include = an_include("model://hand", "<name>left</name><pose>0 1 0 0 0 0</pose>")
 
     model = read({"model://hand": HAND}, a_link("a"), include, a_joint("j", ("a", "left::palm")))
@@ -30,7 +30,7 @@ def test_included_model_is_read_where_it_is_put() -> None:
     assert "include 'model://hand'" in [e.subject for e in model.report if e.status == "applied"]
 
 
-def test_included_model_keeps_its_own_pose_and_name_when_none_is_given() -> None:
+def test_included_model_keeps_its_pose_and_name_by_default() -> None:
     parts = (a_link("a"), an_include("model://hand"), a_joint("j", ("a", "hand::palm")))
 
     model = read({"model://hand": HAND}, *parts)
@@ -61,7 +61,7 @@ def test_axes_of_an_included_file_are_those_of_its_version() -> None:
     assert model.joints[0].axis == pytest.approx((-1.0, 0.0, 0.0), abs=1e-9)
 
 
-def test_relative_meshes_of_two_included_models_are_two() -> None:
+def test_relative_meshes_of_two_included_models_differ() -> None:
     parts = []
     for name in ("left", "right"):
         hand = a_model(a_link("palm", A_MESH), attributes=f'name="{name}"')
@@ -80,7 +80,7 @@ def test_relative_meshes_of_two_included_models_are_two() -> None:
     assert mentions(model.report, "suspicious", "'model://right/meshes/a.stl'")
 
 
-def test_relative_include_is_looked_for_beside_the_model_first() -> None:
+def test_relative_include_is_relative_to_its_model_first() -> None:
     arm = a_model(a_link("arm"), an_include("hand.sdf"), a_joint("j", ("arm", "hand::palm")))
     parts = (a_link("a"), an_include("model://arm/arm.sdf"), a_joint("k", ("a", "m::arm")))
     other = a_model(a_link("claw"), attributes='name="hand"')
@@ -124,14 +124,14 @@ def test_includes_that_multiply_are_refused() -> None:
         ("<sdf", "xml.syntax"),
     ],
 )
-def test_included_file_is_refused_when_it_is_no_model(text: str, slug: str) -> None:
+def test_included_file_is_refused_when_it_is_not_a_model(text: str, slug: str) -> None:
     with pytest.raises(ModelError) as caught:
         read({"x": text}, an_include("x"))
 
     assert caught.value.slug == slug
 
 
-def test_merged_include_is_noted() -> None:
+def test_merged_include_is_reported() -> None:
     include = an_include("x").replace("<include>", '<include merge="true">')
 
     model = read({"x": HAND}, a_link("a"), include, a_joint("j", ("a", "hand::palm")))

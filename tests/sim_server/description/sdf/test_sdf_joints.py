@@ -1,4 +1,4 @@
-"""SDF joints make a graph; what can be a tree becomes one, and loops are left open."""
+"""SDF joints: axes, chains, pivots and the spanning tree."""
 
 import math
 
@@ -29,7 +29,7 @@ def a_limit(lower: str, upper: str) -> str:
     "limit",
     ["", a_limit("-1e16", "1e16"), a_limit("-inf", "inf"), a_limit("-1e+16", "1e+16")],
 )
-def test_revolute_joint_turns_freely_when_it_has_no_limits(limit: str) -> None:
+def test_revolute_joint_without_limits_is_continuous(limit: str) -> None:
     (joint,) = joints_of(an_axis("0 0 1", limit))
 
     assert (joint.kind, joint.lower, joint.upper) == ("continuous", 0.0, 0.0)
@@ -47,7 +47,7 @@ def test_limits_are_kept() -> None:
     assert (joint.effort, joint.velocity, joint.damping, joint.friction) == (3.0, 4.0, 5.0, 6.0)
 
 
-def test_prismatic_joint_without_limits_slides_as_far_as_the_world_goes() -> None:
+def test_prismatic_joint_without_limits_has_those_of_the_world() -> None:
     (joint,) = joints_of(an_axis("1 0 0"), kind="prismatic")
 
     assert (joint.kind, joint.lower, joint.upper) == ("prismatic", -1e5, 1e5)
@@ -92,7 +92,7 @@ def test_axis_without_a_frame_is_as_its_version_has_it(
     assert model.joints[0].axis == pytest.approx(axis, abs=1e-9)
 
 
-def test_child_turns_about_the_joint_when_that_is_elsewhere() -> None:
+def test_child_gets_a_pivot_when_the_axis_misses_its_origin() -> None:
     parts = (
         a_link("a"),
         a_link("b", a_pose("1 0 0 0 0 0")),
@@ -108,7 +108,7 @@ def test_child_turns_about_the_joint_when_that_is_elsewhere() -> None:
     assert model.links[1].inertial.com_in_link == (0.0, -0.5, 0.0)
 
 
-def test_child_keeps_its_name_when_the_joint_is_elsewhere_on_its_axis() -> None:
+def test_child_needs_no_pivot_when_the_axis_runs_through_its_origin() -> None:
     parts = (
         a_link("a"),
         a_link("b"),
@@ -126,7 +126,7 @@ def test_joint_pose_may_be_relative_to_another_frame() -> None:
     assert joint.origin.position == (0.0, 0.0, 0.0)
 
 
-def test_ball_is_three_turns_and_rolling_comes_first() -> None:
+def test_ball_joint_is_three_revolute_joints() -> None:
     joints = joints_of("", kind="ball")
 
     assert [joint.name for joint in joints] == ["j_1", "j_2", "j"]
@@ -135,13 +135,13 @@ def test_ball_is_three_turns_and_rolling_comes_first() -> None:
     assert joints[-1].child == "b"
 
 
-def test_links_between_the_turns_of_a_ball_are_not_doubted() -> None:
+def test_pivot_links_of_a_ball_joint_are_not_reported() -> None:
     model = read(a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "ball"))
 
     assert subjects(model.report, "suspicious") == []
 
 
-def test_universal_joint_is_two_turns() -> None:
+def test_universal_joint_is_two_revolute_joints() -> None:
     axes = an_axis("1 0 0") + an_axis("0 1 0").replace("axis>", "axis2>")
 
     joints = joints_of(axes, kind="universal")
@@ -149,7 +149,7 @@ def test_universal_joint_is_two_turns() -> None:
     assert [joint.axis for joint in joints] == [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
 
 
-def test_mimic_counts_from_its_reference() -> None:
+def test_mimic_offset_includes_its_reference() -> None:
     mimic = (
         '<mimic joint="j"><multiplier>2</multiplier><offset>1</offset><reference>3</reference>'
         "</mimic>"
@@ -163,7 +163,7 @@ def test_mimic_counts_from_its_reference() -> None:
     assert read(*parts).joints[1].mimic == Mimic("j", 2.0, -5.0)
 
 
-def test_missing_axis_is_noted() -> None:
+def test_missing_axis_is_reported() -> None:
     parts = (a_link("a"), a_link("b"), a_joint("j", ("a", "b"), "revolute"))
 
     assert mentions(read(*parts).report, "suspicious", "joint 'j'", "<axis>", "0 0 1")
@@ -186,7 +186,7 @@ def ends(model: Model) -> list[tuple[str, str, str]]:
     return [(joint.name, joint.parent, joint.child) for joint in model.joints]
 
 
-def test_joint_is_turned_round_when_its_link_has_a_parent_already() -> None:
+def test_joint_is_reversed_when_its_child_has_a_parent() -> None:
     model = read(
         *THREE,
         a_joint("j", ("a", "b"), "revolute", an_axis("0 0 1")),
@@ -199,7 +199,7 @@ def test_joint_is_turned_round_when_its_link_has_a_parent_already() -> None:
     assert subjects(model.report, "suspicious") == []
 
 
-def test_link_stays_in_its_place_when_its_joint_is_turned_round() -> None:
+def test_link_keeps_its_pose_when_its_joint_is_reversed() -> None:
     model = read(
         *THREE,
         a_joint("j", ("a", "b"), "revolute", an_axis("0 0 1")),
@@ -213,7 +213,7 @@ def test_link_stays_in_its_place_when_its_joint_is_turned_round() -> None:
     assert [joint.axis for joint in model.joints[1:]] == [(0.0, 0.0, -1.0), (-1.0, 0.0, 0.0)]
 
 
-def test_first_link_is_the_root_whatever_holds_it() -> None:
+def test_first_link_is_the_root_when_it_has_a_parent() -> None:
     model = read(
         *THREE,
         a_joint("j", ("c", "a"), "revolute", an_axis("0 0 1")),
@@ -226,7 +226,7 @@ def test_first_link_is_the_root_whatever_holds_it() -> None:
     assert len(subjects(model.report, "suspicious")) == 1
 
 
-def test_loop_is_left_open_and_noted() -> None:
+def test_loop_of_joints_is_opened_and_reported() -> None:
     model = read(
         *THREE,
         a_joint("j", ("a", "b"), "revolute", an_axis("0 0 1")),
@@ -251,7 +251,7 @@ def test_joint_to_the_world_is_the_root_of_all() -> None:
 
 
 @pytest.mark.parametrize("kind", ["gearbox", "screw"])
-def test_joint_that_only_couples_is_left_out_and_noted(kind: str) -> None:
+def test_coupling_joint_is_left_out(kind: str) -> None:
     model = read(
         *THREE,
         a_joint("j", ("a", "b"), "revolute", an_axis("0 0 1")),
@@ -264,5 +264,5 @@ def test_joint_that_only_couples_is_left_out_and_noted(kind: str) -> None:
     assert mentions(model.report, "suspicious", kind)
 
 
-def test_nothing_is_made_of_no_joints() -> None:
+def test_spanning_tree_of_no_joints_is_empty() -> None:
     assert find_spanning_tree([], ["a"], ParseReport()) == ()

@@ -1,4 +1,4 @@
-"""Solids, friction and colours of SDF."""
+"""Geometries, friction and colours of SDF."""
 
 import pytest
 from lxml import etree
@@ -49,7 +49,7 @@ def test_solid_has_its_kind_and_size(inside: str, expected: Shape | None) -> Non
 
 
 @pytest.mark.parametrize("normal", ["1 0 0", "0 -2 0", "0 0 -1", "1 2 3"])
-def test_plane_is_turned_to_its_normal(normal: str) -> None:
+def test_plane_is_rotated_to_its_normal(normal: str) -> None:
     plane = solid(f"<plane><normal>{normal}</normal></plane>")
 
     assert plane is not None
@@ -59,7 +59,7 @@ def test_plane_is_turned_to_its_normal(normal: str) -> None:
 
 
 @pytest.mark.parametrize("tag", ["heightmap", "image", "polyline", "ellipsoid", "cone", "fog"])
-def test_other_solid_is_listed(tag: str) -> None:
+def test_unsupported_geometry_is_reported(tag: str) -> None:
     report = ParseReport()
 
     assert read_geometry(a_part(f"<geometry><{tag}/></geometry>"), "here", report) is None
@@ -80,7 +80,7 @@ def test_other_solid_is_listed(tag: str) -> None:
         ("", "sdf.geometry"),
     ],
 )
-def test_impossible_solid_is_refused(inside: str, slug: str) -> None:
+def test_geometry_is_refused_when_a_value_is_invalid(inside: str, slug: str) -> None:
     with pytest.raises(ModelError) as caught:
         solid(inside)
 
@@ -121,7 +121,7 @@ def test_negative_friction_is_refused() -> None:
         ("<script><name>Gazebo/Nowhere</name></script>", None),
     ],
 )
-def test_colour_is_that_of_the_script_or_the_diffuse_light(
+def test_colour_is_that_of_the_script_or_diffuse(
     material: str, expected: tuple[float, ...] | None
 ) -> None:
     part = a_part(f"<material>{material}</material>")
@@ -129,13 +129,13 @@ def test_colour_is_that_of_the_script_or_the_diffuse_light(
     assert read_colour(part, "here", ParseReport()) == expected
 
 
-def test_transparent_visual_is_seen_through() -> None:
+def test_transparency_is_applied_to_the_colour() -> None:
     assert apply_transparency((1.0, 0.0, 0.0, 1.0), 0.25) == (1.0, 0.0, 0.0, 0.75)
     assert apply_transparency(None, 0.0) is None
     assert apply_transparency(None, 1.0) == (1.0, 1.0, 1.0, 0.0)
 
 
-def test_plane_is_a_slab_to_others_and_looks_like_a_sheet() -> None:
+def test_plane_has_a_slab_as_collision_and_a_sheet_as_visual() -> None:
     plane = Shape("plane", (3.0, 2.0, 0.0), Origin((0.0, 0.0, 5.0)))
 
     slab, sheet = make_ground_slab(plane), make_visual_sheet(plane)

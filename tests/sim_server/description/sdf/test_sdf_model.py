@@ -1,4 +1,4 @@
-"""SDF robots become the Models that URDF ones do."""
+"""SDF models become the same Models as URDF ones."""
 
 import pytest
 
@@ -29,25 +29,25 @@ WORLD = """<sdf version="1.7"><world name="w" xmlns:zensim="urn:zensim"><model n
 
 
 @pytest.mark.parametrize("word", ["full", "kinematic", "auto"])
-def test_model_asks_for_its_dynamics(word: str) -> None:
+def test_model_has_the_written_dynamics(word: str) -> None:
     model = read_sdf_model(ROBOT.format(word=f"<zensim:dynamics> {word} </zensim:dynamics>"))
 
     assert model.dynamics == word
     assert not [entry for entry in model.report if "dynamics" in entry.subject + entry.reason]
 
 
-def test_model_asks_for_none_unless_it_says_so() -> None:
+def test_model_has_no_dynamics_by_default() -> None:
     assert read_sdf_model(ROBOT.format(word="")).dynamics == ""
 
 
-def test_word_that_is_none_is_noted() -> None:
+def test_unknown_dynamics_are_reported() -> None:
     model = read_sdf_model(ROBOT.format(word="<zensim:dynamics>fast</zensim:dynamics>"))
 
     assert model.dynamics == ""
     assert mentions(model.report, "suspicious", "dynamics", "'fast'", "full, kinematic, auto")
 
 
-def test_model_of_a_world_asks_too() -> None:
+def test_model_of_a_world_has_the_written_dynamics() -> None:
     assert read_world(WORLD).models[0].model.dynamics == "auto"
 
 
@@ -61,7 +61,7 @@ def slug_of(text: str) -> str:
     return caught.value.slug
 
 
-def test_two_wheeled_robot_is_read_whole() -> None:
+def test_sdf_robot_is_read() -> None:
     model = read_sdf_model(PIONEER)
 
     assert [link.name for link in model.links] == ["__model__", "left", "right"]
@@ -85,19 +85,19 @@ def test_root_link_at_the_model_origin_is_the_root() -> None:
     assert read(a_link("base")).links[0].name == "base"
 
 
-def test_link_that_a_fixed_joint_holds_is_lumped() -> None:
+def test_link_on_a_fixed_joint_is_lumped() -> None:
     model = read(TWO, a_joint("j", ("a", "b")))
 
     assert (len(model.links), model.mass_kg, len(model.frames)) == (1, 4.0, 1)
 
 
-def test_link_held_by_the_world_does_not_move() -> None:
+def test_link_fixed_to_the_world_does_not_move() -> None:
     model = read(a_link("a"), a_joint("j", ("world", "a")))
 
     assert (model.is_static, model.links[0].name) == (True, "world")
 
 
-def test_links_of_a_static_model_are_one() -> None:
+def test_links_of_a_static_model_are_merged() -> None:
     parts = ("<static>true</static>", TWO, a_joint("j", ("a", "b"), "revolute", an_axis("0 0 1")))
 
     model = read(*parts)
@@ -105,7 +105,7 @@ def test_links_of_a_static_model_are_one() -> None:
     assert (model.is_static, len(model.links), model.joints) == (True, 1, ())
 
 
-def test_model_without_any_inertial_weighs_as_sdf_says() -> None:
+def test_model_without_any_inertial_has_the_default_mass() -> None:
     model = read(a_link("a", inertial=""))
 
     assert model.mass_kg == 1.0
@@ -113,13 +113,13 @@ def test_model_without_any_inertial_weighs_as_sdf_says() -> None:
     assert mentions(model.report, "suspicious", "<inertial>", "1 kg")
 
 
-def test_link_without_inertial_weighs_nothing_beside_others() -> None:
+def test_link_without_inertial_is_massless_beside_others() -> None:
     parts = (a_link("a"), a_link("b", inertial=""), a_joint("j", ("a", "b")))
 
     assert read(*parts).mass_kg == 2.0
 
 
-def test_nested_model_is_part_of_the_one_around_it() -> None:
+def test_nested_model_is_part_of_its_parent_model() -> None:
     nested = (
         f'<model name="arm">{a_pose("1 0 0 0 0 0")}{a_link("hand", a_pose("0 1 0 0 0 0"))}</model>'
     )
@@ -138,7 +138,7 @@ def test_joint_may_name_a_frame_that_is_attached_to_a_link() -> None:
     assert model.joints[0].child == "b"
 
 
-def test_pose_of_a_spawned_model_is_that_of_the_request() -> None:
+def test_pose_of_a_spawned_model_is_ignored() -> None:
     model = read(a_pose("1 2 3 0 0 0"), a_link("base"))
 
     assert subjects(model.report, "ignored") == ["model: <pose>"]
@@ -155,7 +155,7 @@ def test_sensor_is_read_with_its_link() -> None:
     ]
 
 
-def test_unsupported_shape_is_listed_and_left_out() -> None:
+def test_unsupported_geometry_is_left_out() -> None:
     hill = (
         '<collision name="c"><geometry><heightmap><uri>x</uri></heightmap></geometry></collision>'
     )
@@ -247,7 +247,7 @@ def test_bad_model_is_refused_by_name(text: str, slug: str) -> None:
     assert slug_of(text) == slug
 
 
-def test_collision_mesh_that_is_not_here_is_refused_unless_it_may_be_missing() -> None:
+def test_missing_collision_mesh_is_refused_unless_allowed() -> None:
     mesh = "<geometry><mesh><uri>model://m/a.stl</uri></mesh></geometry>"
     text = a_model(a_link("a", f'<collision name="c">{mesh}</collision>'))
 
@@ -259,7 +259,7 @@ def test_collision_mesh_that_is_not_here_is_refused_unless_it_may_be_missing() -
     )
 
 
-def test_visual_mesh_that_is_not_here_is_noted_once() -> None:
+def test_missing_visual_mesh_is_reported_once() -> None:
     mesh = "<geometry><mesh><uri>model://m/a.stl</uri></mesh></geometry>"
 
     model = read(a_link("a", f'<visual name="v">{mesh}</visual>'))
@@ -267,7 +267,7 @@ def test_visual_mesh_that_is_not_here_is_noted_once() -> None:
     assert len(subjects(model.report, "suspicious")) == 1
 
 
-def test_only_model_of_a_world_is_read_as_gazebo_spawns_it() -> None:
+def test_single_model_of_a_world_is_read() -> None:
     model = a_model(a_link("a"))
     inside = "<gravity>0 0 -1</gravity>" + model[model.index("<model") : -len("</sdf>")]
 
@@ -278,7 +278,7 @@ def test_only_model_of_a_world_is_read_as_gazebo_spawns_it() -> None:
     assert slug_of(f'<sdf version="1.9"><world name="w">{inside * 2}</world></sdf>') == "sdf.model"
 
 
-def test_unsupported_code_is_that_of_the_vocabulary() -> None:
+def test_unsupported_joint_has_its_result_code() -> None:
     with pytest.raises(ModelError) as caught:
         read_sdf_model(a_model(TWO, a_joint("j", ("a", "b"), "screw")))
 

@@ -1,4 +1,4 @@
-"""Poses, flags and names of SDF as it writes them."""
+"""Poses, flags and names of SDF."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_pose_is_identity_when_it_is_missing_or_empty() -> None:
     assert pose(" \n ") == Origin()
 
 
-def test_pose_turns_in_radians_degrees_or_by_a_quaternion() -> None:
+def test_rotation_is_in_radians_degrees_or_a_quaternion() -> None:
     half = math.sqrt(0.5)
 
     for turned in (
@@ -36,7 +36,7 @@ def test_pose_turns_in_radians_degrees_or_by_a_quaternion() -> None:
 
 
 @pytest.mark.parametrize("attribute", ["relative_to", "frame"])
-def test_pose_names_its_frame(attribute: str) -> None:
+def test_pose_has_the_written_frame(attribute: str) -> None:
     element = an_element(f'<link><pose {attribute}=" base ">0 0 0 0 0 0</pose></link>')
 
     assert read_pose(element, "here").frame == "base"
@@ -53,7 +53,7 @@ def test_pose_names_its_frame(attribute: str) -> None:
         ("a b c d e f", ""),
     ],
 )
-def test_pose_is_refused_when_it_is_none(text: str, attributes: str) -> None:
+def test_pose_is_refused_when_it_is_invalid(text: str, attributes: str) -> None:
     with pytest.raises(ModelError) as caught:
         pose(text, attributes)
 
@@ -70,7 +70,7 @@ def test_flag_is_true_or_false(text: str, expected: bool) -> None:  # noqa: FBT0
 
 
 @pytest.mark.parametrize("name", ["", " ", "world", "__model__", "x" * 257, "a\u200b"])
-def test_name_that_is_none_is_refused(name: str) -> None:
+def test_invalid_name_is_refused(name: str) -> None:
     element = etree.Element("link", {"name": name})
 
     with pytest.raises(ModelError) as caught:

@@ -1,14 +1,18 @@
-"""Worlds are read with what comes with the server, and with nothing fetched."""
+"""SDF worlds: built-in includes, placed models, physics, lights and named poses."""
+
+import math
 
 import pytest
 
 from tests.sim_server.description.robots import mentions, subjects
 from tests.sim_server.description.sdf_robots import a_link, a_pose
+from zensim.proto.messages.entity_messages import Bounds, BoundsType
 from zensim.proto.messages.model_messages import Origin
 from zensim.proto.messages.result_messages import SpawnCode
+from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.messages.world_messages import Light, Scene
-from zensim.sim_server.description.builtin_models import read_builtin_world
-from zensim.sim_server.description.sdf.sdf_world import PhysicsSettings, read_world
+from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
+from zensim.sim_server.description.sdf.sdf_world import NamedPlace, PhysicsSettings, read_world
 from zensim.sim_server.errors import ModelError
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
@@ -35,14 +39,14 @@ def test_gravity_is_that_of_the_file() -> None:
 
 
 @pytest.mark.parametrize("gravity", ["0 0", "0 0 nan", "down", ""])
-def test_gravity_is_refused_when_it_is_no_vector(gravity: str) -> None:
+def test_gravity_is_refused_when_it_is_not_a_vector(gravity: str) -> None:
     with pytest.raises(ModelError) as caught:
         read_world(a_world(f"<gravity>{gravity}</gravity>"))
 
     assert caught.value.slug == "sdf.gravity"
 
 
-def test_world_without_ground_is_noted() -> None:
+def test_world_without_ground_is_reported() -> None:
     world = read_world(a_world())
 
     assert not world.ground_plane
@@ -53,7 +57,7 @@ def test_world_without_ground_is_noted() -> None:
 @pytest.mark.parametrize(
     "uri", ["model://house", "file:///etc/passwd", "https://example.org/sun", ""]
 )
-def test_include_is_refused_by_name_when_it_does_not_come_with_the_server(uri: str) -> None:
+def test_include_is_refused_when_it_is_not_built_in(uri: str) -> None:
     with pytest.raises(ModelError, match=repr(uri)) as caught:
         read_world(a_world(f"<include><uri>{uri}</uri></include>"))
 
@@ -61,7 +65,7 @@ def test_include_is_refused_by_name_when_it_does_not_come_with_the_server(uri: s
 
 
 @pytest.mark.parametrize("tag", ["actor", "road", "population", "joint"])
-def test_what_is_not_supported_is_listed_and_left_out(tag: str) -> None:
+def test_unsupported_element_is_left_out(tag: str) -> None:
     world = read_world(a_world(GROUND, f'<{tag} name="x"/>'))
 
     (entry,) = subjects(world.report, "suspicious")
@@ -91,7 +95,7 @@ def test_file_is_refused_when_it_is_no_sdf(text: str) -> None:
     assert caught.value.slug.startswith(("sdf.", "xml."))
 
 
-def test_world_notes_what_has_no_effect() -> None:
+def test_world_reports_elements_without_effect() -> None:
     world = read_world(
         a_world(
             GROUND,
@@ -138,7 +142,7 @@ def test_model_may_be_placed_relative_to_another_or_to_a_frame() -> None:
     assert [placed.origin.position[0] for placed in world.models] == [6.0, 7.0]
 
 
-def test_placement_frame_of_a_model_stands_where_its_pose_says() -> None:
+def test_pose_of_a_model_is_that_of_its_placement_frame() -> None:
     link = a_link("box", a_pose("0 0 2 0 0 0"))
 
     world = read_world(a_world(GROUND, f'<model name="m" placement_frame="box">{link}</model>'))
@@ -146,7 +150,7 @@ def test_placement_frame_of_a_model_stands_where_its_pose_says() -> None:
     assert world.models[0].origin.position == (0.0, 0.0, -2.0)
 
 
-def test_saved_state_moves_a_model() -> None:
+def test_saved_state_overrides_the_pose_of_a_model() -> None:
     state = '<state><model name="crate"><pose>9 0 0 0 0 0</pose></model></state>'
 
     world = read_world(a_world(GROUND, a_crate(), state))
@@ -154,7 +158,7 @@ def test_saved_state_moves_a_model() -> None:
     assert world.models[0].origin.position == (9.0, 0.0, 0.0)
 
 
-def test_model_is_included_from_where_the_resolver_finds_it() -> None:
+def test_included_model_comes_from_the_resolver() -> None:
     include = "<include><uri>model://crate</uri><name>c1</name><pose>1 0 0 0 0 0</pose></include>"
     files = {"model://crate": f'<sdf version="1.6">{a_crate()}</sdf>'}
 
@@ -173,17 +177,17 @@ def test_model_is_included_from_where_the_resolver_finds_it() -> None:
         ("x" * 90, "x" * 56),
     ],
 )
-def test_entity_gets_a_name_that_it_can_have(written: str, name: str) -> None:
+def test_entity_name_is_valid(written: str, name: str) -> None:
     assert read_world(a_world(GROUND, a_crate(written))).models[0].name == name
 
 
-def test_entities_get_different_names() -> None:
+def test_entity_names_are_unique() -> None:
     world = read_world(a_world(GROUND, a_crate("a b"), a_crate("a-b")))
 
     assert [placed.name for placed in world.models] == ["a_b", "a_b_2"]
 
 
-def test_model_that_is_level_ground_is_the_ground_plane() -> None:
+def test_level_plane_is_the_ground_plane() -> None:
     mu = "<surface><friction><ode><mu>0.4</mu></ode></friction></surface>"
     plane = f'<collision name="c"><geometry><plane/></geometry>{mu}</collision>'
     ground = f'<model name="g"><static>1</static><link name="l">{plane}</link></model>'
@@ -216,7 +220,7 @@ def test_tilted_plane_is_a_model() -> None:
         ("<real_time_update_rate>0</real_time_update_rate>", PhysicsSettings(None, 0.0)),
     ],
 )
-def test_pace_is_that_of_the_physics(physics: str, pace: PhysicsSettings) -> None:
+def test_physics_settings_are_read(physics: str, pace: PhysicsSettings) -> None:
     assert read_world(a_world(GROUND, f"<physics>{physics}</physics>")).pace == pace
 
 
@@ -231,7 +235,7 @@ def test_lights_and_colours_are_read() -> None:
     assert world.scene == Scene(None, (0.0, 0.0, 1.0, 1.0), (lamp,))
 
 
-def test_model_that_is_not_supported_is_listed_and_left_out() -> None:
+def test_unsupported_model_is_left_out() -> None:
     joint = '<joint name="j" type="screw"><parent>world</parent><child>box</child></joint>'
 
     world = read_world(a_world(GROUND, a_crate(inside=joint)))
@@ -252,8 +256,73 @@ def test_model_that_is_not_supported_is_listed_and_left_out() -> None:
         ("".join(a_crate(f"m{i}") for i in range(2001)), "sdf.size"),
     ],
 )
-def test_world_that_cannot_be_is_refused(inside: str, slug: str) -> None:
+def test_invalid_world_is_refused(inside: str, slug: str) -> None:
     with pytest.raises(ModelError) as caught:
         read_world(a_world(GROUND, inside))
 
     assert caught.value.slug == slug
+
+
+GROUND = "<include><uri>model://ground_plane</uri></include>"
+
+
+def places(inside: str, declared: str = "") -> dict[str, NamedPlace]:
+    text = f"<sdf version='1.9' {declared}><world name='w'>{GROUND}{inside}</world></sdf>"
+    return {place.pose.name: place for place in read_world(text).places}
+
+
+@pytest.mark.parametrize("declared", ["", "xmlns:zensim='urn:zensim'"])
+def test_frame_is_a_named_pose_with_tags_and_bounds(declared: str) -> None:
+    found = places(
+        "<frame name='dock'><pose>1 2 0 0 0 0</pose>"
+        "<zensim:description> by the door </zensim:description>"
+        "<zensim:tags>parking, charging parking</zensim:tags>"
+        "<zensim:size>2 4 6</zensim:size></frame>",
+        declared,
+    )
+
+    pose = found["dock"].pose
+    assert (pose.description, pose.tags) == ("by the door", ("parking", "charging"))
+    assert pose.pose.position == Point(1.0, 2.0, 0.0)
+    assert found["dock"].bounds == Bounds(BoundsType.BOX, (Vector3(1, 2, 3), Vector3(-1, -2, -3)))
+
+
+def test_frame_without_tags_is_a_pose_without_bounds() -> None:
+    bare = places("<frame name='bare'/>")["bare"]
+
+    assert (bare.bounds, bare.pose.tags) == (Bounds(), ())
+
+
+def test_frame_may_be_attached_to_another() -> None:
+    found = places(
+        "<frame name='gate'><pose relative_to='dock'>1 0 0 0 0 0</pose></frame>"
+        f"<frame name='dock'><pose>0 3 0 0 0 {math.pi / 2}</pose></frame>"
+    )
+
+    place = found["gate"].pose.pose.position
+    assert (place.x, place.y, place.z) == pytest.approx((0.0, 4.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("inside", "value"),
+    [
+        ("<zensim:size>1 2</zensim:size>", "'1 2'"),
+        ("<zensim:size>1 2 0</zensim:size>", "1 2 0"),
+        (f"<zensim:tags>{' '.join(f't{i}' for i in range(65))}</zensim:tags>", "65"),
+        (f"<zensim:tags>{'t' * 129}</zensim:tags>", "128"),
+        (f"<zensim:description>{'d' * 5000}</zensim:description>", "5000"),
+    ],
+)
+def test_frame_with_a_bad_text_is_refused(inside: str, value: str) -> None:
+    with pytest.raises(ModelError, match=value) as caught:
+        places(f"<frame name='dock'>{inside}</frame>")
+
+    assert caught.value.slug == "sdf.named_pose"
+
+
+@pytest.mark.parametrize("name", list_builtin_worlds())
+def test_built_in_world_has_a_spawn_pose(name: str) -> None:
+    world = read_world(read_builtin_world(name))
+
+    assert any("spawn" in place.pose.tags for place in world.places)
+    assert {entry.status for entry in world.report} <= {"applied", "ignored"}

@@ -1,4 +1,4 @@
-"""What <gazebo> blocks say of links, joints and the robot takes effect or is noted."""
+"""The <gazebo> blocks of links, joints and the robot."""
 
 import pytest
 
@@ -36,14 +36,14 @@ def test_friction_is_read_when_written_as_text_or_value(tag: str) -> None:
     assert frictions(BODY, a_reference("body", tag)) == [0.5]
 
 
-def test_last_friction_counts_when_two_blocks_give_one() -> None:
+def test_last_friction_is_used_when_two_blocks_have_one() -> None:
     blocks = a_reference("body", "<mu1>0.5</mu1>") + a_reference("body", "<mu1>0.25</mu1>")
 
     assert frictions(BODY, blocks) == [0.25]
 
 
 @pytest.mark.parametrize("value", ["-1", "nan", "slippery", ""])
-def test_friction_is_refused_when_it_cannot_be(value: str) -> None:
+def test_friction_is_refused_when_it_is_invalid(value: str) -> None:
     with pytest.raises(ModelError, match="'body', mu1") as caught:
         read_urdf(a_robot(BODY, a_reference("body", f"<mu1>{value}</mu1>")))
 
@@ -64,11 +64,11 @@ def test_fixed_joint_is_lumped_when_keeping_is_switched_off() -> None:
     assert link_names(read_urdf(a_robot(BODY, CASTER, block))) == ["body"]
 
 
-def test_robot_is_static_when_asked_for() -> None:
+def test_robot_is_static_when_its_block_sets_it() -> None:
     assert read_urdf(a_robot(BODY, "<gazebo><static>true</static></gazebo>")).is_static
 
 
-def test_blocks_are_noted_by_what_became_of_them() -> None:
+def test_report_lists_the_effect_of_each_gazebo_tag() -> None:
     entries = report_of(
         a_robot(
             BODY,

@@ -1,4 +1,4 @@
-"""A whole URDF becomes a model, or a ModelError, and nothing else happens."""
+"""URDF texts become models, or errors with a slug."""
 
 import logging
 import math
@@ -54,7 +54,7 @@ def test_shapes_have_sizes_in_metres_when_read() -> None:
     ]
 
 
-def test_origin_turns_about_fixed_axes_when_it_has_roll_pitch_yaw() -> None:
+def test_roll_pitch_yaw_are_about_fixed_axes() -> None:
     quarter = math.pi / 2
     text = a_robot(
         a_link("a", a_visual(BALL, f'<origin xyz="1 2 3" rpy="{quarter} 0 {quarter}"/>'))
@@ -92,7 +92,7 @@ def test_joint_keeps_limits_and_dynamics_when_read() -> None:
 
 
 @pytest.mark.parametrize("kind", ["continuous", "floating", "planar"])
-def test_joint_needs_no_limit_when_its_kind_has_none(kind: str) -> None:
+def test_continuous_joint_needs_no_limit(kind: str) -> None:
     pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
 
     last = read_urdf(a_robot(pair, a_joint("j", ("a", "b"), kind))).joints[-1]
@@ -104,7 +104,7 @@ def test_joint_needs_no_limit_when_its_kind_has_none(kind: str) -> None:
     ("kind", "slug"),
     [("hinge", "urdf.joint_type"), ("revolute", "urdf.limit"), ("prismatic", "urdf.limit")],
 )
-def test_joint_is_refused_when_its_kind_is_none_or_lacks_a_limit(kind: str, slug: str) -> None:
+def test_joint_is_refused_without_a_valid_type_and_limit(kind: str, slug: str) -> None:
     pair = a_link("a", an_inertial()) + a_link("b", an_inertial())
 
     with pytest.raises(ModelError, match="joint 'j'") as caught:
@@ -113,7 +113,7 @@ def test_joint_is_refused_when_its_kind_is_none_or_lacks_a_limit(kind: str, slug
     assert caught.value.slug == slug
 
 
-def test_visual_mesh_is_dropped_and_noted_when_it_is_not_here() -> None:
+def test_missing_visual_mesh_is_left_out_and_reported() -> None:
     model = read_urdf(a_robot(a_link("a", an_inertial() + a_visual(MESH) + a_visual())))
 
     assert [shape.kind for shape in model.links[0].visuals] == ["sphere"]
@@ -121,14 +121,14 @@ def test_visual_mesh_is_dropped_and_noted_when_it_is_not_here() -> None:
     assert mentions(model.report, "suspicious", "'package://r/body.stl'")
 
 
-def test_collision_mesh_refuses_the_robot_when_it_is_not_here() -> None:
+def test_robot_is_refused_when_a_collision_mesh_is_missing() -> None:
     with pytest.raises(ModelError, match=r"package://r/body\.stl") as caught:
         read_urdf(a_robot(a_link("a", a_collision(MESH))))
 
     assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "mesh.missing")
 
 
-def test_reader_is_asked_for_each_mesh_when_meshes_are_named() -> None:
+def test_each_mesh_is_looked_up() -> None:
     asked: list[str] = []
 
     def has_mesh(uri: str) -> bool:
@@ -142,7 +142,7 @@ def test_reader_is_asked_for_each_mesh_when_meshes_are_named() -> None:
 
 
 @pytest.mark.parametrize("inside", ["<joint name='j'/>", "<link/>"])
-def test_parts_are_refused_when_the_grammar_was_not_checked(inside: str) -> None:
+def test_links_and_joints_are_refused_without_the_schema_check(inside: str) -> None:
     robot = parse_xml(a_robot(inside), root_tag="robot", slug="urdf")
 
     with pytest.raises(ModelError) as caught:
@@ -161,7 +161,7 @@ def box_bot() -> Model:
     return read_urdf(BOX_BOT)
 
 
-def test_box_bot_is_a_base_and_two_wheels_once_lumped(box_bot: Model) -> None:
+def test_box_bot_has_a_base_and_two_wheels_after_lumping(box_bot: Model) -> None:
     assert link_names(box_bot) == ["base_link", "left_wheel", "right_wheel"]
     assert [joint.kind for joint in box_bot.joints] == ["continuous", "continuous"]
     assert box_bot.mass_kg == pytest.approx(1.4, abs=1e-6)
@@ -175,7 +175,7 @@ def test_box_bot_has_the_inertia_of_its_file(box_bot: Model) -> None:
     assert left.inertia == (6.292e-5, 0.0, 0.0, 1.225e-4, 0.0, 6.292e-5)
 
 
-def test_box_bot_slides_on_its_casters_and_rolls_on_its_wheels(box_bot: Model) -> None:
+def test_box_bot_has_friction_on_wheels_and_none_on_casters(box_bot: Model) -> None:
     base, left, right = (link.collisions for link in box_bot.links)
 
     assert [shape.friction for shape in base] == [1.0, 0.0, 0.0]
@@ -190,7 +190,7 @@ def test_box_bot_stands_on_its_wheels_when_spawned_at_6_cm(box_bot: Model) -> No
     assert casters == pytest.approx([-0.0595, -0.0595])
 
 
-def test_box_bot_drives_with_left_on_the_left(box_bot: Model) -> None:
+def test_box_bot_has_its_left_joint_on_the_left(box_bot: Model) -> None:
     places = {joint.name: joint.origin.position for joint in box_bot.joints}
     drive = box_bot.drive
 
@@ -216,14 +216,14 @@ def test_box_bot_keeps_merged_links_as_frames(box_bot: Model) -> None:
     ]
 
 
-def test_box_bot_is_coloured_all_over(box_bot: Model) -> None:
+def test_box_bot_has_a_colour_on_every_visual(box_bot: Model) -> None:
     colours = [shape.rgba for link in box_bot.links for shape in link.visuals]
 
     assert None not in colours
     assert len(set(colours)) >= 5
 
 
-def test_reading_says_nothing_outside_the_report(
+def test_parser_neither_prints_nor_logs(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.DEBUG):
@@ -237,7 +237,7 @@ def test_reading_the_same_text_twice_gives_equal_models() -> None:
     assert read_urdf(BOX_BOT) == read_urdf(BOX_BOT)
 
 
-def test_xacro_is_refused_with_what_to_do_when_not_expanded() -> None:
+def test_xacro_macro_is_refused() -> None:
     text = (
         '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
         '<xacro:macro name="m"/><link name="a"/></robot>'
@@ -289,7 +289,7 @@ def assert_model_or_refusal(text: str) -> None:
 
 @settings(deadline=None, max_examples=150)
 @given(st.data())
-def test_no_cut_of_a_file_does_anything_but_read_or_refuse(data: st.DataObject) -> None:
+def test_truncated_file_is_read_or_refused(data: st.DataObject) -> None:
     tags = [i for i, character in enumerate(BOX_BOT) if character == "<"]
     start, end = sorted(data.draw(st.tuples(st.sampled_from(tags), st.sampled_from(tags))))
 
@@ -298,7 +298,7 @@ def test_no_cut_of_a_file_does_anything_but_read_or_refuse(data: st.DataObject) 
 
 @settings(deadline=None, max_examples=150)
 @given(st.data())
-def test_no_hostile_value_does_anything_but_read_or_refuse(data: st.DataObject) -> None:
+def test_hostile_value_is_read_or_refused(data: st.DataObject) -> None:
     quoted = BOX_BOT.split('"')
     place = data.draw(st.integers(0, len(quoted) // 2 - 1)) * 2 + 1
     quoted[place] = data.draw(st.sampled_from(HOSTILE) | st.text(max_size=5))
@@ -308,5 +308,66 @@ def test_no_hostile_value_does_anything_but_read_or_refuse(data: st.DataObject) 
 
 @settings(deadline=None, max_examples=50)
 @given(st.text(alphabet='<>/="& robotlinkjointgazebo!-?[]', max_size=200))
-def test_no_text_does_anything_but_read_or_refuse(text: str) -> None:
+def test_any_text_is_read_or_refused(text: str) -> None:
     assert_model_or_refusal(text)
+
+
+MIRRORED_MESH = '<geometry><mesh filename="package://r/body.stl" scale="-1 1 1"/></geometry>'
+
+
+def test_capsule_is_read_when_a_link_has_one() -> None:
+    capsule = '<geometry><capsule radius="0.1" length="0.4"/></geometry>'
+
+    (shape,) = read_urdf(a_robot(a_link("a", a_collision(capsule)))).links[0].collisions
+
+    assert (shape.kind, shape.size) == ("capsule", (0.1, 0.4, 0.0))
+
+
+def test_first_shape_is_used_when_a_geometry_has_two() -> None:
+    two = '<geometry><sphere radius="0.1"/><box size="1 1 1"/></geometry>'
+
+    model = read_urdf(a_robot(a_link("a", a_visual(two))))
+
+    assert [shape.kind for shape in model.links[0].visuals] == ["sphere"]
+    assert mentions(model.report, "suspicious", "link 'a', visual, geometry", "2")
+
+
+def test_each_visual_is_reported_once_when_its_mesh_is_missing() -> None:
+    model = read_urdf(
+        a_robot(a_link("a", a_visual(MIRRORED_MESH) * 2 + a_visual()), name_of_others())
+    )
+
+    missing = [entry.subject for entry in model.report if "body.stl" in entry.reason]
+    assert missing == ["link 'a', visual 1", "link 'a', visual 2", "link 'b'"]
+
+
+def name_of_others() -> str:
+    joint = '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>'
+    return a_link("b", a_visual(MIRRORED_MESH)) + joint
+
+
+def test_visual_is_not_drawn_when_its_size_is_0() -> None:
+    dot = '<geometry><sphere radius="0"/></geometry>'
+
+    model = read_urdf(a_robot(a_link("a", a_visual(dot) + a_visual())))
+
+    assert len(model.links[0].visuals) == 1
+    assert mentions(model.report, "suspicious", "link 'a', visual 1", "sphere", "0")
+
+
+def test_mesh_may_be_mirrored_when_its_scale_is_negative() -> None:
+    model = read_urdf(a_robot(a_link("a", a_visual(MIRRORED_MESH))), has_mesh=lambda _uri: True)
+
+    assert model.links[0].visuals[0].size == (-1.0, 1.0, 1.0)
+
+
+def test_missing_collision_mesh_is_left_out_only_when_allowed() -> None:
+    text = a_robot(a_link("a", a_collision(MIRRORED_MESH) + a_collision(BALL)))
+
+    with pytest.raises(ModelError) as caught:
+        read_urdf(text)
+    model = read_urdf(text, allow_missing=True)
+
+    assert (caught.value.code, caught.value.slug) == (SpawnCode.MISSING_ASSETS, "mesh.missing")
+    assert [shape.kind for shape in model.links[0].collisions] == ["sphere"]
+    assert mentions(model.report, "suspicious", "link 'a'", "collision", "body.stl")

@@ -1,4 +1,4 @@
-"""Tags and attributes that URDF does not have are noted; those it needs are asked for."""
+"""Unknown, unused and missing elements of URDF."""
 
 import pytest
 
@@ -49,7 +49,7 @@ def slug_of(text: str) -> str:
         (a_robot("<material/>"), "urdf.name"),
     ],
 )
-def test_grammar_asks_for_what_is_missing(text: str, slug: str) -> None:
+def test_schema_refuses_a_missing_element(text: str, slug: str) -> None:
     assert slug_of(text) == slug
 
 
@@ -67,7 +67,7 @@ def test_grammar_asks_for_what_is_missing(text: str, slug: str) -> None:
         a_visual('<geometry><mesh filename="m.stl" scale="1 1"/></geometry>'),
     ],
 )
-def test_grammar_refuses_a_link_when_a_number_is_none(inside: str) -> None:
+def test_schema_refuses_a_link_with_an_invalid_number(inside: str) -> None:
     assert slug_of(a_robot(a_link("a", inside))) == "urdf.number"
 
 
@@ -82,18 +82,18 @@ def test_grammar_refuses_a_link_when_a_number_is_none(inside: str) -> None:
         '<safety_controller k_velocity=""/>',
     ],
 )
-def test_grammar_refuses_a_joint_when_a_number_is_none(inside: str) -> None:
+def test_schema_refuses_a_joint_with_an_invalid_number(inside: str) -> None:
     joint = a_joint("j", ("a", "b"), "continuous", inside)
 
     assert slug_of(a_robot(PAIR, joint)) == "urdf.number"
 
 
 @pytest.mark.parametrize("name", ["n" * 257, "a&#10;b", "a&#9;b"])
-def test_grammar_refuses_a_name_when_it_is_long_or_cannot_be_printed(name: str) -> None:
+def test_schema_refuses_a_long_or_unprintable_name(name: str) -> None:
     assert slug_of(a_robot(f'<link name="{name}"/>')) == "urdf.text"
 
 
-def test_grammar_notes_what_urdf_does_not_have() -> None:
+def test_unknown_elements_are_reported() -> None:
     link = a_link("a", "<pose>0 0 0</pose>" + a_visual(BALL, "<collision/>"))
     joint = a_joint(
         "j", ("a", "b"), "continuous", '<joint_properties damping="1"/><axis xyz="0 1 0" rpy="0"/>'
@@ -111,7 +111,7 @@ def test_grammar_notes_what_urdf_does_not_have() -> None:
     assert mentions(entries, "suspicious", "robot: <lnk>", "<link>")
 
 
-def test_grammar_notes_what_has_no_effect() -> None:
+def test_elements_without_effect_are_reported() -> None:
     joint = a_joint("j", ("a", "b"), "continuous", '<calibration rising="0"/>')
 
     entries = report_of(a_robot(PAIR, joint, '<transmission name="t"><any x="y"/></transmission>'))
@@ -122,7 +122,7 @@ def test_grammar_notes_what_has_no_effect() -> None:
     ]
 
 
-def test_grammar_lets_the_first_count_when_a_tag_is_there_twice() -> None:
+def test_first_tag_is_used_when_it_is_repeated() -> None:
     second = '<inertia ixx="9" iyy="9" izz="9"/></inertial>'
     link = a_link("a", an_inertial().replace("</inertial>", second))
 

@@ -1,4 +1,4 @@
-"""Drives other than Gazebo's differential one are read as their plug-ins read them."""
+"""Ackermann and tricycle plug-ins: parameters, defaults and measured lengths."""
 
 import msgspec
 import pytest
@@ -14,10 +14,6 @@ from tests.sim_server.description.robots import (
 )
 from zensim.proto.messages.drive_messages import (
     AckermannDrive,
-    DiffDrive,
-    Limits,
-    PlanarMove,
-    RosBlock,
     TricycleDrive,
     WheelPair,
 )
@@ -41,70 +37,6 @@ TRIKE_JOINTS = """
   <encoder_wheel_left_joint>left_joint</encoder_wheel_left_joint>
   <encoder_wheel_right_joint>right_joint</encoder_wheel_right_joint>
 """
-
-
-def test_planar_move_has_gazebos_defaults() -> None:
-    model = read_urdf(a_cart(a_plugin(PLANAR, BASE)))
-
-    assert model.drive == PlanarMove(odometry_rate_hz=20.0, robot_base_frame="base")
-    assert model.drive.update_rate_hz == 20.0
-    assert model.drive.publish_odom
-    assert model.drive.publish_odom_tf
-    assert subjects(model.report, "applied") == ["plugin 'p'"] * 2
-    assert mentions(model.report, "applied", "friction")
-
-
-def test_body_that_is_pushed_takes_the_twist_at_once() -> None:
-    inside = """
-      <odometryRate>50</odometryRate><publishOdometryTf>false</publishOdometryTf>
-      <force_x_velocity_p_gain>10000</force_x_velocity_p_gain>
-    """
-
-    model = read_urdf(a_cart(a_plugin("libgazebo_ros_force_based_move.so", BASE + inside)))
-
-    assert model.drive == PlanarMove(
-        odometry_rate_hz=50.0, robot_base_frame="base", publish_odom_tf=False
-    )
-    assert len(subjects(model.report, "ignored")) == 1
-
-
-def test_planar_move_has_what_the_file_says() -> None:
-    inside = """
-      <ros><remapping>cmd_vel:=go</remapping></ros>
-      <update_rate>50</update_rate><publish_rate>10</publish_rate>
-      <publish_odom>false</publish_odom><publish_odom_tf>false</publish_odom_tf>
-      <odometry_frame>o</odometry_frame><covariance_x>0.5</covariance_x>
-    """
-
-    drive = read_urdf(a_cart(a_plugin(PLANAR, BASE + inside))).drive
-
-    assert drive == PlanarMove(
-        update_rate_hz=50.0,
-        odometry_rate_hz=10.0,
-        publish_odom=False,
-        publish_odom_tf=False,
-        odometry_frame="o",
-        robot_base_frame="base",
-        covariance_x=0.5,
-        ros=RosBlock("", ("cmd_vel:=go",)),
-    )
-
-
-def test_planar_move_is_read_when_it_is_spelt_as_in_ros_1() -> None:
-    inside = """
-      <commandTopic>move/cmd_vel</commandTopic><odometryTopic>odom</odometryTopic>
-      <odometryFrame>o</odometryFrame><odometryRate>5</odometryRate>
-      <robotBaseFrame>base</robotBaseFrame>
-    """
-
-    drive = read_urdf(a_cart(a_plugin(PLANAR, inside))).drive
-
-    assert drive == PlanarMove(
-        odometry_rate_hz=5.0,
-        odometry_frame="o",
-        robot_base_frame="base",
-        command_topic="move/cmd_vel",
-    )
 
 
 def test_car_has_the_lengths_of_its_links() -> None:
@@ -138,7 +70,7 @@ def test_car_has_the_lengths_of_its_links() -> None:
     assert mentions(model.report, "applied", "plugin 'p'", "0.6 m", "0.4 m", "0.1 m")
 
 
-def test_wheels_of_a_car_are_noted_when_they_touch_as_spheres() -> None:
+def test_wheels_that_become_spheres_are_reported() -> None:
     entries = report_of(a_car(a_plugin(CAR, CAR_JOINTS + BASE)))
 
     assert mentions(entries, "applied", "plugin 'p'", "'rl', 'rr', 'fl', 'fr'", "spheres")
@@ -160,7 +92,7 @@ def test_wheels_of_a_car_are_noted_when_they_touch_as_spheres() -> None:
         (a_trike(a_plugin(TRIKE)), "'front_wheel_joint'"),
     ],
 )
-def test_robot_has_no_drive_when_its_plugin_would_not_work(text: str, fault: str) -> None:
+def test_robot_has_no_drive_when_its_plugin_is_unusable(text: str, fault: str) -> None:
     model = read_urdf(text)
 
     assert model.drive is None
@@ -181,7 +113,7 @@ def test_tricycle_has_gazebos_defaults() -> None:
     )
 
 
-def test_tricycle_has_what_the_file_says() -> None:
+def test_tricycle_has_the_written_parameters() -> None:
     inside = """
       <actuated_wheel_diameter>0.2</actuated_wheel_diameter>
       <encoder_wheel_diameter>0.2</encoder_wheel_diameter>
@@ -221,82 +153,7 @@ def test_drive_is_refused_when_a_length_is_not_positive(text: str, tag: str, val
     assert caught.value.slug == f"drive.{tag}"
 
 
-@pytest.mark.parametrize("filename", [GZ, "libignition-gazebo-diff-drive-system.so"])
-def test_diff_drive_of_gazebo_sim_has_its_defaults(filename: str) -> None:
-    drive = read_urdf(a_cart(a_plugin(filename, WHEELS))).drive
-
-    assert isinstance(drive, DiffDrive)
-    assert drive == DiffDrive(
-        pairs=(WheelPair("left_joint", "right_joint", 1.0, 0.4),),
-        max_torque_nm=drive.max_torque_nm,
-        update_rate_hz=0.0,
-        odometry_rate_hz=50.0,
-        odometry_source="encoder",
-        robot_base_frame="base",
-        publish_odom=True,
-        publish_odom_tf=True,
-    )
-
-
-def test_diff_drive_of_gazebo_sim_has_what_the_file_says() -> None:
-    inside = """
-      <wheel_separation>0.4</wheel_separation><wheel_radius>0.1</wheel_radius>
-      <odom_publish_frequency>10</odom_publish_frequency>
-      <topic>/model/r/cmd_vel</topic><odom_topic>odom</odom_topic><tf_topic>/tf</tf_topic>
-      <frame_id>o</frame_id><child_frame_id>base</child_frame_id>
-      <max_velocity>2</max_velocity><max_linear_velocity>0.5</max_linear_velocity>
-      <min_linear_velocity>-0.2</min_linear_velocity>
-      <min_angular_acceleration>-1</min_angular_acceleration><max_jerk>9</max_jerk>
-    """
-
-    model = read_urdf(a_cart(a_plugin(GZ, WHEELS + inside)))
-
-    drive = model.drive
-    assert isinstance(drive, DiffDrive)
-    assert drive.pairs == (WheelPair("left_joint", "right_joint", 0.4, 0.2),)
-    assert drive.linear_limits == Limits(min_velocity=-0.2, max_velocity=0.5)
-    assert drive.angular_limits == Limits(max_velocity=2.0, min_acceleration=-1.0)
-    assert (drive.odometry_frame, drive.odometry_rate_hz) == ("o", 10.0)
-    assert (drive.command_topic, drive.odometry_topic) == ("model/r/cmd_vel", "")
-    assert len(subjects(model.report, "ignored")) == 2
-    assert subjects(model.report, "unknown") == []
-
-
-@pytest.mark.parametrize(
-    ("inside", "rate"),
-    [
-        ("<odom_publisher_frequency>30</odom_publisher_frequency>", 30.0),
-        (
-            "<odom_publisher_frequency>30</odom_publisher_frequency>"
-            "<odom_publish_frequency>10</odom_publish_frequency>",
-            10.0,
-        ),
-    ],
-)
-def test_rate_of_gazebo_sims_odometry_is_read_in_either_spelling(inside: str, rate: float) -> None:
-    model = read_urdf(a_cart(a_plugin(GZ, WHEELS + inside)))
-
-    assert model.drive is not None
-    assert model.drive.odometry_rate_hz == rate
-    assert subjects(model.report, "unknown") == []
-
-
-def test_diff_drive_of_gazebo_sim_is_none_when_its_sides_differ() -> None:
-    model = read_urdf(a_cart(a_plugin(GZ, "<left_joint>left_joint</left_joint>")))
-
-    assert model.drive is None
-    assert mentions(model.report, "suspicious", "plugin 'p'", "1 left", "0 right")
-
-
-def test_topic_is_the_usual_one_when_it_is_no_name() -> None:
-    model = read_urdf(a_cart(a_plugin(PLANAR, BASE + "<command_topic>a b</command_topic>")))
-
-    assert model.drive is not None
-    assert model.drive.command_topic == ""
-    assert mentions(model.report, "suspicious", "<command_topic>", "'cmd_vel'")
-
-
-def test_every_drive_is_told_by_its_kind_on_the_wire() -> None:
+def test_every_drive_is_decoded_by_its_tag() -> None:
     for text in (
         a_cart(a_plugin(PLANAR)),
         a_car(a_plugin(CAR, CAR_JOINTS)),
