@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.integration.processes import eventually
-from tests.sim_server.description.meshes.test_mesh_conversion_meshes import BOX, exported
+from tests.sim_server.description.meshes.test_mesh_conversion import BOX, exported
 from tests.sim_server.fakes import WallTime
 from tests.sim_server.parser_process.test_asset_store import put
 from tests.sim_server.parser_process.test_parser_client import MESH_ROBOT
