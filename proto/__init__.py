@@ -1,1 +1,1 @@
-"""The wire protocol: messages, codecs, keys and services that every program, in any language, must agree on."""
+"""The wire: messages, codecs, keys, catalogs of services and topics, and ROS 2 endpoints."""

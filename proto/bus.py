@@ -517,8 +517,8 @@ def _make_zenoh_config(config: BusConfig) -> zenoh.Config:
 def _make_open_error(config: BusConfig, text: str) -> BusError:
     if "in use" in text:
         return EndpointTaken(
-            f"another process listens at {config.listen[0]}; stop it, use --listen with another port, "
-            "or --connect to it"
+            f"another process listens at {config.listen[0]}; stop it, use --listen with another "
+            "port, or --connect to it"
         )
     if "listener" in text:
         reason = text.partition(" at /")[0]

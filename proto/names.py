@@ -25,7 +25,8 @@ def check_name(name: str, what: str = "name") -> str:
     if NAME_PATTERN.fullmatch(name):
         return name
     raise InvalidName(
-        f"{what} {_abbreviate(name)} is not valid; use a letter, then up to 63 letters, digits or '_'"
+        f"{what} {_abbreviate(name)} is not valid; use a letter, then up to 63 letters, digits "
+        "or '_'"
     )
 
 
@@ -43,7 +44,8 @@ def check_namespace(namespace: str) -> str:
         or len(chunks) > MAX_NAMESPACE_CHUNKS
     ):
         raise InvalidName(
-            f"namespace {_abbreviate(namespace)} is not valid; use names joined by '/', as 'team/r1'"
+            f"namespace {_abbreviate(namespace)} is not valid; use names joined by '/', "
+            "as 'team/r1'"
         )
     if len(bare) > MAX_NAMESPACE_LENGTH:
         raise InvalidName(
@@ -52,7 +54,8 @@ def check_namespace(namespace: str) -> str:
         )
     if chunks[0] in RESERVED_NAMES:
         raise InvalidName(
-            f"namespace {_abbreviate(namespace)} begins with a reserved name; use any but 'sim', 'world'"
+            f"namespace {_abbreviate(namespace)} begins with a reserved name; use any but 'sim', "
+            "'world'"
         )
     return bare
 

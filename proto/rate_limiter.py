@@ -27,7 +27,7 @@ class RateLimiter:
         return self.elapsed_s(time_ns) is not None
 
     def elapsed_s(self, time_ns: int) -> float | None:
-        """Open if due: return the time [s] since the last opening, one period at first, else None."""
+        """Open if due: return the time [s] since the last opening, at first one period, or None."""
         opened_ns = self._opened_ns
         if opened_ns is None:
             opened_ns, self._due_ns = time_ns - self._period_ns, time_ns

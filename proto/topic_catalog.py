@@ -55,7 +55,7 @@ class TopicSpec(msgspec.Struct, frozen=True, eq=False, kw_only=True):
     qos: Qos = RELIABLE_10
     """Of the ROS 2 endpoints, if there are any."""
     root_message: type[msgspec.Struct] | None = None
-    """Published as CDR on the suffix alone, as `/clock` and `/tf` of ROS 2; None = not published."""
+    """Published as CDR on the suffix alone, as `/clock` and `/tf`; None = not published."""
     rate_hz: float = 0.0
     """Default rate [Hz], of wall time in scope WORLD, else of simulation time; 0 = on change, or as
     the robot's description says."""

@@ -240,7 +240,7 @@ class TopicFactory:
 
 
 class LazyTopicPublisher:
-    """Publisher that encodes only if there is a subscriber, and replies to get with the last value."""
+    """Publisher that encodes only for subscribers, and replies to get with the last value."""
 
     def __init__(
         self,
@@ -256,7 +256,7 @@ class LazyTopicPublisher:
             topics: Declares publisher and queryable.
             topic: Key, type and QoS.
             value: Makes the value.
-            is_shared: Whether other programs publish on this key, so that a get collects replies of all.
+            is_shared: Whether other programs publish on this key, too; a get queries all.
         """
         self._key = topic.key
         self._encoding = topic.encoding

@@ -113,7 +113,7 @@ class CdrLayout:
         return _build_from_parts(message_type, parts)
 
     def _field(self, info: inspect.Type, path: str) -> Build:
-        bare, extra = _unwrap(info)
+        bare, extra = unwrap_metadata(info)
         if isinstance(bare, inspect.StructType):
             return self._struct(bare.cls, path + ".")
         start = self._slots
@@ -144,7 +144,8 @@ def _fields(message_type: type[msgspec.Struct]) -> tuple[inspect.Field, ...]:
     return info.fields
 
 
-def _unwrap(info: inspect.Type) -> tuple[inspect.Type, dict[str, object]]:
+def unwrap_metadata(info: inspect.Type) -> tuple[inspect.Type, dict[str, object]]:
+    """Return the type without its annotation, and the extra fields of that."""
     if isinstance(info, inspect.Metadata):
         return info.type, info.extra or {}
     return info, {}
@@ -157,7 +158,7 @@ def _make_leaf(bare: inspect.Type, extra: dict[str, object], path: str, slot: in
         return BytesLeaf(path)
     if not isinstance(bare, inspect.VarTupleType):
         return FixedLeaf(path, slot, _find_code(bare, extra, path))
-    item, item_extra = _unwrap(bare.item_type)
+    item, item_extra = unwrap_metadata(bare.item_type)
     if isinstance(length := extra.get("length"), int):
         return FixedLeaf(path, slot, _find_code(item, extra | item_extra, path), length)
     return _make_sequence_leaf(item, item_extra, path)

@@ -105,8 +105,8 @@ def detect_format(payload: bytes, encoding: str = "") -> Format:
     found = FORMAT_OF_FIRST_BYTE.get(payload[0])
     if found is None:
         raise MalformedPayload(
-            f"first byte 0x{payload[0]:02x} is of no known format; use CDR (0x00), a MessagePack map"
-            " or a JSON object"
+            f"first byte 0x{payload[0]:02x} is of no known format; use CDR (0x00), a MessagePack "
+            "map or a JSON object"
         )
     if declared in (None, found):
         return found

@@ -18,7 +18,7 @@ class AssetRef(msgspec.Struct, frozen=True):
     """A file that a description refers to."""
 
     uri: str
-    """As in the description, such as `package://robot/meshes/base.stl`; see `resolve_include_uri`."""
+    """As in the description: `package://robot/meshes/base.stl`; see `resolve_include_uri`."""
     sha256: str
     """64 lower-case hex digits."""
 

@@ -119,7 +119,7 @@ class ModelStates(msgspec.Struct, frozen=True):
 
 
 class LinkStates(msgspec.Struct, frozen=True):
-    """States of all links, `entity::link`, in the world frame. Source: gazebo_msgs/msg/LinkStates."""
+    """States of all links (`entity::link`) in the world. Source: gazebo_msgs/msg/LinkStates."""
 
     ros_type: ClassVar[str] = "gazebo_msgs/msg/LinkStates"
 

@@ -62,7 +62,7 @@ class ReportEntry(msgspec.Struct, frozen=True):
 
 
 class Origin(msgspec.Struct, frozen=True):
-    """A fixed pose: position [m] and orientation (x, y, z, w), in a frame that the owner defines."""
+    """A fixed pose in a frame that the owner defines: position [m], orientation (x, y, z, w)."""
 
     position: Vec3 = ZERO
     orientation: Quat = IDENTITY
@@ -211,7 +211,7 @@ class Parameter(msgspec.Struct, frozen=True):
 
 
 class Sensor(msgspec.Struct, frozen=True):
-    """A sensor of a description; `origin` is its pose in `link`, into which `frame` may be merged."""
+    """A sensor; `origin` is its pose in `link`, into which the link `frame` may be merged."""
 
     name: str
     kind: str

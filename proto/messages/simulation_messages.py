@@ -156,7 +156,7 @@ class SetSimulationStateResponse(msgspec.Struct, frozen=True):
 
 
 class StepSimulationRequest(msgspec.Struct, frozen=True):
-    """Advance a paused world by a number of steps. Source: simulation_interfaces/srv/StepSimulation."""
+    """Advance a paused world by some steps. Source: simulation_interfaces/srv/StepSimulation."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/StepSimulation_Request"
 

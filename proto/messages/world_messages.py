@@ -50,7 +50,7 @@ class LoadWorldRequest(msgspec.Struct, frozen=True):
     ros_type: ClassVar[str] = "simulation_interfaces/srv/LoadWorld_Request"
 
     world_resource: Resource = Resource()
-    """`uri`: a built-in world or a file in a folder of the operator; else `resource_string`: SDF."""
+    """`uri`: a built-in world or a file of the operator; else `resource_string`: SDF."""
     fail_on_unsupported_element: bool = False
     ignore_missing_or_unsupported_assets: bool = False
 
@@ -91,7 +91,7 @@ class GetCurrentWorldRequest(msgspec.Struct, frozen=True):
 
 
 class GetCurrentWorldResponse(msgspec.Struct, frozen=True):
-    """The world, as in the request that loaded it. Source: simulation_interfaces/srv/GetCurrentWorld."""
+    """The world, as it was requested. Source: simulation_interfaces/srv/GetCurrentWorld."""
 
     ros_type: ClassVar[str] = "simulation_interfaces/srv/GetCurrentWorld_Response"
 

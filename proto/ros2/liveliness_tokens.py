@@ -111,6 +111,7 @@ LATCHED: Final = Qos(durability="transient_local", depth=1)
 def write_qos(qos: Qos) -> str:
     """Write a profile as the last chunk of a token."""
     depth = "" if qos.depth == DEFAULT_QOS.depth else str(qos.depth)
+    liveliness = _format_number(RMW_LIVELINESS, qos.liveliness, DEFAULT_QOS.liveliness)
     return ":".join(
         (
             _format_number(RMW_RELIABILITY, qos.reliability, DEFAULT_QOS.reliability),
@@ -118,7 +119,7 @@ def write_qos(qos: Qos) -> str:
             f"{_format_number(RMW_HISTORY, qos.history, DEFAULT_QOS.history)},{depth}",
             _format_span(qos.deadline_ns),
             _format_span(qos.lifespan_ns),
-            f"{_format_number(RMW_LIVELINESS, qos.liveliness, DEFAULT_QOS.liveliness)},{_format_span(qos.lease_ns)}",
+            f"{liveliness},{_format_span(qos.lease_ns)}",
         )
     )
 

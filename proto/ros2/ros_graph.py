@@ -164,7 +164,7 @@ class RosNode:
         qos: Qos = RELIABLE_10,
         bridge_key: str = "",
     ) -> GraphEndpoint:
-        """Announce an endpoint by its plain key; `bridge_key` is that for a bridge, if different."""
+        """Announce an endpoint by its plain key; `bridge_key` overrides it for a bridge."""
         endpoint = GraphEndpoint(
             node=self._node,
             number=next(self.graph.numbers),

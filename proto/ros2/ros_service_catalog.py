@@ -1,4 +1,4 @@
-"""ROS 2 services: names, types, keys, and adapters for simulation_interfaces 1.x and gazebo_msgs."""
+"""ROS 2 services: names, types, keys; adapters for simulation_interfaces 1.x and gazebo_msgs."""
 
 from collections.abc import Callable
 from functools import cached_property

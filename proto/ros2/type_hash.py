@@ -8,7 +8,7 @@ from typing import Final, TypedDict, cast
 import msgspec
 from msgspec import inspect
 
-from zensim.proto.codec.cdr_layout import find_ros_class
+from zensim.proto.codec.cdr_layout import find_ros_class, unwrap_metadata
 from zensim.proto.messages.standard_messages import Time
 
 RIHS_PREFIX: Final = "RIHS01_"
@@ -138,12 +138,12 @@ def _describe_event(
 def _describe_field(
     name: str, info: inspect.Type, known: dict[str, TypeDescription]
 ) -> FieldDescription:
-    bare, extra = _unwrap_type(info)
+    bare, extra = unwrap_metadata(info)
     if isinstance(bare, inspect.BytesType):
         return _make_field(name, SEQUENCE + NUMBER_OF_CODE["B"])
     if not isinstance(bare, inspect.VarTupleType):
         return _make_field(name, *_find_type_number(name, bare, extra, known))
-    item, item_extra = _unwrap_type(bare.item_type)
+    item, item_extra = unwrap_metadata(bare.item_type)
     number, nested = _find_type_number(name, item, extra | item_extra, known)
     if isinstance(length := extra.get("length"), int):
         return _make_field(name, ARRAY + number, nested, capacity=length)
@@ -163,12 +163,6 @@ def _find_type_number(
     if code not in NUMBER_OF_CODE:
         raise TypeError(f"field '{name}' is a {type(info).__name__} without a CDR width")
     return NUMBER_OF_CODE[str(code)], ""
-
-
-def _unwrap_type(info: inspect.Type) -> tuple[inspect.Type, dict[str, object]]:
-    if isinstance(info, inspect.Metadata):
-        return info.type, info.extra or {}
-    return info, {}
 
 
 def _make_field(name: str, number: int, nested: str = "", *, capacity: int = 0) -> FieldDescription:
