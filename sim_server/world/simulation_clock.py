@@ -79,10 +79,6 @@ class SimulationClock:
         self.state = state
         self.add_event("unloaded" if state == State.NO_WORLD else "loaded")
 
-    def play(self) -> None:
-        """Enter the state PLAYING."""
-        self.change_state(State.PLAYING)
-
     def pause(self) -> None:
         """Enter the state PAUSED."""
         self.change_state(State.PAUSED)

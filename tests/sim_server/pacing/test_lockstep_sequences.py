@@ -60,13 +60,13 @@ def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
 
     assert moments == sorted(moments)
     if server.world.clock.state == State.PAUSED:
-        server.world.clock.play()
+        server.world.clock.change_state(State.PLAYING)
     server.publisher.drive_states.clear()
     before = server.world.clock.steps
     server.turn_for(1.1 * TIMEOUT_S)
     for _ in range(4 * CONTROL_STEPS):
         answer_states(server)
         if server.world.clock.state == State.PAUSED:
-            server.world.clock.play()
+            server.world.clock.change_state(State.PLAYING)
         server.loop.turn()
     assert server.world.clock.steps > before + CONTROL_STEPS

@@ -1,4 +1,4 @@
-"""The asset store: files by content, piece by piece, and nothing that is not named by content."""
+"""AssetStore: uploads in chunks, eviction, pinned files, vertices of meshes."""
 
 import hashlib
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ def put(store: AssetStore, data: bytes) -> str:
     return name
 
 
-def test_store_has_a_file_when_all_pieces_came(store: AssetStore) -> None:
+def test_store_has_a_file_when_all_chunks_are_received(store: AssetStore) -> None:
     first = store.put(NAME, offset=0, total=len(DATA), data=DATA[:50])
     second = store.put(NAME, offset=50, total=len(DATA), data=DATA[50:])
 
@@ -38,13 +38,13 @@ def test_store_has_a_file_when_all_pieces_came(store: AssetStore) -> None:
     assert store.read(NAME, 10, 20) == DATA[10:30]
 
 
-def test_store_says_where_to_go_on_when_a_file_is_unfinished(store: AssetStore) -> None:
+def test_store_reports_the_received_bytes_of_a_partial_file(store: AssetStore) -> None:
     store.put(NAME, offset=0, total=len(DATA), data=DATA[:50])
 
     assert store.missing([NAME, NAME]) == [(NAME, 50)]
 
 
-def test_store_takes_a_piece_again_without_harm(store: AssetStore) -> None:
+def test_store_accepts_a_repeated_chunk(store: AssetStore) -> None:
     store.put(NAME, offset=0, total=len(DATA), data=DATA[:50])
 
     assert store.put(NAME, offset=0, total=len(DATA), data=DATA[:50]) == 50
@@ -66,7 +66,7 @@ def test_store_takes_a_piece_again_without_harm(store: AssetStore) -> None:
     ],
     ids=lambda value: str(value)[:20],
 )
-def test_store_refuses_a_piece(
+def test_store_refuses_a_chunk(
     store: AssetStore,
     *,
     name: str,
@@ -75,42 +75,43 @@ def test_store_refuses_a_piece(
     data: bytes,
     slug: str,
 ) -> None:
-    with pytest.raises(AssetRefused, match=rf"^{slug}: "):
+    with pytest.raises(AssetRefused) as refused:
         store.put(name, offset=offset, total=total, data=data)
 
+    assert refused.value.slug == slug
     assert name not in store
 
 
-def test_store_starts_anew_when_the_bytes_were_wrong(store: AssetStore) -> None:
-    with pytest.raises(AssetRefused, match="send it again from 0"):
+def test_store_accepts_a_file_again_after_a_wrong_digest(store: AssetStore) -> None:
+    with pytest.raises(AssetRefused):
         store.put(NAME, offset=0, total=len(DATA), data=bytes(len(DATA)))
 
     assert put(store, DATA) == NAME
     assert NAME in store
 
 
-def test_store_forgets_what_was_not_used_for_longest() -> None:
+def test_store_evicts_the_least_recently_used_file() -> None:
     store = AssetStore(budget_bytes=10)
-    old, kept, new = (put(store, data) for data in (b"aaaa", b"bbbb", b"cccc"))
+    old, middle, new = (put(store, data) for data in (b"aaaa", b"bbbb", b"cccc"))
 
-    assert [name in store for name in (old, kept, new)] == [False, True, True]
+    assert [name in store for name in (old, middle, new)] == [False, True, True]
     store.close()
 
 
-def test_store_keeps_what_is_pinned_beside_its_budget() -> None:
+def test_store_never_evicts_pinned_files() -> None:
     store = AssetStore(budget_bytes=10)
     pinned = put(store, b"pppp")
     store.pin(pinned, b"pppp")
 
-    kept = [put(store, data) for data in (b"aaaa", b"bbbb", b"cccc")][1:]
+    recent = [put(store, data) for data in (b"aaaa", b"bbbb", b"cccc")][1:]
 
-    assert [name in store for name in (pinned, *kept)] == [True, True, True]
+    assert [name in store for name in (pinned, *recent)] == [True, True, True]
     assert (put(store, b"pppp"), store.missing([pinned])) == (pinned, [])
     assert store.read(pinned, 1, 9) == b"ppp"
     store.close()
 
 
-def test_store_tells_each_corner_of_a_mesh_once(store: AssetStore) -> None:
+def test_vertices_of_a_mesh_are_distinct_and_cached(store: AssetStore) -> None:
     square = np.array([[[0, 0, 1], [2, 0, 1], [2, 2, 1]], [[0, 0, 1], [2, 2, 1], [0, 2, 1]]])
     name = put(store, write_corners(square))
 
@@ -120,24 +121,30 @@ def test_store_tells_each_corner_of_a_mesh_once(store: AssetStore) -> None:
     assert store.vertices(name) is found
 
 
-def test_store_refuses_to_look_for_more_files_than_a_bundle_has(store: AssetStore) -> None:
-    with pytest.raises(AssetRefused, match=r"^bundle\.files: "):
+def test_store_refuses_to_list_too_many_files(store: AssetStore) -> None:
+    with pytest.raises(AssetRefused) as refused:
         store.missing(f"{i:064x}" for i in range(MAX_BUNDLE_FILES + 1))
 
+    assert refused.value.slug == "bundle.files"
 
-def test_store_says_so_when_a_file_is_not_here(store: AssetStore) -> None:
-    with pytest.raises(AssetRefused, match=r"^bundle\.unknown: "):
+
+def test_store_refuses_to_read_an_unknown_file(store: AssetStore) -> None:
+    with pytest.raises(AssetRefused) as refused:
         store.read(NAME, 0, 1)
 
+    assert refused.value.slug == "bundle.unknown"
 
-def test_store_refuses_an_offset_behind_the_end(store: AssetStore) -> None:
+
+def test_store_refuses_an_offset_after_the_end(store: AssetStore) -> None:
     put(store, DATA)
 
-    with pytest.raises(AssetRefused, match=r"^bundle\.offset: "):
+    with pytest.raises(AssetRefused) as refused:
         store.read(NAME, len(DATA) + 1, 1)
 
+    assert refused.value.slug == "bundle.offset"
 
-def test_store_leaves_nothing_behind_when_closed() -> None:
+
+def test_store_removes_its_folder_when_closed() -> None:
     store = AssetStore()
     put(store, DATA)
 

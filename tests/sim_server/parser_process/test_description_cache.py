@@ -1,4 +1,4 @@
-"""Descriptions that the reader process reads: each once, for as long as its meshes are here."""
+"""DescriptionCache: each description is parsed once while its meshes are stored."""
 
 import time
 from collections.abc import Iterator
@@ -20,53 +20,53 @@ from zensim.sim_server.parser_process.parser_client import ParserClient
 
 WITHIN_S = 30.0
 STL = exported(BOX, "stl")
-ROOMY, TIGHT = 3 * len(STL), len(STL)
+LARGE_BYTES, SMALL_BYTES = 3 * len(STL), len(STL)
 
 
-class Reading:
-    """A store of so many bytes, and the descriptions that are read with it."""
+class ParserFixture:
+    """A parser, a store of limited size, and the cache of descriptions."""
 
     def __init__(self, budget_bytes: int) -> None:
         self.wall = WallTime()
         self.parts_left = 0
         self.store = AssetStore(budget_bytes)
-        self.reader = ParserClient(self.store, time.monotonic_ns)
+        self.parser = ParserClient(self.store, time.monotonic_ns)
         self.descriptions = DescriptionCache(
-            self.reader, self.store, self.prepare, self.wall.now_ns
+            self.parser, self.store, self.prepare, self.wall.now_ns
         )
 
     def prepare(self, _: Model) -> bool:
-        """Take 5 ms for a part, as an engine may."""
+        """Spend 5 ms on a part."""
         self.wall.sleep(0.005)
         self.parts_left -= 1
         return self.parts_left <= 0
 
     def order(self) -> SpawnEntityOrder:
-        """Send the mesh, and ask for the robot that names it."""
+        """Upload the mesh and make the order of a robot with it."""
         refs = (AssetRef("a.stl", put(self.store, STL)),)
         return SpawnEntityOrder(entity_resource=Resource(resource_string=MESH_ROBOT), assets=refs)
 
     def model(self, order: SpawnEntityOrder) -> Model:
-        """Wait until a description is read."""
+        """Wait until a description is parsed."""
 
-        def is_read() -> bool:
+        def is_parsed() -> bool:
             self.descriptions.poll()
             return self.descriptions.is_parsed(order)
 
-        eventually(is_read, WITHIN_S, "a model")
+        eventually(is_parsed, WITHIN_S, "a model")
         return self.descriptions.model(order)[0]
 
     def close(self) -> None:
-        """End the reader."""
-        self.reader.close()
+        """End the parser and remove the store."""
+        self.parser.close()
         self.store.close()
 
 
 @pytest.fixture
-def roomy() -> Iterator[Reading]:
-    found = Reading(ROOMY)
-    yield found
-    found.close()
+def fixture() -> Iterator[ParserFixture]:
+    made = ParserFixture(LARGE_BYTES)
+    yield made
+    made.close()
 
 
 def fill(store: AssetStore) -> None:
@@ -78,60 +78,61 @@ def mesh_of(model: Model) -> str:
     return model.links[0].collisions[0].mesh
 
 
-def test_description_is_read_once_for_all_that_ask(roomy: Reading) -> None:
-    first = roomy.model(roomy.order())
+def test_description_is_parsed_once_for_equal_orders(fixture: ParserFixture) -> None:
+    first = fixture.model(fixture.order())
 
-    assert roomy.descriptions.is_parsed(roomy.order())
-    assert roomy.model(roomy.order()) is first
-
-
-def test_description_is_read_again_when_a_mesh_of_it_has_gone(roomy: Reading) -> None:
-    mesh = mesh_of(roomy.model(roomy.order()))
-    fill(roomy.store)
-    assert mesh not in roomy.store
-
-    again = roomy.model(roomy.order())
-
-    assert mesh_of(again) == mesh
-    assert mesh in roomy.store
+    assert fixture.descriptions.is_parsed(fixture.order())
+    assert fixture.model(fixture.order()) is first
 
 
-def test_mesh_stays_while_its_description_is_asked_for(roomy: Reading) -> None:
-    mesh = mesh_of(roomy.model(roomy.order()))
+def test_description_is_parsed_again_when_its_mesh_was_evicted(fixture: ParserFixture) -> None:
+    mesh = mesh_of(fixture.model(fixture.order()))
+    fill(fixture.store)
+    assert mesh not in fixture.store
+
+    parsed_again = fixture.model(fixture.order())
+
+    assert mesh_of(parsed_again) == mesh
+    assert mesh in fixture.store
+
+
+def test_mesh_is_not_evicted_while_its_description_is_used(fixture: ParserFixture) -> None:
+    mesh = mesh_of(fixture.model(fixture.order()))
 
     for number in range(5):
-        put(roomy.store, bytes([number]) * len(STL))
-        roomy.model(roomy.order())
+        put(fixture.store, bytes([number]) * len(STL))
+        fixture.model(fixture.order())
 
-    assert mesh in roomy.store
-
-
-def test_description_whose_meshes_have_no_room_is_refused() -> None:
-    reading = Reading(TIGHT)
-
-    with pytest.raises(ModelError, match=r"^mesh\.missing: "):
-        reading.model(reading.order())
-
-    reading.close()
+    assert mesh in fixture.store
 
 
-def test_large_model_is_prepared_part_by_part_with_rests(roomy: Reading) -> None:
-    roomy.parts_left = 3
-    refs = (AssetRef("a.stl", put(roomy.store, STL)),)
+def test_description_is_refused_when_its_meshes_do_not_fit() -> None:
+    fixture = ParserFixture(SMALL_BYTES)
+
+    with pytest.raises(ModelError) as refused:
+        fixture.model(fixture.order())
+
+    assert refused.value.slug == "mesh.missing"
+    fixture.close()
+
+
+def test_large_model_is_prepared_in_parts_with_pauses(fixture: ParserFixture) -> None:
+    fixture.parts_left = 3
+    refs = (AssetRef("a.stl", put(fixture.store, STL)),)
     scene = MESH_ROBOT.replace("</robot>", "<gazebo><static>true</static></gazebo></robot>")
     order = SpawnEntityOrder(entity_resource=Resource(resource_string=scene), assets=refs)
 
     def is_begun() -> bool:
-        roomy.descriptions.is_parsed(order)
-        roomy.descriptions.poll()
-        return roomy.parts_left == 2
+        fixture.descriptions.is_parsed(order)
+        fixture.descriptions.poll()
+        return fixture.parts_left == 2
 
     eventually(is_begun, WITHIN_S, "a first part")
     done = []
     for _ in range(30):
-        roomy.wall.sleep(0.001)
+        fixture.wall.sleep(0.001)
         done.append(
-            (roomy.descriptions.poll(), roomy.parts_left, roomy.descriptions.is_parsed(order))
+            (fixture.descriptions.poll(), fixture.parts_left, fixture.descriptions.is_parsed(order))
         )
 
     assert done[8] == (False, 2, False)
@@ -140,30 +141,30 @@ def test_large_model_is_prepared_part_by_part_with_rests(roomy: Reading) -> None
     assert done[19] == (True, 0, True)
 
 
-def test_corners_of_a_large_model_are_read_before_it_is_ready(
-    roomy: Reading, monkeypatch: pytest.MonkeyPatch
+def test_vertices_of_a_large_model_are_read_before_it_is_ready(
+    fixture: ParserFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    refs = (AssetRef("a.stl", put(roomy.store, STL)),)
+    refs = (AssetRef("a.stl", put(fixture.store, STL)),)
     scene = MESH_ROBOT.replace("</robot>", "<gazebo><static>true</static></gazebo></robot>")
     order = SpawnEntityOrder(entity_resource=Resource(resource_string=scene), assets=refs)
 
-    def is_read() -> bool:
-        roomy.wall.sleep(1.0)
-        roomy.descriptions.poll()
-        return roomy.descriptions.is_parsed(order)
+    def is_parsed() -> bool:
+        fixture.wall.sleep(1.0)
+        fixture.descriptions.poll()
+        return fixture.descriptions.is_parsed(order)
 
-    eventually(is_read, WITHIN_S, "a model")
+    eventually(is_parsed, WITHIN_S, "a model")
 
     with monkeypatch.context() as patch:
-        patch.setattr(roomy.store, "read", None)
-        assert len(roomy.store.vertices(mesh_of(roomy.descriptions.model(order)[0])))
+        patch.setattr(fixture.store, "read", None)
+        assert len(fixture.store.vertices(mesh_of(fixture.descriptions.model(order)[0])))
 
 
-def test_moving_model_of_many_collisions_is_prepared_though_they_are_one_mesh(
-    roomy: Reading,
+def test_moving_model_with_many_collisions_of_one_mesh_is_prepared(
+    fixture: ParserFixture,
 ) -> None:
-    roomy.parts_left = 1
-    refs = (AssetRef("a.stl", put(roomy.store, STL)),)
+    fixture.parts_left = 1
+    refs = (AssetRef("a.stl", put(fixture.store, STL)),)
     start, end = MESH_ROBOT.index("<collision>"), MESH_ROBOT.index("</collision>")
     end += len("</collision>")
     collision = MESH_ROBOT[start:end]
@@ -171,33 +172,33 @@ def test_moving_model_of_many_collisions_is_prepared_though_they_are_one_mesh(
     order = SpawnEntityOrder(entity_resource=Resource(resource_string=text), assets=refs)
 
     def is_prepared() -> bool:
-        roomy.wall.sleep(1.0)
-        roomy.descriptions.poll()
-        return roomy.descriptions.is_parsed(order)
+        fixture.wall.sleep(1.0)
+        fixture.descriptions.poll()
+        return fixture.descriptions.is_parsed(order)
 
     eventually(is_prepared, WITHIN_S, "a model")
 
-    assert roomy.parts_left == 0
+    assert fixture.parts_left == 0
 
 
-def test_small_model_needs_no_preparation(roomy: Reading) -> None:
-    roomy.model(roomy.order())
+def test_small_model_needs_no_preparation(fixture: ParserFixture) -> None:
+    fixture.model(fixture.order())
 
-    assert roomy.parts_left == 0
+    assert fixture.parts_left == 0
 
 
-def test_description_that_another_server_read_is_not_read_again(roomy: Reading) -> None:
+def test_description_parsed_by_another_server_is_not_parsed_again(fixture: ParserFixture) -> None:
     order, other = (
-        roomy.order(),
-        DescriptionCache(roomy.reader, roomy.store, roomy.prepare, roomy.wall.now_ns),
+        fixture.order(),
+        DescriptionCache(fixture.parser, fixture.store, fixture.prepare, fixture.wall.now_ns),
     )
-    model = roomy.model(order)
-    reading = roomy.descriptions.find_parse_key(model)
-    assert reading is not None
+    model = fixture.model(order)
+    key = fixture.descriptions.find_parse_key(model)
+    assert key is not None
 
-    other.remember(reading, model)
+    other.remember(key, model)
 
     assert other.is_parsed(order)
     assert other.model(order)[0] is model
-    assert other.find_parse_key(model) == reading
-    assert other.find_parse_key(Model("stranger", ())) is None
+    assert other.find_parse_key(model) == key
+    assert other.find_parse_key(Model("other", ())) is None

@@ -1,4 +1,4 @@
-"""The reader, a real process: what kills it is refused, and costs nothing more."""
+"""ParserClient with a real process: results, limits, deadlines, replacement."""
 
 import os
 import signal
@@ -33,25 +33,25 @@ PROCESS, NEXT = 1, 2
 MS = 1_000_000
 
 
-class Kernel:
-    """Says how long processes have waited."""
+class FakeKernel:
+    """Waiting times of processes."""
 
     def __init__(self) -> None:
         self.waits: dict[int, int] = {PROCESS: 0, NEXT: 0}
 
-    def waited(self, process_id: int) -> int:
+    def read_wait_ns(self, process_id: int) -> int:
         return self.waits[process_id]
 
 
-def a_clock() -> tuple[WallTime, Kernel, ParserClock]:
-    wall, kernel = WallTime(), Kernel()
-    time = ParserClock(wall.now_ns, kernel.waited)
+def a_clock() -> tuple[WallTime, FakeKernel, ParserClock]:
+    wall, kernel = WallTime(), FakeKernel()
+    time = ParserClock(wall.now_ns, kernel.read_wait_ns)
     time.track(PROCESS)
     return wall, kernel, time
 
 
-def looked_for(wall: WallTime, time: ParserClock, milliseconds: int) -> int:
-    """Look every 20 ms, and say how far the clock went."""
+def advance(wall: WallTime, time: ParserClock, milliseconds: int) -> int:
+    """Update the clock every 20 ms; return how far it went [ms]."""
     before_ns = time.now_ns
     for _ in range(milliseconds // 20):
         wall.ns += 20 * MS
@@ -59,42 +59,42 @@ def looked_for(wall: WallTime, time: ParserClock, milliseconds: int) -> int:
     return (time.now_ns - before_ns) // MS
 
 
-def test_time_goes_on_with_the_wall_when_nothing_is_in_the_way() -> None:
+def test_clock_follows_wall_time_when_the_process_never_waits() -> None:
     wall, _, time = a_clock()
 
-    assert looked_for(wall, time, 1000) == 1000
+    assert advance(wall, time, 1000) == 1000
 
 
-def test_time_stands_while_others_have_the_cores() -> None:
+def test_clock_leaves_out_time_in_the_run_queue() -> None:
     wall, kernel, time = a_clock()
-    gone = 0
+    elapsed_ms = 0
     for _ in range(50):
         kernel.waits[PROCESS] += 15 * MS
-        gone += looked_for(wall, time, 20)
+        elapsed_ms += advance(wall, time, 20)
 
-    assert gone == 250
+    assert elapsed_ms == 250
 
 
-def test_time_catches_up_when_a_long_wait_is_told_at_its_end() -> None:
+def test_clock_subtracts_a_long_wait_that_is_reported_at_its_end() -> None:
     wall, kernel, time = a_clock()
-    first = looked_for(wall, time, 300)
+    first = advance(wall, time, 300)
     kernel.waits[PROCESS] += 300 * MS
 
-    second = looked_for(wall, time, 500)
+    second = advance(wall, time, 500)
 
     assert (first, second) == (300, 200)
 
 
-def test_time_goes_on_a_little_on_any_machine() -> None:
+def test_clock_advances_by_a_sixth_of_wall_time_at_least() -> None:
     wall, kernel, time = a_clock()
     for _ in range(60):
         kernel.waits[PROCESS] += 20 * MS
-        looked_for(wall, time, 20)
+        advance(wall, time, 20)
 
     assert time.now_ns == 200 * MS
 
 
-def test_time_leaves_out_how_long_nobody_looked() -> None:
+def test_clock_limits_the_time_of_one_update() -> None:
     wall, _, time = a_clock()
     wall.ns += 60_000 * MS
     time.update()
@@ -102,16 +102,16 @@ def test_time_leaves_out_how_long_nobody_looked() -> None:
     assert time.now_ns == 1000 * MS
 
 
-def test_time_does_not_jump_when_the_process_is_another() -> None:
+def test_clock_does_not_jump_when_it_tracks_another_process() -> None:
     wall, kernel, time = a_clock()
     kernel.waits = {PROCESS: 0, NEXT: 900 * MS}
-    looked_for(wall, time, 100)
+    advance(wall, time, 100)
     time.track(NEXT)
 
-    assert looked_for(wall, time, 100) == 100
+    assert advance(wall, time, 100) == 100
 
 
-def test_waits_of_this_process_are_told_and_those_of_none_are_zero() -> None:
+def test_run_queue_wait_of_no_process_is_zero() -> None:
     assert read_run_queue_wait_ns(os.getpid()) >= 0
     assert read_run_queue_wait_ns(0) == 0
 
@@ -134,71 +134,69 @@ def store() -> Iterator[AssetStore]:
 
 
 @pytest.fixture
-def reader(store: AssetStore) -> Iterator[ParserClient]:
+def parser(store: AssetStore) -> Iterator[ParserClient]:
     found = ParserClient(store, time.monotonic_ns)
     yield found
     found.close()
 
 
-def read(reader: ParserClient, request: ParseRequest) -> list[ParsedMesh | ParseResult]:
-    """Hand a request over and poll until it is answered."""
-    reader.submit(request)
-    return answered(reader, request.number)
+def parse(parser: ParserClient, request: ParseRequest) -> list[ParsedMesh | ParseResult]:
+    """Submit a request and poll for its results."""
+    parser.submit(request)
+    return poll_for_result(parser, request.number)
 
 
-def answered(reader: ParserClient, number: int) -> list[ParsedMesh | ParseResult]:
+def poll_for_result(parser: ParserClient, number: int) -> list[ParsedMesh | ParseResult]:
     found: list[ParsedMesh | ParseResult] = []
 
     def is_answered() -> bool:
-        found.extend(reader.poll())
+        found.extend(parser.poll())
         return any(isinstance(one, ParseResult) and one.number == number for one in found)
 
-    eventually(is_answered, WITHIN_S, "an answer")
+    eventually(is_answered, WITHIN_S, "a result")
     return found
 
 
-def polled_for(
-    reader: ParserClient, wall: WallTime, seconds: float
+def poll_for(
+    parser: ParserClient, wall: WallTime, seconds: float
 ) -> list[ParsedMesh | ParseResult]:
-    """Poll ten times a second until so much wall time is over."""
+    """Poll ten times a second for some wall time."""
     found = []
     for _ in range(round(seconds / 0.1)):
         wall.sleep(0.1)
-        found.extend(reader.poll())
+        found.extend(parser.poll())
     return found
 
 
-def test_reader_gives_the_model_of_a_text(reader: ParserClient) -> None:
-    (answer,) = read(reader, ParseRequest(1, ROBOT))
+def test_parser_returns_the_model_of_a_text(parser: ParserClient) -> None:
+    (result,) = parse(parser, ParseRequest(1, ROBOT))
 
-    assert isinstance(answer, ParseResult)
-    assert answer.model is not None
-    assert answer.model.links[0].name == "base"
-
-
-def test_reader_says_why_there_is_no_model(reader: ParserClient) -> None:
-    (answer,) = read(reader, ParseRequest(1, "<robot"))
-
-    assert isinstance(answer, ParseResult)
-    assert (answer.model, answer.slug) == (None, "xml.syntax")
+    assert isinstance(result, ParseResult)
+    assert result.model is not None
+    assert result.model.links[0].name == "base"
 
 
-def test_reader_sends_meshes_before_the_model_that_names_them(
-    reader: ParserClient, store: AssetStore
-) -> None:
+def test_parser_returns_the_slug_of_an_error(parser: ParserClient) -> None:
+    (result,) = parse(parser, ParseRequest(1, "<robot"))
+
+    assert isinstance(result, ParseResult)
+    assert (result.model, result.slug) == (None, "xml.syntax")
+
+
+def test_parser_sends_meshes_before_their_model(parser: ParserClient, store: AssetStore) -> None:
     name = put(store, exported(BOX, "stl"))
     refs = (AssetRef("a.stl", name),)
 
-    mesh, answer = read(reader, ParseRequest(1, MESH_ROBOT, assets=refs, files=(name,)))
+    mesh, result = parse(parser, ParseRequest(1, MESH_ROBOT, assets=refs, files=(name,)))
 
     assert isinstance(mesh, ParsedMesh)
-    assert isinstance(answer, ParseResult)
-    assert answer.model is not None
-    assert answer.model.links[0].collisions[0].mesh == mesh.sha256
+    assert isinstance(result, ParseResult)
+    assert result.model is not None
+    assert result.model.links[0].collisions[0].mesh == mesh.sha256
 
 
-def test_reader_makes_the_meshes_that_a_process_with_every_library_makes(
-    reader: ParserClient, store: AssetStore
+def test_parser_converts_meshes_like_a_process_with_all_libraries(
+    parser: ParserClient, store: AssetStore
 ) -> None:
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
     two = trimesh.Scene([BOX, ball.apply_translation((3.0, 0.0, 0.0))])
@@ -209,36 +207,36 @@ def test_reader_makes_the_meshes_that_a_process_with_every_library_makes(
         refs = (AssetRef(f"a.{ending}", name),)
         request = ParseRequest(number, text, assets=refs, files=(name,))
 
-        *meshes, answer = read(reader, request)
+        *meshes, result = parse(parser, request)
 
         expected, made = parser_worker.parse_request(request, {name: data})
-        assert msgspec.structs.replace(expected, wanted=()) == answer
+        assert msgspec.structs.replace(expected, wanted=()) == result
         assert {mesh.sha256: mesh.data for mesh in meshes if isinstance(mesh, ParsedMesh)} == made
 
 
-def test_reader_is_replaced_when_it_dies_and_reads_on(reader: ParserClient) -> None:
-    read(reader, ParseRequest(1, ROBOT))
-    first = reader.process_id
-    reader.submit(ParseRequest(2, ROBOT))
-    reader.poll()
+def test_parser_is_replaced_when_it_crashes(parser: ParserClient) -> None:
+    parse(parser, ParseRequest(1, ROBOT))
+    first = parser.process_id
+    parser.submit(ParseRequest(2, ROBOT))
+    parser.poll()
     os.kill(first, signal.SIGKILL)
 
-    (refused,) = answered(reader, 2)
-    # It may have answered before it died; what is handed over until then dies with it.
-    eventually(lambda: not reader.poll() and reader.process_id != first, WITHIN_S, "another one")
-    (answer,) = read(reader, ParseRequest(3, ROBOT))
+    (refused,) = poll_for_result(parser, 2)
+    # It may have replied before it was killed; requests until the replacement fail, too.
+    eventually(lambda: not parser.poll() and parser.process_id != first, WITHIN_S, "a replacement")
+    (result,) = parse(parser, ParseRequest(3, ROBOT))
 
     assert isinstance(refused, ParseResult)
     assert refused.slug in ("reader.crashed", "")
-    assert isinstance(answer, ParseResult)
-    assert answer.model is not None
-    assert reader.process_id != first
+    assert isinstance(result, ParseResult)
+    assert result.model is not None
+    assert parser.process_id != first
 
 
-def test_reader_can_open_no_file_and_take_no_more_memory(reader: ParserClient) -> None:
-    read(reader, ParseRequest(1, ROBOT))
+def test_parser_has_limits_on_files_memory_and_cpu_time(parser: ParserClient) -> None:
+    parse(parser, ParseRequest(1, ROBOT))
 
-    process = psutil.Process(reader.process_id)
+    process = psutil.Process(parser.process_id)
 
     assert process.rlimit(psutil.RLIMIT_NOFILE) == (0, 0)
     assert process.rlimit(psutil.RLIMIT_FSIZE) == (0, 0)
@@ -247,67 +245,67 @@ def test_reader_can_open_no_file_and_take_no_more_memory(reader: ParserClient) -
     assert process.net_connections() == []
 
 
-def test_request_is_refused_when_the_reader_never_gets_ready(store: AssetStore) -> None:
+def test_request_is_refused_when_the_parser_does_not_start(store: AssetStore) -> None:
     wall = WallTime()
-    reader = ParserClient(store, wall.now_ns, SLEEPER)
-    reader.submit(ParseRequest(1, ROBOT))
-    before = reader.poll()
+    parser = ParserClient(store, wall.now_ns, SLEEPER)
+    parser.submit(ParseRequest(1, ROBOT))
+    before = parser.poll()
 
-    (answer,) = polled_for(reader, wall, DEADLINE_S + 1.0)
+    (result,) = poll_for(parser, wall, DEADLINE_S + 1.0)
 
     assert before == []
-    assert isinstance(answer, ParseResult)
-    assert answer.slug == "reader.timeout"
-    reader.close()
+    assert isinstance(result, ParseResult)
+    assert result.slug == "reader.timeout"
+    parser.close()
 
 
-def test_reader_is_gone_when_closed(store: AssetStore) -> None:
-    reader = ParserClient(store, time.monotonic_ns, SLEEPER)
-    number = reader.process_id
+def test_parser_process_is_reaped_when_closed(store: AssetStore) -> None:
+    parser = ParserClient(store, time.monotonic_ns, SLEEPER)
+    number = parser.process_id
 
-    reader.close()
+    parser.close()
 
     assert not psutil.pid_exists(number)
 
 
-def test_polling_never_waits(reader: ParserClient) -> None:
-    reader.submit(ParseRequest(1, ROBOT))
+def test_polling_does_not_block(parser: ParserClient) -> None:
+    parser.submit(ParseRequest(1, ROBOT))
     longest_s = 0.0
     for _ in range(100):
         before = time.thread_time()
-        reader.poll()
+        parser.poll()
         longest_s = max(longest_s, time.thread_time() - before)
 
     assert longest_s < 0.02
 
 
-def test_reader_that_is_idle_is_looked_at_at_times(store: AssetStore) -> None:
+def test_idle_parser_is_polled_periodically(store: AssetStore) -> None:
     wall = WallTime()
-    reader = ParserClient(store, wall.now_ns)
-    eventually(lambda: not reader.poll() and reader.is_ready, WITHIN_S, "a reader")
-    first = reader.process_id
+    parser = ParserClient(store, wall.now_ns)
+    eventually(lambda: not parser.poll() and parser.is_ready, WITHIN_S, "a parser")
+    first = parser.process_id
     os.kill(first, signal.SIGKILL)
     dead = psutil.Process(first)
     eventually(lambda: dead.status() == psutil.STATUS_ZOMBIE, WITHIN_S, "its end")
 
-    reader.poll()
-    at_once = reader.process_id
+    parser.poll()
+    process_id = parser.process_id
     wall.sleep(0.25)
-    reader.poll()
+    parser.poll()
 
-    assert at_once == first
-    assert reader.process_id != first
-    reader.close()
+    assert process_id == first
+    assert parser.process_id != first
+    parser.close()
 
 
-def test_reader_comes_last_among_all_sessions(reader: ParserClient) -> None:
-    shares = Path(f"/proc/{reader.process_id}/autogroup")
-    read(reader, ParseRequest(1, ROBOT))
+def test_parser_session_has_a_lower_priority(parser: ParserClient) -> None:
+    session_share = Path(f"/proc/{parser.process_id}/autogroup")
+    parse(parser, ParseRequest(1, ROBOT))
 
-    niceness = os.getpriority(os.PRIO_PROCESS, reader.process_id)
+    niceness = os.getpriority(os.PRIO_PROCESS, parser.process_id)
 
     assert niceness == PARSER_NICENESS
-    # Kernels that share cores among sessions say what the reader's gets.
-    assert not shares.exists() or shares.read_text(encoding="ascii").strip().endswith(
+    # Kernels that share cores among sessions report the share.
+    assert not session_share.exists() or session_share.read_text(encoding="ascii").strip().endswith(
         f"nice {PARSER_NICENESS}"
     )

@@ -145,7 +145,7 @@ def test_loop_neither_steps_nor_catches_up_when_paused() -> None:
 
     server.turn_for(5.0)
     steps_while_paused = server.world.clock.steps - before
-    server.world.clock.play()
+    server.world.clock.change_state(State.PLAYING)
     server.turn_for(0.5)
 
     assert steps_while_paused == 0

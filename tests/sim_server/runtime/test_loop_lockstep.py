@@ -217,7 +217,7 @@ def test_failing_loop_goes_on_when_it_is_told_to_play_and_the_agent_answers_agai
     server.turn_for(TIMEOUT_S + 0.1)
     before = server.world.clock.steps
 
-    server.world.clock.play()
+    server.world.clock.change_state(State.PLAYING)
     turn(server, 20)
 
     assert server.world.clock.steps > before + CONTROL_STEPS

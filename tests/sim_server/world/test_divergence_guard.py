@@ -1,4 +1,4 @@
-"""Watch: who has gone bad, whom to freeze, and where each was last good."""
+"""DivergenceGuard: diverged entities, their causes, and their last valid states."""
 
 from dataclasses import replace
 
@@ -25,16 +25,16 @@ def an_entity(name: str, model: Model = CART, x: float = 0.0) -> Entity:
 
 
 ENTITIES = (an_entity("a"), an_entity("box", BOX, 1.0), an_entity("b", x=2.0))
-ROSTER = make_entity_index(ENTITIES)
+INDEX = make_entity_index(ENTITIES)
 
 
-def a_reading() -> BodyStates:
+def valid_states() -> BodyStates:
     base = np.array([on_ground(float(x) + 10.0) for x in range(3)])
     return BodyStates(base, np.arange(4.0), np.zeros(4))
 
 
-def test_watch_finds_nobody_when_all_numbers_are_good() -> None:
-    assert DivergenceGuard().find_diverged(ROSTER, a_reading()) == []
+def test_valid_states_have_not_diverged() -> None:
+    assert DivergenceGuard().find_diverged(INDEX, valid_states()) == []
     assert (
         DivergenceGuard().find_diverged(
             make_entity_index(()), BodyStates(np.zeros((0, 13)), np.zeros(0), np.zeros(0))
@@ -45,102 +45,102 @@ def test_watch_finds_nobody_when_all_numbers_are_good() -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("column", range(13))
-def test_watch_finds_who_has_a_number_that_is_not_finite(column: int, value: float) -> None:
-    reading = a_reading()
-    reading.base[1, column] = value
+def test_entity_with_a_number_that_is_not_finite_has_diverged(column: int, value: float) -> None:
+    states = valid_states()
+    states.base[1, column] = value
 
-    assert DivergenceGuard().find_diverged(ROSTER, reading) == ["box"]
+    assert DivergenceGuard().find_diverged(INDEX, states) == ["box"]
 
 
 @pytest.mark.parametrize(("joint", "name"), [(0, "a"), (1, "a"), (2, "b"), (3, "b")])
-def test_watch_finds_whose_joints_are_not_finite(joint: int, name: str) -> None:
-    places, speeds = a_reading(), a_reading()
-    places.joint_positions[joint] = np.nan
-    speeds.joint_velocities[joint] = np.inf
+def test_entity_with_a_joint_that_is_not_finite_has_diverged(joint: int, name: str) -> None:
+    positions, velocities = valid_states(), valid_states()
+    positions.joint_positions[joint] = np.nan
+    velocities.joint_velocities[joint] = np.inf
 
-    assert DivergenceGuard().find_diverged(ROSTER, places) == [name]
-    assert DivergenceGuard().find_diverged(ROSTER, speeds) == [name]
+    assert DivergenceGuard().find_diverged(INDEX, positions) == [name]
+    assert DivergenceGuard().find_diverged(INDEX, velocities) == [name]
 
 
 @pytest.mark.parametrize(
-    ("x", "is_bad"), [(MAX_COORDINATE_M, False), (-1.1 * MAX_COORDINATE_M, True)]
+    ("x", "has_diverged"), [(MAX_COORDINATE_M, False), (-1.1 * MAX_COORDINATE_M, True)]
 )
-def test_watch_finds_who_left_the_world(x: float, *, is_bad: bool) -> None:
-    reading = a_reading()
-    reading.base[2, 0] = x
+def test_entity_outside_of_the_valid_range_has_diverged(x: float, *, has_diverged: bool) -> None:
+    states = valid_states()
+    states.base[2, 0] = x
 
-    assert DivergenceGuard().find_diverged(ROSTER, reading) == (["b"] if is_bad else [])
-
-
-def test_watch_says_nothing_of_who_is_frozen_already() -> None:
-    watch, reading = DivergenceGuard(), a_reading()
-    watch.freeze(ENTITIES[0])
-    reading.base[0, 0] = np.nan
-
-    assert watch.find_diverged(ROSTER, reading) == []
-    assert watch.is_frozen("a")
+    assert DivergenceGuard().find_diverged(INDEX, states) == (["b"] if has_diverged else [])
 
 
-def test_watch_remembers_where_an_entity_was_last_good() -> None:
-    watch, reading = DivergenceGuard(), a_reading()
-    reading.base[2, 7:] = 3.0
-    watch.remember(ROSTER, reading)
+def test_frozen_entity_does_not_diverge_again() -> None:
+    guard, states = DivergenceGuard(), valid_states()
+    guard.freeze(ENTITIES[0])
+    states.base[0, 0] = np.nan
 
-    stand = watch.last_valid_state(ENTITIES[2])
+    assert guard.find_diverged(INDEX, states) == []
+    assert guard.is_frozen("a")
 
-    assert stand.base == pytest.approx(on_ground(12.0))
-    assert stand.positions.tolist() == [2.0, 3.0]
+
+def test_last_valid_state_is_at_rest() -> None:
+    guard, states = DivergenceGuard(), valid_states()
+    states.base[2, 7:] = 3.0
+    guard.remember(INDEX, states)
+
+    rest = guard.last_valid_state(ENTITIES[2])
+
+    assert rest.base == pytest.approx(on_ground(12.0))
+    assert rest.positions.tolist() == [2.0, 3.0]
 
 
 @pytest.mark.parametrize("case", ["never read", "spawned since", "name used again", "reset"])
-def test_watch_takes_the_spawn_where_an_entity_was_never_good(case: str) -> None:
-    watch = DivergenceGuard()
+def test_last_valid_state_is_the_initial_one_when_there_is_no_other(case: str) -> None:
+    guard = DivergenceGuard()
     if case == "spawned since":
-        watch.remember(
+        guard.remember(
             make_entity_index(ENTITIES[:1]), BodyStates(np.zeros((1, 13)), np.ones(2), np.ones(2))
         )
     elif case != "never read":
-        watch.remember(ROSTER, a_reading())
+        guard.remember(INDEX, valid_states())
     if case == "name used again":
-        watch.forget("b")
+        guard.forget("b")
     if case == "reset":
-        watch.forget_all()
+        guard.forget_all()
 
-    stand = watch.last_valid_state(ENTITIES[2])
+    rest = guard.last_valid_state(ENTITIES[2])
 
-    assert stand.base == pytest.approx(on_ground(2.0))
-    assert stand.positions.tolist() == [0.0, 0.0]
-
-
-def test_reading_has_the_joints_of_a_frozen_entity_as_they_froze() -> None:
-    watch = DivergenceGuard()
-    watch.remember(ROSTER, a_reading())
-    watch.freeze(ENTITIES[2])
-    later = replace(a_reading(), joint_positions=np.zeros(4))
-
-    assert watch.remember(ROSTER, later).joint_positions.tolist() == [0.0, 0.0, 2.0, 3.0]
+    assert rest.base == pytest.approx(on_ground(2.0))
+    assert rest.positions.tolist() == [0.0, 0.0]
 
 
-def test_of_two_that_go_bad_together_the_faster_is_frozen() -> None:
-    watch, reading = DivergenceGuard(), a_reading()
-    reading.joint_velocities[2] = -9.0
-    reading.base[0, 8] = 5.0
-    watch.remember(ROSTER, reading)
+def test_joints_of_a_frozen_entity_keep_their_positions() -> None:
+    guard = DivergenceGuard()
+    guard.remember(INDEX, valid_states())
+    guard.freeze(ENTITIES[2])
+    later = replace(valid_states(), joint_positions=np.zeros(4))
 
-    assert watch.find_culprits(ENTITIES, 0) == {"b"}
-
-
-def test_who_goes_bad_again_within_a_second_is_frozen() -> None:
-    watch, reading = DivergenceGuard(), a_reading()
-    reading.base[2, 8] = 5.0
-    watch.remember(ROSTER, reading)
-    watch.find_culprits(ENTITIES, 0)
-
-    assert watch.find_culprits(ENTITIES[:2], PROBATION_NS - 1) == {"a", "box"}
-    assert watch.find_culprits(ENTITIES[:1], 2 * PROBATION_NS - 1) == {"a"}
+    assert guard.remember(INDEX, later).joint_positions.tolist() == [0.0, 0.0, 2.0, 3.0]
 
 
-def test_what_cannot_move_is_never_frozen() -> None:
+def test_fastest_of_the_diverged_entities_is_the_cause() -> None:
+    guard, states = DivergenceGuard(), valid_states()
+    states.joint_velocities[2] = -9.0
+    states.base[0, 8] = 5.0
+    guard.remember(INDEX, states)
+
+    assert guard.find_culprits(ENTITIES, 0) == {"b"}
+
+
+def test_entity_that_diverges_again_within_a_second_is_the_cause() -> None:
+    guard, states = DivergenceGuard(), valid_states()
+    states.base[2, 8] = 5.0
+    guard.remember(INDEX, states)
+    guard.find_culprits(ENTITIES, 0)
+
+    assert guard.find_culprits(ENTITIES[:2], PROBATION_NS - 1) == {"a", "box"}
+    assert guard.find_culprits(ENTITIES[:1], 2 * PROBATION_NS - 1) == {"a"}
+
+
+def test_entity_that_cannot_move_is_never_the_cause() -> None:
     wall = an_entity("wall", a_box(is_static=True))
 
     assert DivergenceGuard().find_culprits([wall], 0) == set()
@@ -149,13 +149,13 @@ def test_what_cannot_move_is_never_frozen() -> None:
     assert not can_move(an_arm("fixed"))
 
 
-def test_thawed_entity_is_frozen_no_more() -> None:
-    watch = DivergenceGuard()
-    stand = watch.freeze(ENTITIES[0])
+def test_entity_can_be_unfrozen_once() -> None:
+    guard = DivergenceGuard()
+    rest = guard.freeze(ENTITIES[0])
 
-    assert watch.unfreeze("a") is stand
-    assert watch.unfreeze("a") is None
-    assert not watch.is_frozen("a")
+    assert guard.unfreeze("a") is rest
+    assert guard.unfreeze("a") is None
+    assert not guard.is_frozen("a")
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_thawed_entity_is_frozen_no_more() -> None:
         ("fixed", 0.25, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0)),
     ],
 )
-def test_still_model_has_its_joints_fixed_where_they_are(
+def test_frozen_model_has_its_joints_fixed_at_their_positions(
     kind: str,
     position: float,
     place: tuple[float, float, float],
@@ -186,7 +186,7 @@ def test_still_model_has_its_joints_fixed_where_they_are(
     assert not can_move(model)
 
 
-def test_still_model_has_no_drive_and_follows_nothing() -> None:
+def test_frozen_model_has_no_drive_and_no_mimic_joints() -> None:
     model = make_frozen_model(CART, np.zeros(2))
 
     assert model.drive is None

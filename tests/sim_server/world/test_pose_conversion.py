@@ -1,4 +1,4 @@
-"""Poses and twists from strangers: what is taken, what is refused, and how frames are composed."""
+"""Validation and conversion of poses and twists between messages and state rows."""
 
 import math
 
@@ -34,31 +34,31 @@ def test_pose_row_is_position_and_unit_quaternion() -> None:
     assert row.tolist() == [1.0, 2.0, 3.0, 0.0, 0.0, 1.0, 0.0]
 
 
-def test_pose_row_takes_an_all_zero_quaternion_as_identity() -> None:
+def test_pose_row_of_an_all_zero_quaternion_is_the_identity() -> None:
     unset = Quaternion(0.0, 0.0, 0.0, 0.0)
 
     assert is_zero_quaternion(unset)
     assert pose_to_row(Pose(orientation=unset)).tolist() == [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("part", ["position", "orientation"])
-def test_pose_row_refuses_a_number_that_is_not_finite(part: str, bad: float) -> None:
-    pose = Pose(Point(bad)) if part == "position" else Pose(orientation=Quaternion(w=bad))
+def test_pose_row_refuses_a_number_that_is_not_finite(part: str, value: float) -> None:
+    pose = Pose(Point(value)) if part == "position" else Pose(orientation=Quaternion(w=value))
 
-    with pytest.raises(PoseRefused, match="not finite; use finite metres"):
+    with pytest.raises(PoseRefused):
         pose_to_row(pose)
 
 
 @pytest.mark.parametrize("x", [100_001.0, -1e300])
 def test_pose_row_refuses_a_position_that_is_too_far(x: float) -> None:
-    with pytest.raises(PoseRefused, match="is out of range; use at most 100000 m"):
+    with pytest.raises(PoseRefused):
         pose_to_row(Pose(Point(x=x)))
 
 
 @pytest.mark.parametrize("length", [1e-7, 1e-320, 1e6, 1e200])
 def test_pose_row_refuses_a_quaternion_without_a_direction(length: float) -> None:
-    with pytest.raises(PoseRefused, match="has no direction; use length 1"):
+    with pytest.raises(PoseRefused):
         pose_to_row(Pose(orientation=Quaternion(0.0, length, 0.0, 0.0)))
 
 
@@ -80,11 +80,11 @@ def test_twist_row_is_finite_or_refused(numbers: tuple[float, ...]) -> None:
     if all(abs(number) <= MAX_SPEED for number in numbers):
         assert twist_to_row(twist).tolist() == list(numbers)
     else:
-        with pytest.raises(PoseRefused, match="use m/s and rad/s"):
+        with pytest.raises(PoseRefused):
             twist_to_row(twist)
 
 
-def test_row_and_messages_are_turned_into_each_other() -> None:
+def test_rows_convert_to_messages_and_back() -> None:
     row = a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3), linear=(4.0, 5.0, 6.0), angular=(7, 8, 9))
 
     assert pose_to_row(pose_from_row(row)) == pytest.approx(row[:7])

@@ -1,4 +1,4 @@
-"""States of the simulation: every pair of them, asked for by every number."""
+"""Transitions between all states of the simulation."""
 
 import pytest
 
@@ -12,26 +12,24 @@ from zensim.proto.messages.simulation_messages import (
 from zensim.sim_server.errors import RequestRefused
 from zensim.sim_server.world.simulation_clock import ALLOWED_TRANSITIONS, STATE_EVENTS, STATE_NAMES
 
-STANDING = {State.STOPPED, State.PAUSED}
 
-
-def asked(state: int) -> SetSimulationStateRequest:
+def make_request(state: int) -> SetSimulationStateRequest:
     return SetSimulationStateRequest(SimulationState(state))
 
 
 @pytest.mark.parametrize("table", [STATE_NAMES, STATE_EVENTS, ALLOWED_TRANSITIONS])
-def test_every_state_is_told_of(table: dict[State, object]) -> None:
+def test_each_table_has_every_state(table: dict[State, object]) -> None:
     assert set(table) == set(State)
 
 
 @pytest.mark.parametrize("present", State)
 @pytest.mark.parametrize("wanted", State)
-def test_state_follows_another_as_the_table_says(present: State, wanted: State) -> None:
+def test_state_changes_as_the_table_allows(present: State, wanted: State) -> None:
     parts = make_parts(a_world("r0"))
     parts.world.clock.state = present
 
     try:
-        handle_request(parts, asked(wanted))
+        handle_request(parts, make_request(wanted))
         code = None
     except RequestRefused as refused:
         code = refused.code
@@ -49,38 +47,38 @@ def test_state_follows_another_as_the_table_says(present: State, wanted: State) 
 
 @pytest.mark.parametrize("present", State)
 @pytest.mark.parametrize("wanted", [6, 77, 255])
-def test_state_that_is_none_is_refused_with_those_that_are(present: State, wanted: int) -> None:
+def test_unknown_state_is_refused(present: State, wanted: int) -> None:
     parts = make_parts(a_world())
     parts.world.clock.state = present
 
-    with pytest.raises(RequestRefused, match=f"{wanted}, which is no state; use") as refused:
-        handle_request(parts, asked(wanted))
+    with pytest.raises(RequestRefused) as refused:
+        handle_request(parts, make_request(wanted))
 
     assert refused.value.code == SetSimulationStateCode.INCORRECT_TRANSITION
 
 
-def test_world_is_never_asked_for_as_a_state() -> None:
+def test_states_of_world_loading_cannot_be_requested() -> None:
     for present, following in ALLOWED_TRANSITIONS.items():
         assert not following & {State.NO_WORLD, State.LOADING_WORLD, present}
 
 
-def test_stop_goes_back_to_the_start() -> None:
+def test_stop_resets_the_world() -> None:
     parts = make_parts(a_world("r0"))
     parts.world.step()
     goal = parts.pacing.step_goals.add(5)
 
-    handle_request(parts, asked(State.STOPPED))
+    handle_request(parts, make_request(State.STOPPED))
 
     assert (parts.world.clock.steps, parts.world.clock.epoch, names_in(parts.world)) == (0, 1, [])
     assert goal.is_over
     assert kinds_of_events(parts.world) == ["deleted", "reset", "stopped"]
 
 
-def test_pause_keeps_everything_where_it_is() -> None:
+def test_pause_changes_nothing_else() -> None:
     parts = make_parts(a_world("r0"))
     parts.world.step()
 
-    handle_request(parts, asked(State.PAUSED))
+    handle_request(parts, make_request(State.PAUSED))
 
     assert (parts.world.clock.steps, parts.world.clock.epoch, names_in(parts.world)) == (
         1,

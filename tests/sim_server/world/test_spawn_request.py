@@ -1,4 +1,4 @@
-"""Names and namespaces: free, taken, or none."""
+"""Names and namespaces: free, taken or not valid."""
 
 import pytest
 
@@ -15,11 +15,11 @@ def test_name_is_kept_when_it_is_free() -> None:
 
 
 def test_name_is_refused_when_it_is_taken() -> None:
-    with pytest.raises(NameNotUnique, match="'r1' already exists; choose another name or set"):
+    with pytest.raises(NameNotUnique):
         find_free_name("r1", {"r1"}, allow_renaming=False)
 
 
-def test_name_gets_the_first_free_number_when_it_may() -> None:
+def test_name_gets_the_first_free_number_when_renaming_is_allowed() -> None:
     taken = {"r", "r_1", "r_3"}
 
     assert find_free_name("r", taken, allow_renaming=True) == "r_2"
@@ -37,8 +37,8 @@ def test_name_stays_valid_with_any_number() -> None:
 
 @pytest.mark.parametrize("name", ["", "1r", "r 1", "r/1", "é", "a" * 65])
 @pytest.mark.parametrize("allow_renaming", [True, False])
-def test_name_is_refused_when_it_is_none(name: str, *, allow_renaming: bool) -> None:
-    with pytest.raises(NameRefused, match="is not valid; use a letter"):
+def test_name_is_refused_when_it_is_not_valid(name: str, *, allow_renaming: bool) -> None:
+    with pytest.raises(NameRefused):
         find_free_name(name, set(), allow_renaming=allow_renaming)
 
 
@@ -49,11 +49,11 @@ def test_namespace_is_returned_without_a_leading_slash(given: str, bare: str) ->
 
 @pytest.mark.parametrize("namespace", ["r1", "/r1"])
 def test_namespace_is_refused_when_it_is_taken(namespace: str) -> None:
-    with pytest.raises(NamespaceRefused, match="'r1' belongs to entity 'box'; choose another"):
+    with pytest.raises(NamespaceRefused):
         check_free_namespace(namespace, {"r1": "box"})
 
 
 @pytest.mark.parametrize("namespace", ["", "/", "a//b", "a b", "sim", "/world/r", "a/" * 8 + "a"])
-def test_namespace_is_refused_when_it_is_none(namespace: str) -> None:
-    with pytest.raises(NamespaceRefused, match="use"):
+def test_namespace_is_refused_when_it_is_not_valid(namespace: str) -> None:
+    with pytest.raises(NamespaceRefused):
         check_free_namespace(namespace, {})

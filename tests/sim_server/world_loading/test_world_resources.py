@@ -1,4 +1,4 @@
-"""Models and meshes are found below the folders given, and nowhere else."""
+"""Models and meshes are found below the given folders only."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def test_model_is_found_by_the_name_of_its_folder(folder: Path) -> None:
     assert make_model_resolver([folder])("crate/model.sdf") == CRATE
 
 
-def test_first_folder_that_has_a_model_counts(folder: Path, tmp_path: Path) -> None:
+def test_model_is_read_from_the_first_folder_that_has_it(folder: Path, tmp_path: Path) -> None:
     other = tmp_path / "other" / "crate"
     other.mkdir(parents=True)
     (other / "model.sdf").write_text("<other/>", encoding="utf-8")
@@ -36,7 +36,7 @@ def test_first_folder_that_has_a_model_counts(folder: Path, tmp_path: Path) -> N
     )
 
 
-def test_newest_version_that_the_config_lists_is_read(folder: Path) -> None:
+def test_newest_version_in_the_config_is_read(folder: Path) -> None:
     config = (
         '<?xml version="1.0"?><model><name>crate</name><sdf version="1.10">new.sdf</sdf>'
         '<sdf version="1.9">model.sdf</sdf></model>'
@@ -48,7 +48,7 @@ def test_newest_version_that_the_config_lists_is_read(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("config", ["", "<model", "<model/>", "<model><sdf/></model>"])
-def test_usual_file_is_read_when_the_config_names_none(folder: Path, config: str) -> None:
+def test_default_file_is_read_when_the_config_lists_none(folder: Path, config: str) -> None:
     (folder / "crate" / "model.config").write_text(config, encoding="utf-8")
 
     assert make_model_resolver([folder])("model://crate") == CRATE
@@ -73,7 +73,7 @@ def test_nothing_outside_the_folders_is_read(folder: Path, uri: str) -> None:
     assert make_model_resolver([folder])(uri) is None
 
 
-def test_link_and_config_that_lead_outside_are_not_followed(folder: Path) -> None:
+def test_links_and_configs_to_the_outside_are_not_followed(folder: Path) -> None:
     (folder / "out").symlink_to(folder.parent)
     (folder / "crate" / "model.config").write_text(
         '<model><sdf version="2">../../secret</sdf></model>', encoding="utf-8"
@@ -83,7 +83,7 @@ def test_link_and_config_that_lead_outside_are_not_followed(folder: Path) -> Non
     assert make_model_resolver([folder])("model://crate") is None
 
 
-def test_file_that_is_no_text_is_not_there(folder: Path) -> None:
+def test_file_that_is_not_text_is_not_read(folder: Path) -> None:
     (folder / "crate" / "model.sdf").write_bytes(b"\xff\xfe\x00")
 
     assert make_model_resolver([folder])("model://crate") is None

@@ -1,4 +1,4 @@
-"""World: what holds whatever is asked of it, in any order."""
+"""Invariants of World under any sequence of requests, commands and steps."""
 
 import msgspec
 import numpy as np
@@ -35,9 +35,9 @@ class AnySequence(RuleBasedStateMachine):
     @rule(name=NAMES, namespace=NAMESPACES, model=MODELS, is_renamed=st.booleans())
     def spawn(self, name: str, namespace: str, model: object, *, is_renamed: bool) -> None:
         before = names_in(self.world)
-        birth = a_spawn(name, namespace, model=model, allow_renaming=is_renamed)  # type: ignore[arg-type]
+        request = a_spawn(name, namespace, model=model, allow_renaming=is_renamed)  # type: ignore[arg-type]
         try:
-            entity = self.world.spawn(birth)
+            entity = self.world.spawn(request)
         except SimError:
             assert names_in(self.world) == before
         else:
@@ -55,11 +55,11 @@ class AnySequence(RuleBasedStateMachine):
 
     @rule(agent=AGENTS, names=st.lists(NAMES, max_size=3), on_release=ON_RELEASE)
     def claim(self, agent: str, names: list[str], on_release: OnRelease) -> None:
-        before = self.holders()
+        before = self.list_agents()
         try:
             granted = self.world.claim(agent, tuple(names), on_release)
         except SimError:
-            assert self.holders() == before
+            assert self.list_agents() == before
         else:
             self.claims += [claim.claim for claim in granted]
             assert all(self.world.claims.agent_of(name) == agent for name in names)
@@ -72,37 +72,37 @@ class AnySequence(RuleBasedStateMachine):
 
     @rule(agent=AGENTS, speed=st.floats(-5.0, 5.0))
     def command(self, agent: str, speed: float) -> None:
-        fleet = self.world.claimed_by_agent().get(agent)
-        count = fleet.target_count if fleet else 0
+        one = self.world.claimed_by_agent().get(agent)
+        count = one.target_count if one else 0
         command = a_command(self.world, agent, *[speed] * count)
         taken, dropped = self.world.claims.taken, self.world.claims.dropped
 
-        is_taken = self.world.command(agent, command)
+        is_accepted = self.world.command(agent, command)
 
-        assert is_taken == (fleet is not None)
-        self.assert_counted(taken, dropped, is_taken=is_taken)
-        if is_taken:
+        assert is_accepted == (one is not None)
+        self.assert_counted(taken, dropped, is_accepted=is_accepted)
+        if is_accepted:
             self.old_commands.append((agent, command))
 
     @rule(data=st.data(), change=st.sampled_from(["none", "epoch", "claims", "targets", "agent"]))
-    def command_again(self, data: st.DataObject, change: str) -> None:
+    def send_wrong_command(self, data: st.DataObject, change: str) -> None:
         if not self.old_commands:
             return
         agent, command = data.draw(st.sampled_from(self.old_commands))
-        spoiled: dict[str, dict[str, object]] = {
+        wrong: dict[str, dict[str, object]] = {
             "epoch": {"epoch": command.epoch + 1},
             "claims": {"claims": command.claims + b"\0\0\0\0"},
             "targets": {"targets": command.targets + b"\0"},
         }
         if change == "agent":
             agent = "b" if agent == "a" else "a"
-        command = msgspec.structs.replace(command, **spoiled.get(change, {}))
+        command = msgspec.structs.replace(command, **wrong.get(change, {}))
         taken, dropped = self.world.claims.taken, self.world.claims.dropped
 
-        is_taken = self.world.command(agent, command)
+        is_accepted = self.world.command(agent, command)
 
-        assert is_taken == (change == "none" and self.is_current(agent, command))
-        self.assert_counted(taken, dropped, is_taken=is_taken)
+        assert is_accepted == (change == "none" and self.is_current(agent, command))
+        self.assert_counted(taken, dropped, is_accepted=is_accepted)
 
     @rule(scope=SCOPES)
     def reset(self, scope: int) -> None:
@@ -130,10 +130,10 @@ class AnySequence(RuleBasedStateMachine):
         assert self.world.clock.steps == before + steps
 
     @rule()
-    def tell_agents(self) -> None:
-        told = list(self.world.drive_states())
+    def publish_drive_states(self) -> None:
+        states = list(self.world.drive_states())
 
-        agents = [agent for agent, _ in told]
+        agents = [agent for agent, _ in states]
         assert len(set(agents)) == len(agents)
         assert set(self.world.claims.agents) <= set(agents)
 
@@ -153,16 +153,16 @@ class AnySequence(RuleBasedStateMachine):
         assert len(set(namespaces)) == len(namespaces)
 
     @invariant()
-    def rows_of_the_roster_fit_the_arrays(self) -> None:
-        roster, reading = self.world.entities.index, self.world.states()
+    def rows_of_the_index_match_the_arrays(self) -> None:
+        index, states = self.world.entities.index, self.world.states()
 
-        assert list(roster.names) == names_in(self.world)
-        assert [roster.row[name] for name in roster.names] == list(range(len(roster.names)))
-        assert reading.base.shape == (len(roster.names), 13)
-        assert reading.joint_positions.shape == (int(roster.joint_count.sum()),)
+        assert list(index.names) == names_in(self.world)
+        assert [index.row[name] for name in index.names] == list(range(len(index.names)))
+        assert states.base.shape == (len(index.names), 13)
+        assert states.joint_positions.shape == (int(index.joint_count.sum()),)
 
     @invariant()
-    def one_number_of_the_roster_means_one_list_of_names(self) -> None:
+    def a_roster_number_has_one_list_of_names(self) -> None:
         names = self.rosters.setdefault(
             self.world.entities.roster_number, self.world.entities.index.names
         )
@@ -170,44 +170,44 @@ class AnySequence(RuleBasedStateMachine):
         assert names == self.world.entities.index.names
 
     @invariant()
-    def holds_are_of_entities_that_exist(self) -> None:
-        driven = [entity.name for entity in self.world.entities if self.holder(entity.name)]
+    def claims_are_on_existing_entities(self) -> None:
+        driven = [entity.name for entity in self.world.entities if self.agent_of(entity.name)]
 
         assert len(driven) == len(self.world.claims)
         assert len(set(self.claims)) == len(self.claims)
 
     @invariant()
-    def fleets_are_cut_from_the_roster(self) -> None:
-        fleets = self.world.claimed_by_agent()
-        rows = [row for fleet in fleets.values() for row in fleet.rows.tolist()]
+    def claimed_rows_are_disjoint(self) -> None:
+        claimed = self.world.claimed_by_agent()
+        rows = [row for one in claimed.values() for row in one.rows.tolist()]
 
-        assert set(fleets) == set(self.world.claims.agents)
+        assert set(claimed) == set(self.world.claims.agents)
         assert len(set(rows)) == len(rows) == len(self.world.claims)
-        for fleet in fleets.values():
-            assert len(fleet.claims) == 4 * len(fleet.rows)
+        for one in claimed.values():
+            assert len(one.claims) == 4 * len(one.rows)
 
     @invariant()
     def everything_is_finite(self) -> None:
         assert np.isfinite(self.world.states().base).all()
 
-    def holder(self, name: str) -> str:
+    def agent_of(self, name: str) -> str:
         return self.world.claims.agent_of(name)
 
-    def holders(self) -> dict[str, str]:
-        return {name: self.holder(name) for name in names_in(self.world)}
+    def list_agents(self) -> dict[str, str]:
+        return {name: self.agent_of(name) for name in names_in(self.world)}
 
     def is_current(self, agent: str, command: DriveCommand) -> bool:
-        fleet = self.world.claimed_by_agent().get(agent)
+        one = self.world.claimed_by_agent().get(agent)
         return (
-            fleet is not None
-            and fleet.claims == command.claims
+            one is not None
+            and one.claims == command.claims
             and command.epoch == self.world.clock.epoch
         )
 
-    def assert_counted(self, taken: int, dropped: int, *, is_taken: bool) -> None:
-        found = (self.world.claims.taken - taken, self.world.claims.dropped - dropped)
+    def assert_counted(self, taken: int, dropped: int, *, is_accepted: bool) -> None:
+        counted = (self.world.claims.taken - taken, self.world.claims.dropped - dropped)
 
-        assert found == ((1, 0) if is_taken else (0, 1))
+        assert counted == ((1, 0) if is_accepted else (0, 1))
 
 
 TestAnySequence = AnySequence.TestCase
