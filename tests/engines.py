@@ -1,4 +1,4 @@
-"""Engines for tests: one that obeys perfectly, and all that the contract holds for."""
+"""Engines for tests: an ideal one, and all for which the contract holds."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -36,7 +36,7 @@ class _Body:
 
 
 class ObedientEngine(Engine):
-    """Kinematics alone: wheels turn as told, bodies go as wheels say; nothing falls or collides."""
+    """Ideal kinematics: targets are reached at once; nothing falls or collides."""
 
     name = "obedient"
 
@@ -129,18 +129,18 @@ class ObedientEngine(Engine):
 
     def _advance(self, body: _Body) -> None:
         if body.targets is not None:
-            _obey(body, body.targets)
+            _apply_targets(body, body.targets)
         if isinstance(body.model.drive, DiffDrive):
-            body.base[7:13] = _twist_of_wheels(body, body.model.drive)
+            body.base[7:13] = _wheel_twist(body, body.model.drive)
         body.positions += body.velocities * self._dt_s
         if body.model.is_static:
             return
         body.base[:3] += body.base[7:10] * self._dt_s
         if body.base[10:13].any():
-            body.base[3:7] = multiply(_turned_by(body.base[10:13] * self._dt_s), body.base[3:7])
+            body.base[3:7] = multiply(_rotation_by(body.base[10:13] * self._dt_s), body.base[3:7])
 
 
-def _obey(body: _Body, targets: FloatArray) -> None:
+def _apply_targets(body: _Body, targets: FloatArray) -> None:
     plan = make_actuation(body.model)
     body.velocities[plan.speeds.joints] = targets[plan.speeds.columns]
     body.positions[plan.angles.joints] = targets[plan.angles.columns]
@@ -152,7 +152,7 @@ def _obey(body: _Body, targets: FloatArray) -> None:
         body.base[7:13] = rows[0]
 
 
-def _twist_of_wheels(body: _Body, drive: DiffDrive) -> FloatArray:
+def _wheel_twist(body: _Body, drive: DiffDrive) -> FloatArray:
     pair = drive.pairs[0]
     names = [joint.name for joint in body.model.joints]
     left, right = (
@@ -173,16 +173,16 @@ def _twist_of_wheels(body: _Body, drive: DiffDrive) -> FloatArray:
     )
 
 
-def _turned_by(angles: FloatArray) -> FloatArray:
+def _rotation_by(angles: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(angles))
     return np.append(angles / angle * math.sin(angle / 2.0), math.cos(angle / 2.0))
 
 
-class Clustered:
-    """Makes engines that part their bodies as soon as there are two."""
+class Celled:
+    """Makes engines that use a second cell from two bodies on."""
 
     def __init__(self, make: MakeEngine, name: str) -> None:
-        self.name = f"clustered-{name}"
+        self.name = f"celled-{name}"
         self._make = make
 
     def __call__(self, config: EngineConfig) -> Engine:
@@ -190,45 +190,45 @@ class Clustered:
         return CelledEngine(config, cells, CellSettings(alone=1, most=2))
 
 
-class TiersOfFull(TieredEngine):
-    """Two tiers, of which the kinematic one is empty."""
+class TieredFull(TieredEngine):
+    """Two tiers; the kinematic one stays empty."""
 
     def __init__(self, config: EngineConfig) -> None:
         super().__init__(PyBulletEngine(config), config, "full")
 
 
-class TiersOfAuto(TieredEngine):
-    """Two tiers: robots are kinematic where they can be."""
+class TieredAuto(TieredEngine):
+    """Two tiers; robots are kinematic if possible."""
 
     def __init__(self, config: EngineConfig) -> None:
         super().__init__(PyBulletEngine(config), config, "auto")
 
 
 class SleepingBullet(SleepingEngine):
-    """PyBullet, in which bodies sleep."""
+    """PyBullet with sleep."""
 
     def __init__(self, config: EngineConfig) -> None:
         super().__init__(PyBulletEngine(config), config)
 
 
 PHYSICAL: tuple[MakeEngine, ...] = (PyBulletEngine, SleepingBullet, MujocoEngine)
-"""Those with forces, masses and friction."""
+"""Engines with forces, masses and friction."""
 
 ENGINES: tuple[MakeEngine, ...] = (
     PyBulletEngine,
     SleepingBullet,
     MujocoEngine,
     ObedientEngine,
-    Clustered(partial(PyBulletEngine, awake=2), "pybullet"),
-    Clustered(MujocoEngine, "mujoco"),
-    TiersOfFull,
-    TiersOfAuto,
+    Celled(partial(PyBulletEngine, awake=2), "pybullet"),
+    Celled(MujocoEngine, "mujoco"),
+    TieredFull,
+    TieredAuto,
 )
 
 
 @contextmanager
 def running(make: MakeEngine, config: EngineConfig | None = None) -> Iterator[Engine]:
-    """Make an engine that is closed afterwards; 240 Hz, gravity and ground unless told."""
+    """Make an engine, and close it; defaults to 240 Hz, gravity and ground."""
     engine = make(config or EngineConfig(STEP_NS))
     try:
         yield engine

@@ -1,4 +1,4 @@
-"""What every engine owes the world, held against each of them."""
+"""Contract of every engine."""
 
 from collections.abc import Iterator
 
@@ -88,7 +88,7 @@ def test_engine_reports_the_root_link_where_it_was_added(
 
 @every_engine
 @given(states=st.lists(states, min_size=1, max_size=4))
-def test_engine_reports_the_root_link_where_it_was_placed(
+def test_engine_reports_the_root_link_where_it_was_set(
     make: MakeEngine, states: list[FloatArray]
 ) -> None:
     with running(make, FLOATING) as engine:
@@ -100,7 +100,7 @@ def test_engine_reports_the_root_link_where_it_was_placed(
             assert_same_state(state_of(engine, body), state)
 
 
-def test_engine_does_not_change_the_row_that_it_was_given(engine: Engine) -> None:
+def test_engine_does_not_change_its_argument(engine: Engine) -> None:
     given_row, kept = a_state((0.0, 0.0, 5.0)), a_state((0.0, 0.0, 5.0))
     body = engine.add(a_lopsided_box(), given_row)
 
@@ -111,7 +111,7 @@ def test_engine_does_not_change_the_row_that_it_was_given(engine: Engine) -> Non
     assert np.array_equal(given_row, kept)
 
 
-def test_engine_reading_does_not_change_when_time_goes_on(engine: Engine) -> None:
+def test_engine_reading_does_not_change_after_a_step(engine: Engine) -> None:
     body = engine.add(a_box(), a_state((0.0, 0.0, 5.0), linear=(1.0, 0.0, 0.0)))
     reading = engine.read([body])
     kept = reading.base.copy()
@@ -129,7 +129,7 @@ def test_engine_moves_a_body_by_its_velocity(engine: Engine) -> None:
     assert state_of(engine, body)[:2] == pytest.approx([3.0, -2.0], abs=1e-4)
 
 
-def test_engine_says_that_all_is_well(engine: Engine) -> None:
+def test_engine_step_returns_true(engine: Engine) -> None:
     engine.add(a_cart(), on_ground())
 
     assert engine.step()
@@ -153,7 +153,7 @@ def test_engine_reads_joints_in_the_order_of_the_model(engine: Engine) -> None:
     assert by_name == pytest.approx({"right_joint": right, "left_joint": left}, rel=0.05)
 
 
-def test_engine_reads_bodies_in_the_order_asked_for(engine: Engine) -> None:
+def test_engine_reads_bodies_in_the_requested_order(engine: Engine) -> None:
     first = engine.add(a_box(), a_state((1.0, 0.0, 0.1)))
     cart = engine.add(a_cart(), on_ground(2.0))
     last = engine.add(a_box(), a_state((3.0, 0.0, 0.1)))
@@ -164,7 +164,7 @@ def test_engine_reads_bodies_in_the_order_asked_for(engine: Engine) -> None:
     assert reading.joint_positions.shape == reading.joint_velocities.shape == (2,)
 
 
-def test_engine_reads_empty_arrays_when_no_body_is_asked_for(engine: Engine) -> None:
+def test_engine_reads_empty_arrays_for_no_bodies(engine: Engine) -> None:
     reading = engine.read([])
 
     assert reading.base.shape == (0, 13)
@@ -197,7 +197,7 @@ def test_engine_holds_targets_until_they_are_set_again(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize(("left", "right"), [(4.0, 4.0), (-3.0, 3.0), (2.0, 4.0)])
-def test_engine_robot_goes_where_its_wheels_roll(engine: Engine, left: float, right: float) -> None:
+def test_engine_robot_moves_as_its_wheels_roll(engine: Engine, left: float, right: float) -> None:
     body = engine.add(a_cart(), on_ground())
 
     engine.command([body], np.array([left, right]))
@@ -208,7 +208,7 @@ def test_engine_robot_goes_where_its_wheels_roll(engine: Engine, left: float, ri
     assert row[12] == pytest.approx((right - left) * 0.05 / 0.3, abs=0.02)
 
 
-def test_engine_leaves_other_bodies_as_they_are_when_one_is_removed(engine: Engine) -> None:
+def test_engine_keeps_other_bodies_when_one_is_removed(engine: Engine) -> None:
     bodies = [engine.add(a_cart(), on_ground(float(x))) for x in range(3)]
     engine.command(bodies, np.full(6, 2.0))
     advance(engine, 60)
@@ -223,7 +223,7 @@ def test_engine_leaves_other_bodies_as_they_are_when_one_is_removed(engine: Engi
     assert after.joint_velocities.tobytes() == before.joint_velocities.tobytes()
 
 
-def test_engine_rolls_a_robot_on_when_its_twin_was_removed(engine: Engine) -> None:
+def test_engine_robot_keeps_rolling_when_its_twin_is_removed(engine: Engine) -> None:
     twin, body = (engine.add(a_cart(), on_ground(0.0, y)) for y in (0.0, 5.0))
     engine.remove(twin)
 
@@ -243,9 +243,7 @@ def test_engine_adds_a_body_after_the_last_one_was_removed(engine: Engine) -> No
 
 
 @pytest.mark.parametrize("kind", ["floating", "planar"])
-def test_engine_refuses_a_joint_that_one_number_cannot_tell(
-    engine: Engine, kind: JointKind
-) -> None:
+def test_engine_refuses_a_multi_dof_joint(engine: Engine, kind: JointKind) -> None:
     body = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
 
     with pytest.raises(EngineRefused, match=kind):
@@ -254,7 +252,7 @@ def test_engine_refuses_a_joint_that_one_number_cannot_tell(
     assert_same_state(state_of(engine, body), a_state((0.0, 0.0, 0.1)))
 
 
-def test_engine_names_the_bodies_that_a_body_reaches_into(engine: Engine) -> None:
+def test_engine_finds_overlapping_bodies(engine: Engine) -> None:
     first, second, far = (
         engine.add(a_box(), a_state(place))
         for place in ((0.0, 0.0, 0.1), (0.05, 0.0, 0.1), (5.0, 0.0, 0.1))
@@ -265,14 +263,14 @@ def test_engine_names_the_bodies_that_a_body_reaches_into(engine: Engine) -> Non
     assert list(engine.find_overlaps(far)) == []
 
 
-def test_engine_overlaps_nothing_when_it_stands_on_the_ground(engine: Engine) -> None:
+def test_engine_body_on_the_ground_overlaps_nothing(engine: Engine) -> None:
     body = engine.add(a_cart(), on_ground())
     advance(engine, 10)
 
     assert list(engine.find_overlaps(body)) == []
 
 
-def test_engine_overlaps_nobody_who_was_removed_or_moved_away(engine: Engine) -> None:
+def test_engine_ignores_removed_and_moved_bodies_in_overlaps(engine: Engine) -> None:
     body, removed, moved = (engine.add(a_box(), a_state((0.0, 0.0, 0.1))) for _ in range(3))
 
     engine.remove(removed)
@@ -285,7 +283,7 @@ def test_engine_overlaps_nobody_who_was_removed_or_moved_away(engine: Engine) ->
 def a_drive_about(
     make: MakeEngine, *, with_a_visitor: bool = False, is_asked_often: bool = False
 ) -> bytes:
-    """Drive two carts and a box for 500 steps; a visitor comes and goes far away."""
+    """Drive two carts and a box for 500 steps; add and remove another far away."""
     with running(make) as engine:
         bodies = [
             engine.add(a_cart(), on_ground(0.0)),
@@ -311,14 +309,14 @@ def a_drive_about(
 
 
 @every_engine
-def test_engine_gives_the_same_bits_when_everything_is_done_again(make: MakeEngine) -> None:
+def test_engine_repeats_a_run_exactly(make: MakeEngine) -> None:
     first, second = a_drive_about(make), a_drive_about(make)
 
     assert first == second
 
 
 @every_engine
-def test_engine_gives_the_same_bits_when_a_visitor_came_and_went_far_away(
+def test_engine_repeats_a_run_exactly_after_a_distant_body_was_removed(
     make: MakeEngine,
 ) -> None:
     alone, visited = a_drive_about(make), a_drive_about(make, with_a_visitor=True)
@@ -327,14 +325,14 @@ def test_engine_gives_the_same_bits_when_a_visitor_came_and_went_far_away(
 
 
 @every_engine
-def test_engine_gives_the_same_bits_when_it_is_asked_often(make: MakeEngine) -> None:
+def test_engine_repeats_a_run_exactly_when_read_often(make: MakeEngine) -> None:
     alone, asked = a_drive_about(make), a_drive_about(make, is_asked_often=True)
 
     assert alone == asked
 
 
 @pytest.mark.parametrize("model", [a_box(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)
-def test_engine_gives_each_body_a_number_of_its_own(engine: Engine, model: Model) -> None:
+def test_engine_numbers_are_unique(engine: Engine, model: Model) -> None:
     bodies = [engine.add(model, a_state((float(x), 0.0, 1.0))) for x in range(5)]
 
     assert len(set(bodies)) == 5

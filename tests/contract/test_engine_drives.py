@@ -1,4 +1,4 @@
-"""What every engine owes drives that steer, or that move the body itself."""
+"""Contract of steering targets and planar twists."""
 
 import math
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ def state_of(engine: Engine, body: int) -> FloatArray:
     return np.asarray(engine.read([body]).base[0])
 
 
-def test_engine_turns_a_joint_to_the_angle_it_is_told(engine: Engine) -> None:
+def test_engine_turns_a_joint_to_its_target_angle(engine: Engine) -> None:
     body = engine.add(a_fork(), a_state())
 
     engine.command([body], STEER_TARGETS)
@@ -52,7 +52,7 @@ def test_engine_keeps_the_angle_of_a_joint_when_it_is_stopped(engine: Engine) ->
     assert reading.joint_velocities == pytest.approx(np.zeros(4), abs=1e-3)
 
 
-def test_engine_rests_steering_straight_ahead(engine: Engine) -> None:
+def test_engine_sets_steering_straight_at_rest(engine: Engine) -> None:
     body = engine.add(a_fork(), a_state())
     engine.command([body], STEER_TARGETS)
     advance(engine, STEPS_OF_1_S)
@@ -67,7 +67,7 @@ def test_engine_rests_steering_straight_ahead(engine: Engine) -> None:
     ("ahead", "left"), [(0.5, 0.0), (0.0, 0.5), (-0.3, 0.4)], ids=["ahead", "left", "askew"]
 )
 @pytest.mark.parametrize("heading", [0.0, 2.0])
-def test_engine_moves_a_body_along_its_heading_as_it_is_told(
+def test_engine_moves_a_body_along_its_heading_by_its_twist(
     engine: Engine, ahead: float, left: float, heading: float
 ) -> None:
     body = engine.add(a_puck(), a_state(turn=(0.0, 0.0, heading)))
@@ -81,7 +81,7 @@ def test_engine_moves_a_body_along_its_heading_as_it_is_told(
     assert [x, y] == pytest.approx(expected, abs=0.01)
 
 
-def test_engine_turns_a_body_about_its_root_as_it_is_told(engine: Engine) -> None:
+def test_engine_turns_a_body_about_its_root_by_its_twist(engine: Engine) -> None:
     body = engine.add(a_puck(), a_state((1.0, 2.0, 0.0)))
 
     engine.command([body], np.array([0.0, 0.0, 1.0]))

@@ -1,4 +1,4 @@
-"""Each engine gives the same numbers again, whatever the world has been through before."""
+"""Each engine repeats a run exactly, whatever was simulated before."""
 
 from collections.abc import Callable
 
@@ -12,11 +12,11 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 
 ROBOTS, STEPS, PERIOD = 6, 480, 24
 SPACING_M = 0.11
-"""So near that they touch."""
+"""Close enough to touch."""
 
 
 def drive(make: MakeEngine, before: Callable[[Engine], object]) -> bytes:
-    """Drive a heap of robots in an engine with a past; return where all of it is."""
+    """Drive touching robots after some history; return their state as bytes."""
     engine = make(EngineConfig(STEP_NS))
     before(engine)
     model, draws = a_box_bot(), np.random.default_rng(1)
@@ -30,23 +30,23 @@ def drive(make: MakeEngine, before: Callable[[Engine], object]) -> bytes:
     return reading.base.tobytes() + reading.joint_positions.tobytes()
 
 
-def another_came_and_went(engine: Engine) -> None:
+def add_and_remove_another(engine: Engine) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
     advance(engine, 50)
     engine.remove(body)
     engine.forget_removed()
 
 
-PASTS: dict[str, Callable[[Engine], object]] = {
+HISTORIES: dict[str, Callable[[Engine], object]] = {
     "none": lambda _: None,
     "time": lambda engine: advance(engine, 50),
-    "another": another_came_and_went,
+    "another": add_and_remove_another,
 }
 
 
 @pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
-@pytest.mark.parametrize("past", PASTS.values(), ids=PASTS)
-def test_engine_gives_the_same_bytes_whatever_was_before(
-    make: MakeEngine, past: Callable[[Engine], object]
+@pytest.mark.parametrize("history", HISTORIES.values(), ids=HISTORIES)
+def test_engine_repeats_a_run_exactly_after_any_history(
+    make: MakeEngine, history: Callable[[Engine], object]
 ) -> None:
-    assert drive(make, past) == drive(make, PASTS["none"])
+    assert drive(make, history) == drive(make, HISTORIES["none"])

@@ -1,4 +1,4 @@
-"""What Bullet itself says of an engine's bodies."""
+"""Bullet's own values of an engine's bodies."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from zensim.sim_server.physics.bullet.pybullet_engine import PyBulletEngine
 
 @dataclass(frozen=True)
 class Dynamics:
-    """One part of a body, as Bullet has it."""
+    """Dynamics of one part of a body in Bullet."""
 
     mass_kg: float
     friction: float
@@ -22,7 +22,7 @@ class Dynamics:
 
 
 def client_of(engine: PyBulletEngine) -> int:
-    return engine._client  # noqa: SLF001  Bullet is asked past the engine
+    return engine._client  # noqa: SLF001  reads Bullet directly
 
 
 def dynamics_of(engine: PyBulletEngine, body: int) -> list[Dynamics]:
@@ -36,7 +36,7 @@ def dynamics_of(engine: PyBulletEngine, body: int) -> list[Dynamics]:
 
 
 def next_shape(engine: PyBulletEngine) -> int:
-    """Tell which number Bullet gives to the next collision shape; it grows when shapes leak."""
+    """Find the number of the next collision shape; it grows when shapes leak."""
     client = client_of(engine)
     shape = pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=1.0, physicsClientId=client)
     pybullet.removeCollisionShape(shape, physicsClientId=client)
@@ -48,6 +48,6 @@ def bodies_in(engine: PyBulletEngine) -> int:
 
 
 def touching(engine: PyBulletEngine, first: int, second: int) -> int:
-    """Count the points where two bodies touch."""
+    """Count the contact points of two bodies."""
     points = pybullet.getContactPoints(first, second, physicsClientId=client_of(engine))
     return len(points)

@@ -1,4 +1,4 @@
-"""Which number goes where."""
+"""Targets of actuators."""
 
 import math
 
@@ -28,31 +28,31 @@ def test_wheels_are_found_by_name_among_the_joints() -> None:
     assert (plan.angles.joints, plan.twist) == ([], None)
 
 
-def test_speeds_and_angles_are_told_apart() -> None:
+def test_speed_and_angle_targets_are_separated() -> None:
     plan = make_actuation(a_fork(effort=9.0))
 
     assert (plan.speeds.joints, plan.speeds.columns) == ([0], [0])
     assert (plan.angles.joints, plan.angles.columns, plan.angles.efforts) == ([3], [1], [9.0])
 
 
-def test_twist_takes_three_numbers() -> None:
+def test_twist_has_three_targets() -> None:
     plan = make_actuation(a_puck())
 
     assert (plan.width, plan.twist) == (3, 0)
 
 
-def test_body_without_a_drive_takes_no_number() -> None:
+def test_body_without_a_drive_has_no_targets() -> None:
     assert make_actuation(a_box()).width == 0
     assert make_stop_targets(a_box(), np.zeros(0)).shape == (0,)
 
 
-def test_body_stands_when_speeds_are_zero_and_angles_stay() -> None:
+def test_stop_targets_are_zero_speeds_and_current_angles() -> None:
     assert make_stop_targets(a_fork(), np.array([1.0, 2.0, 3.0, 0.3])).tolist() == [0.0, 0.3]
     assert make_stop_targets(a_puck(), np.zeros(0)).tolist() == [0.0, 0.0, 0.0]
 
 
 @given(st.tuples(*[speeds] * 6), st.tuples(*[speeds] * 3), st.floats(-3.0, 3.0))
-def test_imposed_twist_leaves_height_and_tilt_alone(
+def test_imposed_twist_keeps_vertical_and_tilt_velocities(
     velocities: tuple[float, ...], twist: tuple[float, ...], heading: float
 ) -> None:
     turn = from_rpy(0.0, 0.0, heading)

@@ -1,4 +1,4 @@
-"""Static meshes in parts of their own, and shapes made before they are needed."""
+"""Blueprints, their cache, and preparation of shapes."""
 
 from pathlib import Path
 
@@ -68,19 +68,19 @@ def test_blueprint_finds_parents_down_a_chain() -> None:
     assert [part.parent for part in blueprint.parts] == [-1, 0, 1]
 
 
-def test_blueprint_gives_each_further_friction_a_massless_skin() -> None:
+def test_blueprint_gives_each_further_friction_a_massless_part() -> None:
     balls = (a_ball(1.0), a_ball(0.0, 0.2), a_ball(1.0, 0.3), a_ball(0.5), a_ball(0.0, 0.4))
     model = Model("m", (Link("base", a_body(), balls),))
 
     root, *skins = make_blueprint(model).parts
 
     assert root.shapes == (balls[0], balls[2])
-    assert [skin.shapes for skin in skins] == [(balls[1], balls[4]), (balls[3],)]
+    assert [surface.shapes for surface in skins] == [(balls[1], balls[4]), (balls[3],)]
     assert [part.friction for part in (root, *skins)] == [1.0, 0.0, 0.5]
     assert all((s.mass_kg, s.parent, s.joint) == (0.0, 0, None) for s in skins)
 
 
-def test_blueprint_puts_skins_after_all_links() -> None:
+def test_blueprint_puts_further_surfaces_after_all_links() -> None:
     two = (a_ball(1.0), a_ball(0.0))
     links = (Link("a", a_body(), two), Link("b", a_body(), two))
 
@@ -96,7 +96,7 @@ def test_blueprint_of_a_link_without_collisions_has_no_shapes() -> None:
     assert (root.shapes, root.friction) == ((), DEFAULT_FRICTION)
 
 
-def test_blueprint_of_box_bot_has_one_skin_for_both_casters() -> None:
+def test_blueprint_of_box_bot_has_one_part_for_both_casters() -> None:
     blueprint = make_blueprint(a_box_bot())
 
     assert len(blueprint.parts) == 4
@@ -143,7 +143,7 @@ def test_blueprint_keeps_mass_centre_and_inertia() -> None:
     assert (root.mass_kg, root.com, root.inertia) == (3.0, (0.1, 0.2, 0.3), (1.0, 2.0, 2.5))
 
 
-def test_link_of_many_shapes_is_split_so_that_none_is_passed_over() -> None:
+def test_link_with_many_shapes_is_split() -> None:
     boxes = tuple(Shape("box", (1.0, 1.0, 1.0), Origin((float(i), 0.0, 0.0))) for i in range(40))
 
     parts = make_blueprint(Model("m", (Link("base", collisions=boxes),))).parts
@@ -152,60 +152,62 @@ def test_link_of_many_shapes_is_split_so_that_none_is_passed_over() -> None:
     assert [part.parent for part in parts] == [-1, 0, 0]
 
 
-def test_blueprint_gives_each_further_contact_a_skin() -> None:
+def test_blueprint_gives_each_further_contact_a_part() -> None:
     soft, hard = Shape("sphere", contact=Contact(1e4, 1.0)), Shape("sphere")
     model = Model("m", (Link("base", a_body(), (hard, soft)),))
 
-    root, skin = make_blueprint(model).parts
+    root, surface = make_blueprint(model).parts
 
-    assert (root.contact, skin.contact) == (hard.contact, soft.contact)
-    assert (root.link, skin.link) == (0, 0)
+    assert (root.contact, surface.contact) == (hard.contact, soft.contact)
+    assert (root.link, surface.link) == (0, 0)
 
 
 @pytest.mark.parametrize(
     "direction", [(1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.6, -0.8, 0.0)]
 )
-def test_blueprint_lays_the_axes_of_a_skin_along_its_direction(
+def test_blueprint_aligns_principal_axes_with_the_friction_direction(
     direction: tuple[float, float, float],
 ) -> None:
     foot = Shape("sphere", contact=Contact(direction=direction, friction_across=0.1))
 
-    root, skin = make_blueprint(Model("m", (Link("base", a_body(), (foot,)),))).parts
+    root, surface = make_blueprint(Model("m", (Link("base", a_body(), (foot,)),))).parts
 
-    assert (root.shapes, skin.shapes) == ((), (foot,))
-    assert rotate(np.array(skin.principal), np.array([1.0, 0.0, 0.0])) == pytest.approx(direction)
+    assert (root.shapes, surface.shapes) == ((), (foot,))
+    assert rotate(np.array(surface.principal), np.array([1.0, 0.0, 0.0])) == pytest.approx(
+        direction
+    )
 
 
-def a_planner(max_parts: int = 128) -> BlueprintCache:
+def a_cache(max_parts: int = 128) -> BlueprintCache:
     return BlueprintCache(
         "mine", max_parts=max_parts, joint_kinds=("fixed", "continuous"), shape_kinds=("box",)
     )
 
 
-def test_model_is_planned_once_while_it_is_the_last() -> None:
-    planner, model = a_planner(), a_box()
+def test_blueprint_is_cached_for_the_last_model() -> None:
+    cache, model = a_cache(), a_box()
 
-    first = planner.find(model)
+    first = cache.find(model)
 
     assert first == make_blueprint(model)
-    assert planner.find(model) is first
+    assert cache.find(model) is first
 
 
-def test_another_model_is_planned_by_itself() -> None:
-    planner, box = a_planner(), a_box()
-    planner.find(box)
+def test_another_model_has_another_blueprint() -> None:
+    cache, box = a_cache(), a_box()
+    cache.find(box)
 
-    found = planner.find(Model("other", box.links))
+    found = cache.find(Model("other", box.links))
 
     assert found.name == "other"
 
 
-def test_model_that_cannot_be_built_is_refused_each_time() -> None:
-    planner, model = a_planner(max_parts=1), a_cart()
+def test_unsupported_model_is_refused_each_time() -> None:
+    cache, model = a_cache(max_parts=1), a_cart()
 
     for _ in range(2):
         with pytest.raises(EngineRefused):
-            planner.find(model)
+            cache.find(model)
 
 
 MESHES = 20
@@ -221,10 +223,10 @@ def a_scene(count: int = MESHES, *, boxes: int = 0, is_static: bool = True) -> M
 
 
 @pytest.mark.parametrize("count", [1, 20, 126, 127, 500])
-def test_static_meshes_are_spread_over_the_parts_that_an_engine_has(count: int) -> None:
-    planned = make_blueprint(a_scene(count, boxes=3))
+def test_static_meshes_are_distributed_over_available_parts(count: int) -> None:
+    blueprint = make_blueprint(a_scene(count, boxes=3))
 
-    found = split_static_meshes(planned, max_parts=MAX_PARTS)
+    found = split_static_meshes(blueprint, max_parts=MAX_PARTS)
 
     assert len(found.parts) <= MAX_PARTS
     sizes = [sum(bool(shape.mesh) for shape in part.shapes) for part in found.parts]
@@ -235,10 +237,10 @@ def test_static_meshes_are_spread_over_the_parts_that_an_engine_has(count: int) 
         assert {shape.friction for shape in part.shapes} <= {part.friction}
 
 
-def test_moving_meshes_stay_where_they_are() -> None:
-    planned = make_blueprint(a_scene(is_static=False))
+def test_moving_meshes_are_not_split() -> None:
+    blueprint = make_blueprint(a_scene(is_static=False))
 
-    assert split_static_meshes(planned, max_parts=MAX_PARTS) == planned
+    assert split_static_meshes(blueprint, max_parts=MAX_PARTS) == blueprint
 
 
 def test_shapes_are_prepared_one_part_at_a_time(tmp_path: Path) -> None:
@@ -261,7 +263,7 @@ def test_shapes_are_prepared_one_part_at_a_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("shape", [Shape("mesh", mesh="a"), Shape("plane")], ids=lambda s: s.kind)
-def test_preparing_leaves_it_to_adding_to_say_what_is_wrong(tmp_path: Path, shape: Shape) -> None:
+def test_errors_are_raised_by_add_and_not_by_prepare(tmp_path: Path, shape: Shape) -> None:
     engine = PyBulletEngine(EngineConfig(STEP_NS, mesh_folder=str(tmp_path)))
 
     assert engine.prepare(Model("m", (Link("base", collisions=(shape,)),), is_static=True))

@@ -1,4 +1,4 @@
-"""How far models reach."""
+"""Bounds of models."""
 
 import math
 from pathlib import Path
@@ -29,11 +29,11 @@ def radius(model: Model, folder: str = "") -> float:
     ],
     ids=lambda value: getattr(value, "kind", None),
 )
-def test_reach_holds_a_shape(shape: Shape, expected: float) -> None:
+def test_radius_encloses_a_shape(shape: Shape, expected: float) -> None:
     assert radius(Model("m", (Link("base", collisions=(shape,)),))) == pytest.approx(expected)
 
 
-def test_reach_holds_a_mesh_at_its_scale(tmp_path: Path) -> None:
+def test_radius_encloses_a_scaled_mesh(tmp_path: Path) -> None:
     corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
     Path(tmp_path, "abc.stl").write_bytes(write_corners(corners))
     model = Model("m", (Link("base", collisions=(Shape("mesh", (1.0, 2.0, 1.0), mesh="abc"),)),))
@@ -41,35 +41,35 @@ def test_reach_holds_a_mesh_at_its_scale(tmp_path: Path) -> None:
     assert radius(model, str(tmp_path)) == pytest.approx(4.0)
 
 
-def test_reach_holds_wheels_and_casters() -> None:
+def test_radius_encloses_wheels_and_casters() -> None:
     assert radius(a_cart()) >= max(TRACK_M / 2.0 + 0.05, math.hypot(0.125, 0.1))
 
 
-def test_reach_names_what_slides() -> None:
+def test_reach_lists_prismatic_joints() -> None:
     assert ReachCache("").measure(an_arm("prismatic")).slides == (0,)
     assert ReachCache("").measure(an_arm("revolute")).slides == ()
 
 
-def test_reach_knows_how_fast_wheels_roll() -> None:
+def test_levers_of_wheels_are_their_radii() -> None:
     levers = ReachCache("").measure(a_cart()).levers
 
     assert levers == pytest.approx([0.05, 0.05])
 
 
-def test_reach_knows_that_a_twist_is_a_speed() -> None:
+def test_levers_of_a_twist_are_one() -> None:
     ahead, left, _ = ReachCache("").measure(a_puck()).levers
 
     assert (ahead, left) == (1.0, 1.0)
 
 
-def test_what_has_no_joint_that_moves_and_is_static_never_moves() -> None:
+def test_static_body_without_joints_cannot_move() -> None:
     assert not can_move(a_box(is_static=True))
     assert not can_move(msgspec.structs.replace(an_arm("fixed"), is_static=True))
     assert can_move(a_box())
     assert can_move(a_fork())
 
 
-def test_meshes_are_measured_one_at_a_time_before_they_are_needed(tmp_path: Path) -> None:
+def test_prepare_measures_one_mesh_at_a_time(tmp_path: Path) -> None:
     corners = np.array([[[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 1.0]]])
     for name in ("a", "b"):
         Path(tmp_path, f"{name}.stl").write_bytes(write_corners(corners))
@@ -84,7 +84,7 @@ def test_meshes_are_measured_one_at_a_time_before_they_are_needed(tmp_path: Path
     assert measure.measure(model).radius_m == pytest.approx(2.0 + SHAPE_MARGIN_M)
 
 
-def test_mesh_that_is_not_there_is_prepared_by_nobody(tmp_path: Path) -> None:
+def test_prepare_skips_missing_meshes(tmp_path: Path) -> None:
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="gone")
 
     assert ReachCache(str(tmp_path)).prepare(Model("m", (Link("base", collisions=(shape,)),)))

@@ -1,4 +1,4 @@
-"""box_bot on each engine: it goes where its wheels are told to roll, and robots stop each other."""
+"""Motion of box_bot in each engine."""
 
 import math
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ SIDE_M = 0.1
 
 @dataclass
 class Course:
-    """What each robot did: displacement in the world, turn summed up."""
+    """Displacement and accumulated rotation of each robot."""
 
     moved: FloatArray
     turned: FloatArray
@@ -36,7 +36,7 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 
 def a_world_of(engine: Engine, *places: FloatArray) -> World:
-    """Make a world of box_bots, each driven by an agent of its own."""
+    """Make a world of box_bots, each with an agent."""
     world = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     model = a_box_bot()
     for i, place in enumerate(places):
@@ -55,7 +55,7 @@ def wheel_targets(linear: float, angular: float) -> tuple[float, float]:
 
 
 def drive(world: World, linear: float, angular: float, steps: int = STEPS_OF_10_S) -> Course:
-    """Drive all robots of a world alike."""
+    """Drive all robots of a world with one twist."""
     targets = wheel_targets(linear, angular)
     start = world.states().base.copy()
     heading, turned = to_yaw(start[:, 3:7]), np.zeros(len(start))
@@ -91,7 +91,7 @@ def test_box_bots_turn_ten_radians_when_turned_at_one_for_ten_seconds(
     assert np.hypot(course.moved[:, 0], course.moved[:, 1]).max() <= 0.01
 
 
-def test_box_bot_comes_back_when_driven_once_around(engine: Engine) -> None:
+def test_box_bot_returns_after_a_full_circle(engine: Engine) -> None:
     world = a_row_of(engine, 1)
 
     course = drive(world, linear=0.2, angular=0.2 * math.pi)
@@ -100,7 +100,7 @@ def test_box_bot_comes_back_when_driven_once_around(engine: Engine) -> None:
     assert np.hypot(*course.moved[0, :2]) <= 0.05
 
 
-def test_box_bot_backs_up_as_it_drives(engine: Engine) -> None:
+def test_box_bot_drives_backwards(engine: Engine) -> None:
     course = drive(a_row_of(engine, 1), linear=-0.2, angular=0.0)
 
     assert course.moved[0, :2] == pytest.approx([-2.0, 0.0], abs=0.02)
@@ -132,7 +132,7 @@ def test_box_bots_stop_each_other_when_driven_head_on(engine: Engine) -> None:
     assert speeds.max() < 0.02
 
 
-def test_box_bot_pushes_another_that_nobody_drives(engine: Engine) -> None:
+def test_box_bot_pushes_an_unclaimed_one(engine: Engine) -> None:
     world = a_world_of(engine, box_bot_at(0.0), box_bot_at(0.5))
     world.release("a1")
 

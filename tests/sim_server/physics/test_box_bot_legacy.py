@@ -1,4 +1,4 @@
-"""The robot with every trap of old tutorials spawns, drives as Gazebo has it, and is told of."""
+"""box_bot_legacy: mistakes of old tutorials are reported, and it drives as in Gazebo."""
 
 import numpy as np
 import pytest
@@ -13,9 +13,9 @@ from zensim.sim_server.description.urdf.urdf_parser import read_urdf
 from zensim.sim_server.physics.engine_config import EngineConfig
 
 SPAWN_Z = 0.01
-"""Five centimetres under ground: the last of the traps."""
+"""Wheels start five centimetres under ground."""
 WRITTEN_RADIUS, TRACK = 0.0125, 0.1
-TRAPS = (
+MISTAKES = (
     ("plugin", "names swapped"),
     ("wheel_diameter", "0.025 m", "'joint_right_wheel'", "0.07 m"),
     ("'wheel_left_joint'",),
@@ -31,18 +31,18 @@ def legacy() -> Model:
     return read_urdf(read_builtin_model("box_bot_legacy"))
 
 
-@pytest.mark.parametrize("trap", TRAPS)
-def test_report_names_each_trap(legacy: Model, trap: tuple[str, ...]) -> None:
-    assert mentions(legacy.report, "suspicious", *trap)
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_report_names_each_mistake(legacy: Model, mistake: tuple[str, ...]) -> None:
+    assert mentions(legacy.report, "suspicious", *mistake)
 
 
-def test_report_names_the_links_that_weigh_nothing(legacy: Model) -> None:
+def test_report_names_links_without_mass(legacy: Model) -> None:
     links = "links 'base_link', 'camera_link', 'camera_frame'"
 
     assert mentions(legacy.report, "applied", links, "<inertial>")
 
 
-def test_legacy_robot_weighs_what_it_says_and_stands_6_cm_high(legacy: Model) -> None:
+def test_legacy_robot_has_the_given_masses_and_6_cm_clearance(legacy: Model) -> None:
     assert legacy.mass_kg == pytest.approx(1.406, abs=1e-6)
     assert legacy.links[0].inertial.mass_kg == pytest.approx(1.006, abs=1e-6)
     assert find_ground_clearance(legacy) == pytest.approx(-0.06, abs=1e-6)
@@ -50,7 +50,7 @@ def test_legacy_robot_weighs_what_it_says_and_stands_6_cm_high(legacy: Model) ->
 
 @pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.name)
 @pytest.mark.parametrize(("speed", "turn"), [(0.2, 0.0), (0.0, 1.0), (0.1, 0.5)])
-def test_legacy_robot_goes_2_8_times_as_fast_as_it_is_told(
+def test_legacy_robot_drives_2_8_times_as_fast_as_commanded(
     legacy: Model, make: MakeEngine, speed: float, turn: float
 ) -> None:
     engine = make(EngineConfig(STEP_NS))

@@ -1,4 +1,4 @@
-"""Bodies are told again only what they have not been told."""
+"""Only changed targets are returned."""
 
 import numpy as np
 
@@ -7,76 +7,76 @@ from zensim.sim_server.physics.command_cache import CommandCache
 WIDTHS = {0: 2, 1: 0, 2: 1, 100: 3}
 
 
-def orders() -> CommandCache:
+def make_cache() -> CommandCache:
     return CommandCache(WIDTHS.__getitem__)
 
 
-def news(
-    made: CommandCache, bodies: tuple[int, ...], *numbers: float
+def changes(
+    cache: CommandCache, bodies: tuple[int, ...], *numbers: float
 ) -> list[tuple[int, list[float]]]:
-    return list(made.take_changed(bodies, np.array(numbers)))
+    return list(cache.take_changed(bodies, np.array(numbers)))
 
 
-def test_all_that_comes_first_is_new() -> None:
-    assert news(orders(), (2, 0, 1), 5.0, 6.0, 7.0) == [(2, [5.0]), (0, [6.0, 7.0])]
+def test_first_targets_are_changed() -> None:
+    assert changes(make_cache(), (2, 0, 1), 5.0, 6.0, 7.0) == [(2, [5.0]), (0, [6.0, 7.0])]
 
 
-def test_nothing_is_new_when_it_comes_again() -> None:
-    made = orders()
-    news(made, (0, 2), 1.0, 2.0, 3.0)
+def test_repeated_targets_are_not_changed() -> None:
+    cache = make_cache()
+    changes(cache, (0, 2), 1.0, 2.0, 3.0)
 
-    assert news(made, (0, 2), 1.0, 2.0, 3.0) == []
-
-
-def test_only_what_differs_is_new() -> None:
-    made = orders()
-    news(made, (0, 2), 1.0, 2.0, 3.0)
-
-    assert news(made, (0, 2), 1.0, 9.0, 3.0) == [(0, [1.0, 9.0])]
+    assert changes(cache, (0, 2), 1.0, 2.0, 3.0) == []
 
 
-def test_bodies_are_known_whatever_company_they_come_in() -> None:
-    made = orders()
-    news(made, (0, 2), 1.0, 2.0, 3.0)
+def test_only_bodies_with_different_targets_are_changed() -> None:
+    cache = make_cache()
+    changes(cache, (0, 2), 1.0, 2.0, 3.0)
 
-    assert news(made, (2,), 4.0) == [(2, [4.0])]
-    assert news(made, (0, 2), 1.0, 2.0, 3.0) == [(2, [3.0])]
-
-
-def test_all_is_new_to_a_body_that_was_forgotten() -> None:
-    made = orders()
-    news(made, (0, 2), 1.0, 2.0, 3.0)
-
-    made.forget(0)
-
-    assert news(made, (0, 2), 1.0, 2.0, 3.0) == [(0, [1.0, 2.0])]
+    assert changes(cache, (0, 2), 1.0, 9.0, 3.0) == [(0, [1.0, 9.0])]
 
 
-def test_body_that_was_never_told_anything_can_be_forgotten() -> None:
-    made = orders()
+def test_targets_are_stored_by_body_in_any_sequence() -> None:
+    cache = make_cache()
+    changes(cache, (0, 2), 1.0, 2.0, 3.0)
 
-    made.forget(100)
-
-    assert news(made, (100,), 1.0, 2.0, 3.0) == [(100, [1.0, 2.0, 3.0])]
-
-
-def test_what_was_told_stays_known_when_wider_and_later_bodies_come() -> None:
-    made = orders()
-    news(made, (0, 2), 1.0, 2.0, 3.0)
-    news(made, (100,), 4.0, 5.0, 6.0)
-
-    assert news(made, (2, 100, 0), 3.0, 4.0, 5.0, 7.0, 1.0, 2.0) == [(100, [4.0, 5.0, 7.0])]
+    assert changes(cache, (2,), 4.0) == [(2, [4.0])]
+    assert changes(cache, (0, 2), 1.0, 2.0, 3.0) == [(2, [3.0])]
 
 
-def test_many_companies_of_bodies_do_not_pile_up() -> None:
-    made = orders()
+def test_targets_of_a_forgotten_body_are_changed() -> None:
+    cache = make_cache()
+    changes(cache, (0, 2), 1.0, 2.0, 3.0)
+
+    cache.forget(0)
+
+    assert changes(cache, (0, 2), 1.0, 2.0, 3.0) == [(0, [1.0, 2.0])]
+
+
+def test_body_without_targets_can_be_forgotten() -> None:
+    cache = make_cache()
+
+    cache.forget(100)
+
+    assert changes(cache, (100,), 1.0, 2.0, 3.0) == [(100, [1.0, 2.0, 3.0])]
+
+
+def test_stored_targets_survive_growth() -> None:
+    cache = make_cache()
+    changes(cache, (0, 2), 1.0, 2.0, 3.0)
+    changes(cache, (100,), 4.0, 5.0, 6.0)
+
+    assert changes(cache, (2, 100, 0), 3.0, 4.0, 5.0, 7.0, 1.0, 2.0) == [(100, [4.0, 5.0, 7.0])]
+
+
+def test_index_cache_is_bounded() -> None:
+    cache = make_cache()
 
     for length in range(1, 600):
-        news(made, (0,) * length, *([1.0, 2.0] * length))
+        changes(cache, (0,) * length, *([1.0, 2.0] * length))
 
-    assert news(made, (0,), 1.0, 2.0) == []
+    assert changes(cache, (0,), 1.0, 2.0) == []
 
 
-def test_nobody_is_told_nothing() -> None:
-    assert news(orders(), ()) == []
-    assert news(orders(), (1,)) == []
+def test_no_bodies_have_no_changes() -> None:
+    assert changes(make_cache(), ()) == []
+    assert changes(make_cache(), (1,)) == []

@@ -1,4 +1,4 @@
-"""Which engine a choice gives."""
+"""Choice of an engine."""
 
 import pytest
 
@@ -17,7 +17,7 @@ BOTH = ("pybullet", "mujoco")
 
 
 @pytest.mark.parametrize("name", BOTH)
-def test_engine_is_the_one_that_is_asked_for(name: str) -> None:
+def test_chosen_engine_is_created(name: str) -> None:
     choice = EngineOptions(engine=parse_engine_name(name))
     engine = create_world_engine(EngineConfig(STEP_NS), choice, period_steps=3)
 
@@ -25,22 +25,22 @@ def test_engine_is_the_one_that_is_asked_for(name: str) -> None:
     engine.close()
 
 
-def test_engine_is_pybullet_when_none_is_asked_for() -> None:
+def test_engine_defaults_to_pybullet() -> None:
     assert (
         choose_engine(EngineOptions(engine=parse_engine_name("")), find_installed_engines())
         == "pybullet"
     )
 
 
-def test_engine_that_there_is_not_is_refused() -> None:
+def test_unknown_engine_is_refused() -> None:
     with pytest.raises(ValueError, match=r"ode.*pybullet.*mujoco"):
         parse_engine_name("ode")
 
 
-def test_engine_is_mujoco_where_pybullet_is_not_installed() -> None:
+def test_engine_defaults_to_mujoco_without_pybullet() -> None:
     assert choose_engine(EngineOptions(), ["mujoco"]) == "mujoco"
 
 
-def test_both_ways_to_an_engine_are_named_when_none_is_installed() -> None:
+def test_error_names_both_install_commands_when_none_is_installed() -> None:
     with pytest.raises(EngineMissing, match=r"\[server\].*\[server,mujoco\]"):
         choose_engine(EngineOptions(), [])

@@ -1,4 +1,4 @@
-"""What acts on links that gravity does not pull, or that slow down."""
+"""Gravity compensation and damping of links."""
 
 import math
 
@@ -24,11 +24,11 @@ def loads(*links: Link, is_static: bool = False) -> list[LinkForce]:
     return make_link_forces(make_blueprint(Model("m", links, joints, is_static=is_static)), G, DT_S)
 
 
-def test_nothing_acts_on_links_that_ask_for_nothing() -> None:
+def test_plain_links_have_no_forces() -> None:
     assert loads(Link("a", a_body()), Link("b", a_body())) == []
 
 
-def test_weightless_link_is_lifted_at_its_centre() -> None:
+def test_weightless_link_is_compensated_at_its_centre() -> None:
     (load,) = loads(Link("a", LOPSIDED, weightless=LOPSIDED))
 
     force, torque = load.wrench(UPRIGHT, np.ones(6))
@@ -38,7 +38,7 @@ def test_weightless_link_is_lifted_at_its_centre() -> None:
     assert torque == pytest.approx([0.0] * 3)
 
 
-def test_weightless_share_of_a_link_is_lifted_where_it_is() -> None:
+def test_weightless_share_of_a_link_is_compensated_at_its_own_centre() -> None:
     light = Inertial(0.5, (1.3, -0.2, 0.1))
     (load,) = loads(Link("a", LOPSIDED, weightless=light))
     principal = np.array(make_blueprint(Model("m", (Link("a", LOPSIDED),))).parts[0].principal)
@@ -49,7 +49,7 @@ def test_weightless_share_of_a_link_is_lifted_where_it_is() -> None:
     assert torque == pytest.approx([0.0, -5.0, 0.0])
 
 
-def test_link_that_slows_down_is_held_back_by_its_mass_and_inertia() -> None:
+def test_damping_of_a_link_scales_with_mass_and_inertia() -> None:
     _, load = loads(
         Link("a", a_body(), decay=Decay(1.0, 1.0)), Link("b", LOPSIDED, decay=Decay(2.0, 3.0))
     )
@@ -65,7 +65,7 @@ def test_link_that_slows_down_is_held_back_by_its_mass_and_inertia() -> None:
     assert torque == pytest.approx(-explicit_decay_rate(3.0, DT_S) * matrix @ [1.0, 0.5, -0.5])
 
 
-def test_nothing_acts_on_a_root_that_is_nailed_down() -> None:
+def test_fixed_root_has_no_forces() -> None:
     nailed = Link("a", a_body(), weightless=a_body())
     arm = Link("b", a_body(), (Shape("sphere", (0.1, 0.0, 0.0)),), weightless=a_body())
 
@@ -73,5 +73,5 @@ def test_nothing_acts_on_a_root_that_is_nailed_down() -> None:
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.5, 10.0, 1e4])
-def test_one_step_loses_what_the_decay_loses(rate: float) -> None:
+def test_explicit_rate_decays_as_much_as_the_exponential(rate: float) -> None:
     assert 1.0 - explicit_decay_rate(rate, DT_S) * DT_S == pytest.approx(math.exp(-rate * DT_S))

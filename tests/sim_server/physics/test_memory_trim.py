@@ -1,4 +1,4 @@
-"""Memory that holds only zeros is given back, and nothing else changes."""
+"""Release of zero pages."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ assert (blank == 3.5).all()
 """
 
 
-def test_pages_of_zeros_are_given_back_and_others_stay() -> None:
+def test_zero_pages_are_released_and_others_stay() -> None:
     done = subprocess.run(
         (sys.executable, "-c", PROGRAM),
         capture_output=True,
@@ -40,7 +40,7 @@ def test_pages_of_zeros_are_given_back_and_others_stay() -> None:
     assert freed > 13 << 20
 
 
-def test_nothing_is_given_back_where_another_thread_may_be_writing() -> None:
+def test_nothing_is_released_with_other_threads() -> None:
     is_over = threading.Event()
     thread = threading.Thread(target=is_over.wait)
     thread.start()

@@ -1,4 +1,4 @@
-"""What SDF describes behaves as it should in the engine."""
+"""SDF models in each engine."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ every_engine = pytest.mark.parametrize("make", PHYSICAL, ids=lambda make: make.n
 
 
 @every_engine
-def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn(make: MakeEngine) -> None:
+def test_sdf_robot_drives_at_the_speed_of_its_wheels(make: MakeEngine) -> None:
     model = read_sdf_model(PIONEER)
     engine = make(EngineConfig(STEP_NS))
     body = engine.add(model, a_state((0.0, 0.0, -find_ground_clearance(model))))
@@ -34,7 +34,7 @@ def test_robot_of_sdf_drives_as_fast_as_its_wheels_turn(make: MakeEngine) -> Non
 
 
 @every_engine
-def test_every_shelf_of_the_warehouse_holds_what_is_dropped_on_it(make: MakeEngine) -> None:
+def test_warehouse_shelves_hold_dropped_bodies(make: MakeEngine) -> None:
     engine = make(EngineConfig(STEP_NS))
     racks = next(
         p.model for p in read_world(read_builtin_world("warehouse")).models if "east" in p.name

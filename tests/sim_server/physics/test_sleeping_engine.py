@@ -1,4 +1,4 @@
-"""Bodies that hardly move sleep: they cost nothing, and wake when something is about to happen."""
+"""Sleep of bodies at rest."""
 
 from collections.abc import Iterator, Sequence
 
@@ -33,84 +33,88 @@ def a_reading(base: FloatArray, *positions: float) -> BodyStates:
     return BodyStates(base[None], np.array(positions), np.zeros(len(positions)))
 
 
-def calm_with(model: Model) -> SleepTracker:
-    calm = SleepTracker(STEPS)
-    calm.add(int(ONE[0]), model, 0.2, 0)
-    return calm
+def tracker_with(model: Model) -> SleepTracker:
+    tracker = SleepTracker(STEPS)
+    tracker.add(int(ONE[0]), model, 0.2, 0)
+    return tracker
 
 
-def is_calm_after(calm: SleepTracker, states: list[FloatArray]) -> bool:
-    """Compare a state at each step, and say whether the last is one of calm."""
-    return bool([calm.update(ONE, a_reading(state), step) for step, state in enumerate(states)][-1])
+def is_resting_after(tracker: SleepTracker, states: list[FloatArray]) -> bool:
+    """Update with a state at each step; return whether the body is at rest after the last."""
+    return bool(
+        [tracker.update(ONE, a_reading(state), step) for step, state in enumerate(states)][-1]
+    )
 
 
-def test_body_is_calm_when_it_has_stayed_for_long_enough() -> None:
-    calm = calm_with(a_box())
+def test_body_is_at_rest_after_the_delay() -> None:
+    tracker = tracker_with(a_box())
     states = [a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))] * (STEPS + 1)
 
-    assert not is_calm_after(calm, states[:-1])
-    assert is_calm_after(calm_with(a_box()), states)
+    assert not is_resting_after(tracker, states[:-1])
+    assert is_resting_after(tracker_with(a_box()), states)
 
 
 @pytest.mark.parametrize("each_m", [1e-4, 1e-3])
-def test_body_that_drifts_is_never_calm(each_m: float) -> None:
+def test_drifting_body_is_never_at_rest(each_m: float) -> None:
     states = [a_state((each_m * step, 0.0, 0.0)) for step in range(200)]
 
-    assert not any(is_calm_after(calm_with(a_box()), states[:n]) for n in range(1, 200, 7))
+    assert not any(is_resting_after(tracker_with(a_box()), states[:n]) for n in range(1, 200, 7))
 
 
-def test_body_that_turns_slowly_is_never_calm() -> None:
+def test_slowly_rotating_body_is_never_at_rest() -> None:
     states = [a_state(turn=(0.0, 0.0, 5e-4 * step)) for step in range(50)]
 
-    assert not is_calm_after(calm_with(a_box()), states)
+    assert not is_resting_after(tracker_with(a_box()), states)
 
 
-def test_body_whose_joint_swings_is_not_calm() -> None:
-    calm = calm_with(an_arm("revolute"))
+def test_body_with_a_moving_joint_is_not_at_rest() -> None:
+    tracker = tracker_with(an_arm("revolute"))
     still = a_state()
 
-    found = [calm.update(ONE, a_reading(still, 0.01 * step), step) for step in range(30)]
+    found = [tracker.update(ONE, a_reading(still, 0.01 * step), step) for step in range(30)]
 
-    assert not any(is_calm.any() for is_calm in found)
+    assert not any(is_resting.any() for is_resting in found)
 
 
-def test_robot_with_braked_wheels_may_creep_and_a_box_may_not() -> None:
+def test_robot_with_braked_wheels_has_larger_thresholds_than_a_box() -> None:
     assert choose_sleep_thresholds(a_box_bot()) == BRAKED_BODY_THRESHOLDS
     assert choose_sleep_thresholds(a_box()) == FREE_BODY_THRESHOLDS
 
 
-def test_body_that_stirs_begins_anew() -> None:
-    calm, states = calm_with(a_box()), [a_state()] * (STEPS + 1)
-    is_calm_after(calm, states)
+def test_moved_body_restarts_the_delay() -> None:
+    tracker, states = tracker_with(a_box()), [a_state()] * (STEPS + 1)
+    is_resting_after(tracker, states)
 
-    calm.mark_moved(int(ONE[0]), STEPS)
+    tracker.mark_moved(int(ONE[0]), STEPS)
 
-    assert not calm.update(ONE, a_reading(a_state()), STEPS + 1).any()
-
-
-def test_sleeper_keeps_its_pose_and_loses_its_velocity() -> None:
-    calm = calm_with(a_box_bot())
-
-    calm.store_asleep(ONE, a_reading(a_state((1.0, 0.0, 0.0), linear=(1e-4, 0.0, 0.0)), 0.5, -0.5))
-
-    assert calm.state[3] == SleepState.ASLEEP
-    assert calm.base[3].tolist() == a_state((1.0, 0.0, 0.0)).tolist()
-    assert calm.joints_of(ONE).tolist() == [0.5, -0.5]
+    assert not tracker.update(ONE, a_reading(a_state()), STEPS + 1).any()
 
 
-def test_room_is_made_for_more_bodies_and_more_joints() -> None:
-    calm = calm_with(a_box())
+def test_sleeping_body_keeps_its_pose_and_has_no_velocity() -> None:
+    tracker = tracker_with(a_box_bot())
 
-    calm.add(500, a_box_bot(), 0.1, 7)
+    tracker.store_asleep(
+        ONE, a_reading(a_state((1.0, 0.0, 0.0), linear=(1e-4, 0.0, 0.0)), 0.5, -0.5)
+    )
 
-    assert (calm.state[3], calm.state[500], calm.state[499]) == (
+    assert tracker.state[3] == SleepState.ASLEEP
+    assert tracker.base[3].tolist() == a_state((1.0, 0.0, 0.0)).tolist()
+    assert tracker.joints_of(ONE).tolist() == [0.5, -0.5]
+
+
+def test_tracker_grows_with_bodies_and_joints() -> None:
+    tracker = tracker_with(a_box())
+
+    tracker.add(500, a_box_bot(), 0.1, 7)
+
+    assert (tracker.state[3], tracker.state[500], tracker.state[499]) == (
         SleepState.AWAKE,
         SleepState.AWAKE,
         SleepState.UNKNOWN,
     )
 
 
-def test_what_something_acts_on_in_every_step_is_restless() -> None:
+def test_body_with_velocity_damping_never_sleeps() -> None:
     box = a_box()
     dragged = msgspec.structs.replace(box.links[0], decay=Decay(0.1, 0.1))
 
@@ -122,7 +126,7 @@ def test_what_something_acts_on_in_every_step_is_restless() -> None:
     )
 
 
-def test_others_are_reached_by_as_much_as_may_be_driven() -> None:
+def test_reach_grows_with_speed() -> None:
     others = np.array([[1.0, 0.0, 0.0], [1.5, 0.0, 0.0], [9.0, 0.0, 0.0]])
     slow, fast = a_state(), a_state(linear=(4.0, 0.0, 0.0))
     radius, radii = np.array([0.4]), np.full(3, 0.4)
@@ -138,12 +142,12 @@ def test_others_are_reached_by_as_much_as_may_be_driven() -> None:
 CONFIG = EngineConfig(STEP_NS)
 SECONDS = 240
 STANDING = 2 * SECONDS
-"""Steps after which what stands sleeps."""
+"""Steps after which standing bodies sleep."""
 SIZE_M = 0.2
 
 
-class Counting(PyBulletEngine):
-    """Counts the bodies that it reads."""
+class CountingEngine(PyBulletEngine):
+    """Counts bodies read."""
 
     def __init__(self, config: EngineConfig = CONFIG) -> None:
         super().__init__(config)
@@ -155,12 +159,12 @@ class Counting(PyBulletEngine):
 
 
 @pytest.fixture
-def inner() -> Counting:
-    return Counting()
+def inner() -> CountingEngine:
+    return CountingEngine()
 
 
 @pytest.fixture
-def engine(inner: Counting) -> Iterator[SleepingEngine]:
+def engine(inner: CountingEngine) -> Iterator[SleepingEngine]:
     found = SleepingEngine(inner, CONFIG)
     yield found
     found.close()
@@ -175,7 +179,7 @@ def base_of(engine: SleepingEngine, body: int) -> FloatArray:
 
 
 def stopped_box_bot(engine: SleepingEngine) -> int:
-    """Drive a robot, and stop it."""
+    """Add a robot, drive and stop it."""
     body = engine.add(a_box_bot(), box_bot_at())
     engine.command((body,), np.array([10.0, 10.0]))
     advance(engine, SECONDS)
@@ -183,7 +187,7 @@ def stopped_box_bot(engine: SleepingEngine) -> int:
     return body
 
 
-def test_robot_that_stands_sleeps_where_it_is(engine: SleepingEngine) -> None:
+def test_stopped_robot_sleeps_in_place(engine: SleepingEngine) -> None:
     body = stopped_box_bot(engine)
     advance(engine, SECONDS // 2)
     stopped = base_of(engine, body)
@@ -198,7 +202,7 @@ def test_robot_that_stands_sleeps_where_it_is(engine: SleepingEngine) -> None:
     assert not asleep[7:].any()
 
 
-def test_sleepers_are_not_read(engine: SleepingEngine, inner: Counting) -> None:
+def test_sleeping_bodies_are_not_read(engine: SleepingEngine, inner: CountingEngine) -> None:
     bodies = tuple(engine.add(a_box_bot(), box_bot_at(float(i))) for i in range(5))
     advance(engine, STANDING)
     inner.readings = 0
@@ -211,7 +215,9 @@ def test_sleepers_are_not_read(engine: SleepingEngine, inner: Counting) -> None:
     assert inner.readings == 0
 
 
-def test_reading_has_sleepers_and_others_in_the_order_asked_for(engine: SleepingEngine) -> None:
+def test_reading_keeps_the_requested_order_of_sleeping_and_awake_bodies(
+    engine: SleepingEngine,
+) -> None:
     robot, box = engine.add(a_box_bot(), box_bot_at(-3.0)), engine.add(a_box(), box_at(5.0))
     other = engine.add(a_box_bot(), box_bot_at(3.0))
     advance(engine, STANDING)
@@ -226,7 +232,7 @@ def test_reading_has_sleepers_and_others_in_the_order_asked_for(engine: Sleeping
     assert reading.joint_positions[:2] == pytest.approx([5.0, 5.0], abs=0.2)
 
 
-def test_sleeper_wakes_on_a_command_and_drives_as_one_that_was_awake(
+def test_sleeping_robot_wakes_on_a_command_and_drives(
     engine: SleepingEngine,
 ) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
@@ -241,7 +247,7 @@ def test_sleeper_wakes_on_a_command_and_drives_as_one_that_was_awake(
     assert base_of(engine, body)[0] == pytest.approx(0.35, abs=0.03)
 
 
-def test_same_command_again_wakes_nobody(engine: SleepingEngine) -> None:
+def test_repeated_command_wakes_no_body(engine: SleepingEngine) -> None:
     body = stopped_box_bot(engine)
 
     for _ in range(STANDING * 2):
@@ -251,7 +257,7 @@ def test_same_command_again_wakes_nobody(engine: SleepingEngine) -> None:
     assert engine.asleep == (body,)
 
 
-def test_robot_that_drives_never_sleeps(engine: SleepingEngine) -> None:
+def test_driven_robot_never_sleeps(engine: SleepingEngine) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
     engine.command((body,), np.array([0.02, 0.02]))
     start = base_of(engine, body)[0]
@@ -262,7 +268,7 @@ def test_robot_that_drives_never_sleeps(engine: SleepingEngine) -> None:
     assert base_of(engine, body)[0] - start == pytest.approx(4 * 0.02 * 0.035, abs=2e-3)
 
 
-def test_sleeper_is_pushed_as_hard_as_one_that_is_awake(engine: SleepingEngine) -> None:
+def test_wrench_moves_a_sleeping_body_as_an_awake_one(engine: SleepingEngine) -> None:
     body = engine.add(a_box(), box_at())
     advance(engine, STANDING)
     slept = engine.asleep
@@ -286,7 +292,7 @@ def test_sleeper_is_pushed_as_hard_as_one_that_is_awake(engine: SleepingEngine) 
     assert pushed == pytest.approx(expected, abs=0.06)
 
 
-def test_sleeper_wakes_before_somebody_drives_into_it(engine: SleepingEngine) -> None:
+def test_sleeping_body_wakes_before_a_robot_hits_it(engine: SleepingEngine) -> None:
     sleeper = engine.add(a_box(friction=0.2), box_at(1.0))
     robot = engine.add(a_box_bot(), box_bot_at())
     advance(engine, STANDING)
@@ -300,7 +306,7 @@ def test_sleeper_wakes_before_somebody_drives_into_it(engine: SleepingEngine) ->
     assert base_of(engine, robot)[0] < base_of(engine, sleeper)[0]
 
 
-def test_sleeper_far_from_a_driver_sleeps_on(engine: SleepingEngine) -> None:
+def test_sleeping_body_far_from_a_driving_robot_stays_asleep(engine: SleepingEngine) -> None:
     far, robot = engine.add(a_box(), box_at(20.0)), engine.add(a_box_bot(), box_bot_at())
     advance(engine, STANDING)
 
@@ -310,7 +316,7 @@ def test_sleeper_far_from_a_driver_sleeps_on(engine: SleepingEngine) -> None:
     assert engine.asleep == (far,)
 
 
-def test_what_stood_on_something_falls_when_it_is_gone(engine: SleepingEngine) -> None:
+def test_body_falls_when_the_one_below_is_removed(engine: SleepingEngine) -> None:
     below, above = engine.add(a_box(), box_at()), engine.add(a_box(), box_at(z=0.3))
     advance(engine, STANDING)
     slept = engine.asleep
@@ -322,7 +328,7 @@ def test_what_stood_on_something_falls_when_it_is_gone(engine: SleepingEngine) -
     assert base_of(engine, above)[2] == pytest.approx(0.1, abs=0.01)
 
 
-def test_what_stood_on_something_falls_when_it_is_moved_away(engine: SleepingEngine) -> None:
+def test_body_falls_when_the_one_below_is_moved(engine: SleepingEngine) -> None:
     below, above = engine.add(a_box(), box_at()), engine.add(a_box(), box_at(z=0.3))
     advance(engine, STANDING)
     slept = engine.asleep
@@ -348,7 +354,7 @@ def test_tower_sleeps_as_a_whole_and_wakes_as_a_whole(engine: SleepingEngine) ->
     assert heights == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9], abs=0.01)
 
 
-def test_box_dropped_on_a_sleeper_lands_on_it(engine: SleepingEngine) -> None:
+def test_box_dropped_on_a_sleeping_body_lands_on_it(engine: SleepingEngine) -> None:
     below = engine.add(a_box(), box_at())
     advance(engine, STANDING)
     slept = engine.asleep
@@ -361,7 +367,7 @@ def test_box_dropped_on_a_sleeper_lands_on_it(engine: SleepingEngine) -> None:
 
 
 @pytest.mark.parametrize("speed_mps", [0.001, 0.002, 0.01])
-def test_slow_slide_is_never_frozen(speed_mps: float) -> None:
+def test_slowly_sliding_body_never_sleeps(speed_mps: float) -> None:
     floating = EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False)
     engine = SleepingEngine(PyBulletEngine(floating), floating)
     state = a_state((0.0, 0.0, 0.0), linear=(speed_mps, 0.0, 0.0))
@@ -374,7 +380,7 @@ def test_slow_slide_is_never_frozen(speed_mps: float) -> None:
     engine.close()
 
 
-def test_sleeper_that_is_put_somewhere_moving_goes_on_moving(engine: SleepingEngine) -> None:
+def test_sleeping_body_keeps_a_velocity_that_is_set(engine: SleepingEngine) -> None:
     body = engine.add(a_box(), box_at())
     advance(engine, STANDING)
 
@@ -384,7 +390,9 @@ def test_sleeper_that_is_put_somewhere_moving_goes_on_moving(engine: SleepingEng
     assert base_of(engine, body)[0] == pytest.approx(0.5, abs=0.02)
 
 
-def test_sleeper_stands_still_in_bullet_too(engine: SleepingEngine, inner: Counting) -> None:
+def test_sleeping_body_does_not_move_in_bullet(
+    engine: SleepingEngine, inner: CountingEngine
+) -> None:
     body = stopped_box_bot(engine)
     advance(engine, STANDING)
     before = pybullet.getBasePositionAndOrientation(body, physicsClientId=client_of(inner))
@@ -394,7 +402,7 @@ def test_sleeper_stands_still_in_bullet_too(engine: SleepingEngine, inner: Count
     assert before == after
 
 
-def test_runs_with_sleepers_repeat_bit_for_bit() -> None:
+def test_runs_with_sleep_repeat_exactly() -> None:
     def run() -> list[list[float]]:
         engine = SleepingEngine(PyBulletEngine(CONFIG), CONFIG)
         bodies = tuple(engine.add(a_box_bot(), box_bot_at(0.3 * i)) for i in range(4))

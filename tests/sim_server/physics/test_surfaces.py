@@ -1,4 +1,4 @@
-"""What <gazebo> blocks say of links takes effect in each engine: each tag, measured."""
+"""Measured effect of each tag of <gazebo> blocks in each engine."""
 
 import math
 from collections.abc import Iterator
@@ -42,14 +42,14 @@ def a_cube(tags: str = "", *parts: str) -> Model:
     return read_urdf(a_robot(cube, *parts, a_reference("cube", tags)))
 
 
-def sunk(engine: Engine, tags: str) -> float:
+def find_penetration(engine: Engine, tags: str) -> float:
     body = engine.add(a_cube(tags), a_state((0.0, 0.0, 0.1)))
     advance(engine, 480)
     return 0.1 - float(engine.read([body]).base[0, 2])
 
 
-def slowed(engine: Engine, tags: str, heading: float, yaw: float = 0.0) -> float:
-    """Slide a cube along a heading of its own; how much slower it gets, in g."""
+def find_deceleration(engine: Engine, tags: str, heading: float, yaw: float = 0.0) -> float:
+    """Slide a cube along a heading; return its deceleration [g]."""
     way = (math.cos(heading + yaw), math.sin(heading + yaw))
     start = a_state((0.0, 0.0, 0.1), turn=(0.0, 0.0, yaw), linear=(2.0 * way[0], 2.0 * way[1], 0.0))
     body = engine.add(a_cube(tags), start)
@@ -61,21 +61,19 @@ def slowed(engine: Engine, tags: str, heading: float, yaw: float = 0.0) -> float
 
 @pytest.mark.parametrize("stiffness", [1e3, 1e4, 1e5])
 @pytest.mark.parametrize("damping", ["", "<kd>1</kd>", "<kd>100</kd>"])
-def test_cube_sinks_in_as_its_stiffness_says(
-    engine: Engine, stiffness: float, damping: str
-) -> None:
-    found = sunk(engine, f"<kp>{stiffness}</kp>{damping}")
+def test_cube_penetrates_by_its_stiffness(engine: Engine, stiffness: float, damping: str) -> None:
+    found = find_penetration(engine, f"<kp>{stiffness}</kp>{damping}")
 
     assert found == pytest.approx(G / (4.0 * stiffness), rel=0.05, abs=2e-5)
 
 
 @pytest.mark.parametrize("tags", ["", "<kp>1e12</kp><kd>1</kd>", "<kp>1e27</kp><kd>1e27</kd>"])
-def test_cube_sinks_nowhere_when_rigid(engine: Engine, tags: str) -> None:
-    assert abs(sunk(engine, tags)) < 5e-5
+def test_rigid_cube_does_not_penetrate(engine: Engine, tags: str) -> None:
+    assert abs(find_penetration(engine, tags)) < 5e-5
 
 
 @pytest.mark.parametrize("stiffness", ["1e4", "1e6", "1e8", "1e12"])
-def test_cube_put_into_the_ground_does_not_jump_out(engine: Engine, stiffness: str) -> None:
+def test_cube_spawned_in_the_ground_does_not_jump(engine: Engine, stiffness: str) -> None:
     body = engine.add(a_cube(f"<kp>{stiffness}</kp><kd>1</kd>"), a_state((0.0, 0.0, 0.08)))
 
     heights = []
@@ -94,25 +92,27 @@ def test_cube_slides_by_mu1_along_fdir1_and_by_mu2_across(
     engine: Engine, direction: str, along: float, yaw: float
 ) -> None:
     tags = f"<mu1>0.4</mu1><mu2>0.1</mu2><fdir1>{direction}</fdir1>"
-    # MuJoCo has one friction for all ways.
+    # MuJoCo has one friction for all directions.
     frictions = (0.4, 0.1) if engine.name == "pybullet" else (0.25, 0.25)
 
     # Measured against cubes of one friction: Bullet bounds friction by a square, not by a circle.
     for heading, friction in zip((along, along + math.pi / 2.0), frictions, strict=True):
-        plain = slowed(engine, f"<mu1>{friction}</mu1>", heading, yaw)
-        assert slowed(engine, tags, heading, yaw) == pytest.approx(plain, rel=0.2)
+        plain = find_deceleration(engine, f"<mu1>{friction}</mu1>", heading, yaw)
+        assert find_deceleration(engine, tags, heading, yaw) == pytest.approx(plain, rel=0.2)
 
 
 def test_cube_slides_by_the_mean_when_no_direction_is_given(engine: Engine) -> None:
     for heading in (0.0, 1.0):
-        plain = slowed(engine, "<mu1>0.3</mu1>", heading)
-        assert slowed(engine, "<mu1>0.4</mu1><mu2>0.2</mu2>", heading) == pytest.approx(plain)
+        plain = find_deceleration(engine, "<mu1>0.3</mu1>", heading)
+        assert find_deceleration(engine, "<mu1>0.4</mu1><mu2>0.2</mu2>", heading) == pytest.approx(
+            plain
+        )
 
 
 @pytest.mark.parametrize(
     "tag", ["<gravity>false</gravity>", "<turnGravityOff>true</turnGravityOff>"]
 )
-def test_link_that_gravity_does_not_pull_stays_in_the_air(engine: Engine, tag: str) -> None:
+def test_link_without_gravity_stays_in_the_air(engine: Engine, tag: str) -> None:
     body = engine.add(a_cube(tag), a_state((0.0, 0.0, 3.0), angular=(0.3, 0.2, 0.1)))
 
     advance(engine, 240)
@@ -132,7 +132,7 @@ def test_link_falls_when_its_gravity_is_on(engine: Engine, tag: str) -> None:
 
 
 def a_pendulum(tags: str, kind: str = "continuous") -> Model:
-    """An arm of 1 kg, 0.4 m ahead of the pin that holds it to the world."""
+    """An arm of 1 kg, 0.4 m from its joint with the world."""
     arm = an_inertial("1", "0.01", '<origin xyz="0.4 0 0"/>')
     place = '<origin xyz="0 0 2"/><axis xyz="0 1 0"/>'
     return read_urdf(
@@ -145,7 +145,7 @@ def a_pendulum(tags: str, kind: str = "continuous") -> Model:
     )
 
 
-def test_arm_that_gravity_does_not_pull_stays_level(engine: Engine) -> None:
+def test_arm_without_gravity_stays_level(engine: Engine) -> None:
     free, pulled = (
         engine.add(a_pendulum(tags), a_state()) for tags in ("<gravity>0</gravity>", "")
     )
@@ -157,10 +157,10 @@ def test_arm_that_gravity_does_not_pull_stays_level(engine: Engine) -> None:
     assert hanging > 0.2
 
 
-def test_merged_link_that_gravity_does_not_pull_lifts_its_own_weight_only(
+def test_merged_link_without_gravity_compensates_its_own_weight_only(
     engine: Engine,
 ) -> None:
-    """3 kg that fall and 1 kg that does not: three quarters of g, and the light end rises."""
+    """3 kg with and 1 kg without gravity: three quarters of g, and the light end rises."""
     parts = (
         a_link("tail", an_inertial("3", "0.02")),
         a_joint("j", ("cube", "tail"), inside='<origin xyz="-0.5 0 0"/>'),
@@ -177,7 +177,7 @@ def test_merged_link_that_gravity_does_not_pull_lifts_its_own_weight_only(
 
 @pytest.mark.parametrize("share", [0.001, 0.01, 0.5])
 @every_engine
-def test_link_slows_down_by_its_damping_factor(make: MakeEngine, share: float) -> None:
+def test_link_is_damped_by_its_damping_factor(make: MakeEngine, share: float) -> None:
     engine = make(EngineConfig(STEP_NS, gravity=(0.0, 0.0, 0.0), has_ground=False))
     start = a_state(linear=(2.0, 0.0, 0.0), angular=(0.0, 0.0, 3.0))
     body = engine.add(a_cube(f"<dampingFactor>{share}</dampingFactor>"), start)
@@ -192,7 +192,7 @@ def test_link_slows_down_by_its_damping_factor(make: MakeEngine, share: float) -
     assert row[12] == pytest.approx(3.0 * left, rel=0.01, abs=1e-6)
 
 
-def test_arm_slows_down_by_its_damping_factor(engine: Engine) -> None:
+def test_arm_is_damped_by_its_damping_factor(engine: Engine) -> None:
     damped, free = (
         engine.add(a_pendulum(tags), a_state())
         for tags in ("<dampingFactor>0.02</dampingFactor>", "")
@@ -205,7 +205,7 @@ def test_arm_slows_down_by_its_damping_factor(engine: Engine) -> None:
 
 
 def two_fingers(tags: str = "", model_tags: str = "") -> Model:
-    """Two balls on arms that fall towards each other, and would pass through."""
+    """Two balls on arms that fall towards each other."""
     palm = a_link("world") + a_link("palm", an_inertial())
     nail = a_joint("nail", ("world", "palm"))
     fingers = ""
@@ -221,8 +221,8 @@ def two_fingers(tags: str = "", model_tags: str = "") -> Model:
     )
 
 
-def gap_of(engine: Engine, model: Model) -> float:
-    """Push the balls together by gravity along y; how far apart their middles end."""
+def find_gap(engine: Engine, model: Model) -> float:
+    """Push the balls together by gravity along y; return the final distance of their centres."""
     body = engine.add(model, a_state())
     engine.set_at_rest(body, a_state(), np.array([0.1, 0.1]))
     advance(engine, 240)
@@ -239,16 +239,16 @@ def gap_of(engine: Engine, model: Model) -> float:
         ("", "<self_collide>true</self_collide>", True),
     ],
 )
-def test_links_of_a_model_touch_each_other_when_asked_to(
+def test_links_collide_with_self_collision_enabled(
     engine: Engine, tags: str, model_tags: str, *, do_touch: bool
 ) -> None:
-    gap = gap_of(engine, two_fingers(tags, model_tags))
+    gap = find_gap(engine, two_fingers(tags, model_tags))
 
     assert (gap > 0.19) == do_touch
 
 
-def test_links_that_a_joint_joins_do_not_touch(engine: Engine) -> None:
-    """The arm's ball is about its own pin, in the cube: touching would throw it out."""
+def test_links_of_one_joint_do_not_collide(engine: Engine) -> None:
+    """The ball encloses its joint, inside the cube: a contact would throw it out."""
     arm = a_link("arm", an_inertial("0.1", "0.001") + a_collision(BALL))
     pin = a_joint("pin", ("cube", "arm"), "continuous", '<axis xyz="0 0 1"/>')
     body = engine.add(a_cube("<selfCollide>true</selfCollide>", arm, pin), a_state((0.0, 0.0, 0.1)))
@@ -260,7 +260,7 @@ def test_links_that_a_joint_joins_do_not_touch(engine: Engine) -> None:
     assert abs(float(reading.joint_velocities[0])) < 1e-3
 
 
-def test_nothing_of_a_static_robot_moves(engine: Engine) -> None:
+def test_static_robot_does_not_move(engine: Engine) -> None:
     arm = a_link("arm", an_inertial("1", "0.01", '<origin xyz="0.4 0 0"/>'))
     pin = a_joint("pin", ("cube", "arm"), "continuous", '<axis xyz="0 1 0"/>')
     model = a_cube("", arm, pin, "<gazebo><static>true</static></gazebo>")
@@ -281,12 +281,10 @@ def moved(engine: Engine, body: int, start: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("ground", [1.0, 100.0])
 @every_engine
-def test_cube_keeps_its_own_friction_on_ground_that_is_rougher(
-    make: MakeEngine, ground: float
-) -> None:
+def test_cube_keeps_its_friction_on_rougher_ground(make: MakeEngine, ground: float) -> None:
     engine = make(EngineConfig(STEP_NS, ground_friction=ground))
 
-    found = slowed(engine, "<mu1>0.3</mu1>", 0.0)
+    found = find_deceleration(engine, "<mu1>0.3</mu1>", 0.0)
 
     engine.close()
     assert found == pytest.approx(0.3, rel=0.05)
@@ -301,7 +299,7 @@ def an_sdf_cube(link: str = "", surface: str = "", model: str = "") -> Model:
     )
 
 
-def test_sdf_links_touch_fall_and_slow_down_as_they_say(engine: Engine) -> None:
+def test_sdf_link_surface_gravity_and_damping_take_effect(engine: Engine) -> None:
     soft = "<contact><ode><kp>1000</kp><kd>1</kd></ode></contact>"
     decay = "<velocity_decay><linear>0.01</linear><angular>0.02</angular></velocity_decay>"
     sinking = engine.add(an_sdf_cube(surface=soft), a_state((0.0, 0.0, 0.1)))
@@ -319,7 +317,7 @@ def test_sdf_links_touch_fall_and_slow_down_as_they_say(engine: Engine) -> None:
     assert 0.1 - engine.read([sinking]).base[0, 2] == pytest.approx(G / 4000.0, rel=0.05)
 
 
-def test_sdf_models_and_links_may_touch_themselves() -> None:
+def test_sdf_self_collide_is_read_for_models_and_links() -> None:
     flag = "<self_collide>true</self_collide>"
 
     assert not an_sdf_cube().links[0].self_collides

@@ -1,4 +1,4 @@
-"""Which wheels resist rolling while they stand."""
+"""Contact parameters, self-collision and rolling resistance."""
 
 from collections.abc import Iterator
 
@@ -54,7 +54,7 @@ def test_rigid_part_has_its_friction_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize(("damping", "used"), [(1.0, 16.0), (100.0, 100.0)])
-def test_soft_part_is_damped_enough_not_to_jump(damping: float, used: float) -> None:
+def test_compliant_part_has_the_least_damping(damping: float, used: float) -> None:
     touch = make_contact_arguments(a_part(Contact(1000.0, damping)), DT_S, is_static=False)
 
     assert touch["contactStiffness"] == 1000.0
@@ -77,7 +77,7 @@ def test_frictions_of_two_directions_are_shares_of_the_greater(
 
 
 @pytest.mark.parametrize(("written", "used"), [(0.3, 0.3), (1.0, 1.0), (100.0, 1.0)])
-def test_what_stands_still_leaves_others_their_friction(written: float, used: float) -> None:
+def test_friction_of_static_bodies_is_limited(written: float, used: float) -> None:
     assert limit_static_body_friction(written) == used
     assert (
         make_contact_arguments(a_part(friction=written), DT_S, is_static=True)["lateralFriction"]
@@ -90,7 +90,7 @@ def test_what_stands_still_leaves_others_their_friction(written: float, used: fl
 
 
 def a_row(count: int, *asking: int) -> Model:
-    """Links one after another; each but the first has a slippery skin besides."""
+    """A chain of links; each but the first has a second, slippery surface."""
     slick = Shape("sphere", (0.1, 0.0, 0.0), friction=0.0)
     links = tuple(
         Link(f"l{i}", a_body(), (BALL, slick) if i else (BALL,), self_collides=i in asking)
@@ -106,13 +106,13 @@ def touching_of(model: Model) -> set[tuple[int, int]]:
     }
 
 
-def test_parts_touch_where_either_link_asks_and_no_joint_joins_them() -> None:
-    # Parts -1 to 2 are the links, 3 to 5 the skins of the last three.
+def test_parts_collide_if_either_link_enables_it_and_no_joint_joins_them() -> None:
+    # Parts -1 to 2 are the links, 3 to 5 the second surfaces of the last three.
     assert touching_of(a_row(4, 0)) == {(-1, 1), (-1, 2), (-1, 4), (-1, 5)}
     assert touching_of(a_row(4)) == set()
 
 
-def test_body_touches_itself_only_when_a_link_asks() -> None:
+def test_self_collision_needs_a_link_that_enables_it() -> None:
     assert has_self_collision(a_row(2, 1).links)
     assert not has_self_collision(a_row(2).links)
 
@@ -124,7 +124,7 @@ def engine() -> Iterator[PyBulletEngine]:
     found.close()
 
 
-def test_wheels_with_motors_resist_by_their_radius() -> None:
+def test_rolling_resistance_scales_with_the_radius() -> None:
     model = a_box_bot()
 
     holds = dict(find_rolling_frictions(model, make_blueprint(model)))
@@ -135,11 +135,11 @@ def test_wheels_with_motors_resist_by_their_radius() -> None:
     }
 
 
-def test_what_has_no_motors_rolls_freely() -> None:
+def test_wheels_without_motors_have_no_rolling_resistance() -> None:
     assert find_rolling_frictions(a_box(), make_blueprint(a_box())) == ()
 
 
-def test_wheels_resist_rolling_while_they_are_told_to_stand(engine: PyBulletEngine) -> None:
+def test_rolling_resistance_is_on_while_targets_are_zero(engine: PyBulletEngine) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
     born = [part.rolling_friction for part in dynamics_of(engine, body)]
 

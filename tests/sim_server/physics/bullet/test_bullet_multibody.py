@@ -1,4 +1,4 @@
-"""Joints of each engine: followers, damping, chains of planar and floating joints, nails."""
+"""Joints in each engine: mimic, damping, planar and floating chains, fixed roots."""
 
 import math
 from collections.abc import Iterator
@@ -24,7 +24,7 @@ from zensim.sim_server.physics.engine import Engine
 from zensim.sim_server.physics.engine_config import EngineConfig
 
 
-def test_shapes_of_alike_parts_are_made_once() -> None:
+def test_equal_shapes_are_created_once() -> None:
     made: list[object] = []
 
     def make(**solids: object) -> int:
@@ -62,7 +62,7 @@ def a_finger(number: int, kind: str, mimic: str = "", tip: str = "0.1 0 0") -> s
 
 
 def a_gripper(mimic: str, kind: str = "continuous") -> Model:
-    """A palm nailed to the world; j1 falls, j2 weighs nothing much and follows it."""
+    """A fixed palm; j1 falls, and j2, which is light, mimics it."""
     return read_urdf(
         a_robot(
             a_link("world"),
@@ -78,7 +78,7 @@ def a_gripper(mimic: str, kind: str = "continuous") -> Model:
     ("kind", "multiplier", "offset"),
     [("continuous", 1.0, 0.0), ("continuous", -1.0, 0.2), ("revolute", 0.5, 0.0)],
 )
-def test_joint_follows_another_as_its_mimic_says(
+def test_mimic_joint_follows_its_leader(
     engine: Engine, kind: str, multiplier: float, offset: float
 ) -> None:
     mimic = f'<mimic joint="j1" multiplier="{multiplier}" offset="{offset}"/>'
@@ -90,7 +90,7 @@ def test_joint_follows_another_as_its_mimic_says(
         assert follower == pytest.approx(multiplier * leader + offset, abs=0.02)
 
 
-def test_joint_slides_as_another_turns_when_it_mimics_it(engine: Engine) -> None:
+def test_prismatic_joint_mimics_a_revolute_one(engine: Engine) -> None:
     body = engine.add(
         a_gripper('<mimic joint="j1" multiplier="0.1"/>', "prismatic"), a_state((0.0, 0.0, 2.0))
     )
@@ -102,7 +102,7 @@ def test_joint_slides_as_another_turns_when_it_mimics_it(engine: Engine) -> None
     assert follower == pytest.approx(0.1 * leader, abs=5e-3)
 
 
-def test_engine_takes_followers_out_and_puts_others_in(engine: Engine) -> None:
+def test_engine_removes_and_adds_bodies_with_mimic_joints(engine: Engine) -> None:
     model = a_gripper('<mimic joint="j1"/>')
     for _ in range(20):
         engine.remove(engine.add(model, a_state((0.0, 0.0, 2.0))))
@@ -144,7 +144,7 @@ def test_damped_wheel_without_much_inertia_slows_down(engine: Engine) -> None:
     assert abs(float(engine.read([body]).joint_velocities[0])) < 1e-3
 
 
-def test_as_many_damped_joints_as_may_be_left_are_simulated(engine: Engine) -> None:
+def test_body_with_the_most_damped_joints_is_simulated(engine: Engine) -> None:
     spines = "".join(
         a_link(f"s{i}", an_inertial("0.1", "0.001"))
         + a_joint(f"j{i}", ("body", f"s{i}"), "continuous", '<dynamics damping="0.5"/>')
@@ -194,7 +194,7 @@ def test_link_stays_in_its_plane_when_its_joint_is_planar(
     assert turn == pytest.approx(0.0, abs=1e-6)
 
 
-def test_arm_on_a_nailed_root_has_the_inertia_of_its_model() -> None:
+def test_arm_on_a_fixed_root_has_the_inertia_of_its_model() -> None:
     engine = PyBulletEngine(EngineConfig(STEP_NS))
     body = engine.add(an_arm("continuous"), a_state((0.0, 0.0, 5.0)))
 
@@ -204,7 +204,7 @@ def test_arm_on_a_nailed_root_has_the_inertia_of_its_model() -> None:
     assert sorted(hanging.inertia) == pytest.approx([0.01] * 3)
 
 
-def test_nailed_root_stays_where_it_was_put(engine: Engine) -> None:
+def test_fixed_root_stays_in_place(engine: Engine) -> None:
     place = a_state((1.0, 2.0, 3.0), turn=(0.1, 0.2, 0.3))
     body = engine.add(a_gripper(""), place)
 

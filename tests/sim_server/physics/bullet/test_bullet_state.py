@@ -1,4 +1,4 @@
-"""States go from root links to their centres of mass and back."""
+"""Conversion of states between root links and centres of mass."""
 
 from collections.abc import Sequence
 
@@ -80,7 +80,7 @@ def test_state_of_a_root_link_comes_back_from_that_of_its_centre(
     assert back[7:] == pytest.approx(state[7:], abs=1e-9)
 
 
-def test_centre_goes_round_a_root_link_that_turns() -> None:
+def test_centre_of_mass_moves_around_a_rotating_root_link() -> None:
     roots = ComFrames()
     roots.add(0, make_blueprint(a_lopsided_box()).parts[0])
 
@@ -90,7 +90,7 @@ def test_centre_goes_round_a_root_link_that_turns() -> None:
     assert com[7:10] == pytest.approx([0.4, 0.6, 0.0])
 
 
-def test_body_whose_number_is_used_again_has_the_root_of_its_own() -> None:
+def test_reused_body_number_has_new_offsets() -> None:
     roots = ComFrames()
     roots.add(0, make_blueprint(a_lopsided_box()).parts[0])
     roots.add(0, make_blueprint(a_box()).parts[0])

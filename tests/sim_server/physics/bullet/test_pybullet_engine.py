@@ -1,17 +1,18 @@
-"""PyBulletEngine beyond the contract: masses, frictions, limits, and what Bullet cannot do."""
+"""PyBulletEngine beyond the contract: masses, frictions, limits, pool, sleep."""
 
 import ctypes
 import math
 import os
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import msgspec
 import numpy as np
 import pybullet
 import pytest
 
-from tests.engines import STEP_NS, advance
+from tests.engines import STEP_NS, advance, running
 from tests.models import (
     a_body,
     a_box,
@@ -54,7 +55,7 @@ def print_from_c(text: str) -> None:
     libc.puts(text.encode())
 
 
-def test_silence_swallows_both_streams_of_c_code(capfd: pytest.CaptureFixture[str]) -> None:
+def test_suppress_output_discards_both_streams_of_c_code(capfd: pytest.CaptureFixture[str]) -> None:
     with suppress_output():
         print_from_c("from puts")
         os.write(1, b"to stdout\n")
@@ -64,7 +65,7 @@ def test_silence_swallows_both_streams_of_c_code(capfd: pytest.CaptureFixture[st
     assert (said.out, said.err) == ("", "")
 
 
-def test_silence_ends_with_its_block(capfd: pytest.CaptureFixture[str]) -> None:
+def test_suppress_output_ends_with_its_block(capfd: pytest.CaptureFixture[str]) -> None:
     with suppress_output():
         pass
     os.write(1, b"to stdout\n")
@@ -74,7 +75,7 @@ def test_silence_ends_with_its_block(capfd: pytest.CaptureFixture[str]) -> None:
     assert (said.out, said.err) == ("to stdout\n", "to stderr\n")
 
 
-def test_silence_keeps_what_was_said_before(capfd: pytest.CaptureFixture[str]) -> None:
+def test_suppress_output_keeps_earlier_output(capfd: pytest.CaptureFixture[str]) -> None:
     sys.stdout.write("before\n")
     print_from_c("before, from C")
 
@@ -84,7 +85,7 @@ def test_silence_keeps_what_was_said_before(capfd: pytest.CaptureFixture[str]) -
     assert set(capfd.readouterr().out.splitlines()) == {"before", "before, from C"}
 
 
-def test_silence_ends_when_something_fails_inside(capfd: pytest.CaptureFixture[str]) -> None:
+def test_suppress_output_ends_on_an_exception(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(KeyError), suppress_output():
         raise KeyError
 
@@ -93,7 +94,7 @@ def test_silence_ends_when_something_fails_inside(capfd: pytest.CaptureFixture[s
     assert capfd.readouterr().out == "heard\n"
 
 
-def test_silence_leaves_no_file_open() -> None:
+def test_suppress_output_leaves_no_file_open() -> None:
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208  a list of numbers, not of paths
 
     for _ in range(5):
@@ -167,7 +168,7 @@ def test_body_has_the_inertia_of_its_model(
         assert part.com == pytest.approx(link.inertial.com_in_link, abs=1e-9)
 
 
-def test_body_casters_slide_on_a_massless_part_of_their_own(engine: PyBulletEngine) -> None:
+def test_body_casters_are_a_massless_part(engine: PyBulletEngine) -> None:
     body = engine.add(a_box_bot(), box_bot_at())
 
     chassis, left, right, casters = dynamics_of(engine, body)
@@ -185,7 +186,7 @@ def test_body_that_is_driven_neither_bounces_nor_brakes_by_rolling(engine: PyBul
         assert (part.restitution, part.rolling_friction, part.spinning_friction) == (0, 0, 0)
 
 
-def test_body_falls_as_gravity_says_when_its_mass_is_off_centre(engine: PyBulletEngine) -> None:
+def test_body_with_offset_mass_falls_by_gravity(engine: PyBulletEngine) -> None:
     start = a_state((1.0, 2.0, 100.0), turn=(0.3, -0.2, 1.0))
     body = engine.add(a_lopsided_box(), start)
     steps = 240
@@ -294,7 +295,7 @@ def test_engine_refuses_a_shape_that_it_cannot_make(engine: PyBulletEngine, shap
     assert bodies_in(engine) == 1
 
 
-def test_engine_refuses_a_robot_of_more_parts_than_bullet_reads_back(
+def test_engine_refuses_a_robot_with_too_many_parts(
     engine: PyBulletEngine,
 ) -> None:
     with pytest.raises(EngineRefused, match=rf"{MAX_PARTS + 1}.*{MAX_PARTS}"):
@@ -303,7 +304,7 @@ def test_engine_refuses_a_robot_of_more_parts_than_bullet_reads_back(
     assert bodies_in(engine) == 1
 
 
-def test_engine_simulates_a_robot_of_as_many_parts_as_bullet_reads_back(
+def test_engine_simulates_a_robot_with_the_most_parts(
     engine: PyBulletEngine,
 ) -> None:
     body = engine.add(a_many_legged(MAX_PARTS - 1), a_state((0.0, 0.0, 5.0)))
@@ -318,9 +319,7 @@ def test_engine_simulates_a_robot_of_as_many_parts_as_bullet_reads_back(
     [a_model_of(Shape("mesh", mesh="a.stl")), an_arm("planar"), a_many_legged(MAX_PARTS)],
     ids=["shape", "joint", "parts"],
 )
-def test_engine_keeps_nothing_of_a_model_that_it_refused(
-    engine: PyBulletEngine, model: Model
-) -> None:
+def test_engine_leaks_nothing_of_a_refused_model(engine: PyBulletEngine, model: Model) -> None:
     before = next_shape(engine)
 
     for _ in range(3):
@@ -343,7 +342,7 @@ def test_engine_shares_shapes_among_robots_that_differ_by_namespace(
     assert next_shape(engine) == before
 
 
-def test_engine_makes_no_more_shapes_when_robots_come_and_go(engine: PyBulletEngine) -> None:
+def test_engine_reuses_shapes_when_robots_are_respawned(engine: PyBulletEngine) -> None:
     engine.remove(engine.add(a_box_bot(), box_bot_at()))
     before = next_shape(engine)
 
@@ -355,7 +354,7 @@ def test_engine_makes_no_more_shapes_when_robots_come_and_go(engine: PyBulletEng
     assert bodies_in(engine) == 2
 
 
-def test_engine_brings_a_parked_body_back_as_if_new(engine: PyBulletEngine) -> None:
+def test_engine_reuses_a_parked_body_as_new(engine: PyBulletEngine) -> None:
     fresh = engine.add(a_box_bot(), box_bot_at())
     engine.command([fresh], np.array([5.0, 3.0]))
     advance(engine, 240)
@@ -373,7 +372,7 @@ def test_engine_brings_a_parked_body_back_as_if_new(engine: PyBulletEngine) -> N
     assert engine.read([again]).joint_positions == pytest.approx(driven.joint_positions, abs=1e-6)
 
 
-def test_engine_body_flies_on_although_its_twin_is_parked(space: PyBulletEngine) -> None:
+def test_engine_body_moves_on_when_its_twin_is_parked(space: PyBulletEngine) -> None:
     space.remove(space.add(a_box(), a_state()))
     advance(space, 600)
 
@@ -383,7 +382,7 @@ def test_engine_body_flies_on_although_its_twin_is_parked(space: PyBulletEngine)
     assert space.read([body]).base[0, 0] == pytest.approx(2.0, abs=1e-3)
 
 
-def test_engine_parked_body_is_in_nobodys_way(engine: PyBulletEngine) -> None:
+def test_engine_parked_body_collides_with_nothing(engine: PyBulletEngine) -> None:
     gone = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
     engine.remove(gone)
     falling = engine.add(a_lopsided_box(), a_state((0.0, 0.0, 0.5)))
@@ -406,7 +405,7 @@ def test_engine_robot_still_collides_when_its_twin_was_removed(engine: PyBulletE
     assert engine.read([lower, upper]).base[:, 2] == pytest.approx([0.1, 0.3], abs=2e-3)
 
 
-def test_engine_tells_roots_of_more_bodies_than_it_first_has_room_for(
+def test_engine_reads_more_bodies_than_the_initial_capacity(
     space: PyBulletEngine,
 ) -> None:
     bodies = [space.add(a_lopsided_box(), a_state((float(x), 0.0, 0.0))) for x in range(200)]
@@ -432,9 +431,7 @@ def test_engine_stays_finite_when_a_target_is_huge(engine: PyBulletEngine, targe
     assert other[:3] == pytest.approx([0.0, 5.0, 0.06], abs=1e-4)
 
 
-def test_engine_says_nothing_on_the_terminal(
-    engine: PyBulletEngine, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_engine_prints_nothing(engine: PyBulletEngine, capfd: pytest.CaptureFixture[str]) -> None:
     for model in (a_box_bot(), a_lopsided_box(), an_arm("prismatic")):
         body = engine.add(model, a_state((0.0, 0.0, 1.0)))
         advance(engine, 5)
@@ -453,3 +450,41 @@ def test_engine_disconnects_when_closed() -> None:
     engine.close()
 
     assert not pybullet.isConnected(client_of(engine))
+
+
+def test_body_woken_in_a_step_has_the_last_state_set_in_it() -> None:
+    with running(PyBulletEngine) as engine:
+        engine.remove(engine.add(a_cart(), on_ground()))
+        advance(engine, 10)
+        body = engine.add(a_cart(), on_ground())
+        flying = a_state((0.0, 0.0, 50.0), angular=(0.0, 0.0, 1.0))
+
+        engine.set_state(body, on_ground(3.0), np.zeros(2), np.full(2, 4.0))
+        engine.set_at_rest(body, flying)
+        advance(engine, 3)
+
+        reading = engine.read([body])
+        assert reading.base[0, 12] == pytest.approx(1.0, abs=0.01)
+        assert reading.joint_velocities == pytest.approx([0.0, 0.0], abs=0.01)
+
+
+def test_awake_pooled_body_is_reused_with_a_velocity() -> None:
+    with running(partial(PyBulletEngine, awake=1)) as engine:
+        first = [engine.add(a_cart(), on_ground(5.0 * x)) for x in range(3)]
+        for body in first:
+            engine.remove(body)
+        advance(engine, 2)
+        moving = on_ground()
+        moving[7] = 0.5
+
+        for x in range(3):  # each is awake, or was woken when the previous was reused
+            moving[0] = 5.0 * x
+            body = engine.add(a_cart(), moving)
+            engine.set_state(body, moving, np.zeros(2), np.full(2, 10.0))
+            engine.command([body], np.full(2, 10.0))
+            engine.step()
+
+            assert body in first
+            found = engine.read([body]).base[0]
+            assert found[0] == pytest.approx(5.0 * x + 0.5 * STEP_NS * 1e-9, abs=2e-4)
+            assert found[7] == pytest.approx(0.5, rel=0.02)

@@ -1,4 +1,4 @@
-"""Casts are made once, by whoever asks first, and the larger ones besides."""
+"""Cache of compiled models."""
 
 from threading import Event, get_ident
 
@@ -11,72 +11,72 @@ from zensim.sim_server.physics.mujoco.compile_cache import CompileCache
 from zensim.sim_server.physics.mujoco.slot_layout import Archetype, SlotCounts
 
 CONFIG = EngineConfig(STEP_NS)
-MAKE = Archetype((), (), is_static=False)
+ARCHETYPE = Archetype((), (), is_static=False)
 WITHIN_S = 10.0
 
 
-class Workshop:
-    """Says which casts were made, and by which threads."""
+class RecordingCompiler:
+    """Records which models were compiled, and by which threads."""
 
     def __init__(self) -> None:
-        self.made: list[int] = []
+        self.compiled: list[int] = []
         self.threads: set[int] = set()
-        self.may_go_on = Event()
-        self.may_go_on.set()
+        self.may_continue = Event()
+        self.may_continue.set()
 
-    def make(self, cast: SlotCounts, _: EngineConfig) -> int:
-        self.may_go_on.wait(WITHIN_S)
+    def compile(self, counts: SlotCounts, _: EngineConfig) -> int:
+        self.may_continue.wait(WITHIN_S)
         self.threads.add(get_ident())
-        self.made.append(cast[0][1])
-        if cast[0][1] == 13:
-            raise ValueError("unlucky")
-        return cast[0][1]
+        self.compiled.append(counts[0][1])
+        if counts[0][1] == 13:
+            raise ValueError("invalid")
+        return counts[0][1]
 
 
-def of(slots: int) -> SlotCounts:
-    return ((MAKE, slots),)
+def counts_of(slots: int) -> SlotCounts:
+    return ((ARCHETYPE, slots),)
 
 
-def test_cast_is_made_once_by_who_asks() -> None:
-    shop = Workshop()
-    foundry = CompileCache(shop.make)
+def test_model_is_compiled_once_by_the_caller() -> None:
+    compiler = RecordingCompiler()
+    cache = CompileCache(compiler.compile)
 
-    found = [foundry.compile(of(4), CONFIG) for _ in range(2)]
+    found = [cache.compile(counts_of(4), CONFIG) for _ in range(2)]
 
     assert found == [4, 4]
-    assert shop.made == [4]
-    assert shop.threads == {get_ident()}
+    assert compiler.compiled == [4]
+    assert compiler.threads == {get_ident()}
 
 
-def test_what_is_not_ready_is_made_besides() -> None:
-    shop = Workshop()
-    foundry = CompileCache(shop.make)
-    shop.may_go_on.clear()
+def test_missing_model_is_compiled_on_the_thread() -> None:
+    compiler = RecordingCompiler()
+    cache = CompileCache(compiler.compile)
+    compiler.may_continue.clear()
 
-    assert not foundry.is_ready(of(8), CONFIG)
+    assert not cache.is_ready(counts_of(8), CONFIG)
 
-    shop.may_go_on.set()
-    eventually(lambda: foundry.is_ready(of(8), CONFIG) or None, WITHIN_S, "a cast")
-    assert foundry.compile(of(8), CONFIG) == 8
-    assert shop.made == [8]
-    assert get_ident() not in shop.threads
+    compiler.may_continue.set()
+    eventually(lambda: cache.is_ready(counts_of(8), CONFIG) or None, WITHIN_S, "compilation")
+    assert cache.compile(counts_of(8), CONFIG) == 8
+    assert compiler.compiled == [8]
+    assert get_ident() not in compiler.threads
 
 
-def test_larger_casts_are_made_ahead_as_far_as_cells_go() -> None:
-    shop = Workshop()
-    foundry = CompileCache(shop.make)
+def test_larger_models_are_compiled_ahead_up_to_the_cell_size() -> None:
+    compiler = RecordingCompiler()
+    cache = CompileCache(compiler.compile)
 
     for slots in (8, 32, 128, 256):
-        foundry.compile_ahead(of(slots), MAKE, CONFIG)
+        cache.compile_ahead(counts_of(slots), ARCHETYPE, CONFIG)
 
-    assert foundry.compile(of(256), CONFIG) == 256
-    assert shop.made == [64, 128, 256]
+    assert cache.compile(counts_of(256), CONFIG) == 256
+    assert compiler.compiled == [64, 128, 256]
 
 
-def test_what_cannot_be_made_is_refused_to_everybody() -> None:
-    foundry = CompileCache(Workshop().make)
+def test_failed_compilation_raises_for_each_caller() -> None:
+    cache = CompileCache(RecordingCompiler().compile)
 
     for _ in range(2):
-        with pytest.raises(ValueError, match="unlucky"):
-            foundry.compile(of(13), CONFIG)
-    assert foundry.is_ready(of(13), CONFIG)
+        with pytest.raises(ValueError, match="invalid"):
+            cache.compile(counts_of(13), CONFIG)
+    assert cache.is_ready(counts_of(13), CONFIG)

@@ -1,4 +1,4 @@
-"""Meshes in convex pieces."""
+"""Convex pieces of meshes."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (
 
 
 def a_cuboid(low: tuple[float, float, float], high: tuple[float, float, float]) -> HullPoints:
-    """Triangles (36, 3) of a cuboid, fronts outward."""
+    """Triangles (36, 3) of a cuboid, facing outward."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     corners = np.array(low) + corners * (np.array(high) - np.array(low))
     faces = [face for a, b, c, d in QUADS for face in ((a, b, c), (a, c, d))]
@@ -22,11 +22,11 @@ def a_cuboid(low: tuple[float, float, float], high: tuple[float, float, float]) 
 
 
 def a_room() -> HullPoints:
-    """The inside of a cuboid: fronts inward."""
+    """A cuboid facing inward."""
     return a_cuboid((0, 0, 0), (4, 4, 2)).reshape(-1, 3, 3)[:, ::-1].reshape(-1, 3)
 
 
-def test_what_moves_is_one_hull() -> None:
+def test_moving_mesh_is_one_hull() -> None:
     both = np.concatenate([a_cuboid((0, 0, 0), (1, 1, 1)), a_cuboid((3, 0, 0), (4, 1, 1))])
 
     (piece,) = split_into_convex_pieces(both, is_static=False)
@@ -34,7 +34,7 @@ def test_what_moves_is_one_hull() -> None:
     assert len(piece) == 16
 
 
-def test_what_is_static_stays_whole_where_it_is_its_own_hull() -> None:
+def test_convex_component_of_a_static_mesh_stays_whole() -> None:
     both = np.concatenate([a_cuboid((0, 0, 0), (1, 1, 1)), a_cuboid((3, 0, 0), (4, 1, 1))])
 
     found = split_into_convex_pieces(both, is_static=True)
@@ -43,7 +43,7 @@ def test_what_is_static_stays_whole_where_it_is_its_own_hull() -> None:
     assert found[1][:, 0].min() == 3.0
 
 
-def test_room_is_a_thin_piece_a_triangle() -> None:
+def test_concave_mesh_is_a_thin_piece_per_triangle() -> None:
     found = split_into_convex_pieces(a_room(), is_static=True)
 
     assert [len(piece) for piece in found] == [6] * 12
@@ -70,7 +70,7 @@ def test_triangle_is_thick_behind_its_front() -> None:
     ],
     ids=["plane", "line", "point"],
 )
-def test_flat_points_get_a_thickness(points: HullPoints) -> None:
+def test_flat_points_are_thickened(points: HullPoints) -> None:
     found = thicken(points)
 
     assert np.linalg.matrix_rank(found - found[0], tol=1e-9) == 3

@@ -1,4 +1,4 @@
-"""MuJoCo's engine: slots come and go, casts change, and nobody notices."""
+"""MujocoEngine beyond the contract: slots and recompiled models."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,9 +18,7 @@ from zensim.sim_server.physics.mujoco.mujoco_engine import MujocoEngine, find_ne
 
 
 @pytest.mark.parametrize(("x", "is_near"), [(2.9, True), (3.1, False), (-1.9, True), (-2.1, False)])
-def test_geometry_is_nearby_when_its_ball_reaches_into_that_of_a_body(
-    x: float, *, is_near: bool
-) -> None:
+def test_geometry_is_near_when_its_sphere_meets_that_of_a_body(x: float, *, is_near: bool) -> None:
     centres = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [x, 0.0, 0.0]])
     radii = np.array([0.5, 0.5, 1.4])
 
@@ -46,7 +44,7 @@ def engine() -> Iterator[Engine]:
 
 
 def drive_on(*, with_others: bool) -> bytes:
-    """Drive two box_bots into each other while robots of other makes come and go."""
+    """Drive two box_bots into each other while other archetypes are added and removed."""
     engine = MujocoEngine(EngineConfig(STEP_NS))
     model = a_box_bot()
     pair = [engine.add(model, box_bot_at(0.0)), engine.add(model, box_bot_at(0.3, 0.01, np.pi))]
@@ -67,11 +65,11 @@ def drive_on(*, with_others: bool) -> bytes:
     return reading.base.tobytes() + reading.joint_positions.tobytes()
 
 
-def test_robots_go_on_bit_by_bit_when_their_cast_is_compiled_anew() -> None:
+def test_robots_continue_exactly_when_their_model_is_recompiled() -> None:
     assert drive_on(with_others=True) == drive_on(with_others=False)
 
 
-def test_robots_of_different_makes_push_each_other(engine: Engine) -> None:
+def test_robots_of_different_archetypes_collide(engine: Engine) -> None:
     box = engine.add(a_box(), a_state((0.5, 0.0, 0.1)))
     cart = engine.add(a_cart(), on_ground())
 
@@ -83,7 +81,7 @@ def test_robots_of_different_makes_push_each_other(engine: Engine) -> None:
     assert x_box - x_cart > 0.2
 
 
-def test_robot_spawned_inside_another_leaves_both_whole(engine: Engine) -> None:
+def test_robot_spawned_inside_another_stays_finite(engine: Engine) -> None:
     model = a_box_bot()
     bodies = [engine.add(model, box_bot_at(0.01 * i)) for i in range(3)]
 
@@ -95,7 +93,7 @@ def test_robot_spawned_inside_another_leaves_both_whole(engine: Engine) -> None:
     assert np.abs(reading.base[:, 2] - 0.055).max() < 0.02
 
 
-def test_engine_says_that_a_broken_body_is_there_and_the_others_go_on(engine: Engine) -> None:
+def test_engine_reports_a_diverged_body_and_the_others_continue(engine: Engine) -> None:
     model = a_box_bot()
     broken, other = engine.add(model, box_bot_at()), engine.add(model, box_bot_at(0.101))
     engine.command([other], np.array([4.0, 4.0]))
@@ -114,7 +112,7 @@ def test_engine_says_that_a_broken_body_is_there_and_the_others_go_on(engine: En
     assert engine.read([broken]).base[0, 0] == pytest.approx(-1.0, abs=1e-3)
 
 
-def test_forgotten_bodies_leave_no_empty_slots(engine: Engine) -> None:
+def test_forget_removed_drops_empty_slots(engine: Engine) -> None:
     bodies = [engine.add(a_box(), a_state((float(i), 0.0, 0.1))) for i in range(9)]
     for body in bodies[:8]:
         engine.remove(body)
@@ -131,7 +129,7 @@ def a_mesh(folder: Path, corners: np.ndarray[tuple[int, ...], np.dtype[np.float6
     return Shape("mesh", (1.0, 1.0, 1.0), mesh="room")
 
 
-def test_robot_stands_and_stops_inside_a_room_of_triangles(tmp_path: Path) -> None:
+def test_robot_drives_inside_a_concave_mesh(tmp_path: Path) -> None:
     engine = MujocoEngine(EngineConfig(STEP_NS, has_ground=False, mesh_folder=str(tmp_path)))
     room = Model("room", (Link("room", collisions=(a_mesh(tmp_path, a_room()),)),), is_static=True)
     engine.add(room, a_state())
@@ -147,7 +145,7 @@ def test_robot_stands_and_stops_inside_a_room_of_triangles(tmp_path: Path) -> No
     assert z == pytest.approx(0.06, abs=0.01)
 
 
-def test_mesh_that_is_not_here_is_refused(engine: Engine) -> None:
+def test_missing_mesh_is_refused(engine: Engine) -> None:
     body = Model("m", (Link("m", collisions=(Shape("mesh", mesh="gone"),)),))
 
     with pytest.raises(EngineRefused, match="gone"):

@@ -1,4 +1,4 @@
-"""How many slots a cast has, and who gets which."""
+"""Slots of a compiled model."""
 
 import pytest
 
@@ -14,11 +14,11 @@ BOX, CART = make_archetype(make_blueprint(a_box())), make_archetype(make_bluepri
 
 
 @pytest.mark.parametrize(("count", "room"), [(1, 1), (2, 2), (3, 4), (5, 8), (64, 64), (65, 128)])
-def test_room_is_the_next_power_of_two(count: int, room: int) -> None:
+def test_slot_count_is_the_next_power_of_two(count: int, room: int) -> None:
     assert round_up_slots(count) == room
 
 
-def test_slots_are_given_lowest_first() -> None:
+def test_lowest_free_slot_is_assigned_first() -> None:
     slots = SlotAllocator()
     assert [slots.take(BOX, body) for body in range(4)] == [0, 1, 2, 3]
 
@@ -28,7 +28,7 @@ def test_slots_are_given_lowest_first() -> None:
     assert [slots.take(BOX, body) for body in (7, 8, 9)] == [1, 2, 4]
 
 
-def test_cast_names_makes_in_the_order_of_their_first_body() -> None:
+def test_counts_are_in_the_order_of_first_bodies() -> None:
     slots = SlotAllocator()
     for body, make in enumerate((CART, BOX, BOX, CART, BOX)):
         slots.take(make, body)
@@ -36,7 +36,7 @@ def test_cast_names_makes_in_the_order_of_their_first_body() -> None:
     assert slots.counts == ((CART, 2), (BOX, 4))
 
 
-def test_cast_is_told_before_a_slot_is_taken() -> None:
+def test_counts_with_one_more_need_no_slot_taken() -> None:
     slots = SlotAllocator()
     for body, make in enumerate((CART, BOX, BOX)):
         foretold = slots.with_one_more(make)
@@ -45,7 +45,7 @@ def test_cast_is_told_before_a_slot_is_taken() -> None:
         assert slots.counts == foretold
 
 
-def test_robots_that_differ_in_name_only_are_of_one_make() -> None:
+def test_robots_that_differ_in_name_only_have_one_archetype() -> None:
     assert make_archetype(make_blueprint(a_box("other"))) == BOX
     assert hash(make_archetype(make_blueprint(a_box("other")))) == hash(BOX)
     assert make_archetype(make_blueprint(a_box(friction=0.5))) != BOX

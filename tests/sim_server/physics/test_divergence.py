@@ -1,4 +1,4 @@
-"""A robot whose physics fails is frozen; the others, over real physics, drive on."""
+"""Diverged robots in each engine: they are frozen, and the others continue."""
 
 from collections.abc import Iterator
 
@@ -29,7 +29,7 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
 
 @pytest.fixture
 def world(engine: Engine) -> World:
-    """Three box_bots 1 m apart; each has an agent of its own, and all drive."""
+    """Three driving box_bots 1 m apart, each with an agent."""
     made = World(engine, name="default", step_ns=STEP_NS, control_steps=CONTROL_STEPS)
     for i, name in enumerate(NAMES):
         made.spawn(a_spawn(name, model=a_box_bot(), base=box_bot_at(0.0, float(i))))
@@ -40,7 +40,7 @@ def world(engine: Engine) -> World:
 
 
 def drive(world: World, steps: int) -> None:
-    """Step, read and command as a loop does; everything that leaves must be finite."""
+    """Step, read and command as the loop does; assert that all output is finite."""
     for _ in range(steps):
         world.step()
         if world.is_control_step:
@@ -57,18 +57,18 @@ def assert_finite(*packed: bytes) -> None:
         assert np.isfinite(np.frombuffer(numbers)).all()
 
 
-def spoil(world: World, name: str, column: int, value: float) -> None:
+def set_component(world: World, name: str, column: int, value: float) -> None:
     row = world.state_of(name).copy()
     row[column] = value
     world.place(name, row)
 
 
-def where(world: World, name: str) -> FloatArray:
+def position_of(world: World, name: str) -> FloatArray:
     return np.array(world.state_of(name)[:3])
 
 
 def a_mismatched_arm() -> Model:
-    """1e16 between neighbouring masses, geared by 1e6: Bullet cannot solve it."""
+    """Adjacent masses differ by 1e16, with a gear of 1e6: Bullet cannot solve this."""
     parts = [a_link("l0", an_inertial("1e-4", "1e-8") + a_collision())]
     gear = ""
     for i, (mass, moment) in enumerate((("1e12", "1e12"), ("1e-4", "1e-8")), start=1):
@@ -84,23 +84,23 @@ def a_mismatched_arm() -> Model:
     ("column", "value"),
     [(0, np.nan), (2, np.inf), (5, np.nan), (7, 1e300), (7, np.nan), (12, -np.inf), (1, -2e6)],
 )
-def test_robot_gone_bad_stands_where_it_was_and_the_others_drive_on(
+def test_diverged_robot_is_frozen_and_the_others_continue(
     world: World, column: int, value: float
 ) -> None:
-    stood = {name: where(world, name) for name in NAMES}
+    before = {name: position_of(world, name) for name in NAMES}
 
-    spoil(world, "b", column, value)
+    set_component(world, "b", column, value)
     drive(world, 240)
 
-    assert where(world, "b") == pytest.approx(stood["b"], abs=1e-9)
+    assert position_of(world, "b") == pytest.approx(before["b"], abs=1e-9)
     assert not world.state_of("b")[7:].any()
     for name in ("a", "c"):
-        went = where(world, name)[0] - stood[name][0]
+        went = position_of(world, name)[0] - before[name][0]
         assert went == pytest.approx(SPEED_RAD_S * 0.035 * 240 * STEP_NS * 1e-9, rel=0.5)
 
 
-def test_robot_gone_bad_is_told_of_once_and_loses_its_driver(world: World) -> None:
-    spoil(world, "b", 7, np.nan)
+def test_diverged_robot_causes_one_warning_and_releases_its_claim(world: World) -> None:
+    set_component(world, "b", 7, np.nan)
     drive(world, 60)
 
     events = [(event.kind, event.entity) for event in world.clock.take_events()]
@@ -111,11 +111,11 @@ def test_robot_gone_bad_is_told_of_once_and_loses_its_driver(world: World) -> No
         world.claim("agent_b", ("b",), "stop")
 
 
-def test_robot_gone_bad_keeps_the_turns_of_its_wheels(world: World) -> None:
+def test_diverged_robot_keeps_its_wheel_positions(world: World) -> None:
     joints = slice(2, 4)
     turned = world.states().joint_positions[joints].copy()
 
-    spoil(world, "b", 7, np.nan)
+    set_component(world, "b", 7, np.nan)
     drive(world, 60)
 
     assert turned.min() > 0.1
@@ -124,42 +124,42 @@ def test_robot_gone_bad_keeps_the_turns_of_its_wheels(world: World) -> None:
 
 
 def test_frozen_robot_drives_again_once_its_state_is_set(world: World) -> None:
-    spoil(world, "b", 7, np.nan)
+    set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
     world.place("b", box_bot_at(0.0, 1.0))
     world.claim("agent_b", ("b",), "stop")
     drive(world, 240)
 
-    assert where(world, "b")[0] > 0.05
-    assert where(world, "b")[1:] == pytest.approx([1.0, 0.06], abs=2e-3)
+    assert position_of(world, "b")[0] > 0.05
+    assert position_of(world, "b")[1:] == pytest.approx([1.0, 0.06], abs=2e-3)
 
 
 def test_frozen_robot_drives_again_after_a_reset(world: World) -> None:
-    spoil(world, "b", 7, np.nan)
+    set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
     world.reset(ResetScope.STATE)
-    assert where(world, "b") == pytest.approx([0.0, 1.0, 0.06], abs=1e-9)
+    assert position_of(world, "b") == pytest.approx([0.0, 1.0, 0.06], abs=1e-9)
     world.claim("agent_b", ("b",), "stop")
     drive(world, 240)
 
-    assert where(world, "b")[0] == pytest.approx(where(world, "a")[0], rel=0.02)
+    assert position_of(world, "b")[0] == pytest.approx(position_of(world, "a")[0], rel=0.02)
 
 
-def test_reset_heals_a_robot_that_went_bad_just_before(world: World) -> None:
-    spoil(world, "b", 7, np.nan)
+def test_reset_restores_a_robot_that_just_diverged(world: World) -> None:
+    set_component(world, "b", 7, np.nan)
     world.step()
 
     world.reset(ResetScope.STATE)
     world.claim("agent_b", ("b",), "stop")
     drive(world, 240)
 
-    assert where(world, "b")[0] == pytest.approx(where(world, "a")[0], rel=0.02)
+    assert position_of(world, "b")[0] == pytest.approx(position_of(world, "a")[0], rel=0.02)
 
 
-def test_frozen_robot_can_be_deleted_and_its_name_used_again(world: World) -> None:
-    spoil(world, "b", 7, np.nan)
+def test_frozen_robot_can_be_deleted_and_its_name_reused(world: World) -> None:
+    set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
     world.delete("b")
@@ -167,28 +167,28 @@ def test_frozen_robot_can_be_deleted_and_its_name_used_again(world: World) -> No
     world.claim("agent_b", ("b",), "stop")
     drive(world, 240)
 
-    assert where(world, "b")[0] > 3.05
+    assert position_of(world, "b")[0] > 3.05
 
 
 def test_frozen_robot_is_an_obstacle(world: World) -> None:
-    stood = where(world, "b")
-    spoil(world, "b", 7, np.nan)
+    before = position_of(world, "b")
+    set_component(world, "b", 7, np.nan)
     drive(world, 30)
 
-    world.place("a", box_bot_at(stood[0] - 0.3, stood[1]))
+    world.place("a", box_bot_at(before[0] - 0.3, before[1]))
     drive(world, 960)
 
-    assert where(world, "a")[0] < stood[0] - 0.05
-    assert where(world, "b") == pytest.approx(stood, abs=1e-9)
+    assert position_of(world, "a")[0] < before[0] - 0.05
+    assert position_of(world, "b") == pytest.approx(before, abs=1e-9)
 
 
-def test_robot_that_touched_the_one_gone_bad_goes_on(world: World) -> None:
+def test_robot_in_contact_with_a_diverged_one_continues(world: World) -> None:
     world.place("a", box_bot_at(5.0, 0.0))
     world.place("b", box_bot_at(5.101, 0.0))
     drive(world, 30)
     world.clock.take_events()
 
-    spoil(world, "b", 7, 1e300)
+    set_component(world, "b", 7, 1e300)
     drive(world, 30)
 
     events = [(event.kind, event.entity) for event in world.clock.take_events()]
@@ -196,25 +196,25 @@ def test_robot_that_touched_the_one_gone_bad_goes_on(world: World) -> None:
     assert events.count(("released", "b")) == 1
 
 
-def test_robots_drive_beside_one_that_no_solver_can_carry(world: World) -> None:
-    before = where(world, "a")
+def test_robots_continue_beside_an_unsolvable_model(world: World) -> None:
+    before = position_of(world, "a")
 
     world.spawn(a_spawn("arm", model=a_mismatched_arm(), base=a_state((0.0, 0.5, 1.0))))
     drive(world, 480)
 
-    told = [event.entity for event in world.clock.take_events() if event.kind == "warning"]
-    assert told == ["arm"]
-    assert where(world, "a")[0] > before[0] + 0.1
+    warned = [event.entity for event in world.clock.take_events() if event.kind == "warning"]
+    assert warned == ["arm"]
+    assert position_of(world, "a")[0] > before[0] + 0.1
 
 
-def test_wall_stands_where_it_stood_when_a_robot_goes_bad_against_it(world: World) -> None:
+def test_wall_stays_in_place_when_a_robot_diverges_against_it(world: World) -> None:
     wall, place = a_box("wall", 1.0, is_static=True), a_state((6.0, 0.0, 0.5))
     world.spawn(a_spawn("wall", model=wall, base=place))
     world.place("b", box_bot_at(5.449, 0.0))
     drive(world, 30)
     world.clock.take_events()
 
-    spoil(world, "b", 7, np.nan)
+    set_component(world, "b", 7, np.nan)
     world.place("a", box_bot_at(5.3, 0.3))
     drive(world, 480)
 
@@ -222,4 +222,4 @@ def test_wall_stands_where_it_stood_when_a_robot_goes_bad_against_it(world: Worl
         "b"
     ]
     assert world.state_of("wall") == pytest.approx(place, abs=1e-9)
-    assert 5.4 < where(world, "a")[0] < 5.46
+    assert 5.4 < position_of(world, "a")[0] < 5.46

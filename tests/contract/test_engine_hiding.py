@@ -1,4 +1,4 @@
-"""Bodies that wait out of sight until others are made too."""
+"""Contract of `Engine.hide` and `Engine.show`."""
 
 from collections.abc import Callable, Iterator
 
@@ -23,7 +23,7 @@ def tiered() -> TieredEngine:
     return TieredEngine(PyBulletEngine(CONFIG), CONFIG, "full")
 
 
-def clustered(*, most: int) -> CelledEngine:
+def celled(*, most: int) -> CelledEngine:
     settings = CellSettings(alone=most, most=most, period_steps=1)
     return CelledEngine(
         CONFIG, InProcessCellExecutor(lambda: PyBulletEngine(CONFIG, awake=2)), settings
@@ -31,12 +31,12 @@ def clustered(*, most: int) -> CelledEngine:
 
 
 def remote() -> CelledEngine:
-    orders = CellConfig("pybullet", CONFIG)
-    cells = WorkerCellExecutor(orders.make, orders, workers=1)
+    config = CellConfig("pybullet", CONFIG)
+    cells = WorkerCellExecutor(config.make, config, workers=1)
     return CelledEngine(CONFIG, cells, CellSettings(alone=1, most=1, period_steps=1))
 
 
-def clustered_mujoco(*, most: int) -> CelledEngine:
+def celled_mujoco(*, most: int) -> CelledEngine:
     settings = CellSettings(alone=most, most=most, period_steps=1)
     return CelledEngine(
         CONFIG, InProcessCellExecutor(lambda: MujocoEngine(CONFIG), threads=2), settings
@@ -46,11 +46,11 @@ def clustered_mujoco(*, most: int) -> CelledEngine:
 MAKERS: dict[str, Callable[[], Engine]] = {
     "pybullet": lambda: PyBulletEngine(CONFIG),
     "tiers": tiered,
-    "one cell": lambda: clustered(most=8),
-    "cells": lambda: clustered(most=1),
+    "one cell": lambda: celled(most=8),
+    "cells": lambda: celled(most=1),
     "workers": remote,
     "mujoco": lambda: MujocoEngine(CONFIG),
-    "mujoco, cells": lambda: clustered_mujoco(most=1),
+    "mujoco, cells": lambda: celled_mujoco(most=1),
 }
 
 
@@ -63,7 +63,7 @@ def engine(request: pytest.FixtureRequest) -> Iterator[Engine]:
         made.close()
 
 
-def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: Engine) -> None:
+def test_hidden_body_stays_in_place_and_collides_with_nothing(engine: Engine) -> None:
     hidden = engine.add(a_box(), a_state((0.0, 0.0, 0.5)))
     engine.hide(hidden)
     falling = engine.add(a_box(), a_state((0.0, 0.0, 0.8)))
@@ -74,7 +74,7 @@ def test_concealed_body_stays_where_it_is_and_stops_nobody(engine: Engine) -> No
     assert heights == pytest.approx([0.5, 0.1], abs=1e-3)
 
 
-def test_revealed_body_does_as_one_that_was_just_added(engine: Engine) -> None:
+def test_shown_body_moves_like_a_new_one(engine: Engine) -> None:
     first = engine.add(a_box_bot(), box_bot_at(0.0, 2.0))
     engine.hide(first)
     advance(engine, 50)
@@ -89,7 +89,7 @@ def test_revealed_body_does_as_one_that_was_just_added(engine: Engine) -> None:
     assert one - other == pytest.approx(np.array([0.0, 2.0, 0.0]), abs=1e-3)
 
 
-def test_concealed_body_can_be_read(engine: Engine) -> None:
+def test_hidden_body_can_be_read(engine: Engine) -> None:
     there = engine.add(a_box(), a_state((3.0, 0.0, 0.1)))
     hidden = engine.add(a_box_bot(), box_bot_at(1.0, 2.0))
     engine.hide(hidden)
@@ -100,7 +100,7 @@ def test_concealed_body_can_be_read(engine: Engine) -> None:
     assert reading.joint_positions.shape == (2,)
 
 
-def test_concealed_body_can_be_removed(engine: Engine) -> None:
+def test_hidden_body_can_be_removed(engine: Engine) -> None:
     hidden = engine.add(a_box_bot(), box_bot_at())
     engine.hide(hidden)
     engine.remove(hidden)
@@ -113,7 +113,7 @@ def test_concealed_body_can_be_removed(engine: Engine) -> None:
 
 
 @pytest.mark.parametrize("how", ["mujoco", "mujoco, cells"])
-def test_revealed_body_is_where_it_was_placed_to_the_bit(how: str) -> None:
+def test_shown_body_has_exactly_the_state_set_while_hidden(how: str) -> None:
     engine = MAKERS[how]()
     there, hidden = (engine.add(a_box_bot(), box_bot_at(0.0, y)) for y in (0.0, 3.0))
     engine.hide(hidden)
@@ -129,7 +129,7 @@ def test_revealed_body_is_where_it_was_placed_to_the_bit(how: str) -> None:
     engine.close()
 
 
-def test_concealed_body_of_mujoco_is_seen_to_overlap() -> None:
+def test_hidden_body_of_mujoco_is_found_by_overlaps() -> None:
     engine = MujocoEngine(CONFIG)
     hidden = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
     engine.hide(hidden)

@@ -1,4 +1,4 @@
-"""What every engine makes of a push on a link or on a joint."""
+"""Contract of `apply_link_wrench` and `apply_joint_effort`."""
 
 from collections.abc import Iterator
 
@@ -29,7 +29,7 @@ def velocity(engine: Engine, body: int) -> FloatArray:
     return np.asarray(engine.read([body]).base[0, 7:])
 
 
-def test_engine_link_is_pushed_by_force_and_mass(engine: Engine) -> None:
+def test_engine_link_is_accelerated_by_force_and_mass(engine: Engine) -> None:
     model = a_box()
     body = engine.add(model, a_state(UP, turn=(0.0, 0.0, 1.0)))
 
@@ -42,7 +42,7 @@ def test_engine_link_is_pushed_by_force_and_mass(engine: Engine) -> None:
     assert velocity(engine, body)[3:] == pytest.approx([0, 0, 0], abs=1e-9)
 
 
-def test_engine_link_is_turned_by_torque_and_moment(engine: Engine) -> None:
+def test_engine_link_is_accelerated_by_torque_and_inertia(engine: Engine) -> None:
     model = a_box()
     body = engine.add(model, a_state(UP))
 
@@ -54,7 +54,7 @@ def test_engine_link_is_turned_by_torque_and_moment(engine: Engine) -> None:
     assert velocity(engine, body)[5] == pytest.approx(gained, rel=1e-3)
 
 
-def test_engine_push_is_over_after_one_step(engine: Engine) -> None:
+def test_engine_load_lasts_one_step(engine: Engine) -> None:
     body = engine.add(a_box(), a_state(UP))
     engine.apply_link_wrench(body, 0, wrench(2.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     engine.step()
@@ -65,7 +65,7 @@ def test_engine_push_is_over_after_one_step(engine: Engine) -> None:
     assert velocity(engine, body) == pytest.approx(before, abs=1e-9)
 
 
-def test_engine_pushes_of_one_step_add_up(engine: Engine) -> None:
+def test_engine_loads_of_one_step_add_up(engine: Engine) -> None:
     once, twice = (engine.add(a_box(), a_state((x, 0.0, 3.0))) for x in (0.0, 5.0))
 
     for body in (once, twice, twice):
@@ -75,7 +75,7 @@ def test_engine_pushes_of_one_step_add_up(engine: Engine) -> None:
     assert velocity(engine, twice) == pytest.approx(2.0 * velocity(engine, once), abs=1e-9)
 
 
-def test_engine_static_body_does_not_mind_a_push(engine: Engine) -> None:
+def test_engine_load_does_not_move_a_static_body(engine: Engine) -> None:
     start = a_state(UP)
     body = engine.add(a_box(is_static=True), start)
 
@@ -85,7 +85,7 @@ def test_engine_static_body_does_not_mind_a_push(engine: Engine) -> None:
     assert engine.read([body]).base[0] == pytest.approx(start, abs=1e-9)
 
 
-def test_engine_joint_is_pushed_along_its_axis(engine: Engine) -> None:
+def test_engine_joint_is_accelerated_along_its_axis(engine: Engine) -> None:
     body = engine.add(an_arm("continuous"), a_state(UP))
 
     engine.apply_joint_effort(body, 0, 0.01)

@@ -1,4 +1,4 @@
-"""Pushes and properties in each engine: what Newton says."""
+"""Forces, efforts and changed properties in each engine."""
 
 from collections.abc import Iterator
 
@@ -58,8 +58,8 @@ def test_force_at_the_centre_of_mass_does_not_turn_a_lopsided_body(space: World)
     assert row[10:] == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
 
 
-def test_force_on_a_hanging_link_moves_the_whole(space: World) -> None:
-    # A free pair of bodies: momentum is force times time, whichever of them is pushed.
+def test_force_on_a_child_link_moves_the_whole_body(space: World) -> None:
+    # Momentum of two free bodies is force times time, whichever gets the force.
     model = a_box_bot()
     space.spawn(a_spawn("r", model=model, base=box_bot_at()))
     space.applied_forces.add(
@@ -89,7 +89,7 @@ def damped(model: Model, damping: float) -> Model:
     return msgspec.structs.replace(model, joints=(joint,))
 
 
-def test_body_without_gravity_stays_in_the_air_once_it_is_told_to(earth: World) -> None:
+def test_body_stays_in_the_air_once_its_gravity_is_off(earth: World) -> None:
     model = a_box()
     earth.spawn(a_spawn("b", model=model, base=a_state((0.0, 0.0, 2.0))))
     link = msgspec.structs.replace(model.links[0], weightless=model.links[0].inertial)
@@ -100,7 +100,7 @@ def test_body_without_gravity_stays_in_the_air_once_it_is_told_to(earth: World) 
     assert earth.state_of("b")[2] == pytest.approx(2.0, abs=1e-6)
 
 
-def test_body_is_heavier_at_once_and_goes_on_as_fast(space: World) -> None:
+def test_body_keeps_its_speed_when_its_mass_changes(space: World) -> None:
     model = a_box()
     space.spawn(a_spawn("b", model=model, base=a_state((0.0, 0.0, 2.0), linear=(1.0, 0.0, 0.0))))
     heavy = Inertial(10.0, inertia=(0.1, 0.0, 0.0, 0.1, 0.0, 0.1))
@@ -114,7 +114,7 @@ def test_body_is_heavier_at_once_and_goes_on_as_fast(space: World) -> None:
     assert space.state_of("b")[7] == pytest.approx(1.0 + 0.5 * SECOND * DT_S, rel=1e-4)
 
 
-def test_limit_of_a_joint_is_kept_once_it_is_set(earth: World) -> None:
+def test_joint_keeps_a_limit_that_is_set(earth: World) -> None:
     model = an_arm("revolute", damping=0.05)
     earth.spawn(a_spawn("a", model=model, base=a_state((0.0, 0.0, 0.0))))
     joint = msgspec.structs.replace(model.joints[0], lower=-0.1, upper=0.1)

@@ -1,4 +1,4 @@
-"""What every engine owes those who put its bodies somewhere: place, rest and put."""
+"""Contract of `set_base_state`, `set_at_rest` and `set_state`."""
 
 from collections.abc import Iterator
 
@@ -20,7 +20,7 @@ def state_of(engine: Engine, body: int) -> FloatArray:
     return np.asarray(engine.read([body]).base[0])
 
 
-def test_engine_keeps_joints_when_it_places_a_robot(engine: Engine) -> None:
+def test_engine_keeps_joints_when_the_base_state_is_set(engine: Engine) -> None:
     body = engine.add(a_cart(), on_ground())
     engine.command([body], np.array([4.0, 4.0]))
     advance(engine, 120)
@@ -33,7 +33,7 @@ def test_engine_keeps_joints_when_it_places_a_robot(engine: Engine) -> None:
     assert abs(after.joint_positions).min() > 0.5
 
 
-def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) -> None:
+def test_engine_sets_a_robot_at_rest_with_zero_joints_and_targets(engine: Engine) -> None:
     body = engine.add(a_cart(), on_ground())
     engine.command([body], np.array([6.0, 2.0]))
     advance(engine, 120)
@@ -48,7 +48,7 @@ def test_engine_rests_a_robot_with_joints_and_targets_at_zero(engine: Engine) ->
     assert state_of(engine, body)[:3] == pytest.approx(on_ground(5.0, 1.0)[:3], abs=2e-3)
 
 
-def test_engine_rests_a_robot_with_joints_where_it_is_told(engine: Engine) -> None:
+def test_engine_sets_a_robot_at_rest_with_given_joints(engine: Engine) -> None:
     body = engine.add(a_cart(), on_ground())
     engine.command([body], np.array([6.0, 2.0]))
     advance(engine, 120)
@@ -60,7 +60,7 @@ def test_engine_rests_a_robot_with_joints_where_it_is_told(engine: Engine) -> No
     assert not reading.joint_velocities.any()
 
 
-def test_engine_puts_a_robot_as_it_was_and_it_goes_on_alike(engine: Engine) -> None:
+def test_engine_robot_continues_equally_from_a_state_that_is_set(engine: Engine) -> None:
     went, other = (engine.add(a_cart(), on_ground(y=y)) for y in (0.0, 50.0))
     engine.command([went, other], np.array([4.0, 5.0, 4.0, 5.0]))
     advance(engine, 100)
@@ -79,7 +79,7 @@ def test_engine_puts_a_robot_as_it_was_and_it_goes_on_alike(engine: Engine) -> N
     assert rows[1] - rows[0] == pytest.approx([0.0, 50.0, *[0.0] * 11], abs=1e-6)
 
 
-def test_engine_puts_a_robot_that_was_taken_out_and_brought_back(engine: Engine) -> None:
+def test_engine_sets_the_state_of_a_robot_that_was_readded(engine: Engine) -> None:
     twin = engine.add(a_cart(), on_ground())
     advance(engine, 10)
     engine.remove(twin)
@@ -99,7 +99,7 @@ def test_engine_puts_a_robot_that_was_taken_out_and_brought_back(engine: Engine)
     assert state_of(engine, body)[0] == pytest.approx(0.5, abs=0.01)
 
 
-def test_engine_does_not_change_what_it_was_given_to_put(engine: Engine) -> None:
+def test_engine_does_not_change_a_state_that_is_set(engine: Engine) -> None:
     body = engine.add(a_cart(), on_ground())
     base, positions, velocities = on_ground(1.0), np.array([0.1, 0.2]), np.array([3.0, 3.0])
     kept = base.copy(), positions.copy(), velocities.copy()
