@@ -229,7 +229,7 @@ class Agent:
         # A state from before the newest claim lacks its robot.
         if state.newest_claim < self._robots.newest_claim or not self._robots.holds(state.claims):
             return
-        order = self._state_order.place(state.epoch, state.step)
+        order = self._state_order.classify(state.epoch, state.step)
         if order == "stale":
             return
         if order == "reset":

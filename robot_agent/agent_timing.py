@@ -17,9 +17,9 @@ MAX_PAUSE_S = 0.01
 MAX_COMMAND_PAUSE_S = 0.0035
 """Maximum pause of an agent that applies late commands."""
 IDLE_AFTER_S, IDLE_S = 0.5, 0.003
-"""Without states for so long, time stands; the first state then may wait for one pause."""
+"""Without states for so long, time is taken to be stopped, and the first state may wait one pause."""
 EAGER_S, EAGER_POLL_S = 0.02, 0.0003
-"""After an awaited state, polling is fast for so long: time stands until the next answer."""
+"""After an awaited state, polling is fast for so long: time waits for the next answer."""
 PERIOD_GROWTH = 1.1
 """Growth of the expected period per state when states come less often."""
 
@@ -93,7 +93,7 @@ class ProcessPriority:
 
 
 WINDOW_PERIODS = 2.0
-"""Duration of the window, in periods between states; after it, time is assumed to stand."""
+"""Duration of the window, in periods between states; after it, time is taken to be stopped."""
 MIN_WINDOW_S, MAX_WINDOW_S = 0.05, 1.0
 """Limits of the duration [s]."""
 

@@ -80,7 +80,7 @@ class StateOrder:
         """Accept any next state: another server has its own time."""
         self._latest = None
 
-    def place(self, epoch: int, step: int) -> Literal["next", "reset", "stale"]:
+    def classify(self, epoch: int, step: int) -> Literal["next", "reset", "stale"]:
         """Compare a state with the one before."""
         latest = self._latest
         if latest is not None and (epoch, step) < latest:

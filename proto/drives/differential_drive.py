@@ -98,22 +98,22 @@ class DifferentialDrive(Generic[Column]):
 
 
 def limit_velocity(
-    limits: Limits, wanted: Column, now: Column, dt_s: Column, xp: ColumnMath[Column]
+    limits: Limits, desired: Column, now: Column, dt_s: Column, xp: ColumnMath[Column]
 ) -> Column:
-    """Limit a wanted velocity, and its change from the velocity now."""
+    """Limit a velocity, and its change from the velocity now."""
     if limits.max_velocity is not None:
-        wanted = xp.minimum(wanted, limits.max_velocity)
+        desired = xp.minimum(desired, limits.max_velocity)
     if limits.min_velocity is not None:
-        wanted = xp.maximum(wanted, limits.min_velocity)
+        desired = xp.maximum(desired, limits.min_velocity)
     if limits.max_acceleration is not None:
-        wanted = xp.minimum(wanted, now + limits.max_acceleration * dt_s)
+        desired = xp.minimum(desired, now + limits.max_acceleration * dt_s)
     if limits.min_acceleration is not None:
-        wanted = xp.maximum(wanted, now + limits.min_acceleration * dt_s)
-    return wanted
+        desired = xp.maximum(desired, now + limits.min_acceleration * dt_s)
+    return desired
 
 
 def _limit_step(commanded: Column, desired: Column, step: Column, xp: ColumnMath[Column]) -> Column:
-    """Add a step, up to the lead beyond the desired speed or beyond standing."""
+    """Add a step, up to the lead beyond the desired speed or beyond rest."""
     highest = xp.maximum(commanded, xp.maximum(desired, 0.0) + MAX_LEAD_M_S)
     lowest = xp.minimum(commanded, xp.minimum(desired, 0.0) - MAX_LEAD_M_S)
     stepped = commanded + step

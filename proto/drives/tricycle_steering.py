@@ -39,23 +39,23 @@ class TricycleSteering(Generic[Column]):
             dt_s: See `DriveKinematics`.
         """
         vx, _, steer = twist
-        wanted = self._xp.clamp(vx / self._radius, MAX_WHEEL_SPEED)
+        desired = self._xp.clamp(vx / self._radius, MAX_WHEEL_SPEED)
         angle = self._xp.clamp(steer, math.pi / 2.0)
-        speed = self._limit_speed(wanted, measured.velocities[0], dt_s)
+        speed = self._limit_speed(desired, measured.velocities[0], dt_s)
         if self._parameters.max_steering_speed > 0.0:
             return (speed, self._find_steering_speed(angle - measured.positions[1], dt_s)), state
         return (speed, angle), state
 
-    def _limit_speed(self, wanted: Column, current: Column, dt_s: Column) -> Column:
+    def _limit_speed(self, desired: Column, current: Column, dt_s: Column) -> Column:
         faster, slower = self._parameters.max_acceleration, self._parameters.max_deceleration
         if faster == slower == 0.0:
-            return wanted
+            return desired
         # 0 means unlimited on its side only.
         up = current + faster * dt_s if faster > 0.0 else math.inf
         down = current - slower * dt_s if slower > 0.0 else -math.inf
-        limited = self._xp.minimum(self._xp.maximum(wanted, down), up)
-        has_reached = abs(wanted - current) < self._parameters.speed_tolerance
-        return self._xp.where(has_reached, wanted, limited)
+        limited = self._xp.minimum(self._xp.maximum(desired, down), up)
+        has_reached = abs(desired - current) < self._parameters.speed_tolerance
+        return self._xp.where(has_reached, desired, limited)
 
     def _find_steering_speed(self, missing_rad: Column, dt_s: Column) -> Column:
         where = self._xp.where

@@ -1,4 +1,4 @@
-"""Robots to test with, and their claims."""
+"""Robots for tests, and their claims."""
 
 import struct
 from collections.abc import Sequence

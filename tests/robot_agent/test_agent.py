@@ -1,4 +1,4 @@
-"""An agent among a server and users, all in memory."""
+"""An agent with a server and users, in memory."""
 
 import signal
 import struct
@@ -9,12 +9,12 @@ import pytest
 from msgspec.structs import replace
 
 from tests.fakes import ManualClock, MemoryBus
+from tests.robot_agent.fake_server import AGENT, WORLD, FakeServer
 from tests.robot_agent.models import DRIVE, a_claim, a_state, two_wheeler
-from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
 from zensim.proto import keys
 from zensim.proto.codec.message_codec import Format, decode
 from zensim.proto.messages.model_messages import DiffDrive
-from zensim.proto.messages.result_messages import ServiceError
+from zensim.proto.messages.result_messages import ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Odometry, Twist, Vector3
 from zensim.proto.stop_signal import STOP_SIGNALS, StopFlag
 from zensim.proto.topic_catalog import DRIVE_STATE
@@ -24,18 +24,18 @@ from zensim.robot_agent.agent_config import AgentConfig
 from zensim.robot_agent.robots import IndividualRobots, Robot
 
 
-def a_fleet(bus: MemoryBus) -> IndividualRobots:
-    fleet = IndividualRobots(bus, 0)
-    fleet.hold(1, Robot(TopicFactory(bus), a_claim(1, "r1"), 0))
-    fleet.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2", two_wheeler(None)), 0))
-    return fleet
+def make_robots(bus: MemoryBus) -> IndividualRobots:
+    robots = IndividualRobots(bus, 0)
+    robots.hold(1, Robot(TopicFactory(bus), a_claim(1, "r1"), 0))
+    robots.hold(2, Robot(TopicFactory(bus), a_claim(2, "r2", two_wheeler(None)), 0))
+    return robots
 
 
-def test_upkeep_answers_questions() -> None:
+def test_housekeeping_answers_questions() -> None:
     bus = MemoryBus()
-    upkeep = Housekeeping(a_fleet(bus))
+    housekeeping = Housekeeping(make_robots(bus))
     times = iter(range(1000))
-    bus.pumps.append(lambda: upkeep.poll(next(times) / 100))
+    bus.pumps.append(lambda: housekeeping.poll(next(times) / 100))
 
     assert {sample.key for sample in bus.get("*/robot_description")} == {
         "r1/robot_description",
@@ -43,29 +43,29 @@ def test_upkeep_answers_questions() -> None:
     }
 
 
-def test_upkeep_greets_new_listeners() -> None:
+def test_housekeeping_announces_to_new_subscribers() -> None:
     bus = MemoryBus()
-    upkeep = Housekeeping(a_fleet(bus))
-    upkeep.poll(0.0)
+    housekeeping = Housekeeping(make_robots(bus))
+    housekeeping.poll(0.0)
     listener = bus.subscribe("r1/tf_static", 8)
 
-    upkeep.poll(0.1)
+    housekeeping.poll(0.1)
     assert listener.take() == []
 
-    upkeep.poll(0.25)
+    housekeeping.poll(0.25)
     assert len(listener.take()) == 1
 
 
-def test_upkeep_complains_once_a_second_at_most(caplog: pytest.LogCaptureFixture) -> None:
+def test_housekeeping_logs_at_most_once_a_second(caplog: pytest.LogCaptureFixture) -> None:
     bus = MemoryBus()
-    fleet = a_fleet(bus)
-    upkeep = Housekeeping(fleet)
+    robots = make_robots(bus)
+    housekeeping = Housekeeping(robots)
     for i in range(200):
         bus.put("r1/cmd_vel", b"garbage")
-        fleet.advance(a_state(i, (1,)))
-        upkeep.poll(10.0 + i / 100)
+        robots.advance(a_state(i, (1,)))
+        housekeeping.poll(10.0 + i / 100)
 
-    assert [line.split(" reason")[0] for line in caplog.messages] == [
+    assert [record.split(" reason")[0] for record in caplog.messages] == [
         "cmd_vel entity=r1 malformed=1",
         "cmd_vel entity=r1 malformed=101",
     ]
@@ -80,7 +80,7 @@ class Scene:
 
     def __init__(self, *entities: str, drive: DiffDrive | None = DRIVE) -> None:
         self.bus = MemoryBus()
-        self.server = StandInServer(self.bus, *entities)
+        self.server = FakeServer(self.bus, *entities)
         self.server.entities = {name: two_wheeler(drive) for name in entities}
         self.server.come_up()
         self.now_s = 100.0
@@ -167,7 +167,7 @@ def test_agent_says_that_it_is_idle_when_no_state_has_come() -> None:
     assert not scene.poll()
 
 
-def test_agent_stops_the_robot_when_commands_cease() -> None:
+def test_agent_stops_the_robot_when_commands_time_out() -> None:
     scene = Scene("r1")
     scene.poll()
     scene.bus.put_message("r1/cmd_vel", FORWARD)
@@ -185,7 +185,7 @@ def test_agent_ignores_a_state_that_is_late() -> None:
     assert scene.drive_to(9) == []
 
 
-def test_agent_starts_its_robots_again_at_a_reset() -> None:
+def test_agent_resets_its_robots_with_the_world() -> None:
     scene = Scene("r1", drive=replace(DRIVE, max_acceleration=1.0))
     scene.poll()
     for step in range(10):
@@ -211,10 +211,10 @@ def test_agent_claims_again_when_an_entity_comes_back(caplog: pytest.LogCaptureF
     scene.poll()
 
     scene.server.entities["r1"] = kept
-    scene.server.tell("spawned", "r1")
+    scene.server.publish_event("spawned", "r1")
     scene.poll()
     assert scene.drive_to(3, 2) == [(0.0, 0.0)]
-    assert [line.split(" ")[0] for line in caplog.messages] == [
+    assert [record.split(" ")[0] for record in caplog.messages] == [
         "claimed",
         "lost",
         "waiting",
@@ -251,7 +251,7 @@ def test_agent_ignores_a_state_from_before_its_claim() -> None:
     assert scene.bus.is_served("r1/odom")
 
 
-def test_agent_answers_a_state_that_came_right_behind_its_claim() -> None:
+def test_agent_answers_a_state_that_follows_its_claim() -> None:
     scene = Scene("r1")
     scene.server.commands()
     scene.server.send(replace(a_state(5, (1,)), newest_claim=1))
@@ -277,7 +277,7 @@ def test_agent_publishes_before_its_command_when_that_is_awaited(
     assert "".join(c[0] for c in chunks if c in ("odom", "command")) == order
 
 
-def test_agent_looks_often_for_the_next_state_only_soon_after_an_awaited_one() -> None:
+def test_agent_polls_fast_only_after_an_awaited_state() -> None:
     scene = Scene("r1")
     scene.poll()
     scene.server.send(a_state(3))
@@ -306,7 +306,7 @@ def test_agent_claims_again_when_the_server_was_restarted() -> None:
     assert scene.drive_to(0, 2) == [(0.0, 0.0)]
 
 
-def test_agent_goes_on_when_a_state_is_garbled(caplog: pytest.LogCaptureFixture) -> None:
+def test_agent_ignores_a_malformed_state(caplog: pytest.LogCaptureFixture) -> None:
     scene = Scene("r1")
     scene.poll()
 
@@ -319,13 +319,15 @@ def test_agent_goes_on_when_a_state_is_garbled(caplog: pytest.LogCaptureFixture)
     assert scene.drive_to(1) == [(0.0, 0.0)]
 
 
-def test_agent_that_runs_drives_until_something_raises() -> None:
+def test_run_agent_drives_until_an_error_is_raised() -> None:
     bus, clock = MemoryBus(), ManualClock()
-    StandInServer(bus)
+    FakeServer(bus)
     config = AgentConfig(agent=AGENT, entities=("r1",), wait_s=2.0)
 
-    with pytest.raises(ServiceError, match="NOT_FOUND"):
+    with pytest.raises(ServiceError) as refusal:
         run_agent(bus, config, lambda: False, clock=clock, sleep=clock.sleep)
+
+    assert refusal.value.code == ResultCode.NOT_FOUND
 
     assert clock.now_s == pytest.approx(2.5, abs=1.0)
 
@@ -339,9 +341,9 @@ def _handlers() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("_handlers")
-def test_agent_that_runs_ends_when_told_to_though_the_interrupt_itself_was_lost() -> None:
+def test_agent_process_ends_on_a_signal_whose_interrupt_was_lost() -> None:
     bus, clock = MemoryBus(), ManualClock()
-    StandInServer(bus, "r1")
+    FakeServer(bus, "r1")
     stop = StopFlag(is_armed=False)
 
     def sleep(seconds: float) -> None:
@@ -365,7 +367,7 @@ def revised(scene: Scene) -> list[tuple[float, ...]]:
     ]
 
 
-def test_agent_answers_the_last_state_anew_when_a_command_comes_between_two() -> None:
+def test_agent_revises_its_answer_when_a_command_comes_between_two_states() -> None:
     scene = Scene("r1")
     scene.poll()
     scene.drive_to(3)
@@ -376,7 +378,7 @@ def test_agent_answers_the_last_state_anew_when_a_command_comes_between_two() ->
     assert scene.drive_to(9) == [pytest.approx((5.0, 5.0))]
 
 
-def test_agent_answers_a_state_anew_only_once() -> None:
+def test_agent_revises_an_answer_only_once() -> None:
     scene = Scene("r1")
     scene.poll()
     scene.drive_to(3)
@@ -389,7 +391,7 @@ def test_agent_answers_a_state_anew_only_once() -> None:
     assert scene.drive_to(9) == [pytest.approx((-5.0, -5.0))]
 
 
-def test_agent_answers_nothing_anew_when_a_command_says_the_same_again() -> None:
+def test_agent_revises_nothing_when_a_command_is_repeated() -> None:
     scene = Scene("r1")
     scene.poll()
     scene.bus.put_message("r1/cmd_vel", FORWARD)
@@ -400,7 +402,7 @@ def test_agent_answers_nothing_anew_when_a_command_says_the_same_again() -> None
     assert revised(scene) == []
 
 
-def test_agent_keeps_a_command_for_the_next_state_when_answers_are_awaited() -> None:
+def test_agent_applies_a_command_at_the_next_state_when_answers_are_awaited() -> None:
     scene = Scene("r1")
     scene.poll()
     for step in (3, 6):

@@ -1,4 +1,4 @@
-"""Rates in place of the described ones."""
+"""Overrides of described rates."""
 
 import pytest
 
@@ -30,21 +30,21 @@ def paced(claim: Claim, rates: RateOverrides) -> Claim:
         (RateOverrides(0.0, 10.0), 100, 10),
     ],
 )
-def test_robot_tells_odometry_and_tf_at_the_rates_it_is_given(
+def test_robot_publishes_odometry_and_tf_at_the_overridden_rates(
     rates: RateOverrides, odom: int, tf: int
 ) -> None:
     bus = MemoryBus()
-    heard = {topic: bus.subscribe(f"r1/{topic}", 1000) for topic in ("odom", "tf")}
+    received = {topic: bus.subscribe(f"r1/{topic}", 1000) for topic in ("odom", "tf")}
     robot = Robot(TopicFactory(bus), paced(a_claim(), rates), 0)
 
     for step in range(100):
         robot.advance(RobotState(step * PERIOD_NS, AT_REST, (0.0, 0.0), (0.0, 0.0)))
         robot.publish()
 
-    assert [len(heard[topic].take()) for topic in ("odom", "tf")] == [odom, tf]
+    assert [len(received[topic].take()) for topic in ("odom", "tf")] == [odom, tf]
 
 
-def test_claims_that_share_a_model_go_on_sharing_it() -> None:
+def test_claims_that_share_a_model_still_share_it() -> None:
     model = two_wheeler()
 
     one, other = override_rates(

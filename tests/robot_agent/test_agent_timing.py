@@ -1,4 +1,4 @@
-"""When the answer to a state may be given anew."""
+"""Pauses, process priority and revised answers of an agent."""
 
 from msgspec.structs import replace
 
@@ -34,11 +34,11 @@ def looks_between_states(
     return looks / (states - states // 2)
 
 
-def test_agent_looks_a_few_times_for_a_state_in_real_time() -> None:
+def test_schedule_polls_a_few_times_per_state_in_real_time() -> None:
     assert looks_between_states(PollSchedule(), 0.0125, states=200, awaited=False) < 4.5
 
 
-def test_agent_looks_more_often_where_commands_are_not_to_wait_for_states() -> None:
+def test_schedule_polls_more_often_for_late_commands() -> None:
     rhythm = PollSchedule(MAX_COMMAND_PAUSE_S)
     for state in range(100):
         rhythm.note_state(state * 0.1, is_awaited=False)
@@ -46,7 +46,7 @@ def test_agent_looks_more_often_where_commands_are_not_to_wait_for_states() -> N
     assert rhythm.pause_s(9.9) == MAX_COMMAND_PAUSE_S
 
 
-def test_agent_answers_no_more_often_than_that_when_time_runs_fast() -> None:
+def test_schedule_limits_the_rate_of_answers_when_time_runs_fast() -> None:
     rhythm = PollSchedule()
 
     looks = looks_between_states(rhythm, 0.0005, states=4000, awaited=False)
@@ -54,7 +54,7 @@ def test_agent_answers_no_more_often_than_that_when_time_runs_fast() -> None:
     assert looks <= 1.1 * 0.0005 / MIN_PERIOD_S
 
 
-def test_agent_looks_again_and_again_when_it_is_awaited() -> None:
+def test_schedule_polls_fast_when_an_answer_is_awaited() -> None:
     rhythm = PollSchedule()
     rhythm.note_state(5.0, is_awaited=True)
 
@@ -62,7 +62,7 @@ def test_agent_looks_again_and_again_when_it_is_awaited() -> None:
     assert rhythm.pause_s(5.03) > EAGER_POLL_S
 
 
-def test_agent_finds_a_faster_beat_at_once() -> None:
+def test_schedule_adopts_a_shorter_period_at_once() -> None:
     rhythm = PollSchedule()
     looks_between_states(rhythm, 0.0125, states=100, awaited=False)
     rhythm.note_state(10.0, is_awaited=False)
@@ -71,7 +71,7 @@ def test_agent_finds_a_faster_beat_at_once() -> None:
     assert rhythm.pause_s(10.003) == MIN_PERIOD_S
 
 
-def test_agent_looks_less_often_while_time_stands() -> None:
+def test_schedule_polls_less_often_while_time_is_stopped() -> None:
     rhythm = PollSchedule()
     rhythm.note_state(1.0, is_awaited=False)
 
@@ -79,7 +79,7 @@ def test_agent_looks_less_often_while_time_stands() -> None:
     assert PollSchedule().pause_s(0.0) == IDLE_S
 
 
-def test_agent_never_sleeps_so_long_that_everything_else_waits() -> None:
+def test_schedule_limits_its_pauses() -> None:
     rhythm = PollSchedule()
     for state in range(100):
         rhythm.note_state(state * 0.1, is_awaited=False)
@@ -98,75 +98,75 @@ class Wishes:
     """What was asked of the kernel, which is too busy for the first few."""
 
     def __init__(self, refusals: int = 0) -> None:
-        self.asked: list[int] = []
+        self.queried: list[int] = []
         self._refusals = refusals
 
     def __call__(self, niceness: int) -> bool:
-        self.asked.append(niceness)
-        return len(self.asked) > self._refusals
+        self.queried.append(niceness)
+        return len(self.queried) > self._refusals
 
 
 def run(
-    precedence: ProcessPriority, factor: float, *, from_s: float = 0.0, awaited: bool = False
+    priority: ProcessPriority, factor: float, *, from_s: float = 0.0, awaited: bool = False
 ) -> None:
     """Let two seconds pass, told every 10 ms of them."""
     for tick in range(200):
         now_s = from_s + tick * 0.01
-        told = state(round(1000 * from_s * MS + tick * 10 * MS * factor), is_awaited=awaited)
-        precedence.note_state(now_s, told)
+        drive_state = state(round(1000 * from_s * MS + tick * 10 * MS * factor), is_awaited=awaited)
+        priority.note_state(now_s, drive_state)
 
 
-def test_agent_stands_back_once_when_time_runs_fast() -> None:
+def test_priority_is_lowered_once_when_time_runs_fast() -> None:
     wishes = Wishes()
 
     run(ProcessPriority(wishes), factor=4.0)
 
-    assert wishes.asked == [NICENESS]
+    assert wishes.queried == [NICENESS]
 
 
-def test_agent_stays_where_it_is_in_real_time() -> None:
+def test_priority_stays_in_real_time() -> None:
     wishes = Wishes()
 
     run(ProcessPriority(wishes), factor=1.0)
 
-    assert wishes.asked == []
+    assert wishes.queried == []
 
 
-def test_agent_stays_where_it_is_when_time_waits_for_it() -> None:
+def test_priority_stays_when_time_waits_for_the_agent() -> None:
     wishes = Wishes()
 
     run(ProcessPriority(wishes), factor=4.0, awaited=True)
 
-    assert wishes.asked == []
+    assert wishes.queried == []
 
 
-def test_agent_asks_again_when_the_kernel_is_busy() -> None:
+def test_priority_is_set_again_when_the_kernel_refuses() -> None:
     wishes = Wishes(refusals=2)
 
     run(ProcessPriority(wishes), factor=4.0)
 
-    assert wishes.asked == [NICENESS] * 3
+    assert wishes.queried == [NICENESS] * 3
 
 
-def test_agent_comes_forward_when_time_runs_slowly_again() -> None:
+def test_priority_is_restored_when_time_runs_slowly_again() -> None:
     wishes = Wishes()
-    precedence = ProcessPriority(wishes)
+    priority = ProcessPriority(wishes)
 
-    run(precedence, factor=4.0)
-    run(precedence, factor=1.0, from_s=100.0)
+    run(priority, factor=4.0)
+    run(priority, factor=1.0, from_s=100.0)
 
-    assert wishes.asked == [NICENESS, 0]
+    assert wishes.queried == [NICENESS, 0]
 
 
-def test_agent_bears_a_reset_of_time() -> None:
+def test_priority_survives_a_reset_of_time() -> None:
     wishes = Wishes()
-    precedence = ProcessPriority(wishes)
+    priority = ProcessPriority(wishes)
 
-    run(precedence, factor=1.0, from_s=100.0)
-    precedence.note_state(103.0, state(0))
-    precedence.note_state(103.6, state(600 * MS))
+    run(priority, factor=1.0, from_s=100.0)
+    priority.note_state(103.0, state(0))
+    priority.note_state(103.6, state(600 * MS))
 
-    assert wishes.asked == []
+    assert wishes.queried == []
 
 
 NOW_S = 5.0
@@ -195,7 +195,7 @@ def test_answer_that_is_awaited_is_not_revised() -> None:
     assert not after((3, (1,), 0, False), (6, (1,), 0, True)).is_open(NOW_S)
 
 
-def test_answer_is_not_revised_when_a_state_tells_of_other_claims_or_another_epoch() -> None:
+def test_answer_is_not_revised_when_claims_or_epoch_change() -> None:
     assert not after((3, (1, 2), 0, False), (4, (1,), 0, False)).is_open(NOW_S)
     assert not after((3, (1,), 0, False), (6, (1,), 1, False)).is_open(NOW_S)
 
@@ -204,7 +204,7 @@ def test_answer_is_not_revised_when_no_state_has_come_for_long() -> None:
     assert not after((3, (1,), 0, False), (6, (1,), 0, False)).is_open(NOW_S + MIN_WINDOW_S)
 
 
-def test_answer_may_be_revised_for_longer_where_states_come_seldom() -> None:
+def test_answer_may_be_revised_for_longer_at_a_low_rate_of_states() -> None:
     revising = LateCommandWindow()
     for beat in (1, 2):
         revising.note_state(a_state(beat, (1,)), NOW_S + 0.4 * beat)

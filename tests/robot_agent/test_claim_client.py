@@ -1,60 +1,75 @@
-"""Asking for entities, over and over."""
+"""Claims by name and by share."""
 
 import pytest
 
 from tests.fakes import MemoryBus
-from tests.robot_agent.stand_in_server import AGENT, WORLD, StandInServer
+from tests.robot_agent.fake_server import AGENT, WORLD, FakeServer
+from tests.robot_agent.models import a_claim
 from zensim.proto import keys
 from zensim.proto.bus import NoServer
-from zensim.proto.codec.message_codec import MalformedPayload
-from zensim.proto.messages.result_messages import ClaimCode, ServiceError
+from zensim.proto.codec.message_codec import Format, MalformedPayload, decode, encode, make_encoding
+from zensim.proto.messages.agent_messages import (
+    Claim,
+    ClaimShareRequest,
+    ClaimShareResponse,
+    make_grants,
+)
+from zensim.proto.messages.result_messages import ClaimCode, Result, ResultCode, ServiceError
+from zensim.proto.messages.telemetry_messages import Event, EventKind
 from zensim.proto.topic_catalog import EVENTS
-from zensim.robot_agent.claim_client import ClaimSettings, NamedClaimClient
+from zensim.robot_agent.claim_client import (
+    MAX_SHARE_PERIOD_S,
+    MIN_SHARE_PERIOD_S,
+    ClaimSettings,
+    NamedClaimClient,
+    ShareClaimClient,
+    ShareSettings,
+)
 
 
-def a_claimer(bus: MemoryBus, *entities: str, wait_s: float = 30.0) -> NamedClaimClient:
+def make_client(bus: MemoryBus, *entities: str, wait_s: float = 30.0) -> NamedClaimClient:
     bus.token(keys.alive_agent(WORLD, AGENT))
-    wish = ClaimSettings(
+    settings = ClaimSettings(
         world=WORLD, agent=AGENT, entities=entities, on_release="keep", wait_s=wait_s
     )
-    return NamedClaimClient(bus, wish)
+    return NamedClaimClient(bus, settings)
 
 
-def granted(claimer: NamedClaimClient, now_s: float) -> list[str]:
-    return [claim.entity for claim in claimer.poll(now_s)]
+def granted(client: NamedClaimClient, now_s: float) -> list[str]:
+    return [claim.entity for claim in client.poll(now_s)]
 
 
-def test_claimer_asks_for_all_at_once_and_says_what_becomes_of_them() -> None:
+def test_client_claims_all_at_once_with_their_release_action() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus, "r1", "r2")
+    server = FakeServer(bus, "r1", "r2")
 
-    assert granted(a_claimer(bus, "r1", "r2"), 0.0) == ["r1", "r2"]
+    assert granted(make_client(bus, "r1", "r2"), 0.0) == ["r1", "r2"]
 
     (request,) = server.requests
     assert (request.agent, request.on_release) == (AGENT, "keep")
 
 
-def test_claimer_asks_no_more_when_it_has_all() -> None:
+def test_client_stops_calling_when_it_has_all() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus, "r1")
-    claimer = a_claimer(bus, "r1")
-    claimer.poll(0.0)
+    server = FakeServer(bus, "r1")
+    client = make_client(bus, "r1")
+    client.poll(0.0)
 
-    claimer.poll(100.0)
+    client.poll(100.0)
 
-    assert server.asked_for() == [("r1",)]
+    assert server.take_requests() == [("r1",)]
     assert not bus.is_heard(EVENTS.key(WORLD))
 
 
-def test_claimer_asks_ever_less_often() -> None:
+def test_client_backs_off() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus)
-    claimer = a_claimer(bus, "r1")
+    server = FakeServer(bus)
+    client = make_client(bus, "r1")
 
     asked_at = []
     for i in range(600):
-        claimer.poll(i / 100)
-        if server.asked_for():
+        client.poll(i / 100)
+        if server.take_requests():
             asked_at.append(i / 100)
 
     expected = [0.0, 0.05, 0.15, 0.35, 0.75, 1.55, 2.55, 3.55, 4.55, 5.55]
@@ -62,115 +77,119 @@ def test_claimer_asks_ever_less_often() -> None:
 
 
 @pytest.mark.parametrize("kind", ["spawned", "released"])
-def test_claimer_asks_at_once_when_what_is_missing_appears(kind: str) -> None:
+def test_client_calls_at_once_when_a_missing_entity_appears(kind: str) -> None:
     bus = MemoryBus()
-    server = StandInServer(bus)
-    claimer = a_claimer(bus, "r1")
-    claimer.poll(0.0)
-    server.asked_for()
+    server = FakeServer(bus)
+    client = make_client(bus, "r1")
+    client.poll(0.0)
+    server.take_requests()
 
-    server.entities |= StandInServer(MemoryBus(), "r1").entities
-    server.tell("spawned" if kind == "spawned" else "released", "r1")
+    server.entities |= FakeServer(MemoryBus(), "r1").entities
+    server.publish_event("spawned" if kind == "spawned" else "released", "r1")
 
-    assert granted(claimer, 0.001) == ["r1"]
+    assert granted(client, 0.001) == ["r1"]
 
 
-def test_claimer_does_not_ask_when_something_else_appears_or_is_garbled() -> None:
+def test_client_ignores_events_of_others_and_malformed_ones() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus)
-    claimer = a_claimer(bus, "r1")
-    claimer.poll(0.0)
-    server.asked_for()
+    server = FakeServer(bus)
+    client = make_client(bus, "r1")
+    client.poll(0.0)
+    server.take_requests()
 
-    server.tell("spawned", "r2")
-    server.tell("deleted", "r1")
+    server.publish_event("spawned", "r2")
+    server.publish_event("deleted", "r1")
     bus.put(EVENTS.key(WORLD), b"garbage")
-    claimer.poll(0.001)
+    client.poll(0.001)
 
-    assert server.asked_for() == []
+    assert server.take_requests() == []
 
 
-def test_claimer_asks_at_once_when_hurried() -> None:
+def test_client_calls_at_once_after_retry_soon() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus)
-    claimer = a_claimer(bus, "r1")
-    claimer.poll(0.0)
+    server = FakeServer(bus)
+    client = make_client(bus, "r1")
+    client.poll(0.0)
 
-    claimer.retry_soon()
-    claimer.poll(0.001)
+    client.retry_soon()
+    client.poll(0.001)
 
     assert len(server.requests) == 2
 
 
-def test_claimer_waits_while_nobody_serves_the_world() -> None:
+def test_client_waits_while_there_is_no_server() -> None:
     bus = MemoryBus()
-    claimer = a_claimer(bus, "r1")
-    assert granted(claimer, 0.0) == []
+    client = make_client(bus, "r1")
+    assert granted(client, 0.0) == []
 
-    StandInServer(bus, "r1")
+    FakeServer(bus, "r1")
 
-    assert granted(claimer, 1.0) == ["r1"]
+    assert granted(client, 1.0) == ["r1"]
 
 
-def test_claimer_waits_while_another_agent_drives_the_entity() -> None:
+def test_client_waits_while_another_agent_drives_the_entity() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus, "r1")
+    server = FakeServer(bus, "r1")
     server.drivers["r1"] = "dying"
-    claimer = a_claimer(bus, "r1")
-    assert granted(claimer, 0.0) == []
+    client = make_client(bus, "r1")
+    assert granted(client, 0.0) == []
 
     server.drivers.clear()
 
-    assert granted(claimer, 1.0) == ["r1"]
+    assert granted(client, 1.0) == ["r1"]
 
 
-def test_claimer_waits_while_the_server_has_not_seen_its_token() -> None:
+def test_client_waits_while_the_server_lacks_its_token() -> None:
     bus = MemoryBus()
-    StandInServer(bus, "r1")
-    wish = ClaimSettings(world=WORLD, agent=AGENT, entities=("r1",), on_release="stop", wait_s=30.0)
-    claimer = NamedClaimClient(bus, wish)
-    assert granted(claimer, 0.0) == []
+    FakeServer(bus, "r1")
+    settings = ClaimSettings(
+        world=WORLD, agent=AGENT, entities=("r1",), on_release="stop", wait_s=30.0
+    )
+    client = NamedClaimClient(bus, settings)
+    assert granted(client, 0.0) == []
 
     bus.token(keys.alive_agent(WORLD, AGENT))
 
-    assert granted(claimer, 1.0) == ["r1"]
+    assert granted(client, 1.0) == ["r1"]
 
 
-def test_claimer_gives_up_with_the_refusal_when_it_has_waited() -> None:
+def test_client_raises_the_refusal_at_its_deadline() -> None:
     bus = MemoryBus()
-    StandInServer(bus)
-    claimer = a_claimer(bus, "r1", wait_s=2.0)
-    claimer.poll(0.0)
-    claimer.poll(1.9)
+    FakeServer(bus)
+    client = make_client(bus, "r1", wait_s=2.0)
+    client.poll(0.0)
+    client.poll(1.9)
 
     with pytest.raises(ServiceError) as caught:
-        claimer.poll(5.0)
+        client.poll(5.0)
 
     assert str(caught.value) == "NOT_FOUND (2): entity 'r1' does not exist (waited 2.0 s)"
 
 
-def test_claimer_gives_up_at_once_when_it_may_not_wait() -> None:
-    with pytest.raises(NoServer, match=r"^nothing answers sim/default/claim_entity$"):
-        a_claimer(MemoryBus(), "r1", wait_s=0.0).poll(0.0)
+def test_client_raises_at_once_without_a_wait() -> None:
+    with pytest.raises(NoServer):
+        make_client(MemoryBus(), "r1", wait_s=0.0).poll(0.0)
 
 
-def test_claimer_gives_up_when_the_server_is_silent_for_as_long_as_it_waits() -> None:
+def test_client_raises_when_the_server_does_not_reply_until_the_deadline() -> None:
     bus = MemoryBus()
     bus.serve(keys.service(WORLD, "claim_entity"))
 
-    with pytest.raises(TimeoutError, match=r"within 0.5 s$"):
-        a_claimer(bus, "r1", wait_s=0.0).poll(0.0)
+    with pytest.raises(TimeoutError, match=r"0\.5 s"):
+        make_client(bus, "r1", wait_s=0.0).poll(0.0)
 
 
-def test_claimer_gives_up_at_once_when_waiting_would_not_help() -> None:
+def test_client_raises_at_once_on_a_final_refusal() -> None:
     bus = MemoryBus()
-    StandInServer(bus, "r1").refusal = ClaimCode.NOT_DRIVABLE
+    FakeServer(bus, "r1").refusal = ClaimCode.NOT_DRIVABLE
 
-    with pytest.raises(ServiceError, match="NOT_DRIVABLE"):
-        a_claimer(bus, "r1").poll(0.0)
+    with pytest.raises(ServiceError) as refusal:
+        make_client(bus, "r1").poll(0.0)
+
+    assert refusal.value.code == ClaimCode.NOT_DRIVABLE
 
 
-def test_claimer_gives_up_when_the_answer_is_none() -> None:
+def test_client_raises_when_the_reply_is_malformed() -> None:
     bus = MemoryBus()
     queue = bus.serve(keys.service(WORLD, "claim_entity"))
 
@@ -181,61 +200,187 @@ def test_claimer_gives_up_when_the_answer_is_none() -> None:
     bus.pumps.append(answer)
 
     with pytest.raises(MalformedPayload):
-        a_claimer(bus, "r1").poll(0.0)
+        make_client(bus, "r1").poll(0.0)
 
 
-def test_claimer_never_gives_up_once_it_had_something() -> None:
+def test_client_never_raises_after_a_first_claim() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus, "r1")
-    claimer = a_claimer(bus, "r1", wait_s=0.0)
-    claimer.poll(0.0)
+    server = FakeServer(bus, "r1")
+    client = make_client(bus, "r1", wait_s=0.0)
+    client.poll(0.0)
     server.entities.clear()
-    claimer.reclaim(("r1",))
+    client.reclaim(("r1",))
     for now_s in (1.0, 100.0, 10_000.0):
         server.refusal = ClaimCode.NOT_DRIVABLE
-        assert granted(claimer, now_s) == []
+        assert granted(client, now_s) == []
 
     server.refusal = None
-    server.entities |= StandInServer(MemoryBus(), "r1").entities
+    server.entities |= FakeServer(MemoryBus(), "r1").entities
 
-    assert granted(claimer, 10_001.0) == ["r1"]
+    assert granted(client, 10_001.0) == ["r1"]
 
 
-def test_claimer_takes_those_that_are_there_when_others_stay_away() -> None:
+def test_client_claims_existing_entities_while_others_are_missing() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus, "r1", "r2", "r3")
-    claimer = a_claimer(bus, "r1", "r2", "r3")
-    claimer.poll(0.0)
+    server = FakeServer(bus, "r1", "r2", "r3")
+    client = make_client(bus, "r1", "r2", "r3")
+    client.poll(0.0)
     del server.entities["r2"]
 
-    claimer.reclaim(("r1", "r2", "r3"))
+    client.reclaim(("r1", "r2", "r3"))
 
-    assert granted(claimer, 1.0) == []
-    assert granted(claimer, 2.0) == ["r1", "r3"]
+    assert granted(client, 1.0) == []
+    assert granted(client, 2.0) == ["r1", "r3"]
 
 
-def test_claimer_asks_one_by_one_no_further_when_the_server_goes() -> None:
+def test_client_stops_a_round_of_calls_when_the_server_is_gone() -> None:
     bus = MemoryBus()
-    server = StandInServer(bus, "r1", "r2")
-    claimer = a_claimer(bus, "r1", "r2")
-    claimer.poll(0.0)
+    server = FakeServer(bus, "r1", "r2")
+    client = make_client(bus, "r1", "r2")
+    client.poll(0.0)
     server.entities.clear()
-    claimer.reclaim(("r1", "r2"))
-    claimer.poll(1.0)
+    client.reclaim(("r1", "r2"))
+    client.poll(1.0)
 
     bus.pumps.clear()
 
-    assert granted(claimer, 2.0) == []
+    assert granted(client, 2.0) == []
 
 
-def test_claimer_says_once_what_it_waits_for(caplog: pytest.LogCaptureFixture) -> None:
+def test_client_logs_a_reason_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     bus = MemoryBus()
-    StandInServer(bus)
-    claimer = a_claimer(bus, "r1")
+    FakeServer(bus)
+    client = make_client(bus, "r1")
 
     for now_s in (0.0, 1.0, 2.0, 3.0):
-        claimer.poll(now_s)
+        client.poll(now_s)
 
-    (line,) = caplog.messages
-    assert line.startswith("waiting agent=a1 reason=")
+    (record,) = caplog.messages
+    assert record.startswith("waiting agent=a1 reason=")
+
+
+class FakeShareServer:
+    """Answers every request for a share with what it is told to."""
+
+    def __init__(self, bus: MemoryBus) -> None:
+        self.requests: list[ClaimShareRequest] = []
+        self.grants: list[tuple[Claim, ...]] = []
+        self.refusal: int = ResultCode.OK
+        self.is_more = False
+        self._bus = bus
+        self._calls = bus.serve(keys.service(WORLD, "claim_share"))
+        bus.pumps.append(self._poll)
+
+    def publish_event(self, kind: EventKind) -> None:
+        self._bus.put_message(EVENTS.key(WORLD), Event(kind, "r1"), Format.MSGPACK)
+
+    def take_request_count(self) -> int:
+        count = len(self.requests)
+        self.requests.clear()
+        return count
+
+    def _poll(self) -> None:
+        for call in self._calls.take():
+            self.requests.append(decode(ClaimShareRequest, call.payload, call.encoding))
+            claims = self.grants.pop(0) if self.grants else ()
+            result = Result(self.refusal, "no" if self.refusal != ResultCode.OK else "")
+            response = ClaimShareResponse(result, *make_grants(claims), is_more=self.is_more)
+            encoding = make_encoding(response, Format.MSGPACK)
+            call.reply(encode(response, Format.MSGPACK), encoding)
+
+
+def make_share_client(bus: MemoryBus, wait_s: float = 30.0) -> ShareClaimClient:
+    settings = ShareSettings(world=WORLD, agent="p", limit=7, on_release="keep", wait_s=wait_s)
+    return ShareClaimClient(bus, settings)
+
+
+def test_share_client_calls_at_once_with_its_limit() -> None:
+    bus = MemoryBus()
+    server = FakeShareServer(bus)
+    server.grants = [(a_claim(1, "r1"), a_claim(2, "r2"))]
+
+    assert [claim.entity for claim in make_share_client(bus).poll(0.0)] == ["r1", "r2"]
+
+    (request,) = server.requests
+    assert (request.agent, request.limit, request.on_release) == ("p", 7, "keep")
+
+
+def test_share_client_calls_periodically() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+
+    for i in range(350):
+        client.poll(i / 100)
+
+    assert server.take_request_count() == 1 + int(3.49 / MAX_SHARE_PERIOD_S)
+
+
+@pytest.mark.parametrize("kind", ["spawned", "deleted", "released"])
+def test_share_client_calls_once_soon_after_many_changes(kind: EventKind) -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    client.poll(0.0)
+    server.take_request_count()
+    for _ in range(100):
+        server.publish_event(kind)
+
+    client.poll(0.01)
+    assert server.take_request_count() == 0
+    client.poll(MIN_SHARE_PERIOD_S)
+    client.poll(MIN_SHARE_PERIOD_S + 0.01)
+
+    assert server.take_request_count() == 1
+
+
+def test_share_client_ignores_claims_of_others() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    client.poll(0.0)
+    server.take_request_count()
+    server.publish_event("claimed")
+    bus.put(EVENTS.key(WORLD), b"garbage")
+
+    client.poll(0.5)
+
+    assert server.take_request_count() == 0
+
+
+def test_share_client_calls_on_while_there_is_more() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus)
+    server.is_more = True
+
+    for i in range(5):
+        client.poll(i / 1000)
+
+    assert server.take_request_count() == 5
+
+
+def test_share_client_raises_at_its_deadline_without_a_server() -> None:
+    client = make_share_client(MemoryBus(), wait_s=1.0)
+    for i in range(100):
+        client.poll(i / 100)
+
+    with pytest.raises(NoServer, match=r"1\.0 s"):
+        client.poll(2.0)
+
+
+def test_share_client_never_raises_after_a_first_reply() -> None:
+    bus = MemoryBus()
+    server, client = FakeShareServer(bus), make_share_client(bus, wait_s=1.0)
+    client.poll(0.0)
+    server.refusal = ResultCode.INCORRECT_STATE
+
+    for i in range(1000):
+        assert client.poll(i / 100) == ()
+
+
+def test_share_client_raises_at_once_on_a_final_refusal() -> None:
+    bus = MemoryBus()
+    FakeShareServer(bus).refusal = 102
+
+    with pytest.raises(ServiceError) as refusal:
+        make_share_client(bus).poll(0.0)
+
+    assert refusal.value.code == 102

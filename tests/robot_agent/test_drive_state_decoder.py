@@ -1,4 +1,4 @@
-"""Drive states, cut and put in order."""
+"""Drive states by robots and in order."""
 
 import msgspec
 import pytest
@@ -8,7 +8,7 @@ from zensim.proto.codec.message_codec import MalformedPayload
 from zensim.robot_agent.drive_state_decoder import DriveStateLayout, RobotState, StateOrder
 
 
-def test_layout_cuts_a_state_robot_by_robot() -> None:
+def test_layout_splits_a_state_by_robots() -> None:
     state = msgspec.structs.replace(
         a_state(5, (1, 2)),
         joint_positions=a_state(0, positions=(1.0, 2.0, 3.0)).joint_positions,
@@ -21,12 +21,12 @@ def test_layout_cuts_a_state_robot_by_robot() -> None:
     ]
 
 
-def test_layout_cuts_nothing_when_there_are_no_robots() -> None:
+def test_layout_without_robots_splits_an_empty_state() -> None:
     assert DriveStateLayout(()).split(a_state(0, (), positions=(), velocities=())) == []
 
 
 @pytest.mark.parametrize("field", ["base", "joint_positions", "joint_velocities"])
-def test_layout_refuses_a_state_that_does_not_fit(field: str) -> None:
+def test_layout_rejects_a_state_of_another_size(field: str) -> None:
     state = a_state(5)
     short = msgspec.structs.replace(state, **{field: getattr(state, field)[:-1]})
 
@@ -34,37 +34,37 @@ def test_layout_refuses_a_state_that_does_not_fit(field: str) -> None:
         DriveStateLayout((2,)).split(short)
 
 
-def test_timeline_goes_on_with_each_step() -> None:
+def test_order_is_next_with_each_step() -> None:
     timeline = StateOrder()
 
-    assert [timeline.place(0, step) for step in (7, 10, 10)] == ["next"] * 3
+    assert [timeline.classify(0, step) for step in (7, 10, 10)] == ["next"] * 3
 
 
-def test_timeline_has_no_reset_at_its_first_state() -> None:
-    assert StateOrder().place(4, 0) == "next"
+def test_order_is_next_at_the_first_state() -> None:
+    assert StateOrder().classify(4, 0) == "next"
 
 
-def test_timeline_calls_a_step_back_stale() -> None:
+def test_order_is_stale_for_an_older_step() -> None:
     timeline = StateOrder()
-    timeline.place(1, 10)
+    timeline.classify(1, 10)
 
-    assert timeline.place(1, 9) == "stale"
-    assert timeline.place(0, 11) == "stale"
-    assert timeline.place(1, 11) == "next"
+    assert timeline.classify(1, 9) == "stale"
+    assert timeline.classify(0, 11) == "stale"
+    assert timeline.classify(1, 11) == "next"
 
 
-def test_timeline_goes_back_with_a_higher_epoch() -> None:
+def test_order_is_reset_with_a_higher_epoch() -> None:
     timeline = StateOrder()
-    timeline.place(0, 10)
+    timeline.classify(0, 10)
 
-    assert timeline.place(1, 0) == "reset"
-    assert timeline.place(1, 1) == "next"
+    assert timeline.classify(1, 0) == "reset"
+    assert timeline.classify(1, 1) == "next"
 
 
-def test_timeline_takes_anything_after_it_forgot() -> None:
+def test_order_accepts_any_state_after_forget() -> None:
     timeline = StateOrder()
-    timeline.place(3, 10)
+    timeline.classify(3, 10)
 
     timeline.forget()
 
-    assert timeline.place(0, 0) == "next"
+    assert timeline.classify(0, 0) == "next"

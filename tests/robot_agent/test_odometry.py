@@ -1,4 +1,4 @@
-"""Odometry of both sources, by hand."""
+"""Odometry of both sources, against numbers worked out by hand."""
 
 import math
 
@@ -50,7 +50,7 @@ def test_world_motion_starts_at_the_spawn_pose() -> None:
     assert find_yaw(motion.orientation, FLOAT_MATH) == pytest.approx(1.0)
 
 
-def test_world_motion_turns_the_velocity_into_the_body() -> None:
+def test_world_motion_rotates_the_velocity_into_the_body() -> None:
     facing_left = state(yaw=math.pi / 2, linear=(-0.3, 0.5, 0.7), angular=(0.1, 0.2, 0.9))
 
     motion = world_motion(facing_left, Origin())
@@ -67,7 +67,7 @@ def test_world_motion_is_that_of_the_base_when_it_is_off_the_root_link() -> None
     assert motion.position == pytest.approx((1.0, 2.0, 0.0))
 
 
-def test_world_motion_adds_what_the_turn_gives_to_a_base_off_the_root_link() -> None:
+def test_world_motion_adds_the_rotation_for_a_base_off_the_root_link() -> None:
     ahead = Origin((0.5, 0.0, 0.0))
 
     motion = world_motion(state(linear=(1.0, 0.0, 0.0), angular=(0.0, 0.0, 2.0)), ahead)
@@ -75,7 +75,7 @@ def test_world_motion_adds_what_the_turn_gives_to_a_base_off_the_root_link() -> 
     assert (motion.linear_x, motion.linear_y) == pytest.approx((1.0, 1.0))
 
 
-def test_world_motion_turns_with_a_base_that_is_turned_on_the_root_link() -> None:
+def test_world_motion_follows_a_base_rotated_on_the_root_link() -> None:
     backwards = Origin((0.0, 0.0, 0.0), from_axis_angle(UP, math.pi))
 
     motion = world_motion(state(linear=(1.0, 0.2, 0.0)), backwards)
@@ -83,11 +83,11 @@ def test_world_motion_turns_with_a_base_that_is_turned_on_the_root_link() -> Non
     assert (motion.linear_x, motion.linear_y) == pytest.approx((-1.0, -0.2))
 
 
-def test_encoder_starts_at_nothing_wherever_the_wheels_are() -> None:
+def test_encoder_starts_at_zero_for_any_wheel_positions() -> None:
     assert an_encoder().motion == BaseMotion()
 
 
-def test_encoder_goes_straight_when_both_wheels_turn_alike() -> None:
+def test_encoder_moves_straight_when_both_wheels_turn_equally() -> None:
     encoder = an_encoder()
 
     encoder.update(left_rad=5.0, right_rad=-5.0, time_ns=7 * SECOND)
@@ -119,7 +119,7 @@ def test_encoder_moves_along_the_middle_heading_of_an_arc() -> None:
 
 
 @pytest.mark.parametrize(("is_speed_unsigned", "expected"), [(False, -0.2), (True, 0.2)])
-def test_encoder_speed_in_reverse_is_negative_unless_gazebos_fault_is_asked_for(
+def test_encoder_speed_in_reverse_is_negative_unless_unsigned(
     *, is_speed_unsigned: bool, expected: float
 ) -> None:
     encoder = an_encoder(is_speed_unsigned=is_speed_unsigned)
@@ -140,7 +140,7 @@ def test_encoder_keeps_its_motion_when_no_time_has_passed() -> None:
     assert encoder.motion == before
 
 
-def test_encoder_starts_again_when_it_is_reset() -> None:
+def test_encoder_starts_at_zero_after_a_reset() -> None:
     encoder = an_encoder()
     encoder.update(left_rad=5.0, right_rad=-5.0, time_ns=7 * SECOND)
 

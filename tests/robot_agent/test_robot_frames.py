@@ -1,4 +1,4 @@
-"""Which frames hang from which."""
+"""Frames and transforms of a robot."""
 
 import math
 
@@ -63,7 +63,7 @@ def test_base_is_the_root_link_when_the_drive_says_so() -> None:
     assert find_base_frame(with_base("base_link")) == BaseFrame("base_link", Origin())
 
 
-def test_base_stands_for_the_root_link_when_the_description_lacks_it() -> None:
+def test_unknown_base_has_the_pose_of_the_root_link() -> None:
     assert find_base_frame(with_base("nowhere")) == BaseFrame("nowhere", Origin())
 
 
@@ -111,7 +111,7 @@ def test_fixed_frames_join_the_root_link_when_the_description_lacks_the_base() -
     assert parents_of(with_base("nowhere"))["base_link"] == "nowhere"
 
 
-def test_fixed_frames_do_not_name_a_base_that_nobody_else_names() -> None:
+def test_fixed_frames_omit_an_unknown_base_without_odometry() -> None:
     assert "base_link" not in parents_of(with_base("nowhere", publish_odom_tf=False))
 
 
@@ -149,7 +149,7 @@ def test_tf_is_one_tree_whatever_is_fixed_to_what(data: st.DataObject) -> None:
     assert placed["base_link"].position == pytest.approx(invert(base.pose_in_root).position)
 
 
-def test_moving_joints_are_all_when_wheels_are_asked_for() -> None:
+def test_moving_joints_include_wheels_with_publish_wheel_tf() -> None:
     publisher = JointStatePublisher(("lidar_joint",))
 
     assert names_of(two_wheeler(joints=(*WHEELS, LIDAR), joint_state=publisher)) == [
@@ -159,7 +159,7 @@ def test_moving_joints_are_all_when_wheels_are_asked_for() -> None:
     ]
 
 
-def test_moving_joints_leave_out_wheels_when_nothing_asks_for_them() -> None:
+def test_moving_joints_omit_wheels_by_default() -> None:
     publisher = JointStatePublisher(("lidar_joint",))
     model = two_wheeler(QUIET, joints=(*WHEELS, LIDAR), joint_state=publisher)
 

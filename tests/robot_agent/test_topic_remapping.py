@@ -1,4 +1,4 @@
-"""Where remappings lead."""
+"""Remapped topic keys."""
 
 import pytest
 
@@ -27,14 +27,14 @@ from zensim.robot_agent.topic_remapping import (
         ("odom", ("~/odom:=elsewhere",), "team/r1/odom"),
     ],
 )
-def test_topic_is_where_its_first_fitting_rule_leads(
+def test_topic_key_follows_the_first_matching_rule(
     topic: str, rules: tuple[str, ...], expected: str
 ) -> None:
     assert resolve_topic_key("team/r1", topic, RosBlock("ignored", rules)) == expected
 
 
 @pytest.mark.parametrize("target", ["/sim/default/clock", "a*", "**", "~/odom", "/", "a//b", "$x"])
-def test_topic_stays_where_it_is_when_a_rule_leads_to_no_key(target: str) -> None:
+def test_topic_key_ignores_a_rule_without_a_valid_key(target: str) -> None:
     assert resolve_topic_key("r1", "odom", RosBlock("", (f"odom:={target}",))) == "r1/odom"
 
 
@@ -49,7 +49,7 @@ def test_topic_stays_where_it_is_when_a_rule_leads_to_no_key(target: str) -> Non
         ("go", ("odom:=away",), "fixed", "r1/go"),
     ],
 )
-def test_commands_are_heard_where_the_drive_says_unless_it_is_gazebos(
+def test_cmd_vel_key_is_that_of_the_drive_unless_compat_is_gazebo11(
     written: str, rules: tuple[str, ...], compat: Compat, expected: str
 ) -> None:
     drive = DiffDrive(command_topic=written, ros=RosBlock("", rules), compat=compat)
@@ -57,6 +57,6 @@ def test_commands_are_heard_where_the_drive_says_unless_it_is_gazebos(
     assert resolve_cmd_vel_key("r1", drive) == expected
 
 
-def test_odometry_is_told_where_the_drive_says() -> None:
+def test_odom_key_is_that_of_the_drive() -> None:
     assert resolve_odom_key("r1", DiffDrive(odometry_topic="o")) == "r1/o"
     assert resolve_odom_key("r1", DiffDrive()) == "r1/odom"

@@ -1,4 +1,4 @@
-"""What ground truth plug-ins tell."""
+"""True odometry of links."""
 
 import math
 
@@ -68,7 +68,7 @@ def test_link_is_where_bullet_has_it_and_moves_so(link: int, name: str) -> None:
     assert found.angular == pytest.approx(state[7], abs=1e-5)
 
 
-def test_merged_link_goes_with_the_link_that_holds_it() -> None:
+def test_merged_link_moves_with_its_parent() -> None:
     hook, tip = (LinkChain(CRANE, name).motion(READING) for name in ("hook", "tip"))
 
     away = np.array(tip.position) - np.array(hook.position)
@@ -80,7 +80,7 @@ def test_merged_link_goes_with_the_link_that_holds_it() -> None:
 
 
 @pytest.mark.parametrize("name", ["base", "nothing"])
-def test_root_link_is_where_it_is(name: str) -> None:
+def test_root_link_has_its_own_pose(name: str) -> None:
     found = LinkChain(CRANE, name).motion(READING)
 
     assert (*found.position, *found.orientation) == pytest.approx(ROOT[:7])
@@ -90,15 +90,15 @@ def test_root_link_is_where_it_is(name: str) -> None:
 MS = 1_000_000
 QUARTER = math.pi / 2.0
 MOVING = a_state((1.0, 2.0, 0.1), turn=(0.0, 0.0, QUARTER), linear=(0.0, 0.5, 0.0))
-TRUTH = GroundTruth("base_link", topic="truth")
+PLUGIN = GroundTruth("base_link", topic="truth")
 
 
-def reading(time_ms: int = 0, velocities: tuple[float, ...] = (0.0, 0.0)) -> RobotState:
+def state(time_ms: int = 0, velocities: tuple[float, ...] = (0.0, 0.0)) -> RobotState:
     return RobotState(time_ms * MS, tuple(MOVING.tolist()), (0.0, 0.0), velocities)
 
 
-def telling(bus: MemoryBus, *truths: GroundTruth) -> TrueOdometryTelemetry:
-    model = msgspec.structs.replace(two_wheeler(), ground_truths=truths)
+def make_telemetry(bus: MemoryBus, *plugins: GroundTruth) -> TrueOdometryTelemetry:
+    model = msgspec.structs.replace(two_wheeler(), ground_truths=plugins)
     return TrueOdometryTelemetry(TopicFactory(bus), a_claim(model=model))
 
 
@@ -106,16 +106,16 @@ def messages(listener: MemorySubscription) -> list[Odometry]:
     return [decode(Odometry, one.payload, one.encoding) for one in listener.take()]
 
 
-def told(truth: GroundTruth, key: str = "r1/truth") -> Odometry:
+def publish(plugin: GroundTruth, key: str = "r1/truth") -> Odometry:
     bus = MemoryBus()
     listener = bus.subscribe(key)
-    telling(bus, truth).publish(reading())
+    make_telemetry(bus, plugin).publish(state())
     (message,) = messages(listener)
     return message
 
 
-def test_truth_is_the_pose_in_the_world_and_the_velocity_in_the_body() -> None:
-    message = told(TRUTH)
+def test_true_odometry_is_the_pose_in_the_world_and_the_velocity_in_the_body() -> None:
+    message = publish(PLUGIN)
 
     pose, twist = message.pose.pose, message.twist.twist
     assert (message.header.frame_id, message.child_frame_id) == ("world", "base_link")
@@ -125,28 +125,28 @@ def test_truth_is_the_pose_in_the_world_and_the_velocity_in_the_body() -> None:
     assert message.pose.covariance == (0.0,) * 36
 
 
-def test_velocity_is_along_the_axes_of_the_world_as_gazebo_has_it() -> None:
-    twist = told(msgspec.structs.replace(TRUTH, compat="gazebo11")).twist.twist
+def test_true_velocity_has_world_axes_with_compat_gazebo11() -> None:
+    twist = publish(msgspec.structs.replace(PLUGIN, compat="gazebo11")).twist.twist
 
     assert (twist.linear.x, twist.linear.y) == pytest.approx((0.0, 0.5))
 
 
-def test_truth_is_of_links_that_move_or_are_merged() -> None:
+def test_true_odometry_covers_moving_and_merged_links() -> None:
     bus = MemoryBus()
     wheel, camera = bus.subscribe("r1/wheel"), bus.subscribe("r1/camera")
-    truths = (GroundTruth("left_wheel", topic="wheel"), GroundTruth("camera", topic="camera"))
+    plugins = (GroundTruth("left_wheel", topic="wheel"), GroundTruth("camera", topic="camera"))
 
-    telling(bus, *truths).publish(reading(velocities=(3.0, 0.0)))
+    make_telemetry(bus, *plugins).publish(state(velocities=(3.0, 0.0)))
 
     (spin,), (view,) = messages(wheel), messages(camera)
     assert spin.twist.twist.angular.y == pytest.approx(3.0)
     assert view.pose.pose.position.y == pytest.approx(2.2)
 
 
-def test_truth_may_be_told_relative_to_a_link() -> None:
-    truth = msgspec.structs.replace(TRUTH, body="camera", frame_id="base_footprint")
+def test_true_odometry_may_be_relative_to_a_link() -> None:
+    plugin = msgspec.structs.replace(PLUGIN, body="camera", frame_id="base_footprint")
 
-    message = told(truth)
+    message = publish(plugin)
 
     position = message.pose.pose.position
     assert (position.x, position.y, position.z) == pytest.approx((0.2, 0.0, 0.2))
@@ -154,59 +154,59 @@ def test_truth_may_be_told_relative_to_a_link() -> None:
     assert message.twist.twist.linear.x == pytest.approx(0.0)
 
 
-def test_truth_is_off_by_what_is_asked_for() -> None:
+def test_true_odometry_has_the_described_offset() -> None:
     x, y, z, w = from_rpy(0.0, 0.0, -QUARTER).tolist()
-    truth = msgspec.structs.replace(TRUTH, offset=Origin((10.0, 0.0, 0.0), (x, y, z, w)))
+    plugin = msgspec.structs.replace(PLUGIN, offset=Origin((10.0, 0.0, 0.0), (x, y, z, w)))
 
-    pose = told(truth).pose.pose
+    pose = publish(plugin).pose.pose
 
     assert (pose.position.x, pose.position.y) == (11.0, 2.0)
     assert pose.orientation.w == pytest.approx(1.0)
 
 
-def test_truth_is_told_at_its_rate_where_it_is_remapped_to() -> None:
+def test_true_odometry_is_published_at_its_rate_on_its_remapped_key() -> None:
     bus = MemoryBus()
     listener = bus.subscribe("r1/exact", depth=100)
     rules = RosBlock(remappings=("odom:=exact",))
-    telemetry = telling(bus, GroundTruth("base_link", update_rate_hz=20.0, ros=rules))
+    telemetry = make_telemetry(bus, GroundTruth("base_link", update_rate_hz=20.0, ros=rules))
 
     for time_ms in range(0, 1000, 10):
-        telemetry.publish(reading(time_ms))
+        telemetry.publish(state(time_ms))
 
     assert len(messages(listener)) == 20
 
 
-def velocities_told(*, resets: bool = False) -> list[float]:
+def list_velocities(*, resets: bool = False) -> list[float]:
     bus = MemoryBus()
     listener = bus.subscribe("r1/truth", depth=2000)
-    telemetry = telling(bus, msgspec.structs.replace(TRUTH, noise=0.1))
+    telemetry = make_telemetry(bus, msgspec.structs.replace(PLUGIN, noise=0.1))
     for time_ms in range(0, 500, 1):
-        telemetry.publish(reading(time_ms))
+        telemetry.publish(state(time_ms))
     if resets:
         telemetry.reset()
         listener.take()
         for time_ms in range(0, 500, 1):
-            telemetry.publish(reading(time_ms))
-    heard = messages(listener)
-    assert heard[0].twist.covariance[::7] == pytest.approx((0.01,) * 6)
-    return [message.twist.twist.linear.x for message in heard]
+            telemetry.publish(state(time_ms))
+    received = messages(listener)
+    assert received[0].twist.covariance[::7] == pytest.approx((0.01,) * 6)
+    return [message.twist.twist.linear.x for message in received]
 
 
-def test_velocity_has_the_noise_that_is_asked_for_the_same_on_every_run() -> None:
-    first = velocities_told()
+def test_true_velocity_has_the_described_noise_in_every_run() -> None:
+    first = list_velocities()
 
     assert np.mean(first) == pytest.approx(0.5, abs=0.02)
     assert np.std(first) == pytest.approx(0.1, rel=0.15)
-    assert velocities_told() == first
-    assert velocities_told(resets=True) == first
+    assert list_velocities() == first
+    assert list_velocities(resets=True) == first
 
 
-def test_robot_tells_and_answers_its_ground_truth_until_it_is_closed() -> None:
+def test_robot_publishes_and_replies_with_true_odometry_until_closed() -> None:
     bus = MemoryBus()
-    model = msgspec.structs.replace(two_wheeler(DRIVE), ground_truths=(TRUTH,))
+    model = msgspec.structs.replace(two_wheeler(DRIVE), ground_truths=(PLUGIN,))
     robot = Robot(TopicFactory(bus), a_claim(model=model), 500 * MS)
     listener = bus.subscribe("r1/truth")
-    robot.advance(reading())
+    robot.advance(state())
 
     robot.publish()
 

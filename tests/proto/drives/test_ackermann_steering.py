@@ -1,4 +1,4 @@
-"""A car's rear wheels and steering, after the rules of Gazebo's plug-in."""
+"""A car's rear wheels and steering, by the rules of Gazebo's plug-in."""
 
 import math
 
@@ -20,7 +20,7 @@ def targets(speed: float, steer: float, drive: AckermannDrive = CAR) -> tuple[fl
 @pytest.mark.parametrize(
     ("speed", "rim"), [(0.0, 0.0), (1.0, 10.0), (-1.0, -10.0), (9.0, 50.0), (-1e308, -50.0)]
 )
-def test_car_drives_straight_no_faster_than_it_may(speed: float, rim: float) -> None:
+def test_car_limits_its_speed(speed: float, rim: float) -> None:
     assert targets(speed, 0.0) == pytest.approx((rim, rim, 0.0, 0.0))
 
 

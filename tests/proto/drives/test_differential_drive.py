@@ -1,4 +1,4 @@
-"""Wheel speeds by hand, after the rules of Gazebo's plug-in."""
+"""Wheel speeds worked out by hand, by the rules of Gazebo's plug-in."""
 
 import math
 
@@ -14,7 +14,7 @@ from zensim.proto.messages.drive_messages import DiffDrive, Limits, WheelPair
 AT_REST, DT_S = 0.0, 0.1
 
 
-def test_velocity_is_the_wanted_one_when_unlimited() -> None:
+def test_velocity_is_unchanged_when_unlimited() -> None:
     assert limit_velocity(Limits(), 1e9, AT_REST, DT_S, FLOAT_MATH) == 1e9
 
 
@@ -120,7 +120,7 @@ def test_drive_limits_deceleration_at_the_rim() -> None:
     assert rims(targets) == pytest.approx([-0.01, 0.01])
 
 
-def test_drive_adds_no_more_than_what_is_missing() -> None:
+def test_drive_adds_at_most_the_missing_speed() -> None:
     drive = limited(10.0)
 
     targets = drive.update(0.5, velocities=(4.8, 4.8), dt_s=0.1)
@@ -158,7 +158,7 @@ def test_drive_limits_pairs_one_by_one() -> None:
     assert targets == pytest.approx((5.0, 5.0, 0.2, 0.2))
 
 
-def test_drive_remembers_its_instruction_when_the_speed_was_reached_meanwhile() -> None:
+def test_drive_keeps_its_command_while_the_speed_is_reached() -> None:
     drive = limited(1.0)
     for _ in range(3):
         drive.update(0.5, velocities=STILL, dt_s=0.01)
@@ -169,7 +169,7 @@ def test_drive_remembers_its_instruction_when_the_speed_was_reached_meanwhile() 
     assert rims(targets) == pytest.approx([0.02, 0.02])
 
 
-def test_drive_forgets_its_instruction_when_it_is_reset() -> None:
+def test_drive_forgets_its_command_at_a_reset() -> None:
     drive = limited(1.0)
     drive.update(0.5, velocities=STILL, dt_s=0.3)
 
@@ -178,7 +178,7 @@ def test_drive_forgets_its_instruction_when_it_is_reset() -> None:
     assert rims(drive.update(0.5, velocities=STILL, dt_s=0.01)) == pytest.approx([0.01, 0.01])
 
 
-def test_drive_limits_the_twist_itself_when_it_has_bounds_for_it() -> None:
+def test_drive_limits_the_twist() -> None:
     drive = SingleDrive(
         DiffDrive(
             pairs=(PAIR,),
@@ -241,7 +241,7 @@ def test_drive_speeds_give_the_twist_back(
     commands=st.lists(st.tuples(st.floats(-2.0, 2.0), st.floats(-4.0, 4.0)), max_size=30),
     acceleration=st.floats(0.1, 10.0),
 )
-def test_drive_wheels_that_obey_never_change_faster_than_the_limit(
+def test_drive_never_exceeds_its_acceleration(
     commands: list[tuple[float, float]], acceleration: float
 ) -> None:
     drive, elapsed_s = limited(acceleration), 0.01

@@ -1,4 +1,4 @@
-"""A tricycle's wheel and its steering, after the rules of Gazebo's plug-in."""
+"""A tricycle's wheel and steering, by the rules of Gazebo's plug-in."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""A topic of many robots on ROS 2's keys: tokens and publishers, a few at a time."""
+"""One topic of many robots on plain and ROS 2 keys."""
 
 from dataclasses import dataclass
 
@@ -40,7 +40,7 @@ def test_attachments_of_many_are_those_of_each() -> None:
     ]
 
 
-def test_attachments_of_who_came_for_another_begin_anew() -> None:
+def test_attachments_of_a_reused_row_start_again() -> None:
     many = AttachmentRows()
     row = many.add(GID)
     many.write_next([row], 1)
@@ -54,50 +54,50 @@ def test_attachments_of_who_came_for_another_begin_anew() -> None:
 
 
 def an_audience(bus: MemoryBus, count: int) -> MatchedPublishers[int]:
-    audience = MatchedPublishers[int]()
+    publishers = MatchedPublishers[int]()
     for number in range(count):
-        audience.add(number, bus.advertise(f"r{number}/odom", ""))
-    return audience
+        publishers.add(number, bus.advertise(f"r{number}/odom", ""))
+    return publishers
 
 
-def test_everybody_is_heard_until_asked_about() -> None:
+def test_publishers_count_as_matched_until_checked() -> None:
     bus = MemoryBus()
-    audience = an_audience(bus, 3)
+    publishers = an_audience(bus, 3)
     bus.subscribe("r1/odom")
 
-    before = set(audience.matched)
-    audience.check_some()
+    before = set(publishers.matched)
+    publishers.check_some()
 
-    assert (before, set(audience.matched)) == ({0, 1, 2}, {1})
+    assert (before, set(publishers.matched)) == ({0, 1, 2}, {1})
 
 
-def test_all_have_been_asked_about_after_a_round_and_are_again_in_the_next() -> None:
+def test_all_publishers_are_checked_in_each_round() -> None:
     bus = MemoryBus()
-    audience = an_audience(bus, MAX_CHECKED_AT_ONCE + 1)
+    publishers = an_audience(bus, MAX_CHECKED_AT_ONCE + 1)
 
-    audience.check_some()
-    first = set(audience.matched)
-    audience.check_some()
-    second = set(audience.matched)
+    publishers.check_some()
+    first = set(publishers.matched)
+    publishers.check_some()
+    second = set(publishers.matched)
     bus.subscribe("r0/odom")
-    audience.check_some()
+    publishers.check_some()
 
-    assert (first, second, set(audience.matched)) == ({MAX_CHECKED_AT_ONCE}, set(), {0})
+    assert (first, second, set(publishers.matched)) == ({MAX_CHECKED_AT_ONCE}, set(), {0})
 
 
-def test_who_has_gone_is_heard_no_more() -> None:
+def test_removed_publisher_is_not_matched() -> None:
     bus = MemoryBus()
-    audience = an_audience(bus, MAX_CHECKED_AT_ONCE + 2)
+    publishers = an_audience(bus, MAX_CHECKED_AT_ONCE + 2)
     bus.subscribe("*/odom")
-    audience.check_some()
+    publishers.check_some()
 
-    audience.remove(MAX_CHECKED_AT_ONCE)
-    audience.check_some()
+    publishers.remove(MAX_CHECKED_AT_ONCE)
+    publishers.check_some()
 
-    assert set(audience.matched) == {*range(MAX_CHECKED_AT_ONCE), MAX_CHECKED_AT_ONCE + 1}
+    assert set(publishers.matched) == {*range(MAX_CHECKED_AT_ONCE), MAX_CHECKED_AT_ONCE + 1}
 
 
-class Nothing:
+class NoValues:
     """Has no value of any row; see `outlet.Values`."""
 
     def payload(self, row: int) -> bytes | None:
@@ -110,58 +110,58 @@ class CountingBus(MemoryBus):
 
     def __init__(self) -> None:
         super().__init__()
-        self.put_on: list[str] = []
+        self.published_keys: list[str] = []
 
     def put(self, key: str, payload: bytes, encoding: str = "", attachment: bytes = b"") -> None:
-        self.put_on.append(key)
+        self.published_keys.append(key)
         super().put(key, payload, encoding, attachment)
 
 
-def an_outlet(bus: MemoryBus, *names: str) -> tuple[FleetTopicPublisher, list[TopicMember]]:
-    outlet = FleetTopicPublisher(bus, "*/text", String)
-    lines = [TopicMember(f"{name}/text", Nothing()) for name in names]
-    for line in lines:
-        outlet.add(line)
-    return outlet, lines
+def make_publisher(bus: MemoryBus, *names: str) -> tuple[FleetTopicPublisher, list[TopicMember]]:
+    publisher = FleetTopicPublisher(bus, "*/text", String)
+    members = [TopicMember(f"{name}/text", NoValues()) for name in names]
+    for member in members:
+        publisher.add(member)
+    return publisher, members
 
 
-def test_only_robots_that_are_heard_are_put_on() -> None:
+def test_messages_are_published_for_subscribed_robots_only() -> None:
     bus = CountingBus()
     bus.subscribe("r2/text", 8)
-    outlet, lines = an_outlet(bus, "r1", "r2", "r3")
+    publisher, members = make_publisher(bus, "r1", "r2", "r3")
 
-    outlet.declare_some()
-    outlet.put(lines, [b"1"] * 3)
-    outlet.declare_some()
-    outlet.put(lines, [b"2"] * 3)
+    publisher.declare_some()
+    publisher.put(members, [b"1"] * 3)
+    publisher.declare_some()
+    publisher.put(members, [b"2"] * 3)
 
-    assert bus.put_on == ["r1/text", "r2/text", "r3/text", "r2/text"]
+    assert bus.published_keys == ["r1/text", "r2/text", "r3/text", "r2/text"]
 
 
-def test_nothing_is_put_once_all_have_ceased_to_listen() -> None:
+def test_nothing_is_published_after_the_last_unsubscribe() -> None:
     bus = CountingBus()
-    heard = bus.subscribe("r1/text")
-    outlet, lines = an_outlet(bus, "r1")
+    received = bus.subscribe("r1/text")
+    publisher, members = make_publisher(bus, "r1")
 
-    outlet.declare_some()
-    heard.close()
-    outlet.put(lines, [b"1"])
+    publisher.declare_some()
+    received.close()
+    publisher.put(members, [b"1"])
 
-    assert bus.put_on == []
+    assert bus.published_keys == []
 
 
-def test_robot_is_heard_by_who_comes_while_others_listen() -> None:
+def test_later_subscriber_receives_messages() -> None:
     bus = CountingBus()
     bus.subscribe("r1/text", 8)
-    outlet, lines = an_outlet(bus, "r1", "r2")
-    outlet.declare_some()
-    outlet.put(lines, [b"1"] * 2)
-    outlet.declare_some()
+    publisher, members = make_publisher(bus, "r1", "r2")
+    publisher.declare_some()
+    publisher.put(members, [b"1"] * 2)
+    publisher.declare_some()
 
     late = bus.subscribe("r2/text", 8)
-    outlet.put(lines, [b"2"] * 2)
-    outlet.declare_some()
-    outlet.put(lines, [b"3"] * 2)
+    publisher.put(members, [b"2"] * 2)
+    publisher.declare_some()
+    publisher.put(members, [b"3"] * 2)
 
     assert [sample.payload for sample in late.take()] == [b"3"]
 
@@ -174,7 +174,7 @@ PUBLISHERS = "@ros2_lv/*/*/*/*/MP/**"
 
 
 @dataclass
-class Same:
+class ConstantValues:
     """Says one thing of each row; see `outlet.Values`."""
 
     value: bytes | None = b"fixed"
@@ -190,28 +190,31 @@ def a_node(graph: RosGraph, name: str) -> RosNode:
     return node
 
 
-def a_face(
-    bus: MemoryBus, *names: str, is_latched: bool = True, values: Same | None = None
+def make_ros_publisher(
+    bus: MemoryBus, *names: str, is_latched: bool = True, values: ConstantValues | None = None
 ) -> tuple[RosFleetPublisher, list[TopicMember]]:
     graph = RosGraph(bus, RosSettings())
-    face = RosFleetPublisher(
+    publisher = RosFleetPublisher(
         bus, graph, Topic("*/text", String, LATCHED if is_latched else RELIABLE_10)
     )
-    lines = [
-        TopicMember(f"{name}/text", values or Same(), node=a_node(graph, name)) for name in names
+    members = [
+        TopicMember(f"{name}/text", values or ConstantValues(), node=a_node(graph, name))
+        for name in names
     ]
-    for line in lines:
-        face.add(line)
-    return face, lines
+    for member in members:
+        publisher.add(member)
+    return publisher, members
 
 
-def test_robots_are_announced_a_few_at_a_time() -> None:
+def test_endpoints_are_declared_in_parts() -> None:
     bus = MemoryBus()
-    face, _ = a_face(bus, *(f"r{number}" for number in range(MAX_ROS_DECLARED_AT_ONCE + 1)))
+    publisher, _ = make_ros_publisher(
+        bus, *(f"r{number}" for number in range(MAX_ROS_DECLARED_AT_ONCE + 1))
+    )
 
-    face.declare_some()
+    publisher.declare_some()
     first = len(bus.list_tokens(PUBLISHERS))
-    face.declare_some()
+    publisher.declare_some()
 
     assert (first, len(bus.list_tokens(PUBLISHERS))) == (
         MAX_ROS_DECLARED_AT_ONCE,
@@ -219,81 +222,81 @@ def test_robots_are_announced_a_few_at_a_time() -> None:
     )
 
 
-def test_anybody_who_listens_to_one_robot_is_seen() -> None:
+def test_subscriber_of_one_robot_makes_the_topic_wanted() -> None:
     bus = MemoryBus()
-    face, _ = a_face(bus, "r1", "r2")
-    assert not face.is_wanted
+    publisher, _ = make_ros_publisher(bus, "r1", "r2")
+    assert not publisher.is_wanted
 
     bus.subscribe(KEY.format("r2"))
 
-    assert face.is_wanted
+    assert publisher.is_wanted
 
 
-def test_messages_are_put_once_somebody_listens() -> None:
+def test_messages_are_published_once_there_are_subscribers() -> None:
     bus = MemoryBus()
-    face, lines = a_face(bus, "r1", "r2", is_latched=False)
-    heard = bus.subscribe(KEY.format("*"), 8)
+    publisher, members = make_ros_publisher(bus, "r1", "r2", is_latched=False)
+    received = bus.subscribe(KEY.format("*"), 8)
 
-    face.put(lines, [b"early", b"early"])
-    face.declare_some()
-    face.declare_some()
-    face.put(lines, [b"1", b"2"])
-    face.put(lines[1:], [b"3"])
+    publisher.put(members, [b"early", b"early"])
+    publisher.declare_some()
+    publisher.declare_some()
+    publisher.put(members, [b"1", b"2"])
+    publisher.put(members[1:], [b"3"])
 
-    samples = heard.take()
+    samples = received.take()
     read = [read_attachment(sample.attachment) for sample in samples]
     assert [sample.payload for sample in samples] == [b"1", b"2", b"3"]
     assert [one.sequence_number for one in read if one] == [1, 1, 2]
     assert len({one.gid for one in read if one}) == 2
 
 
-def test_who_listened_before_is_told_what_never_changes() -> None:
+def test_earlier_subscriber_gets_the_latched_message() -> None:
     bus = MemoryBus()
-    heard = bus.subscribe(KEY.format("r1"), 8)
-    face, _ = a_face(bus, "r1")
+    received = bus.subscribe(KEY.format("r1"), 8)
+    publisher, _ = make_ros_publisher(bus, "r1")
 
     for _ in range(3):
-        face.declare_some()
+        publisher.declare_some()
 
-    assert [sample.payload for sample in heard.take()] == [b"fixed"]
+    assert [sample.payload for sample in received.take()] == [b"fixed"]
 
 
-@pytest.mark.parametrize(("asked", "told"), [("r1", 1), ("*", 2), ("r3", 0)])
-def test_late_joiner_is_told_of_the_robots_it_asks_for(asked: str, told: int) -> None:
+@pytest.mark.parametrize(("queried", "count"), [("r1", 1), ("*", 2), ("r3", 0)])
+def test_late_joiner_gets_the_queried_robots(queried: str, count: int) -> None:
     bus = MemoryBus()
-    face, _ = a_face(bus, "r1", "r2")
-    bus.pumps.append(face.answer)
+    publisher, _ = make_ros_publisher(bus, "r1", "r2")
+    bus.pumps.append(publisher.answer)
 
-    answers = bus.get(f"{KEY.format(asked)}/@adv/**")
+    answers = bus.get(f"{KEY.format(queried)}/@adv/**")
 
-    assert len(answers) == told
+    assert len(answers) == count
     assert all(read_attachment(answer.attachment) for answer in answers)
 
 
-def test_late_joiner_is_told_nothing_while_there_is_nothing() -> None:
+def test_late_joiner_gets_nothing_without_a_value() -> None:
     bus = MemoryBus()
-    face, _ = a_face(bus, "r1", values=Same(None))
-    bus.pumps.append(face.answer)
+    publisher, _ = make_ros_publisher(bus, "r1", values=ConstantValues(None))
+    bus.pumps.append(publisher.answer)
 
     assert bus.get(f"{KEY.format('r1')}/@adv/**") == []
 
 
-def test_robot_that_has_gone_is_told_of_no_more() -> None:
+def test_removed_robot_is_not_published() -> None:
     bus = MemoryBus()
-    face, lines = a_face(bus, "r1", "r2")
-    bus.pumps.append(face.answer)
+    publisher, members = make_ros_publisher(bus, "r1", "r2")
+    bus.pumps.append(publisher.answer)
 
-    face.remove(lines[0])
-    face.declare_some()
+    publisher.remove(members[0])
+    publisher.declare_some()
 
     assert len(bus.get(f"{KEY.format('*')}/@adv/**")) == 1
     assert len(bus.list_tokens(PUBLISHERS)) == 1
 
 
-def test_closed_face_answers_nobody() -> None:
+def test_closed_publisher_does_not_reply() -> None:
     bus = MemoryBus()
-    face, _ = a_face(bus, "r1")
+    publisher, _ = make_ros_publisher(bus, "r1")
 
-    face.close()
+    publisher.close()
 
     assert not bus.is_served(f"{KEY.format('r1')}/@adv/**")

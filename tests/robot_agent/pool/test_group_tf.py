@@ -1,4 +1,4 @@
-"""The topic on which a pool tells the transforms of all its robots."""
+"""tf of a group, on the shared topic."""
 
 from collections.abc import Sequence
 
@@ -44,12 +44,12 @@ def test_message_is_what_the_encoder_writes(count: int, data: st.DataObject) -> 
     of_robot = st.lists(st.tuples(NAMES, NAMES), min_size=count, max_size=count)
     robots = data.draw(st.lists(of_robot, min_size=1, max_size=4))
     blank = [TFMessage(tuple(edge(one, Time(), [0.0] * 7) for one in names)) for names in robots]
-    images = TfMessageBatch(blank)
+    batch = TfMessageBatch(blank)
     rows = data.draw(st.lists(st.sampled_from(range(len(robots))), unique=True, min_size=1))
     poses = np.random.default_rng(len(rows)).uniform(-9.0, 9.0, (len(rows), 7 * count))
     times_ns = [row * 10**9 + 7 for row in rows]
 
-    written = images.message(np.array(rows), poses, np.array(times_ns))
+    written = batch.message(np.array(rows), poses, np.array(times_ns))
 
     assert written == cdr.encode(
         TFMessage(
@@ -60,7 +60,7 @@ def test_message_is_what_the_encoder_writes(count: int, data: st.DataObject) -> 
             )
         )
     )
-    assert len(written) - 8 == sum(images.size(row) for row in rows[1:]) + first_size(
+    assert len(written) - 8 == sum(batch.size(row) for row in rows[1:]) + first_size(
         robots[rows[0]]
     )
 
@@ -71,7 +71,7 @@ def first_size(names: list[tuple[str, str]]) -> int:
 
 
 PERIOD_NS = 12_500_000
-FACE = "0/tf/tf2_msgs::msg::dds_::TFMessage_/*"
+ROS_KEY = "0/tf/tf2_msgs::msg::dds_::TFMessage_/*"
 ON_TF = "@ros2_lv/0/*/*/*/MP/%/%/*/%tf/**"
 
 
@@ -92,7 +92,7 @@ def a_state(claims: Sequence[Claim], step: int) -> DriveState:
     return DriveState(0, time_ns, time_ns, numbers, base.tobytes(), positions, positions)
 
 
-class Told:
+class PoolOnRos:
     """A pool with a face for ROS 2, and who listens to its transforms."""
 
     def __init__(self, *models: Model) -> None:
@@ -101,10 +101,10 @@ class Told:
         self.claims = claims_of(models)
         self.pool.add_claims(self.claims)
         self.plain = self.bus.subscribe("tf", 64)
-        self.face = self.bus.subscribe(FACE, 64)
+        self.ros = self.bus.subscribe(ROS_KEY, 64)
         self.step = 0
 
-    def tell(self, claims: Sequence[Claim] = ()) -> None:
+    def advance(self, claims: Sequence[Claim] = ()) -> None:
         """Go on by a state of some robots, all unless said."""
         self.step += 1
         state = a_state(claims or self.claims, self.step)
@@ -115,41 +115,41 @@ class Told:
         self.pool.publish()
 
 
-def messages(heard: MemorySubscription) -> list[TFMessage]:
-    return [decode(TFMessage, sample.payload, sample.encoding) for sample in heard.take()]
+def messages(received: MemorySubscription) -> list[TFMessage]:
+    return [decode(TFMessage, sample.payload, sample.encoding) for sample in received.take()]
 
 
-def by_frame(told: Sequence[TFMessage]) -> dict[str, TransformStamped]:
-    return {edge.child_frame_id: edge for one in told for edge in one.transforms}
+def by_frame(published: Sequence[TFMessage]) -> dict[str, TransformStamped]:
+    return {edge.child_frame_id: edge for one in published for edge in one.transforms}
 
 
 def roots(message: TFMessage) -> set[str]:
     return {edge.header.frame_id.split("/")[0] for edge in message.transforms}
 
 
-def test_robots_of_a_kind_are_told_of_in_one_message_on_each_face() -> None:
-    told = Told(*[robot_of(DRIVES["diff"])] * 3)
+def test_robots_of_a_group_share_one_message_on_plain_and_ros_keys() -> None:
+    published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 3)
 
-    told.tell()
+    published.advance()
 
-    (plain,), (face,) = messages(told.plain), messages(told.face)
+    (plain,), (ros,) = messages(published.plain), messages(published.ros)
     assert roots(plain) == {"r1", "r2", "r3"}
-    assert face == plain
+    assert ros == plain
 
 
-@pytest.mark.parametrize("kinds", [("diff", "diff"), ("diff", "planar"), ("planar", "planar")])
-def test_transforms_are_those_of_robots_that_are_driven_one_by_one(kinds: Sequence[str]) -> None:
-    told = Told(*[robot_of(DRIVES[kind]) for kind in kinds])
+@pytest.mark.parametrize("drives", [("diff", "diff"), ("diff", "planar"), ("planar", "planar")])
+def test_transforms_are_those_of_robots_that_are_driven_one_by_one(drives: Sequence[str]) -> None:
+    published = PoolOnRos(*[robot_of(DRIVES[drive]) for drive in drives])
     bus = MemoryBus()
     fleet = IndividualRobots(bus, 0, RosGraph(bus, RosSettings()))
-    fleet.add_claims(told.claims)
-    heard = bus.subscribe("tf", 64)
+    fleet.add_claims(published.claims)
+    received = bus.subscribe("tf", 64)
 
     for step in range(1, 20):
-        told.tell()
-        fleet.advance(a_state(told.claims, step))
+        published.advance()
+        fleet.advance(a_state(published.claims, step))
         fleet.publish()
-        found, expected = (by_frame(messages(one)) for one in (told.plain, heard))
+        found, expected = (by_frame(messages(one)) for one in (published.plain, received))
         assert list(found) == list(expected)
         for child, edge in expected.items():
             assert found[child].header == edge.header
@@ -161,54 +161,54 @@ def test_transforms_are_those_of_robots_that_are_driven_one_by_one(kinds: Sequen
             )
 
 
-def test_large_fleets_are_told_of_in_several_messages(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_transforms_of_large_groups_are_split(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(group_tf, "MAX_TF_MESSAGE_BYTES", 1)
-    told = Told(*[robot_of(DRIVES["diff"])] * 3)
+    published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 3)
 
-    told.tell()
+    published.advance()
 
-    samples = told.face.take()
+    samples = published.ros.take()
     read = [read_attachment(sample.attachment) for sample in samples]
     assert [one.sequence_number for one in read if one] == [1, 2, 3]
     assert len({one.gid for one in read if one}) == 1
 
 
 def test_pool_is_the_publisher_in_ros() -> None:
-    told = Told(*[robot_of(DRIVES["diff"])] * 2)
-    told.tell()
+    published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 2)
+    published.advance()
 
-    (token,) = told.bus.list_tokens(ON_TF)
+    (token,) = published.bus.list_tokens(ON_TF)
 
     assert "/zensim_pool_ab12_1/" in token
 
 
-def test_who_asks_is_told_of_all_robots() -> None:
-    told = Told(*[robot_of(DRIVES["diff"])] * 2)
-    told.bus.pumps.append(told.pool.answer)
-    assert told.bus.get("tf") == []
+def test_query_gets_the_transforms_of_all_robots() -> None:
+    published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 2)
+    published.bus.pumps.append(published.pool.answer)
+    assert published.bus.get("tf") == []
 
-    told.tell()
+    published.advance()
 
-    (answer,) = told.bus.get("tf")
+    (answer,) = published.bus.get("tf")
     assert roots(decode(TFMessage, answer.payload, answer.encoding)) == {"r1", "r2"}
 
 
-def test_robot_that_has_gone_is_told_of_no_more() -> None:
-    told = Told(*[robot_of(DRIVES["diff"])] * 2)
-    told.tell()
-    told.plain.take()
+def test_removed_robot_is_not_published() -> None:
+    published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 2)
+    published.advance()
+    published.plain.take()
 
-    told.tell(told.claims[1:])
+    published.advance(published.claims[1:])
 
-    assert [roots(one) for one in messages(told.plain)] == [{"r2"}]
+    assert [roots(one) for one in messages(published.plain)] == [{"r2"}]
 
 
-def test_kind_that_has_gone_has_no_topic() -> None:
-    told = Told(robot_of(DRIVES["diff"]), robot_of(DRIVES["planar"]))
-    told.tell()
-    assert len(told.bus.list_tokens(ON_TF)) == 2
+def test_group_without_robots_has_no_topic() -> None:
+    published = PoolOnRos(robot_of(DRIVES["diff"]), robot_of(DRIVES["planar"]))
+    published.advance()
+    assert len(published.bus.list_tokens(ON_TF)) == 2
 
-    told.pool.release_all_except(b"")
+    published.pool.release_all_except(b"")
 
-    assert told.bus.list_tokens(ON_TF) == []
-    assert not told.bus.is_served("tf")
+    assert published.bus.list_tokens(ON_TF) == []
+    assert not published.bus.is_served("tf")

@@ -1,4 +1,4 @@
-"""Images filled in place are what the encoder writes, to the byte."""
+"""Messages filled in place have the bytes of the encoder."""
 
 import numpy as np
 import pytest
@@ -39,21 +39,21 @@ def test_odometry_is_what_the_encoder_writes(
 ) -> None:
     frames = [OdometryHeader(frame, child, make_covariance(DRIVE)) for frame, child in names]
     blank = [one.message(BaseMotion(), time_from_ns(0)) for one in frames]
-    images = CdrBatch(blank, message_templates.ODOMETRY_PATHS, message_templates.HEADER_STAMP)
+    batch = CdrBatch(blank, message_templates.ODOMETRY_PATHS, message_templates.HEADER_STAMP)
     rows = data.draw(st.lists(st.sampled_from(range(len(names))), unique=True, min_size=1))
     numbers = [data.draw(st.lists(NUMBER, min_size=10, max_size=10)) for _ in rows]
     times = [data.draw(TIME_NS) for _ in rows]
 
-    images.fill(np.array(rows), np.array(numbers), np.array(times))
+    batch.fill(np.array(rows), np.array(numbers), np.array(times))
 
     written = [
         cdr.encode(frames[row].message(motion_of(one), time_from_ns(time)))
         for row, one, time in zip(rows, numbers, times, strict=True)
     ]
-    assert images.payloads(np.array(rows)) == [
+    assert batch.payloads(np.array(rows)) == [
         written[rows.index(row)] for row in (sorted(rows) if len(rows) == len(names) else rows)
     ]
-    assert [images.payload(row) for row in rows] == written
+    assert [batch.payload(row) for row in rows] == written
 
 
 @pytest.mark.parametrize("child", ["", "a", "ab", "abc", "abcd", "abcde", "abcdef", "abcdefg"])
@@ -73,28 +73,28 @@ def test_transforms_are_what_the_encoder_writes(child: str) -> None:
         )
 
     numbers = np.arange(14.0).tolist()
-    images = CdrBatch(
+    batch = CdrBatch(
         [message([0.0] * 14, 0)],
         message_templates.list_tf_paths(2),
         message_templates.list_tf_stamps(2),
     )
 
-    images.fill(np.array([0]), np.array([numbers]), np.array([3 * 10**9 + 5]))
+    batch.fill(np.array([0]), np.array([numbers]), np.array([3 * 10**9 + 5]))
 
-    assert images.payload(0) == cdr.encode(message(numbers, 3 * 10**9 + 5))
+    assert batch.payload(0) == cdr.encode(message(numbers, 3 * 10**9 + 5))
 
 
 def test_joint_states_are_what_the_encoder_writes() -> None:
     model = two_wheeler()
-    images = CdrBatch(
+    batch = CdrBatch(
         [message_templates.make_joint_states_template(model, (0, 1))],
         message_templates.list_joint_paths(2),
         message_templates.HEADER_STAMP,
     )
 
-    images.fill(np.array([0]), np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([10**9]))
+    batch.fill(np.array([0]), np.array([[0.1, 0.2, 0.3, 0.4]]), np.array([10**9]))
 
     expected = JointState(
         Header(time_from_ns(10**9)), ("left_joint", "right_joint"), (0.1, 0.2), (0.3, 0.4)
     )
-    assert images.payload(0) == cdr.encode(expected)
+    assert batch.payload(0) == cdr.encode(expected)

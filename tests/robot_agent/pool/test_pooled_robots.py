@@ -1,4 +1,4 @@
-"""A pool does for many robots what agents do for each: drives them, and tells of them."""
+"""A pool drives and publishes as individual robots do."""
 
 import struct
 from collections.abc import Iterator, Sequence
@@ -31,34 +31,34 @@ KINDS: dict[str, type[msgspec.Struct]] = {
 PERIODS_NS = (12_500_000, 10_000_000, 4_166_667)
 
 
-def numbers_in(message: object) -> Iterator[float]:
+def list_numbers(message: object) -> Iterator[float]:
     """List all numbers of a message."""
     if isinstance(message, float | int):
         yield float(message)
     elif isinstance(message, tuple | list):
         for item in message:
-            yield from numbers_in(item)
+            yield from list_numbers(item)
     elif isinstance(message, msgspec.Struct):
-        yield from numbers_in(msgspec.structs.astuple(message))
+        yield from list_numbers(msgspec.structs.astuple(message))
 
 
-def texts_in(message: object) -> Iterator[str]:
+def list_texts(message: object) -> Iterator[str]:
     """List all texts of a message."""
     if isinstance(message, str):
         yield message
     elif isinstance(message, tuple | list):
         for item in message:
-            yield from texts_in(item)
+            yield from list_texts(item)
     elif isinstance(message, msgspec.Struct):
-        yield from texts_in(msgspec.structs.astuple(message))
+        yield from list_texts(msgspec.structs.astuple(message))
 
 
 def assert_same(found: Sample, expected: Sample) -> None:
     assert (found.key, found.encoding) == (expected.key, expected.encoding)
     kind = KINDS[last_chunk(found.key)]
     one, other = (decode(kind, sample.payload, sample.encoding) for sample in (found, expected))
-    assert list(texts_in(one)) == list(texts_in(other))
-    assert list(numbers_in(one)) == pytest.approx(list(numbers_in(other)), abs=1e-12)
+    assert list(list_texts(one)) == list(list_texts(other))
+    assert list(list_numbers(one)) == pytest.approx(list(list_numbers(other)), abs=1e-12)
 
 
 def targets_of(command: DriveCommand) -> tuple[float, ...]:
@@ -71,8 +71,8 @@ class Both:
     def __init__(self) -> None:
         self.buses = MemoryBus(), MemoryBus()
         self.pool = PooledRobots(self.buses[0], TIMEOUT_NS)
-        self.fleet = IndividualRobots(self.buses[1], TIMEOUT_NS)
-        self.heard = [bus.subscribe("**", 100_000) for bus in self.buses]
+        self.individual = IndividualRobots(self.buses[1], TIMEOUT_NS)
+        self.received = [bus.subscribe("**", 100_000) for bus in self.buses]
         self.claims: list[Claim] = []
         self.time_ns = 0
 
@@ -81,13 +81,13 @@ class Both:
             number = len(self.claims) + 1
             name = f"{namespace}r{number}"
             self.claims.append(Claim(number, f"r{number}", name, model, "<robot/>"))
-            for one in (self.pool, self.fleet):
+            for one in (self.pool, self.individual):
                 one.add_claims(self.claims[-1:])
         for _ in range(len(self.claims)):
             self.pool.answer()
             self.pool.announce()
 
-    def say(self, message: Twist, format_: Format, *claims: Claim) -> None:
+    def command(self, message: Twist, format_: Format, *claims: Claim) -> None:
         for bus in self.buses:
             for claim in claims:
                 bus.put_message(f"{claim.namespace}/cmd_vel", message, format_)
@@ -110,19 +110,19 @@ class Both:
         """Pass time, and see that both do the same."""
         self.time_ns += period_ns
         state = self.state(rng, claims)
-        for one in (self.pool, self.fleet):
+        for one in (self.pool, self.individual):
             one.release_all_except(state.claims)
         self.pool.answer()
-        found, expected = self.pool.advance(state), self.fleet.advance(state)
+        found, expected = self.pool.advance(state), self.individual.advance(state)
         assert targets_of(found) == pytest.approx(targets_of(expected), abs=1e-12)
         self.pool.answer()
         self.pool.publish()
-        self.fleet.publish()
-        told = [
-            sorted((s for s in heard.take() if last_chunk(s.key) in KINDS), key=lambda s: s.key)
-            for heard in self.heard
+        self.individual.publish()
+        published = [
+            sorted((s for s in received.take() if last_chunk(s.key) in KINDS), key=lambda s: s.key)
+            for received in self.received
         ]
-        for one, other in zip(*told, strict=True):
+        for one, other in zip(*published, strict=True):
             assert_same(one, other)
 
 
@@ -134,7 +134,9 @@ def a_twist(rng: np.random.Generator) -> Twist:
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(PERIODS_NS))
-def test_pool_drives_and_tells_as_agents_do(drive: Drive, seed: int, period_ns: int) -> None:
+def test_pool_drives_and_publishes_as_individual_robots_do(
+    drive: Drive, seed: int, period_ns: int
+) -> None:
     rng, both = np.random.default_rng(seed), Both()
     both.take(*[robot_of(drive) for _ in range(3)])
     for step in range(25):
@@ -142,7 +144,7 @@ def test_pool_drives_and_tells_as_agents_do(drive: Drive, seed: int, period_ns: 
             both.take(robot_of(drive))
         claims = both.claims if step < 16 else [both.claims[3], both.claims[1]]
         if step % 5 == 0:
-            both.say(a_twist(rng), Format.CDR, *claims[: step % 3 + 1])
+            both.command(a_twist(rng), Format.CDR, *claims[: step % 3 + 1])
         both.step(rng, period_ns, claims)
 
 
@@ -157,19 +159,19 @@ def test_pool_drives_robots_of_all_kinds_together() -> None:
             both.take(truthful)
         for claim in both.claims:
             if rng.random() < 0.3:
-                both.say(a_twist(rng), list(Format)[rng.integers(3)], claim)
+                both.command(a_twist(rng), list(Format)[rng.integers(3)], claim)
         both.step(rng, 12_500_000, both.claims)
 
 
-def test_pool_starts_its_robots_again_at_a_reset() -> None:
+def test_pool_resets_its_robots() -> None:
     rng, both = np.random.default_rng(7), Both()
     both.take(*[robot_of(drive) for drive in DRIVES.values()])
     for _ in range(2):
-        both.say(a_twist(rng), Format.CDR, *both.claims)
+        both.command(a_twist(rng), Format.CDR, *both.claims)
         for _ in range(9):
             both.step(rng, 12_500_000, both.claims)
         both.pool.reset()
-        both.fleet.reset()
+        both.individual.reset()
         both.time_ns = 0
 
 
@@ -185,7 +187,7 @@ def test_pool_follows_remappings() -> None:
     both.step(rng, 12_500_000, both.claims)
 
 
-def test_bad_command_does_not_hide_the_good_one_before_it(
+def test_malformed_command_does_not_hide_the_valid_one_before_it(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     rng, both = np.random.default_rng(3), Both()
@@ -207,7 +209,7 @@ def test_bad_command_does_not_hide_the_good_one_before_it(
     ]
 
 
-def test_pool_answers_late_comers_of_its_own_robots_only() -> None:
+def test_pool_replies_for_its_own_robots_only() -> None:
     rng, both = np.random.default_rng(3), Both()
     both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["diff"]))
     bus = both.buses[0]
@@ -220,35 +222,35 @@ def test_pool_answers_late_comers_of_its_own_robots_only() -> None:
     assert {sample.key for sample in bus.get("*/tf_static")} == {"r1/tf_static", "r2/tf_static"}
     assert bus.get("r3/odom") == []
     for one in ("r2/odom", "r1/tf"):
-        (other_bus_answer,) = _asked(both, one)
+        (other_bus_answer,) = _query(both, one)
         assert_same(bus.get(one)[0], other_bus_answer)
 
 
-def _asked(both: Both, key: str) -> list[Sample]:
-    if both.fleet.answer not in both.buses[1].pumps:
-        both.buses[1].pumps.append(both.fleet.answer)
+def _query(both: Both, key: str) -> list[Sample]:
+    if both.individual.answer not in both.buses[1].pumps:
+        both.buses[1].pumps.append(both.individual.answer)
     return both.buses[1].get(key)
 
 
-def test_pool_announces_constants_to_each_who_begins_to_listen() -> None:
+def test_pool_announces_static_topics_to_each_new_subscriber() -> None:
     bus = MemoryBus()
     pool = PooledRobots(bus, 0)
     pool.add_claims(
         [Claim(n, f"r{n}", f"r{n}", robot_of(DRIVES["diff"]), "<robot/>") for n in (1, 2)]
     )
 
-    def heard(listener_key: str) -> list[str]:
+    def received(listener_key: str) -> list[str]:
         listener = bus.subscribe(listener_key, 16)
         for _ in range(4):
             pool.answer()
             pool.announce()
         return [sample.key for sample in listener.take()]
 
-    assert heard("r1/tf_static") == ["r1/tf_static"]
-    assert heard("r2/*") == ["r2/tf_static", "r2/robot_description"]
+    assert received("r1/tf_static") == ["r1/tf_static"]
+    assert received("r2/*") == ["r2/tf_static", "r2/robot_description"]
 
 
-def test_pool_announces_again_to_who_listens_when_others_have_gone() -> None:
+def test_pool_announces_again_after_the_last_unsubscribe() -> None:
     bus = MemoryBus()
     pool = PooledRobots(bus, 0)
     pool.add_claims([Claim(1, "r1", "r1", robot_of(DRIVES["diff"]), "<robot/>")])
@@ -264,7 +266,7 @@ def test_pool_announces_again_to_who_listens_when_others_have_gone() -> None:
             pool.announce()
 
 
-def test_pool_leaves_nothing_when_it_has_lost_all() -> None:
+def test_pool_undeclares_everything_without_robots() -> None:
     rng, both = np.random.default_rng(3), Both()
     both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["car"]))
     both.step(rng, 12_500_000, both.claims)
@@ -278,7 +280,7 @@ def test_pool_leaves_nothing_when_it_has_lost_all() -> None:
     assert [one.key for one in bus._subscriptions] == ["**"]  # noqa: SLF001
 
 
-def test_pool_makes_nothing_when_nobody_listens() -> None:
+def test_pool_declares_nothing_without_subscribers() -> None:
     bus = MemoryBus()
     pool = PooledRobots(bus, 0)
     both = Both()

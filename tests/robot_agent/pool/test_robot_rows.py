@@ -1,4 +1,4 @@
-"""Gates in rows open as each alone would."""
+"""Rate limiters in rows open as single ones do."""
 
 import numpy as np
 import pytest
@@ -14,9 +14,7 @@ STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max
 
 @pytest.mark.parametrize("rate_hz", RATES)
 @given(st.lists(STEPS, min_size=1, max_size=4))
-def test_gates_open_when_each_alone_would_wherever_it_began(
-    rate_hz: float, courses: list[list[int]]
-) -> None:
+def test_rows_open_as_single_rate_limiters_do(rate_hz: float, courses: list[list[int]]) -> None:
     gates, lone, time_ns = GroupRateLimiter(rate_hz), [], 0
     # Each course begins with a robot more.
     for course in courses:
@@ -33,7 +31,7 @@ def test_gates_open_when_each_alone_would_wherever_it_began(
             assert dict(zip(rows.tolist(), elapsed.tolist(), strict=True)) == expected
 
 
-def test_gates_forget_at_a_reset() -> None:
+def test_rows_forget_openings_at_a_reset() -> None:
     gates = GroupRateLimiter(10.0)
     gates.remap(np.array([-1, -1], dtype=np.int64))
     gates.open(10**9)
@@ -43,7 +41,7 @@ def test_gates_forget_at_a_reset() -> None:
     assert gates.open(0)[0].tolist() == [0, 1]
 
 
-def test_gates_keep_their_beats_when_rows_move() -> None:
+def test_rows_keep_their_openings_when_remapped() -> None:
     gates = GroupRateLimiter(10.0)
     gates.remap(np.array([-1], dtype=np.int64))
     gates.open(0)

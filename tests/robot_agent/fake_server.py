@@ -1,4 +1,4 @@
-"""A server without physics: grants claims, sends what it is told to, keeps what it hears."""
+"""A server without physics: grants claims, sends states and events, keeps commands."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -25,7 +25,7 @@ WORLD = "default"
 AGENT = "a1"
 
 
-class StandInServer:
+class FakeServer:
     """Knows entities and who drives them."""
 
     def __init__(self, bus: MemoryBus, *entities: str) -> None:
@@ -59,7 +59,7 @@ class StandInServer:
     def send(self, state: DriveState, agent: str = AGENT) -> None:
         self._bus.put_message(DRIVE_STATE.key(WORLD, agent), state, Format.MSGPACK)
 
-    def tell(self, kind: EventKind, entity: str) -> None:
+    def publish_event(self, kind: EventKind, entity: str) -> None:
         self._bus.put_message(EVENTS.key(WORLD), Event(kind, entity), Format.MSGPACK)
 
     def commands(self) -> list[DriveCommand]:
@@ -68,10 +68,10 @@ class StandInServer:
             for sample in self._commands.take()
         ]
 
-    def asked_for(self) -> list[Sequence[str]]:
-        asked: list[Sequence[str]] = [request.entities for request in self.requests]
+    def take_requests(self) -> list[Sequence[str]]:
+        queried: list[Sequence[str]] = [request.entities for request in self.requests]
         self.requests.clear()
-        return asked
+        return queried
 
     def _answer(self, request: ClaimEntityRequest) -> ClaimEntityResponse:
         if not self._bus.list_tokens(keys.alive_agent(WORLD, request.agent)):
