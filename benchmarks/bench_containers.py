@@ -84,7 +84,7 @@ def _state_figures(
     for topic in TOPICS:
         bus.subscribe(f"*/{topic}", 1)
     for _ in range(robots):
-        held.answer()
+        held.reply_to_queries()
     yield Figure(
         what=f"{name}: all topics published",
         unit="CPU us",

@@ -75,7 +75,7 @@ def _pool_figures(bus: Bus, listener: Bus, robots: int, rounds: int) -> Iterator
     yield _figure(f"{name}odometry and tf told, nobody listens", unheard)
     heard_by = [listener.subscribe(f"*/{topic}", 8) for topic in TOPICS]
     for _ in range(DECLARED_IN):
-        pool.answer()
+        pool.reply_to_queries()
         time.sleep(0.001)
     told, floor = _interleaved(bus, robots, rounds, pool, states)
     asked = Asked("median", "<=", 5.0) if robots == max(SIZES) else None

@@ -46,7 +46,7 @@ LOG_PERIOD_S = 1.0
 class HousekeepingTarget(Protocol):
     """Robots that need housekeeping."""
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to queries with the last values."""
 
     def announce(self) -> None:
@@ -65,7 +65,7 @@ class Housekeeping:
 
     def poll(self, now_s: float) -> None:
         """Reply to queries, and do what else is due."""
-        self._target.answer()
+        self._target.reply_to_queries()
         if now_s >= self._announce_s:
             self._announce_s = now_s + ANNOUNCE_PERIOD_S
             self._target.announce()

@@ -181,7 +181,7 @@ class Robot:
         for publisher in self._static:
             publisher.announce()
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to queries with the last values."""
         for publisher in self._list_publishers():
             publisher.reply_to_queries()
@@ -321,10 +321,10 @@ class IndividualRobots:
         packed = struct.pack(f"<{len(targets)}d", *targets)
         return DriveCommand(state.epoch, state.step, state.claims, packed)
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to queries with the last values."""
         for robot in self._robots.values():
-            robot.answer()
+            robot.reply_to_queries()
 
     def announce(self) -> None:
         """Publish static topics to new subscribers."""

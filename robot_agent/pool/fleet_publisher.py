@@ -213,7 +213,7 @@ class RosFleetPublisher:
         for (publisher, payload, _), attachment in zip(messages, attachments, strict=True):
             publisher.send(payload, attachment)
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to late joiners with the last values."""
         for call in self._queries.take() if self._queries is not None else ():
             for member in self._find_queried(call):
@@ -387,7 +387,7 @@ class FleetTopicPublisher:
         for member in some:
             _publish_if_newly_matched(member)
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to queries with the last values of these robots."""
         for call in self._queries.take():
             answers = [
@@ -400,7 +400,7 @@ class FleetTopicPublisher:
             else:
                 call.drop()
         if self._ros is not None:
-            self._ros.answer()
+            self._ros.reply_to_queries()
 
     def close(self) -> None:
         """Undeclare the topic."""

@@ -164,14 +164,14 @@ class PooledRobots:
         for single in self._singles:
             single.robot.publish()
 
-    def answer(self) -> None:
+    def reply_to_queries(self) -> None:
         """Reply to queries with the last values; declare some of the missing publishers."""
         for publisher in tuple(self._publishers.values()):
             publisher.declare_some()
             publisher.announce_some()
-            publisher.answer()
+            publisher.reply_to_queries()
         for robot in self._robots.values():
-            robot.answer()
+            robot.reply_to_queries()
 
     def announce(self) -> None:
         """Publish static topics to new subscribers."""

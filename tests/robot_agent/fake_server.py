@@ -26,7 +26,7 @@ AGENT = "a1"
 
 
 class FakeServer:
-    """Knows entities and who drives them."""
+    """Entities and their agents."""
 
     def __init__(self, bus: MemoryBus, *entities: str) -> None:
         self.entities: dict[str, Model] = {name: two_wheeler() for name in entities}

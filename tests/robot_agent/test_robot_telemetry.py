@@ -221,7 +221,9 @@ def test_replies_have_the_last_values_until_a_reset() -> None:
         MotionTelemetry(TopicFactory(bus), a_claim()),
         JointTelemetry(TopicFactory(bus), a_claim()),
     )
-    bus.pumps += [publisher.reply_to_queries for publisher in (*motion.publishers, *joints.publishers)]
+    bus.pumps += [
+        publisher.reply_to_queries for publisher in (*motion.publishers, *joints.publishers)
+    ]
     assert bus.get("r1/*") == []
 
     motion.publish(state(), MOTION)
@@ -252,7 +254,8 @@ def test_joint_states_come_at_once_after_a_reset() -> None:
 def test_static_topics_are_the_fixed_frames_and_the_description() -> None:
     bus = MemoryBus()
     bus.pumps += [
-        publisher.reply_to_queries for publisher in make_static_publishers(TopicFactory(bus), a_claim())
+        publisher.reply_to_queries
+        for publisher in make_static_publishers(TopicFactory(bus), a_claim())
     ]
 
     (fixed,) = bus.get("r1/tf_static")

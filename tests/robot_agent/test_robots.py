@@ -381,7 +381,7 @@ def test_robot_without_a_drive_publishes_at_once_after_a_reset() -> None:
 def test_robot_replies_with_all_its_last_values() -> None:
     bus = MemoryBus()
     robot = a_robot(bus)
-    bus.pumps.append(robot.answer)
+    bus.pumps.append(robot.reply_to_queries)
     robot.advance(state(0))
     robot.publish()
 

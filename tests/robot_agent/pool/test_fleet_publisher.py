@@ -265,7 +265,7 @@ def test_earlier_subscriber_gets_the_latched_message() -> None:
 def test_late_joiner_gets_the_queried_robots(queried: str, count: int) -> None:
     bus = MemoryBus()
     publisher, _ = make_ros_publisher(bus, "r1", "r2")
-    bus.pumps.append(publisher.answer)
+    bus.pumps.append(publisher.reply_to_queries)
 
     answers = bus.get(f"{KEY.format(queried)}/@adv/**")
 
@@ -276,7 +276,7 @@ def test_late_joiner_gets_the_queried_robots(queried: str, count: int) -> None:
 def test_late_joiner_gets_nothing_without_a_value() -> None:
     bus = MemoryBus()
     publisher, _ = make_ros_publisher(bus, "r1", values=ConstantValues(None))
-    bus.pumps.append(publisher.answer)
+    bus.pumps.append(publisher.reply_to_queries)
 
     assert bus.get(f"{KEY.format('r1')}/@adv/**") == []
 
@@ -284,7 +284,7 @@ def test_late_joiner_gets_nothing_without_a_value() -> None:
 def test_removed_robot_is_not_published() -> None:
     bus = MemoryBus()
     publisher, members = make_ros_publisher(bus, "r1", "r2")
-    bus.pumps.append(publisher.answer)
+    bus.pumps.append(publisher.reply_to_queries)
 
     publisher.remove(members[0])
     publisher.declare_some()

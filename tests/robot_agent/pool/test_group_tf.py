@@ -93,7 +93,7 @@ def a_state(claims: Sequence[Claim], step: int) -> DriveState:
 
 
 class PoolOnRos:
-    """A pool with a face for ROS 2, and who listens to its transforms."""
+    """A pool with ROS 2 keys, and subscribers to its transforms."""
 
     def __init__(self, *models: Model) -> None:
         self.bus = MemoryBus()
@@ -111,7 +111,7 @@ class PoolOnRos:
         self.pool.release_all_except(state.claims)
         self.pool.advance(state)
         for _ in range(3):
-            self.pool.answer()
+            self.pool.reply_to_queries()
         self.pool.publish()
 
 
@@ -184,7 +184,7 @@ def test_pool_is_the_publisher_in_ros() -> None:
 
 def test_query_gets_the_transforms_of_all_robots() -> None:
     published = PoolOnRos(*[robot_of(DRIVES["diff"])] * 2)
-    published.bus.pumps.append(published.pool.answer)
+    published.bus.pumps.append(published.pool.reply_to_queries)
     assert published.bus.get("tf") == []
 
     published.advance()

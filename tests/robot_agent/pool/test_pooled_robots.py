@@ -84,7 +84,7 @@ class Both:
             for one in (self.pool, self.individual):
                 one.add_claims(self.claims[-1:])
         for _ in range(len(self.claims)):
-            self.pool.answer()
+            self.pool.reply_to_queries()
             self.pool.announce()
 
     def command(self, message: Twist, format_: Format, *claims: Claim) -> None:
@@ -112,10 +112,10 @@ class Both:
         state = self.state(rng, claims)
         for one in (self.pool, self.individual):
             one.release_all_except(state.claims)
-        self.pool.answer()
+        self.pool.reply_to_queries()
         found, expected = self.pool.advance(state), self.individual.advance(state)
         assert targets_of(found) == pytest.approx(targets_of(expected), abs=1e-12)
-        self.pool.answer()
+        self.pool.reply_to_queries()
         self.pool.publish()
         self.individual.publish()
         published = [
@@ -213,7 +213,7 @@ def test_pool_replies_for_its_own_robots_only() -> None:
     rng, both = np.random.default_rng(3), Both()
     both.take(robot_of(DRIVES["diff"]), robot_of(DRIVES["diff"]))
     bus = both.buses[0]
-    bus.pumps.append(both.pool.answer)
+    bus.pumps.append(both.pool.reply_to_queries)
     assert bus.get("r1/odom") == []
     both.step(rng, 12_500_000, both.claims)
 
@@ -227,8 +227,8 @@ def test_pool_replies_for_its_own_robots_only() -> None:
 
 
 def _query(both: Both, key: str) -> list[Sample]:
-    if both.individual.answer not in both.buses[1].pumps:
-        both.buses[1].pumps.append(both.individual.answer)
+    if both.individual.reply_to_queries not in both.buses[1].pumps:
+        both.buses[1].pumps.append(both.individual.reply_to_queries)
     return both.buses[1].get(key)
 
 
@@ -242,7 +242,7 @@ def test_pool_announces_static_topics_to_each_new_subscriber() -> None:
     def received(listener_key: str) -> list[str]:
         listener = bus.subscribe(listener_key, 16)
         for _ in range(4):
-            pool.answer()
+            pool.reply_to_queries()
             pool.announce()
         return [sample.key for sample in listener.take()]
 
@@ -257,12 +257,12 @@ def test_pool_announces_again_after_the_last_unsubscribe() -> None:
     for _ in range(2):
         listener = bus.subscribe("*/tf_static", 16)
         for _ in range(3):
-            pool.answer()
+            pool.reply_to_queries()
             pool.announce()
         assert len(listener.take()) == 1
         listener.close()
         for _ in range(2):
-            pool.answer()
+            pool.reply_to_queries()
             pool.announce()
 
 
@@ -288,7 +288,7 @@ def test_pool_declares_nothing_without_subscribers() -> None:
     pool.add_claims(both.claims)
 
     pool.advance(both.state(np.random.default_rng(1), both.claims))
-    pool.answer()
+    pool.reply_to_queries()
     pool.publish()
 
     assert not bus.is_heard("r1/odom")
