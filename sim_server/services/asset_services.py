@@ -8,7 +8,7 @@ from zensim.sim_server.parser_process.asset_store import AssetStore
 def missing_assets(
     store: AssetStore, request: asset_messages.MissingAssetsRequest
 ) -> asset_messages.MissingAssetsResponse:
-    """Tell which files are not here yet."""
+    """List the files that the server does not have."""
     missing = store.missing(request.sha256s)
     return asset_messages.MissingAssetsResponse(
         Result(), tuple(name for name, _ in missing), tuple(received for _, received in missing)
@@ -18,7 +18,7 @@ def missing_assets(
 def put_asset(
     store: AssetStore, request: asset_messages.PutAssetRequest
 ) -> asset_messages.PutAssetResponse:
-    """Take a piece of a file."""
+    """Store a piece of a file."""
     received = store.put(
         request.sha256, offset=request.offset, total=request.total, data=request.data
     )
@@ -28,6 +28,6 @@ def put_asset(
 def get_asset(
     store: AssetStore, request: asset_messages.GetAssetRequest
 ) -> asset_messages.GetAssetResponse:
-    """Give a piece of a file."""
+    """Return a piece of a file."""
     data = store.read(request.sha256, request.offset, asset_messages.MAX_CHUNK_BYTES)
     return asset_messages.GetAssetResponse(Result(), data, store.size(request.sha256))

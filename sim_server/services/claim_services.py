@@ -12,14 +12,14 @@ from zensim.sim_server.world.simulated_world import World
 
 
 def split_evenly(total: int, limits: Sequence[int]) -> tuple[int, ...]:
-    """Share out `total` as evenly as limits allow; earlier ones get what does not divide.
+    """Divide `total` as evenly as the limits allow; the first ones get the remainder.
 
     Args:
-        total: How many there are.
-        limits: Most that each may get.
+        total: Number to divide.
+        limits: Upper limit of each part.
     """
     given = [0] * len(limits)
-    # Who has the lowest limit goes first: what it cannot take is left to the others.
+    # Lowest limit first: what it cannot take is divided among the others.
     order = sorted(range(len(limits)), key=lambda place: (limits[place], -place))
     for done, place in enumerate(order):
         given[place] = min(limits[place], total // (len(order) - done))
@@ -28,38 +28,37 @@ def split_evenly(total: int, limits: Sequence[int]) -> tuple[int, ...]:
 
 
 def find_robots_to_move(
-    asker: str, limits: Mapping[str, int], held: Mapping[str, Sequence[str]], free: Sequence[str]
+    pool: str, limits: Mapping[str, int], held: Mapping[str, Sequence[str]], free: Sequence[str]
 ) -> tuple[str, ...]:
-    """Name the robots that a pool gets: of those that are free first, then of other pools' surplus.
+    """Choose the robots that a pool gets: free ones first, then the surplus of other pools.
 
     Args:
-        asker: The pool; one of `limits`.
-        limits: Most robots of each pool, in the order of joining.
-        held: What pools have, in the order of claiming; a pool without any may be missing.
-        free: Robots that nobody has.
+        pool: One of `limits`.
+        limits: Most robots of each pool, in the order of their first request.
+        held: Robots of each pool, in the order of claiming; a pool without robots may be missing.
+        free: Robots without a claim.
     """
-    total = len(free) + sum(len(held.get(pool, ())) for pool in limits)
+    total = len(free) + sum(len(held.get(one, ())) for one in limits)
     quotas = dict(zip(limits, split_evenly(total, tuple(limits.values())), strict=True))
-    missing = max(0, quotas[asker] - len(held.get(asker, ())))
+    missing = max(0, quotas[pool] - len(held.get(pool, ())))
     moved = list(free[:missing])
-    for pool, quota in quotas.items():
-        mine = held.get(pool, ())
-        # The newest go: the oldest have been driven by this pool for longest.
-        spare = max(0, min(len(mine) - quota, missing - len(moved)))
-        moved += mine[len(mine) - spare :]
+    for other, quota in quotas.items():
+        claimed = held.get(other, ())
+        # The newest claims move: a robot stays with its pool for long.
+        spare = max(0, min(len(claimed) - quota, missing - len(moved)))
+        moved += claimed[len(claimed) - spare :]
     return tuple(moved)
 
 
 UNLIMITED = 1 << 32
 MAX_SHARE_TEXT = 2 << 20
-"""Characters of descriptions, each counted once, after which a share is cut: a message has a
-largest size, and robots that were spawned one by one have a text each."""
+"""Most characters of distinct descriptions in one reply: the size of a message is limited."""
 
 
 def claim_entity(
     world: World, agents: Agents, request: agent_messages.ClaimEntityRequest
 ) -> agent_messages.ClaimEntityResponse:
-    """Make an agent the driver of entities."""
+    """Grant an agent the claim of entities, named by the agent."""
     agent = _check_agent(agents, request.agent)
     if not request.entities:
         raise RequestRefused(ClaimCode.NOT_DRIVABLE, "no entity was named; name at least one")
@@ -75,13 +74,13 @@ def claim_entity(
 def claim_share(
     world: World, agents: Agents, request: agent_messages.ClaimShareRequest
 ) -> agent_messages.ClaimShareResponse:
-    """Make a pool the driver of its share of the robots that nobody drives by name."""
+    """Grant a pool the claims of its share of the robots."""
     agent = _check_agent(agents, request.agent)
     agents.pool_limits[agent] = request.limit or UNLIMITED
     moved = _find_share(world, agents.pool_limits, agent)
     names = _fit_in_reply(moved)
     for entity in names:
-        # No wheel is stopped: the pool that gets it answers the very next state.
+        # The wheels keep turning: the new pool replies to the next state.
         world.claims.drop(entity)
     granted = world.claim(agent, names, request.on_release)
     return agent_messages.ClaimShareResponse(
@@ -118,7 +117,7 @@ def _find_share(world: World, limits: Mapping[str, int], agent: str) -> tuple[En
 
 
 def _fit_in_reply(moved: tuple[Entity, ...]) -> tuple[str, ...]:
-    """Name those whose texts fit in one reply; always one."""
+    """List the entities whose descriptions fit in one reply, at least one."""
     texts: set[str] = set()
     room = MAX_SHARE_TEXT
     for count, entity in enumerate(moved):

@@ -36,24 +36,24 @@ from zensim.sim_server.world.simulated_world import World
 def get_entity_bounds(
     world: World, store: AssetStore, request: entity_messages.GetEntityBoundsOrder
 ) -> entity_messages.GetEntityBoundsResponse:
-    """Tell the bounds of an entity's collisions, in the frame of its base link."""
+    """Compute the bounds of an entity's collision shapes, in the frame of its base link."""
     entity = world.entities.find(request.entity)
     wanted = BoundsType.BOX if request.type == entity_messages.ANY_BOUNDS else request.type
     if wanted not in set(BoundsType) or wanted == BoundsType.EMPTY:
         raise BoundsUnsupported(
-            f"type {request.type} cannot be asked for; use 1 (box), 2 (convex hull), 3 (sphere) "
+            f"type {request.type} is not supported; use 1 (box), 2 (convex hull), 3 (sphere) "
             f"or {entity_messages.ANY_BOUNDS} (any)"
         )
     sight = PoseSnapshot(world.entities.index, world.states(), store.vertices)
     links = sight.links_in_base(entity.model, entity.name)
-    solids = list(place_collision_shapes(entity.model, links, store.vertices))
-    return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(solids, BoundsType(wanted)))
+    shapes = list(place_collision_shapes(entity.model, links, store.vertices))
+    return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(shapes, BoundsType(wanted)))
 
 
 def get_entity_info(
     world: World, request: entity_messages.GetEntityInfoRequest
 ) -> entity_messages.GetEntityInfoReport:
-    """Tell what an entity is."""
+    """Return category, tags, description and dynamics of an entity."""
     entity, engine = world.entities.find(request.entity), world.engine
     tier = engine.tier_of(entity.body)
     return entity_messages.GetEntityInfoReport(info=entity.info, dynamics=tier)
@@ -62,14 +62,14 @@ def get_entity_info(
 def set_entity_info(
     world: World, request: entity_messages.SetEntityInfoRequest
 ) -> entity_messages.SetEntityInfoResponse:
-    """Say what an entity is."""
+    """Set category, tags and description of an entity."""
     world.entities.find(request.entity)
     world.set_info(request.entity, check_entity_info(request.info))
     return entity_messages.SetEntityInfoResponse()
 
 
 def delete_entity(world: World, request: DeleteEntityRequest) -> DeleteEntityResponse:
-    """Take an entity out."""
+    """Delete an entity."""
     world.delete(request.entity)
     return DeleteEntityResponse()
 
@@ -77,7 +77,7 @@ def delete_entity(world: World, request: DeleteEntityRequest) -> DeleteEntityRes
 def get_entities(
     world: World, store: AssetStore, pacing: Pacing, request: entity_messages.GetEntitiesRequest
 ) -> entity_messages.GetEntitiesResponse | DeferredResponse[entity_messages.GetEntitiesResponse]:
-    """Name the entities that pass the filters."""
+    """List the entities that pass the filters."""
     return filter_entities(
         world,
         store,
@@ -90,7 +90,7 @@ def get_entities(
 def get_models(
     world: World, current: CurrentWorld, request: telemetry_messages.GetModelsRequest
 ) -> telemetry_messages.GetModelsResponse:
-    """Tell how entities look."""
+    """Return the models of entities, each model once."""
     wanted = request.entities or world.entities.index.names
     entities = [world.entities.find(name) for name in wanted]
     number = {model: i for i, model in enumerate(dict.fromkeys(e.model for e in entities))}
@@ -115,7 +115,7 @@ def get_models(
 def get_entity_state(
     world: World, request: entity_messages.GetEntityStateOrder
 ) -> entity_messages.GetEntityStateResponse:
-    """Tell where an entity is; accelerations are not measured and told as 0.
+    """Return pose and twist of an entity; accelerations are 0, as they are not computed.
 
     In the world's frame it is where agents were told that it is, at their last control step.
     """
@@ -134,7 +134,7 @@ def get_entities_states(
     entity_messages.GetEntitiesStatesResponse
     | DeferredResponse[entity_messages.GetEntitiesStatesResponse]
 ):
-    """Tell where the entities are that pass the filters, all at one step."""
+    """Return the states of the entities that pass the filters, all at one step."""
     view = _FrameView(world, request.reference_frame)
     base, row = world.states().base, world.entities.index.row
 
@@ -146,7 +146,7 @@ def get_entities_states(
 
 
 class _FrameView:
-    """Entities as seen from a frame, at one step; how the frame moves itself is left out."""
+    """Entity states in a frame at one step; the motion of the frame itself is left out."""
 
     def __init__(self, world: World, frame_id: str) -> None:
         self._frame = None if frame_id in WORLD_FRAMES else find_frame_pose(world, frame_id)
@@ -154,7 +154,7 @@ class _FrameView:
         self._header = Header(time_from_ns(world.clock.time_ns), name)
 
     def states(self, rows: FloatArray) -> Sequence[entity_messages.EntityState]:
-        """Write state rows (n, 13) of the world down."""
+        """Convert state rows in the world, shape (n, 13)."""
         if self._frame is not None:
             rows = states_to_frame(self._frame, rows)
         return [_make_entity_state(self._header, row) for row in rows]
@@ -167,9 +167,9 @@ def _make_entity_state(header: Header, row: FloatArray) -> entity_messages.Entit
 def set_entity_state(
     world: World, request: entity_messages.SetEntityStateRequest
 ) -> entity_messages.SetEntityStateResponse:
-    """Put an entity somewhere."""
+    """Set pose and twist of an entity."""
     row = world.state_of(request.entity).copy()
-    # A request of version 1 has no flags and means both.
+    # A request of version 1 has no flags and sets both.
     is_version_1 = not (request.set_pose or request.set_twist or request.set_acceleration)
     if request.set_acceleration:
         raise UnsupportedFeature(

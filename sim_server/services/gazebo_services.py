@@ -1,4 +1,4 @@
-"""Gazebo's classic services: entity states, physics pause, wrenches and efforts, joint and link properties."""
+"""Services of Gazebo classic: states, pause, wrenches and efforts, joint and link properties."""
 
 import math
 
@@ -52,13 +52,13 @@ from zensim.sim_server.world.pose_conversion import (
 from zensim.sim_server.world.simulated_world import World
 
 MAX_FORCE = 1e6
-"""Of a force [N], a torque or an effort [N m]."""
+"""Largest force [N], torque or effort [N m]."""
 
 
 def apply_link_wrench(
     world: World, request: gazebo_messages.ApplyLinkWrenchRequest
 ) -> gazebo_messages.ApplyLinkWrenchReport:
-    """Push a link: the wrench keeps the direction in the world that it has now."""
+    """Apply a wrench to a link, with constant direction in the world."""
     target = find_link(world, request.link_name)
     force, torque = (
         _to_vector(request.wrench.force, "force"),
@@ -77,7 +77,7 @@ def apply_link_wrench(
 def clear_link_wrenches(
     world: World, request: gazebo_messages.ClearLinkWrenchesRequest
 ) -> gazebo_messages.ClearLinkWrenchesReport:
-    """Push a link no more; none to clear is fine."""
+    """Remove all wrenches of a link, if there are any."""
     target = find_link(world, request.link_name)
     world.applied_forces.clear_link(target.entity.name, target.number)
     return gazebo_messages.ClearLinkWrenchesReport()
@@ -86,7 +86,7 @@ def clear_link_wrenches(
 def apply_joint_effort(
     world: World, request: gazebo_messages.ApplyJointEffortRequest
 ) -> gazebo_messages.ApplyJointEffortReport:
-    """Push a joint along its axis."""
+    """Apply an effort along the axis of a joint."""
     target = find_joint(world, request.joint_name)
     if target.joint.kind == "fixed":
         raise RequestRefused(
@@ -106,7 +106,7 @@ def apply_joint_effort(
 def clear_joint_efforts(
     world: World, request: gazebo_messages.ClearJointEffortsRequest
 ) -> gazebo_messages.ClearJointEffortsReport:
-    """Push a joint no more; none to clear is fine."""
+    """Remove all efforts of a joint, if there are any."""
     target = find_joint(world, request.joint_name)
     world.applied_forces.clear_joint(target.entity.name, target.number)
     return gazebo_messages.ClearJointEffortsReport()
@@ -119,7 +119,7 @@ def _wrench_at_com(
     force: FloatArray,
     torque: FloatArray,
 ) -> FloatArray:
-    """Turn a wrench at a point of a frame into one (6,) at the centre of mass, world axes."""
+    """Convert a wrench at a point of a frame to one at the centre of mass, in world axes, (6,)."""
     point = _to_vector(request.reference_point, "reference_point", MAX_POSITION_M)
     if request.reference_frame in WORLD_FRAMES:
         return np.concatenate([force, torque + np.cross(point, force)])
@@ -169,14 +169,14 @@ JOINT_TYPES = {
 }
 LIMITED_JOINTS = ("revolute", "prismatic")
 ODE_FIELDS = ("erp", "cfm", "stop_erp", "stop_cfm", "fudge_factor", "vel")
-"""Settings of a solver that is not here."""
+"""Settings of the ODE solver, which no engine here uses."""
 MAX_PROPERTY = 1e6
 
 
 def get_joint_properties(
     world: World, request: gazebo_messages.GetJointPropertiesRequest
 ) -> gazebo_messages.GetJointPropertiesReport:
-    """Tell how a joint moves, and where it is."""
+    """Return parameters, position and velocity of a joint."""
     target = find_joint(world, request.joint_name)
     joint = target.joint
     if joint.kind == "fixed":
@@ -199,7 +199,7 @@ def get_joint_properties(
 def set_joint_properties(
     world: World, request: gazebo_messages.SetJointPropertiesRequest
 ) -> gazebo_messages.SetJointPropertiesReport:
-    """Change damping, friction and limits of a joint."""
+    """Set damping, friction and limits of a joint."""
     target = find_joint(world, request.joint_name)
     _change_joint(world, target, _apply_joint_request(target.joint, request))
     return gazebo_messages.SetJointPropertiesReport(success=True)
@@ -208,7 +208,7 @@ def set_joint_properties(
 def get_link_properties(
     world: World, request: gazebo_messages.GetLinkPropertiesRequest
 ) -> gazebo_messages.GetLinkPropertiesReport:
-    """Tell what a link weighs; the moments are about the link's own axes."""
+    """Return mass and inertia of a link; the moments are about the axes of the link."""
     link = find_link(world, request.link_name).link
     return gazebo_messages.GetLinkPropertiesReport(
         Pose(Point(*link.inertial.com_in_link), Quaternion()),
@@ -222,12 +222,12 @@ def get_link_properties(
 def set_link_properties(
     world: World, request: gazebo_messages.SetLinkPropertiesRequest
 ) -> gazebo_messages.SetLinkPropertiesReport:
-    """Change what a link weighs, and whether gravity pulls it."""
+    """Set mass and inertia of a link, and whether gravity acts on it."""
     target = find_link(world, request.link_name)
     if target.entity.model.is_static and target.number == 0:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"link {request.link_name[:80]!r} never moves: its model is static; nothing to weigh",
+            f"link {request.link_name[:80]!r} has no mass in a static model; use a link that moves",
         )
     inertial = _to_inertial(request)
     weightless = Inertial() if request.gravity_mode else inertial
@@ -261,7 +261,7 @@ def _apply_joint_request(joint: Joint, request: gazebo_messages.SetJointProperti
         if getattr(wanted, field):
             raise RequestRefused(
                 ResultCode.FEATURE_UNSUPPORTED,
-                f"{field} of joint {name!r} is of ODE's solver; set damping, fmax, lo_stop, "
+                f"{field} of joint {name!r} belongs to the ODE solver; set damping, fmax, lo_stop, "
                 "hi_stop and leave the others empty",
             )
     if joint.kind == "fixed" and wanted != gazebo_messages.ODEJointProperties():
@@ -273,7 +273,7 @@ def _apply_joint_request(joint: Joint, request: gazebo_messages.SetJointProperti
     for what, number in (("damping", damping), ("fmax", friction)):
         if number is not None and number < 0.0:
             raise RequestRefused(
-                ResultCode.OPERATION_FAILED, f"{what} {number:g} is negative; use 0"
+                ResultCode.OPERATION_FAILED, f"{what} {number:g} is negative; use 0 or more"
             )
     if (lower, upper) != (None, None):
         _check_limits(joint, name, lower, upper)
@@ -324,16 +324,17 @@ def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
     if request.mass <= 0.0:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"mass {request.mass:g} is not positive; every field counts: get them, then set them",
+            f"mass {request.mass:g} is not positive; set all fields",
         )
     com = pose_to_row(request.com)
     ixx, ixy, ixz, iyy, iyz, izz = moments
     matrix = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
     if float(np.linalg.eigvalsh(matrix).min()) < 0.0:
         raise RequestRefused(
-            ResultCode.OPERATION_FAILED, "a moment of inertia is negative; use what a body can have"
+            ResultCode.OPERATION_FAILED,
+            "a moment of inertia is negative; use the moments of a real body",
         )
-    # The moments are given about the axes of `com`; those of a model are about the link's.
+    # The request has moments about the axes of `com`, a model about those of the link.
     axes = rotate(conjugate(com[3:]), np.eye(3))
     turned = axes @ matrix @ axes.T
     x, y, z = com[:3].tolist()
@@ -344,19 +345,19 @@ def _to_inertial(request: gazebo_messages.SetLinkPropertiesRequest) -> Inertial:
 def pause_physics(
     world: World, pacing: Pacing, _: gazebo_messages.PausePhysicsRequest
 ) -> gazebo_messages.EmptyReport:
-    """Pause; paused already is fine, as it is to Gazebo."""
+    """Pause; no error if paused already, as in Gazebo."""
     return _change_state(world, pacing, State.PAUSED)
 
 
 def unpause_physics(
     world: World, pacing: Pacing, _: gazebo_messages.UnpausePhysicsRequest
 ) -> gazebo_messages.EmptyReport:
-    """Play; playing already is fine, as it is to Gazebo."""
+    """Play; no error if playing already, as in Gazebo."""
     return _change_state(world, pacing, State.PLAYING)
 
 
 def reset_world(world: World, _: gazebo_messages.ResetWorldRequest) -> gazebo_messages.EmptyReport:
-    """Put every entity back to its start; time goes on, and what was spawned stays."""
+    """Reset the states of all entities; time and spawned entities stay."""
     world.reset(ResetScope.STATE)
     return gazebo_messages.EmptyReport()
 
@@ -364,7 +365,7 @@ def reset_world(world: World, _: gazebo_messages.ResetWorldRequest) -> gazebo_me
 def get_gazebo_state(
     world: World, request: gazebo_messages.GazeboGetEntityStateRequest
 ) -> gazebo_messages.GazeboGetEntityStateReport:
-    """Tell where an entity or a link is, and how it moves against the frame."""
+    """Return pose of an entity or a link in a frame, and twist relative to it."""
     row = find_state(world, request.name)
     frame_id = request.reference_frame
     if frame_id not in WORLD_FRAMES:
@@ -385,13 +386,13 @@ def get_gazebo_state(
 def set_gazebo_state(
     world: World, request: gazebo_messages.GazeboSetEntityStateRequest
 ) -> gazebo_messages.GazeboSetEntityStateReport:
-    """Put an entity somewhere; a link goes where its entity goes."""
+    """Set pose and twist of an entity, by its name or that of its base link."""
     state = request.state
     name, scope, _ = state.name.partition(SCOPE_SEPARATOR)
     if scope and find_link(world, state.name).number:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"link {state.name[:80]!r} hangs on joints and cannot be put anywhere by itself; "
+            f"link {state.name[:80]!r} is moved by joints and cannot be placed by itself; "
             f"use '{name}'",
         )
     wanted = entity_messages.EntityState(

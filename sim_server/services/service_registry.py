@@ -1,4 +1,4 @@
-"""Registry of services: the handler and the features of each, and the dispatch of a request to its handler."""
+"""Registry of services: handler and features of each, and handlers bound to a server's parts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

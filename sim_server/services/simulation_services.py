@@ -34,7 +34,7 @@ VERSION = version("zensim")
 def get_server_info(
     world: World, current: CurrentWorld, pacing: Pacing, _: telemetry_messages.InfoRequest
 ) -> telemetry_messages.Info:
-    """Say who this is, and how it goes."""
+    """Return the server's version, configuration and state."""
     is_playing = world.clock.state == State.PLAYING
     return telemetry_messages.Info(
         world=world.name,
@@ -58,14 +58,14 @@ def get_server_info(
 
 MAX_STEPS = 10_000_000
 MAX_GOALS = 64
-"""Goals that wait at a time."""
+"""Most active goals."""
 MIN_SPEED, MAX_SPEED = 0.01, 1000.0
 
 
 def step_simulation(
     world: World, pacing: Pacing, request: StepSimulationRequest
 ) -> DeferredResponse[StepSimulationResponse]:
-    """Make steps of a paused world, and answer when the agents have answered the last."""
+    """Step a paused world; reply when the agents have replied to the last step."""
     goal = _add_goal(world, pacing, request.steps)
     return DeferredResponse(
         lambda: goal.is_over, lambda: StepSimulationResponse(_make_goal_result(goal))
@@ -75,7 +75,7 @@ def step_simulation(
 def simulate_steps(
     world: World, pacing: Pacing, request: simulation_messages.SimulateStepsRequest
 ) -> DeferredResponse[simulation_messages.SimulateStepsResponse]:
-    """Make steps of a paused world, tell of their progress, and answer at the end."""
+    """Step a paused world, publish progress, and reply at the end."""
     goal_id = _check_goal_id(request.goal_id)
     goal = pacing.step_goals.find(goal_id)
     if goal is None:
@@ -83,7 +83,7 @@ def simulate_steps(
     elif goal.steps != request.steps:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"goal {goal_id!r} has {goal.steps} steps; choose another id, or ask for those steps",
+            f"goal {goal_id!r} has {goal.steps} steps; use another id, or the same number of steps",
         )
     return DeferredResponse(lambda: goal.is_over, lambda: _make_steps_response(goal))
 
@@ -91,13 +91,13 @@ def simulate_steps(
 def cancel_steps(
     pacing: Pacing, request: simulation_messages.CancelStepsRequest
 ) -> simulation_messages.CancelStepsResponse:
-    """End a goal, or all, before the last step."""
+    """Cancel one goal, or all."""
     canceled = pacing.step_goals.cancel(request.goal_id)
     if not canceled and request.goal_id:
         known = pacing.step_goals.find(request.goal_id)
         raise RequestRefused(
             ResultCode.NOT_FOUND if known is None else ResultCode.INCORRECT_STATE,
-            f"goal {request.goal_id[:80]!r} {'is unknown' if known is None else 'is over'}; "
+            f"goal {request.goal_id[:80]!r} {'is unknown' if known is None else 'has ended'}; "
             "nothing was canceled",
         )
     return simulation_messages.CancelStepsResponse(
@@ -108,22 +108,22 @@ def cancel_steps(
 def run_to(
     world: World, pacing: Pacing, request: simulation_messages.RunToRequest
 ) -> DeferredResponse[simulation_messages.RunToResponse]:
-    """Make steps of a paused world until a time is reached; a reset meanwhile ends the run."""
+    """Step a paused world until a simulation time; a reset aborts the run."""
     if pacing.step_goals:
-        raise IncorrectState("steps that were asked for before wait; try again when they are made")
+        raise IncorrectState("other step requests are active; try again when they have ended")
     wanted_ns, epoch = ns_from_time(request.time), world.clock.epoch
     if wanted_ns < world.clock.time_ns:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
-            f"{wanted_ns / NANOSECONDS:g} s is past: it is {world.clock.time_ns / NANOSECONDS:g} s; "
-            "reset to go back",
+            f"time {wanted_ns / NANOSECONDS:g} s is before the current time "
+            f"{world.clock.time_ns / NANOSECONDS:g} s; use a later time, or reset first",
         )
     steps = -((world.clock.time_ns - wanted_ns) // world.clock.step_ns)
     goal = _add_goal(world, pacing, steps, least=0)
 
     def is_over() -> bool:
         if world.clock.epoch != epoch:
-            pacing.step_goals.abort_goal(goal, "the simulation was reset, and time went back")
+            pacing.step_goals.abort_goal(goal, "the simulation was reset")
         return goal.is_over
 
     return DeferredResponse(
@@ -137,7 +137,7 @@ def run_to(
 def set_speed(
     pacing: Pacing, request: simulation_messages.SetSpeedRequest
 ) -> simulation_messages.SetSpeedResponse:
-    """Choose the real-time factor to hold."""
+    """Set the target real-time factor."""
     factor = request.real_time_factor
     if not (factor == 0.0 or MIN_SPEED <= factor <= MAX_SPEED):
         raise RequestRefused(
@@ -159,7 +159,7 @@ def _add_goal(
             f"steps={steps} is out of range; use {least} to {MAX_STEPS}",
         )
     if len(pacing.step_goals) >= MAX_GOALS:
-        raise IncorrectState(f"{MAX_GOALS} goals wait already; try again when one is over")
+        raise IncorrectState(f"{MAX_GOALS} goals are active; try again when one has ended")
     return pacing.step_goals.add(steps, goal_id)
 
 
@@ -168,8 +168,8 @@ def _check_goal_id(goal_id: str) -> str:
         return goal_id
     raise RequestRefused(
         ResultCode.OPERATION_FAILED,
-        f"goal_id {goal_id[:80]!r} is not valid; use at most {simulation_messages.MAX_GOAL_ID_LENGTH} printable "
-        "characters",
+        f"goal_id {goal_id[:80]!r} is not valid; use at most "
+        f"{simulation_messages.MAX_GOAL_ID_LENGTH} printable characters",
     )
 
 
@@ -188,12 +188,12 @@ def _make_goal_result(goal: StepGoal) -> Result:
         return Result(ResultCode.OPERATION_FAILED, text)
     if goal.late:
         names = ", ".join(sorted(goal.late))
-        return Result(ResultCode.OK, f"not all steps were answered in time by: {names}")
+        return Result(ResultCode.OK, f"these agents did not reply to all steps in time: {names}")
     return Result()
 
 
 def reset_simulation(world: World, request: ResetSimulationRequest) -> ResetSimulationResponse:
-    """Go back to the start."""
+    """Reset time, states and spawned entities, as the scope says."""
     known = ResetScope.TIME | ResetScope.STATE | ResetScope.SPAWNED
     if request.scope not in (ResetScope.ALL, request.scope & known):
         raise UnsupportedFeature(
@@ -204,14 +204,14 @@ def reset_simulation(world: World, request: ResetSimulationRequest) -> ResetSimu
 
 
 def get_simulation_state(world: World, _: GetSimulationStateRequest) -> GetSimulationStateResponse:
-    """Tell whether time runs."""
+    """Return the state of the simulation."""
     return GetSimulationStateResponse(SimulationState(world.clock.state))
 
 
 def set_simulation_state(
     world: World, pacing: Pacing, request: SetSimulationStateRequest
 ) -> SetSimulationStateResponse:
-    """Play, pause, stop or quit."""
+    """Change the state: play, pause, stop or quit."""
     wanted, present = request.state.state, world.clock.state
     if wanted == present:
         raise RequestRefused(

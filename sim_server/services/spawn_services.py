@@ -1,4 +1,4 @@
-"""Services that spawn entities, one or many, and list what can be spawned; all is checked before anything is made."""
+"""Services that spawn entities, one or many, and list spawnable models."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -39,10 +39,10 @@ MAX_NAMED = 3
 
 
 def spawn_entity(spawning: Spawning, order: SpawnEntityOrder) -> SpawnEntityReport:
-    """Put an entity into the world, or say what that would do.
+    """Spawn an entity, or report what a spawn would do if it is a dry run.
 
     Raises:
-        SimError: It is refused; nothing has changed.
+        SimError: The spawn is refused; nothing has changed.
     """
     return spawn_model(spawning, order, *spawning.descriptions.provider.model(order))
 
@@ -50,45 +50,47 @@ def spawn_entity(spawning: Spawning, order: SpawnEntityOrder) -> SpawnEntityRepo
 def spawn_model(
     spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> SpawnEntityReport:
-    """Spawn a model that has been read, whatever the order's resource is; raises as `spawn`."""
+    """Spawn a parsed model, whatever the order's resource is; raises as `spawn_entity` does."""
     spawning.bonds.require(order.bond)
-    birth, notes = _resolve_spawn(spawning, order, model, description)
+    validated, notes = _resolve_spawn(spawning, order, model, description)
     if order.strict or order.dry_run:
-        notes.extend(_make_overlap_notes(spawning.world.check_overlaps(birth)))
+        notes.extend(_make_overlap_notes(spawning.world.check_overlaps(validated)))
     if order.strict:
-        _refuse_suspicious((*notes, *birth.model.report))
+        _refuse_suspicious((*notes, *validated.model.report))
     if order.dry_run:
-        name, namespace = spawning.world.resolve_names_for(birth)
-        return SpawnEntityReport(Result(), name, namespace, (*notes, *birth.model.report))
-    entity = spawning.world.spawn(birth)
+        name, namespace = spawning.world.resolve_names_for(validated)
+        return SpawnEntityReport(Result(), name, namespace, (*notes, *validated.model.report))
+    entity = spawning.world.spawn(validated)
     if not order.strict:
         notes.extend(_make_overlap_notes(spawning.world.find_overlaps(entity)))
     _record_spawn(spawning, entity, order.bond, notes)
-    report = (*notes, *birth.model.report)
+    report = (*notes, *validated.model.report)
     return SpawnEntityReport(Result(), entity.name, entity.namespace, report)
 
 
 @dataclass(frozen=True)
 class StagedSpawn:
-    """What was ordered and is not there yet."""
+    """An entity that is built but not yet in the world."""
 
     entity: Entity
     bond: str
     notes: tuple[ReportEntry, ...]
     find_overlaps: Callable[[], list[str]]
-    """Says whom it overlaps."""
+    """Lists the entities that it overlaps."""
 
 
 def stage_model(
     spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> StagedSpawn:
-    """Make what `spawn_model` spawns, but let it in later; raises as that does."""
+    """Build what `spawn_model` spawns, to be committed later; raises as that does."""
     spawning.bonds.require(order.bond)
-    birth, notes = _resolve_spawn(spawning, order, model, description)
-    entity, overlapped = spawning.world.stage_spawn(birth)
+    validated, notes = _resolve_spawn(spawning, order, model, description)
+    entity, overlapped = spawning.world.stage_spawn(validated)
     if order.strict:
         try:
-            _refuse_suspicious((*notes, *_make_overlap_notes(overlapped()), *birth.model.report))
+            _refuse_suspicious(
+                (*notes, *_make_overlap_notes(overlapped()), *validated.model.report)
+            )
         except ModelError:
             spawning.world.rollback_staged([entity])
             raise
@@ -96,19 +98,19 @@ def stage_model(
 
 
 def commit_staged(spawning: Spawning, expected: Sequence[StagedSpawn]) -> None:
-    """Let all that is expected be there between two steps.
+    """Insert all staged entities between two steps.
 
     Raises:
-        IncorrectState: A reset or another world has ended it, or what it hangs on is gone.
+        IncorrectState: The world was reset or replaced, or a bond has ended.
     """
     for bond in {one.bond for one in expected}:
         spawning.bonds.require(bond)
     if not all(spawning.world.entities.is_staged(one.entity) for one in expected):
-        raise IncorrectState("the world was reset or replaced meanwhile; ask again")
+        raise IncorrectState("the world was reset or replaced meanwhile; try again")
     notes = [(*one.notes, *_make_overlap_notes(one.find_overlaps())) for one in expected]
     spawning.world.commit_staged([one.entity for one in expected])
-    for one, told in zip(expected, notes, strict=True):
-        _record_spawn(spawning, one.entity, one.bond, told)
+    for one, report in zip(expected, notes, strict=True):
+        _record_spawn(spawning, one.entity, one.bond, report)
 
 
 def _record_spawn(
@@ -123,7 +125,7 @@ def _record_spawn(
 def spawn_entity_when_parsed(
     spawning: Spawning, order: SpawnEntityOrder
 ) -> SpawnEntityReport | DeferredResponse[SpawnEntityReport]:
-    """Spawn now, or once the description has been read; raises as `spawn` does."""
+    """Spawn now, or when the description is parsed; raises as `spawn_entity` does."""
     if spawning.descriptions.provider.is_parsed(order):
         return spawn_entity(spawning, order)
     return DeferredResponse(
@@ -136,7 +138,7 @@ def _resolve_spawn(
     spawning: Spawning, order: SpawnEntityOrder, model: Model, description: str
 ) -> tuple[ValidatedSpawn, list[ReportEntry]]:
     pose, notes = _resolve_pose(spawning, order, model)
-    birth = ValidatedSpawn(
+    validated = ValidatedSpawn(
         name=order.name or model.name,
         namespace=order.entity_namespace,
         model=model,
@@ -146,7 +148,7 @@ def _resolve_spawn(
         born_ns=spawning.pacing.now_ns(),
         info=None if order.info is None else check_entity_info(order.info),
     )
-    return birth, notes
+    return validated, notes
 
 
 def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
@@ -155,7 +157,7 @@ def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
         more = f" and {len(found) - MAX_NAMED} more" if len(found) > MAX_NAMED else ""
         raise ModelError(
             f"{len(found)} suspicious: {'; '.join(found[:MAX_NAMED])}{more}; "
-            "mend them, or spawn without strict",
+            "correct them, or spawn without strict",
             code=SpawnCode.RESOURCE_PARSE_ERROR,
             slug="report.suspicious",
         )
@@ -164,28 +166,28 @@ def _refuse_suspicious(report: tuple[ReportEntry, ...]) -> None:
 def _resolve_pose(
     spawning: Spawning, request: SpawnEntityOrder, model: Model
 ) -> tuple[FloatArray, list[ReportEntry]]:
-    wish = request.initial_pose
+    wanted = request.initial_pose
     notes = []
-    if is_zero_quaternion(wish.pose.orientation):
+    if is_zero_quaternion(wanted.pose.orientation):
         notes.append(
             ReportEntry("suspicious", "initial_pose", "all-zero quaternion read as identity")
         )
-    pose = pose_to_world(spawning.world, wish.header.frame_id, pose_to_row(wish.pose))
+    pose = pose_to_world(spawning.world, wanted.header.frame_id, pose_to_row(wanted.pose))
     qx, qy, qz, qw = pose[3:7].tolist()
-    # Not -clearance, which is -0 for a model without collisions.
-    standing = 0.0 - find_ground_clearance(
+    # -clearance would be -0 for a model without collisions.
+    ground_z = 0.0 - find_ground_clearance(
         model, (qx, qy, qz, qw), spawning.descriptions.store.vertices
     )
     if request.snap_to_ground:
-        pose[2] = standing
-    depth = standing - float(pose[2])
+        pose[2] = ground_z
+    depth = ground_z - float(pose[2])
     if depth > UNDERGROUND_M:
         notes.append(
             ReportEntry(
                 "suspicious",
                 "initial_pose",
                 f"lowest point is {depth * 100:.1f} cm below ground; "
-                f"z = {standing:.3f} puts it on the ground",
+                f"z = {ground_z:.3f} puts it on the ground",
             )
         )
     return pose, notes
@@ -200,31 +202,28 @@ def _make_overlap_notes(others: list[str]) -> list[ReportEntry]:
 
 
 SPAWN_SLICE_NS = 5 * NANOSECONDS // 1000
-"""What spawning takes of each turn of the loop where steps are late; the last begun is finished.
-
-Where a quarter of a step is more, it is that.
-"""
+"""Wall time for spawning per turn if steps are late, or a quarter of the step time if more."""
 MIN_SPARE_NS = NANOSECONDS // 1000
-"""Where that much is left before the next step is due, spawning takes what is left."""
+"""With more time than this until the next step, spawning uses that time."""
 MAX_PARSES_AHEAD = 64
-"""Descriptions that are waited for at once."""
+"""Most descriptions that are parsed at once."""
 ParsedSpawnModel = tuple[Model, str] | SimError
 
 
 def spawn_entities(
     spawning: Spawning, request: SpawnEntitiesOrder
 ) -> SpawnEntitiesResponse | DeferredResponse[SpawnEntitiesResponse]:
-    """Put entities into the world: as many as can be, or all or none."""
+    """Spawn many entities: all that can be, or if atomic all or none."""
     if len(request.spawn_requests) > MAX_SPAWNS:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
             f"{len(request.spawn_requests)} spawns are too many; use {MAX_SPAWNS} at most",
         )
     orders = [_merge_order(request.common, one) for one in request.spawn_requests]
-    fleet = (
+    batch = (
         _AtomicSpawns(spawning, orders) if request.atomic else _IndependentSpawns(spawning, orders)
     )
-    return fleet.response() if fleet.go_on() else DeferredResponse(fleet.go_on, fleet.response)
+    return batch.response() if batch.advance() else DeferredResponse(batch.advance, batch.response)
 
 
 def _merge_order(common: SpawnEntityOrder, one: SpawnEntity) -> SpawnEntityOrder:
@@ -240,7 +239,7 @@ def _merge_order(common: SpawnEntityOrder, one: SpawnEntity) -> SpawnEntityOrder
 
 
 class _SpawnBatch:
-    """Orders, and what became of them so far."""
+    """Spawn orders and their results so far."""
 
     def __init__(self, spawning: Spawning, orders: list[SpawnEntityOrder]) -> None:
         self._spawning = spawning
@@ -249,8 +248,8 @@ class _SpawnBatch:
         self._read: dict[int, ParsedSpawnModel] = {}
 
     def _is_read(self, order: SpawnEntityOrder) -> bool:
-        """Whether the description of an order is read; it is kept until all is over."""
-        # Orders that share a resource share the object; to compare texts would take long.
+        """Whether the description is parsed; it is kept until the batch ends."""
+        # Orders with the same resource share the object; comparing texts is slow.
         number = id(order.entity_resource)
         if number not in self._read and self._spawning.descriptions.provider.is_parsed(order):
             try:
@@ -260,7 +259,7 @@ class _SpawnBatch:
         return number in self._read
 
     def _is_ready_to_spawn(self, order: SpawnEntityOrder) -> bool:
-        """Whether the engine would not hold steps up to add what was read; else it gets ready."""
+        """Whether the engine can add the model without delay; otherwise prepare it."""
         read = self._read[id(order.entity_resource)]
         return isinstance(read, SimError) or self._spawning.world.prepare(read[0])
 
@@ -271,7 +270,7 @@ class _SpawnBatch:
         return read
 
     def response(self) -> SpawnEntitiesResponse:
-        """Say what became of each."""
+        """Make the response with the result of each order."""
         failed = [one for one in self._results if one.result.result != ResultCode.OK]
         if not failed:
             return SpawnEntitiesResponse(results=tuple(self._results))
@@ -282,17 +281,17 @@ class _SpawnBatch:
 
 
 class _IndependentSpawns(_SpawnBatch):
-    """Each order for itself; steps are made meanwhile."""
+    """Orders spawned one by one, with steps in between."""
 
     def __init__(self, spawning: Spawning, orders: list[SpawnEntityOrder]) -> None:
         super().__init__(spawning, orders)
         self._work = self._spawn_each()
 
-    def go_on(self) -> bool:
-        """Spawn for a while; say whether that was the last."""
+    def advance(self) -> bool:
+        """Spawn for a time slice; return whether all orders are done."""
         end_ns = _find_slice_end(self._spawning)
-        for has_spawned in self._work:
-            if not has_spawned or self._spawning.pacing.now_ns() >= end_ns:
+        for is_spawned in self._work:
+            if not is_spawned or self._spawning.pacing.now_ns() >= end_ns:
                 return False
         return True
 
@@ -309,20 +308,20 @@ class _IndependentSpawns(_SpawnBatch):
 
 
 class _AtomicSpawns(_SpawnBatch):
-    """All orders between two steps, or none; they are made before, out of sight."""
+    """Orders staged first and then committed between two steps, or none of them."""
 
     def __init__(self, spawning: Spawning, orders: list[SpawnEntityOrder]) -> None:
         self._is_dry_run = any(order.dry_run for order in orders)
         replace = msgspec.structs.replace
         super().__init__(spawning, [replace(order, dry_run=False) for order in orders])
         self._unparsed = list({id(one.entity_resource): one for one in self._orders}.values())
-        self._has_begun = False
+        self._has_started = False
         self._staged: list[StagedSpawn] = []
 
-    def go_on(self) -> bool:
-        """Make some once all is read; let all in with the last; say whether that is over."""
-        if self._spawning.descriptions.has_new or not self._has_begun:
-            self._has_begun = True
+    def advance(self) -> bool:
+        """Stage for a time slice, commit after the last; return whether the batch has ended."""
+        if self._spawning.descriptions.has_new or not self._has_started:
+            self._has_started = True
             self._collect_parsed()
         if self._unparsed:
             return False
@@ -347,7 +346,7 @@ class _AtomicSpawns(_SpawnBatch):
         self._unparsed = waiting
 
     def _stage_some(self) -> bool:
-        """Make entities while there is time; say whether none is left to be made."""
+        """Stage entities for a time slice; return whether all are staged."""
         end_ns = _find_slice_end(self._spawning)
         for order in self._orders[len(self._staged) :]:
             if not self._is_ready_to_spawn(order):
@@ -365,14 +364,14 @@ class _AtomicSpawns(_SpawnBatch):
             self._results = [_make_refused_result(error)] * failed
             return
         name = self._orders[failed].name or f"number {failed}"
-        reason = f"{NOT_SPAWNED_PREFIX} '{name[:80]}': all or none were asked for"
+        reason = f"{NOT_SPAWNED_PREFIX} '{name[:80]}': all or none were requested"
         other = SpawnResult(Result(ResultCode.OPERATION_FAILED, reason))
         self._results = [other] * len(self._orders)
         self._results[failed] = _make_refused_result(error)
 
 
 def _find_slice_end(spawning: Spawning) -> int:
-    """Say until when spawning may hold the loop up: steps that can be in time are to be so."""
+    """Return the wall time until which spawning may run without delaying the next step."""
     now_ns = spawning.pacing.now_ns()
     if spawning.pacing.due_ns - now_ns > MIN_SPARE_NS:
         return spawning.pacing.due_ns - MIN_SPARE_NS // 2
@@ -389,7 +388,7 @@ SHIPPED_SCHEME = "zensim://"
 def get_spawnables(
     descriptions: Descriptions, request: spawn_messages.GetSpawnablesRequest
 ) -> spawn_messages.GetSpawnablesResponse | DeferredResponse[spawn_messages.GetSpawnablesResponse]:
-    """List the robots that come with the server, once all of them are read."""
+    """List the models shipped with the server, once all of them are parsed."""
     if unknown := [source for source in request.sources if source != SHIPPED_SCHEME]:
         raise RequestRefused(
             ResultCode.OPERATION_FAILED,
@@ -405,7 +404,7 @@ def get_spawnables(
         return spawn_messages.GetSpawnablesResponse(spawnables=found)
 
     def is_read() -> bool:
-        # Not by all(): each has to be asked for, so that all are read meanwhile.
+        # Not all(): each call of is_read() starts the parsing of one model.
         return sum(descriptions.provider.is_parsed(order) for order in orders) == len(orders)
 
     return (
@@ -419,10 +418,10 @@ def _make_spawnable(
     descriptions: Descriptions, order: SpawnEntityOrder
 ) -> spawn_messages.Spawnable:
     model, _ = descriptions.provider.model(order)
-    solids = list(
+    shapes = list(
         place_collision_shapes(model, find_link_poses_at_zero(model), descriptions.store.vertices)
     )
-    bounds = make_bounds(solids, BoundsType.BOX)
+    bounds = make_bounds(shapes, BoundsType.BOX)
     return spawn_messages.Spawnable(order.entity_resource, _describe_model(model), bounds)
 
 

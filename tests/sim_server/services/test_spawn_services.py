@@ -21,6 +21,7 @@ from zensim.proto.messages.model_messages import Model
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode, SpawnEntitiesCode
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.spawn_messages import (
+    NOT_SPAWNED_PREFIX,
     Resource,
     SpawnEntitiesOrder,
     SpawnEntitiesResponse,
@@ -83,7 +84,6 @@ def test_the_others_are_spawned_when_one_is_refused() -> None:
     response = answer(parts, an_order("a", "b", "1c", "d"))
 
     assert response.result.result == SpawnEntitiesCode.ENTITIES_SPAWN_FAILED
-    assert response.result.error_message == "2 of 4 were not spawned; the results say why"
     assert codes(response) == [1, SpawnCode.NAME_NOT_UNIQUE, SpawnCode.NAME_INVALID, 1]
     assert names_in(parts.world) == ["b", "a", "d"]
 
@@ -96,7 +96,7 @@ def test_nobody_is_spawned_when_all_or_none_were_asked_for_and_one_is_refused() 
 
     assert response.result.result == SpawnEntitiesCode.ENTITIES_SPAWN_FAILED
     assert codes(response) == [4, SpawnCode.NAME_NOT_UNIQUE, 4]
-    assert response.results[0].result.error_message.startswith("not spawned because of 'b'")
+    assert response.results[0].result.error_message.startswith(f"{NOT_SPAWNED_PREFIX} 'b'")
     assert names_in(parts.world) == ["b"]
     assert (parts.world.states().base == before).all()
     assert kinds_of_events(parts.world) == []
@@ -263,7 +263,7 @@ def test_a_fleet_that_is_being_made_is_given_up_when_the_world_is_reset() -> Non
     told = response.outcome()
     assert isinstance(told, SpawnEntitiesResponse)
     assert codes(told) == [3, 3]
-    assert "reset or replaced meanwhile" in told.results[0].result.error_message
+    assert told.results[0].result.result == ResultCode.INCORRECT_STATE
     assert names_in(parts.world) == []
 
 
@@ -305,7 +305,7 @@ def test_spawning_uses_the_time_that_is_left_before_the_next_step(
 def test_too_many_orders_are_refused() -> None:
     orders = (SpawnEntity("a"),) * 10_001
 
-    with pytest.raises(SimError, match="10001 spawns are too many; use 10000 at most"):
+    with pytest.raises(SimError, match="10001"):
         handle_request(make_parts(a_world()), SpawnEntitiesOrder(orders))
 
 
