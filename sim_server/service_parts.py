@@ -144,7 +144,7 @@ class WorldLoading:
     def _pin_meshes(self, model: WorldModel) -> None:
         """Keep the meshes of a world: its models are made again by a reset."""
         for name in {mesh for placed in model.models for mesh in list_meshes(placed.model)}:
-            self.descriptions.store.pin_kept(name)
+            self.descriptions.store.pin_stored(name)
 
 
 @dataclass(frozen=True)

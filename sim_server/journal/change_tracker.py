@@ -191,7 +191,7 @@ class ChangeTracker:
         self._writer.submit(record)
 
     def _end_lost_bonds(self) -> None:
-        """End what hung on bonds whose holders did not come back after a restart."""
+        """Delete the entities of bonds that were not renewed after a restart."""
         if not self._bonds_due_ns or self._parts.pacing.now_ns() < self._bonds_due_ns:
             return
         self._bonds_due_ns = 0

@@ -217,7 +217,7 @@ class MeshRestorer:
     def copy(self, model: Model) -> None:
         """Copy the meshes of a model."""
         for mesh in list_meshes(model):
-            self.store.keep(mesh, (self.files / f"{mesh}.stl").read_bytes())
+            self.store.add(mesh, (self.files / f"{mesh}.stl").read_bytes())
 
 
 def commit_restore(

@@ -92,7 +92,7 @@ class AssetStore:
             self._finish(sha256, file)
         return file.received
 
-    def keep(self, sha256: str, data: bytes) -> None:
+    def add(self, sha256: str, data: bytes) -> None:
         """Store a file that the server generated."""
         if sha256 not in self:
             self._path(sha256).write_bytes(data)
@@ -105,7 +105,7 @@ class AssetStore:
         self._path(sha256).write_bytes(data)
         self._pinned[sha256] = len(data)
 
-    def pin_kept(self, sha256: str) -> None:
+    def pin_stored(self, sha256: str) -> None:
         """Never evict a stored file.
 
         Raises:

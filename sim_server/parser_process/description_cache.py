@@ -138,7 +138,7 @@ class DescriptionCache:
         messages = self._parser.poll()
         for message in messages:
             if isinstance(message, ParsedMesh):
-                self._store.keep(message.sha256, message.data)
+                self._store.add(message.sha256, message.data)
             else:
                 self._store_result(message)
         return self._prepare_next() or bool(messages)

@@ -20,7 +20,7 @@ from zensim.proto.process_limits import (
 UNUSED_MODULES = ("embreex", "networkx", "rtree", "scipy.ndimage", "scipy.optimize", "shapely")
 """Modules that trimesh imports if they are installed, and that parsing does not need."""
 
-# They take half as long again to import, before the first robot can be spawned.
+# Importing them would delay the first spawn by half the start time.
 if __name__ == "__main__":
     sys.modules.update(dict.fromkeys(UNUSED_MODULES))  # type: ignore[arg-type]
 

@@ -177,11 +177,11 @@ class _EntitySearch:
             )
 
     def _keep_found(self, found: Iterator[list[str]]) -> Iterator[None]:
-        kept: set[str] = set()
+        matching: set[str] = set()
         for names in found:
-            kept.update(names)
+            matching.update(names)
             yield
-        self._entities = {name: one for name, one in self._entities.items() if name in kept}
+        self._entities = {name: one for name, one in self._entities.items() if name in matching}
 
 
 def _filter_by_info(entities: Iterable[Entity], filters: EntityFilters) -> list[Entity]:

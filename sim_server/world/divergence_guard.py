@@ -1,4 +1,4 @@
-"""Detects entities whose state diverged, keeps their last valid state, and freezes the culprits."""
+"""Detects entities whose state diverged, stores last valid states, and chooses what to freeze."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

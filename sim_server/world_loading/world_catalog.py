@@ -109,7 +109,7 @@ class WorldCatalog:
         if not (resource.uri or resource.resource_string):
             raise RequestRefused(
                 LoadWorldCode.NO_RESOURCE,
-                "world_resource is empty; give a uri that get_available_worlds lists, or SDF",
+                "world_resource is empty; set a uri that get_available_worlds lists, or SDF",
             )
         if not resource.uri:
             text = resource.resource_string
@@ -242,7 +242,7 @@ def _search_folder(folder: Path, root: Path) -> Iterator[SearchFinding]:
         folders.sort()
         left -= len(files) + 1
         if left < 0:
-            yield SearchFailure(f"folder {str(folder)!r} holds more than {MAX_VISITED_FILES} files")
+            yield SearchFailure(f"folder {str(folder)!r} has more than {MAX_VISITED_FILES} files")
             return
         yield None
         for path in (Path(place, name) for name in sorted(files) if name.endswith(WORLD_SUFFIXES)):

@@ -117,16 +117,18 @@ def make_world_factory(
     config: ServerConfig, make_engine: Callable[[ServerConfig, WorldModel], Engine]
 ) -> WorldFactory:
     """Make a factory of worlds; a world file chooses what the command line does not."""
-    asked = config.asked or config
+    requested = config.asked or config
 
     def build(model: WorldModel) -> Iterator[BuiltWorld | None]:
         pace = model.pace
-        chosen = fill_pace(asked, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
+        world_config = fill_pace(
+            requested, step_s=pace.step_s, real_time_factor=pace.real_time_factor
+        )
         world = World(
-            make_engine(chosen, model),
-            name=chosen.world,
-            step_ns=chosen.step_ns,
-            control_steps=chosen.control_steps,
+            make_engine(world_config, model),
+            name=world_config.world,
+            step_ns=world_config.step_ns,
+            control_steps=world_config.control_steps,
         )
         is_complete = False
         try:
@@ -137,6 +139,6 @@ def make_world_factory(
         finally:
             if not is_complete:
                 world.close()
-        yield BuiltWorld(world, chosen.real_time_factor or 0.0)
+        yield BuiltWorld(world, world_config.real_time_factor or 0.0)
 
     return build

@@ -188,6 +188,6 @@ class WorldParseJob:
         if self._supplied_bytes > MAX_BUNDLE_BYTES:
             return False
         name = sha256(data).hexdigest()
-        self._store.keep(name, data)
+        self._store.add(name, data)
         self._supplied[uri] = name
         return True

@@ -115,7 +115,7 @@ class InlineParser:
         files = {name: self.store.read(name, 0, self.store.size(name)) for name in request.files}
         answer, meshes = parse_request(request, files)
         for name, data in meshes.items():
-            self.store.keep(name, data)
+            self.store.add(name, data)
         self.unread.append((answer, on_parsed))
 
     def poll(self) -> bool:
