@@ -1,8 +1,8 @@
-"""How viser serves the page: port, allowed origins, headers, robots' names and the script that shows them.
+"""HTTP side of the page: port, allowed origins, headers, and the script that shows robot names.
 
-viser 1.1 takes the next port when one is taken and accepts any web page. It calls
-`websockets.asyncio.server.serve`, which has a hook for each of these; `open_server` replaces that
-`serve` with one that sets them, while a server is being made.
+viser 1.1 uses the next port if one is taken, and accepts requests of any web page. It calls
+`websockets.asyncio.server.serve`, which has hooks for both. `open_server` replaces this function
+by one that sets the hooks, while viser creates its server.
 """
 
 import errno
@@ -35,23 +35,23 @@ HOVER_SCRIPT: Final = """
   tip.style.cssText = "position:fixed;z-index:50;display:none;pointer-events:none;" +
     "padding:2px 8px;border-radius:5px;background:rgba(18,20,24,.88);color:#eef1f5;" +
     "font:600 13px system-ui,sans-serif;white-space:nowrap";
-  let names = {}, askedAt = -Infinity, pointer = null;
+  let names = {}, requestedAt = -Infinity, pointer = null;
   const extents = new WeakMap();
 
   async function refresh() {
-    if (performance.now() - askedAt < REFRESH_MS) return;
-    askedAt = performance.now();
-    const answer = await fetch("/names").catch(() => null);
-    if (answer && answer.ok) names = await answer.json();
+    if (performance.now() - requestedAt < REFRESH_MS) return;
+    requestedAt = performance.now();
+    const response = await fetch("/names").catch(() => null);
+    if (response && response.ok) names = await response.json();
   }
 
   function extentOf(vertices) {
     if (!extents.has(vertices)) {
-      let most = 0;
+      let extent = 0;
       for (let i = 0; i < vertices.length; i += 3) {
-        most = Math.max(most, Math.hypot(vertices[i], vertices[i + 1], vertices[i + 2]));
+        extent = Math.max(extent, Math.hypot(vertices[i], vertices[i + 1], vertices[i + 2]));
       }
-      extents.set(vertices, most);
+      extents.set(vertices, extent);
     }
     return extents.get(vertices);
   }
@@ -68,19 +68,19 @@ HOVER_SCRIPT: Final = """
     const {projectionMatrix, matrixWorldInverse} = page.camera;
     let best = "", bestDistance = 1;
     for (const [path, node] of Object.entries(tree.getState())) {
-      const cohort = /^\\/robots\\/[0-9]+/.exec(path);
-      const list = cohort && names[cohort[0]];
+      const group = /^\\/robots\\/[0-9]+/.exec(path);
+      const list = group && names[group[0]];
       const props = node && node.message && node.message.props;
       const object = page.nodeRefFromName[path];
       if (!list || !object || !props || !props.batched_positions) continue;
       const all = props.batched_positions, extent = extentOf(props.vertices);
       for (let i = 0; i < Math.min(list.length, all.length / 3); i++) {
         const world = apply(object.matrixWorld.elements, all.slice(3 * i, 3 * i + 3));
-        const seen = apply(projectionMatrix.elements, apply(matrixWorldInverse.elements, world));
-        if (seen[3] <= 0) continue;
-        const x = box.left + (seen[0] / seen[3] + 1) / 2 * box.width;
-        const y = box.top + (1 - seen[1] / seen[3]) / 2 * box.height;
-        const size = projectionMatrix.elements[5] * extent / seen[3] / 2 * box.height;
+        const clip = apply(projectionMatrix.elements, apply(matrixWorldInverse.elements, world));
+        if (clip[3] <= 0) continue;
+        const x = box.left + (clip[0] / clip[3] + 1) / 2 * box.width;
+        const y = box.top + (1 - clip[1] / clip[3]) / 2 * box.height;
+        const size = projectionMatrix.elements[5] * extent / clip[3] / 2 * box.height;
         const distance = Math.hypot(x - pointer.clientX, y - pointer.clientY) /
           Math.max(REACH_PX, size);
         if (distance < bestDistance) [best, bestDistance] = [list[i], distance];
@@ -111,7 +111,7 @@ HOVER_SCRIPT: Final = """
 
 
 CLOSE_TIMEOUT_S: Final = 0.1
-"""What a page gets to say goodbye."""
+"""Limit of the closing handshake of a websocket."""
 TITLE: Final = "zensim"
 NAMES_PATH: Final = "/names"
 CONTENT_SECURITY_POLICY: Final = (
@@ -120,44 +120,44 @@ CONTENT_SECURITY_POLICY: Final = (
     "connect-src 'self' ws://{host} wss://{host} blob: data:; frame-ancestors 'none'; "
     "base-uri 'none'; form-action 'none'"
 )
-"""viser's page is one file that unpacks itself; it may talk to nobody but its server."""
+"""viser's page is one file that unpacks itself; it may connect to its own server only."""
 
-REFUSAL: Final = "zensim: open the page itself, by address, localhost or this machine's name\n"
+REFUSAL: Final = "zensim: open the page by address, as localhost, or by the name of this host\n"
 
 NamesProvider = Callable[[], bytes]
 
 
 class PortTaken(OSError):
-    """Another program listens there."""
+    """Another program listens on the port."""
 
 
 class CannotListen(OSError):
-    """The address is not one of this machine, or not ours to use."""
+    """The address does not belong to this host, or its use is not permitted."""
 
 
 class LocalViserServer(viser.ViserServer):
-    """A viser server that has no public tunnel."""
+    """A viser server without public tunnels."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:  # noqa: ARG002, FBT001, FBT002
-        """Refuse: a page may ask for a tunnel, but nobody gets one."""
+        """Refuse requests of pages for a public tunnel."""
         return None
 
 
 def open_server(host: str, port: int, names: NamesProvider) -> LocalViserServer:
-    """Serve a page on this port or not at all; 0 is any free port.
+    """Serve a page on exactly this port; 0 = any free port.
 
     Args:
-        host: An address of this machine.
+        host: An address of this host.
         port: 0 to 65535.
-        names: What `GET /names` answers: JSON, robots' names by scene node.
+        names: Body of `GET /names`: robot names by scene node as JSON.
 
     Raises:
-        PortTaken: Another program listens there.
-        CannotListen: This machine does not let us.
+        PortTaken: Another program listens on the port.
+        CannotListen: The operating system refuses.
     """
     listener = _open_listener(host, port)
-    rich.reconfigure(stderr=True)  # viser prints with it; stdout is for our own line
-    # A page that closes while it is being written to is nothing to report.
+    rich.reconfigure(stderr=True)  # viser prints with it; stdout has the address only
+    # A client may disconnect during a write.
     warnings.filterwarnings("ignore", message=r"Queued a \w+ on a closed connection")
     with (
         _patch_serve(listener, partial(_process_response, host=host, names=names)) as used,
@@ -166,12 +166,12 @@ def open_server(host: str, port: int, names: NamesProvider) -> LocalViserServer:
         server = LocalViserServer(host=host, port=port, label=TITLE, verbose=False)
     if not used:
         close_server(server)
-        raise RuntimeError(f"viser {viser.__version__} does not serve as this page needs; use 1.1")
+        raise RuntimeError(f"viser {viser.__version__} has no replaceable serve function; use 1.1")
     return server
 
 
 def close_server(server: viser.ViserServer) -> None:
-    """Stop serving; say nothing."""
+    """Stop the server without its output."""
     with _suppress_stderr():
         server.stop()
 
@@ -179,21 +179,21 @@ def close_server(server: viser.ViserServer) -> None:
 def is_own_origin(hosts: Sequence[str], origins: Sequence[str], *, bound_to: str) -> bool:
     """Whether a request comes from a page of this server.
 
-    A page of another site carries that site's Origin. A site whose name is made to point at this
-    machine carries its own name in both headers, so the name must be one of ours as well. A
-    program that is no browser sends no Origin.
+    A page of another site sends the Origin of that site. With DNS rebinding, both headers have
+    the name of the other site, so the name must be one of this host, too. Programs other than
+    browsers send no Origin.
 
     Args:
-        hosts: The request's Host headers; there must be one.
-        origins: Its Origin headers.
-        bound_to: The address that the page was asked to be served on.
+        hosts: Host headers; exactly one is valid.
+        origins: Origin headers.
+        bound_to: Address that the page is served on.
     """
     if len(hosts) != 1 or len(origins) > 1:
         return False
     name = _split_url(f"//{hosts[0]}").hostname or ""
-    machine = socket.gethostname().lower()
-    is_ours = name in {"localhost", bound_to.lower(), machine, f"{machine}.local"}
-    if not is_ours and not _is_address(name):
+    own_name = socket.gethostname().lower()
+    is_own = name in {"localhost", bound_to.lower(), own_name, f"{own_name}.local"}
+    if not is_own and not _is_address(name):
         return False
     return all(_split_url(origin).netloc.lower() == hosts[0].lower() for origin in origins)
 
@@ -205,33 +205,33 @@ def _open_listener(host: str, port: int) -> socket.socket:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise PortTaken(
-                f"port {port} on {host} is taken by another program; stop it or use --port"
+                f"port {port} on {host} is used by another program; stop it or use --port"
             ) from error
-        is_numbered = error.errno is not None and error.errno > 0  # others are the resolver's
+        is_numbered = error.errno is not None and error.errno > 0  # others are of the resolver
         reason = os.strerror(error.errno or 0) if is_numbered else error.strerror
         raise CannotListen(
-            f"cannot listen on {host} port {port}: {reason}; use an address of this machine"
+            f"cannot listen on {host} port {port}: {reason}; use an address of this host"
         ) from error
 
 
 @contextmanager
 def _patch_serve(
-    listener: socket.socket, answer: Callable[..., Response | None]
+    listener: socket.socket, process_response: Callable[..., Response | None]
 ) -> Iterator[list[bool]]:
-    """Lend viser a `serve` that uses our socket and hooks; what is yielded tells whether it did."""
+    """Replace `serve` by one with the listener and hooks; the yielded list is empty if unused."""
     module, used = vars(websockets.asyncio.server), []
-    real: Callable[..., object] = module["serve"]
+    original: Callable[..., object] = module["serve"]
 
     def serve(handler: object, _host: str, _port: int, **options: object) -> object:
         used.append(True)
-        options |= {"process_response": answer, "close_timeout": CLOSE_TIMEOUT_S}
-        return real(handler, sock=listener, **options)
+        options |= {"process_response": process_response, "close_timeout": CLOSE_TIMEOUT_S}
+        return original(handler, sock=listener, **options)
 
     module["serve"] = serve
     try:
         yield used
     finally:
-        module["serve"] = real
+        module["serve"] = original
 
 
 def _process_response(
@@ -242,7 +242,7 @@ def _process_response(
     host: str,
     names: NamesProvider,
 ) -> Response | None:
-    """Check who asks, then add to viser's answer what it lacks."""
+    """Check the origin, then add headers, title and script to the response of viser."""
     hosts, origins = (request.headers.get_all(name) for name in ("Host", "Origin"))
     if not is_own_origin(hosts, origins, bound_to=host):
         return connection.respond(http.HTTPStatus.FORBIDDEN, REFUSAL)
@@ -268,8 +268,8 @@ def _replace_title(response: Response) -> None:
 def _with_title(body: bytes, *, is_packed: bool) -> bytes:
     page = gzip.decompress(body) if is_packed else body
     head = f"<title>{TITLE}</title><script>{HOVER_SCRIPT}</script>".encode()
-    named = page.replace(b"<title>Viser</title>", head, 1)
-    return gzip.compress(named) if is_packed else named
+    titled = page.replace(b"<title>Viser</title>", head, 1)
+    return gzip.compress(titled) if is_packed else titled
 
 
 def _make_json_response(body: bytes) -> Response:
@@ -282,7 +282,7 @@ def _suppress_stderr() -> redirect_stderr[io.StringIO]:
 
 
 def _split_url(url: str) -> SplitResult:
-    """Split a URL; of one that is none, nothing is left."""
+    """Split a URL; an invalid one becomes empty."""
     try:
         parts = urlsplit(url)
         _ = parts.port

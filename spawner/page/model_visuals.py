@@ -1,4 +1,4 @@
-"""What a model looks like: visual templates, and triangle meshes. NumPy only."""
+"""Visual templates of models, and triangle meshes. NumPy only."""
 
 from collections.abc import Container, Iterable, Mapping, Sequence
 from types import MappingProxyType
@@ -24,7 +24,7 @@ class TriangleMesh(msgspec.Struct, frozen=True, eq=False):
     vertices: Vertices
     """(v, 3) [m]."""
     faces: Faces
-    """(f, 3), indices of vertices; neighbours share theirs."""
+    """(f, 3), indices of shared vertices."""
 
 
 TriangleMeshes = Mapping[str, TriangleMesh]
@@ -33,12 +33,12 @@ NO_MESHES: Final[TriangleMeshes] = MappingProxyType({})
 
 
 def weld_triangles(corners: NDArray[np.float32]) -> TriangleMesh:
-    """Make a mesh of loose triangles (3 f, 3) by taking equal corners for one."""
-    # Zero has two signs, and one place.
+    """Make a mesh of triangle corners (3 f, 3); equal corners become one vertex."""
+    # Adding 0.0 removes the sign of -0.0.
     bits = np.ascontiguousarray(corners + np.float32(0.0)).view(np.uint32).astype(np.uint64)
     mixed = (bits[:, 0] * HASH_MULTIPLIER + bits[:, 1]) * HASH_MULTIPLIER + bits[:, 2]
-    _, first, places = np.unique(mixed, return_index=True, return_inverse=True)
-    faces = places.reshape(-1, 3).astype(np.uint32)
+    _, first, indices = np.unique(mixed, return_index=True, return_inverse=True)
+    faces = indices.reshape(-1, 3).astype(np.uint32)
     return TriangleMesh(corners[first].astype(np.float64), faces)
 
 
@@ -46,11 +46,11 @@ Array = NDArray[np.float64]
 
 
 class VisualJoint(msgspec.Struct, frozen=True):
-    """How one link moves in another; the axis is a unit vector in the child's frame."""
+    """Joint of a child link; the axis is a unit vector in the child frame."""
 
     kind: JointKind
     parent: int
-    """Index of a link that comes before the child."""
+    """Index of the parent link, lower than that of the child."""
     origin: Origin
     axis: Vec3
 
@@ -58,11 +58,11 @@ class VisualJoint(msgspec.Struct, frozen=True):
 def find_link_poses(
     visual_joints: Sequence[VisualJoint], base: Array, joint_positions: Array
 ) -> list[Array]:
-    """Find the poses (k, 7) of every link of k entities in the world frame.
+    """Compute the poses (k, 7) of every link of k entities in the world frame.
 
     Args:
         visual_joints: Parents before children.
-        base: (k, 7) of the root links.
+        base: Poses (k, 7) of the root links.
         joint_positions: (k, joints) [rad or m].
     """
     joints = ((joint.parent, joint) for joint in visual_joints)
@@ -70,51 +70,53 @@ def find_link_poses(
 
 
 class NotATree(Exception):
-    """A model's joints do not put every link under one that comes before it."""
+    """The links of a model are not in tree order, or not connected."""
 
 
 class VisualTemplate(msgspec.Struct, frozen=True):
-    """Equal for all robots that look and move alike, whatever their links are called."""
+    """Shapes and joints of a model without names; equal for robots of equal appearance."""
 
     links: tuple[tuple[Shape, ...], ...]
-    """What is drawn of every link, the base first."""
+    """Visible shapes of every link, the base first."""
     visual_joints: tuple[VisualJoint, ...]
-    """`hinges[i]` moves `links[i + 1]`."""
+    """`visual_joints[i]` moves `links[i + 1]`."""
 
 
 def make_template(model: Model, meshes: Container[str] = ()) -> VisualTemplate:
-    """Strip a model of everything that cannot be seen.
+    """Make the template of a model.
 
     Args:
-        model: What to strip.
-        meshes: The sha256 of those that are here.
+        model: Links in tree order.
+        meshes: The sha256 of the available meshes.
 
     Raises:
-        NotATree: A joint names a parent that does not come before its child.
+        NotATree: The links are not in tree order, or not connected.
     """
     index = {link.name: number for number, link in enumerate(model.links)}
     children = tuple(joint.child for joint in model.joints)
     if not model.links or children != tuple(link.name for link in model.links[1:]):
-        raise NotATree(f"model '{model.name}' is no tree: its joints do not move its links in turn")
-    hinges = []
+        raise NotATree(f"model '{model.name}': joints and links differ in order")
+    joints = []
     for number, joint in enumerate(model.joints):
         parent = index.get(joint.parent, len(index))
         if parent > number:
-            raise NotATree(f"joint '{joint.name}' of '{model.name}' has no parent before it")
-        hinges.append(VisualJoint(joint.kind, parent, joint.origin, normalize(joint.axis)))
+            raise NotATree(
+                f"model '{model.name}': joint '{joint.name}' has no parent before its child"
+            )
+        joints.append(VisualJoint(joint.kind, parent, joint.origin, normalize(joint.axis)))
     return VisualTemplate(
-        tuple(_visible_shapes(link, meshes) for link in model.links), tuple(hinges)
+        tuple(_visible_shapes(link, meshes) for link in model.links), tuple(joints)
     )
 
 
 def _visible_shapes(link: Link, meshes: Container[str]) -> tuple[Shape, ...]:
-    """Visuals that have triangles; collisions stand in for those whose mesh is not here."""
+    """Select the drawable visuals, or the collisions if no visual is drawable."""
     shapes = _keep_drawable(link.visuals, meshes)
     return shapes if shapes or not link.visuals else _keep_drawable(link.collisions, ())
 
 
 def _keep_drawable(shapes: tuple[Shape, ...], meshes: Container[str]) -> tuple[Shape, ...]:
-    """The page draws the ground itself."""
+    """Select shapes other than planes; meshes only if available."""
     return tuple(
         shape
         for shape in shapes
@@ -123,40 +125,40 @@ def _keep_drawable(shapes: tuple[Shape, ...], meshes: Container[str]) -> tuple[S
 
 
 DEFAULT_RGBA: Final[Quat] = (0.72, 0.74, 0.77, 1.0)
-"""For a visual whose description names no colour."""
+"""Colour of visuals without a colour."""
 SMOOTH_KINDS: Final = frozenset({"sphere", "capsule"})
 CIRCLE_SEGMENTS: Final = 32
-"""Corners of a round outline."""
+"""Corners of a circle."""
 HEMISPHERE_RINGS: Final = 8
 """Rings from the equator to a pole."""
 
 
 class ColouredMesh(msgspec.Struct, frozen=True, eq=False):
-    """Everything of one link that has one colour, in the link's frame."""
+    """All shapes of one link with one colour, in the link frame."""
 
     mesh: TriangleMesh
     rgba: Quat
     is_smooth: bool
-    """Whether it has no edges."""
+    """Whether all shapes are round, without edges."""
     has_file: bool
-    """Whether some of it comes from a file, where any side may be outside."""
+    """Whether a shape comes from a file, whose faces may be inside out."""
 
 
 def make_link_meshes(
     shapes: Sequence[Shape], meshes: TriangleMeshes = NO_MESHES
 ) -> list[ColouredMesh]:
-    """Merge the shapes of a link by colour; `meshes` has those that are named."""
+    """Merge the shapes of a link by colour; `meshes` must have all named meshes."""
     by_colour: dict[Quat, list[Shape]] = {}
     for shape in shapes:
         by_colour.setdefault(shape.rgba or DEFAULT_RGBA, []).append(shape)
     return [
         ColouredMesh(
-            merge_meshes(_transform_shape(shape, meshes) for shape in alike),
+            merge_meshes(_transform_shape(shape, meshes) for shape in group),
             rgba,
-            is_smooth=all(shape.kind in SMOOTH_KINDS for shape in alike),
-            has_file=any(shape.kind == "mesh" for shape in alike),
+            is_smooth=all(shape.kind in SMOOTH_KINDS for shape in group),
+            has_file=any(shape.kind == "mesh" for shape in group),
         )
-        for rgba, alike in by_colour.items()
+        for rgba, group in by_colour.items()
     ]
 
 
@@ -164,7 +166,7 @@ def make_shape_mesh(shape: Shape) -> TriangleMesh:
     """Triangulate a box, sphere, cylinder or capsule about its own origin.
 
     Raises:
-        ValueError: The kind has no triangles of its own.
+        ValueError: The kind is mesh or plane.
     """
     first, second, third = shape.size
     if shape.kind == "box":
@@ -175,7 +177,7 @@ def make_shape_mesh(shape: Shape) -> TriangleMesh:
         return make_cylinder(first, second)
     if shape.kind == "capsule":
         return make_capsule(first, second)
-    raise ValueError(f"shape {shape.kind!r} has no triangles; use box, sphere, cylinder or capsule")
+    raise ValueError(f"kind must be box, sphere, cylinder or capsule; got {shape.kind!r}")
 
 
 def make_box(x: float, y: float, z: float) -> TriangleMesh:
@@ -194,7 +196,7 @@ def make_cylinder(radius: float, length: float) -> TriangleMesh:
 
 
 def make_capsule(radius: float, length: float) -> TriangleMesh:
-    """Triangulate a cylinder [m] along z with half a sphere at each end; length 0 is a sphere."""
+    """Triangulate a cylinder [m] along z with hemispheres at its ends; length 0 = sphere."""
     angles = np.linspace(0.0, np.pi / 2.0, HEMISPHERE_RINGS + 1)[:-1]
     upper = [
         _raise_outline(
@@ -208,14 +210,14 @@ def make_capsule(radius: float, length: float) -> TriangleMesh:
 
 
 def scale_mesh(mesh: TriangleMesh, scale: Vec3) -> TriangleMesh:
-    """Scale a mesh along its axes; one that is turned inside out by it is turned back."""
+    """Scale a mesh along its axes; faces are flipped if the scale mirrors the mesh."""
     is_mirrored = np.prod(scale) < 0.0
     faces = mesh.faces[:, ::-1] if is_mirrored else mesh.faces
     return TriangleMesh(mesh.vertices * np.asarray(scale), faces)
 
 
 def merge_meshes(meshes: Iterable[TriangleMesh]) -> TriangleMesh:
-    """Put meshes into one."""
+    """Merge meshes into one."""
     vertices: list[Vertices] = []
     faces: list[Faces] = []
     count = 0
@@ -226,13 +228,15 @@ def merge_meshes(meshes: Iterable[TriangleMesh]) -> TriangleMesh:
     return TriangleMesh(np.concatenate(vertices), np.concatenate(faces))
 
 
-def find_top(form: VisualTemplate, meshes: TriangleMeshes = NO_MESHES) -> float:
-    """Find how high a form reaches above its base [m], joints at zero."""
+def find_top(template: VisualTemplate, meshes: TriangleMeshes = NO_MESHES) -> float:
+    """Find the height of a template above its base [m], with joints at zero."""
     base = np.array([(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)])
-    links = find_link_poses(form.visual_joints, base, np.zeros((1, len(form.visual_joints))))
+    links = find_link_poses(
+        template.visual_joints, base, np.zeros((1, len(template.visual_joints)))
+    )
     heights = [
         float(np.max(transform_points(pose, part.mesh.vertices)[:, 2]))
-        for shapes, pose in zip(form.links, links, strict=True)
+        for shapes, pose in zip(template.links, links, strict=True)
         for part in make_link_meshes(shapes, meshes)
     ]
     return max(heights, default=0.0)
@@ -257,7 +261,7 @@ def _raise_outline(outline: Vertices, z: float) -> Vertices:
 
 
 def _make_tube(rings: list[Vertices]) -> TriangleMesh:
-    """Join rings of as many corners each, lowest first, into an open surface."""
+    """Join rings with equal numbers of corners, lowest first, to an open surface."""
     around, faces = len(rings[0]), []
     for start in range(0, around * (len(rings) - 1), around):
         for i in range(around):
@@ -267,7 +271,7 @@ def _make_tube(rings: list[Vertices]) -> TriangleMesh:
 
 
 def _close_tube(tube: TriangleMesh, half: float) -> TriangleMesh:
-    """Close a round tube below and above by a point on the axis at -half and half."""
+    """Close both ends of a round tube with fans around the axis points at -half and half."""
     south, north = len(tube.vertices), len(tube.vertices) + 1
     last = south - CIRCLE_SEGMENTS
     ends = [(south, (i + 1) % CIRCLE_SEGMENTS, i) for i in range(CIRCLE_SEGMENTS)]

@@ -1,4 +1,4 @@
-"""What the page renders: models and a snapshot as poses, grouped by visual template. NumPy only."""
+"""State to render: link poses of a snapshot, grouped by visual template. NumPy only."""
 
 from typing import Final
 
@@ -20,24 +20,24 @@ from zensim.spawner.page.model_visuals import (
 )
 
 VIEW_AZIMUTH_RAD: Final = np.radians(20.0)
-"""How far the view is turned from the long side of the fleet: a row then runs into the depth."""
+"""Angle of the view to the long side of the fleet."""
 VIEW_ELEVATION_RAD: Final = np.radians(17.0)
 VIEW_MARGIN_M: Final = 0.2
-"""Around the outermost robots."""
+"""Margin around the outermost robots."""
 
 
 class UnknownEntity(Exception):
-    """A snapshot names an entity whose model is not known yet."""
+    """A snapshot has an entity without a known model."""
 
 
 class MismatchedSnapshot(Exception):
-    """A snapshot's arrays do not fit its names and their models."""
+    """The sizes of the arrays of a snapshot do not match its models."""
 
 
 class InstanceGroup(msgspec.Struct, frozen=True, eq=False):
-    """The entities that share one form."""
+    """The entities that share one template."""
 
-    form: VisualTemplate
+    template: VisualTemplate
     names: tuple[str, ...]
     rows: np.ndarray
     """(k,), rows of `Snapshot.base`."""
@@ -46,34 +46,34 @@ class InstanceGroup(msgspec.Struct, frozen=True, eq=False):
 
 
 class RenderedFleet(msgspec.Struct, frozen=True, eq=False):
-    """Everybody in the world, form by form."""
+    """All entities, grouped by template."""
 
     names: tuple[str, ...] = ()
     groups: tuple[InstanceGroup, ...] = ()
     members: dict[str, EntityModel] = {}
-    forms: dict[str, VisualTemplate] = {}
+    templates: dict[str, VisualTemplate] = {}
     robots: tuple[str, ...] = ()
-    """The entities that have a drive."""
+    """Entities with a drive."""
     rows: dict[str, int] = {}
-    """Where an entity is in `RenderedFrame.base`."""
+    """Row of each entity in `RenderedFrame.base`."""
     joints: int = 0
-    """Of all entities."""
+    """Number of joints of all entities."""
     meshes: TriangleMeshes = NO_MESHES
-    """Those that forms name."""
+    """Meshes of the templates."""
     scene: Scene = Scene()
 
 
 class RenderedFrame(msgspec.Struct, frozen=True, eq=False):
-    """One snapshot, ready to be drawn."""
+    """One snapshot, ready to draw."""
 
     base: Array = msgspec.field(default_factory=lambda: np.zeros((0, STATE_COLUMNS)))
     """(n, STATE_COLUMNS), in the order of `RenderedFleet.names`."""
     links: tuple[tuple[FloatArray, ...], ...] = ()
-    """Poses of every link of every cohort."""
+    """Poses (k, 7) of every link of every group."""
 
 
 class SimulationStatus(msgspec.Struct, frozen=True):
-    """The simulation in one line."""
+    """State of the simulation for the side panel."""
 
     state: str = "no server"
     sim_time_s: float = 0.0
@@ -83,7 +83,7 @@ class SimulationStatus(msgspec.Struct, frozen=True):
 
 
 class LastCommand(msgspec.Struct, frozen=True):
-    """What a robot was told last."""
+    """Last velocity command of a robot."""
 
     forward_mps: float
     turn_radps: float
@@ -93,35 +93,38 @@ class LastCommand(msgspec.Struct, frozen=True):
 def make_fleet(
     names: tuple[str, ...], models: GetModelsResponse, meshes: TriangleMeshes = NO_MESHES
 ) -> RenderedFleet:
-    """Sort entities by what they look like.
+    """Group entities by template.
 
     Args:
-        names: Of a snapshot.
-        models: Of all of them.
-        meshes: Those that are here, by sha256.
+        names: Entities of a snapshot.
+        models: Models of all entities.
+        meshes: Available meshes.
 
     Raises:
         UnknownEntity: A name has no model.
-        MismatchedSnapshot: A model is not one.
+        MismatchedSnapshot: A model is not a tree.
     """
     members = {member.entity: member for member in models.entities}
     try:
-        forms = [make_template(model, meshes) for model in models.models]
-        forms_by_name = {name: forms[members[name].model] for name in names}
+        model_templates = [make_template(model, meshes) for model in models.models]
+        templates = {name: model_templates[members[name].model] for name in names}
     except (KeyError, IndexError) as error:
-        raise UnknownEntity(f"no model of {error}") from error
+        raise UnknownEntity(f"entity {error} has no model") from error
     except NotATree as error:
         raise MismatchedSnapshot(str(error)) from error
-    counts = [len(form.visual_joints) for form in forms_by_name.values()]
+    counts = [len(template.visual_joints) for template in templates.values()]
     starts = np.cumsum([0, *counts])
     rows: dict[VisualTemplate, list[int]] = {}
-    for row, form in enumerate(forms_by_name.values()):
-        rows.setdefault(form, []).append(row)
+    for row, template in enumerate(templates.values()):
+        rows.setdefault(template, []).append(row)
     return RenderedFleet(
         names=names,
-        groups=tuple(_make_group(form, names, np.array(of), starts) for form, of in rows.items()),
+        groups=tuple(
+            _make_group(template, names, np.array(own_rows), starts)
+            for template, own_rows in rows.items()
+        ),
         members=members,
-        forms=forms_by_name,
+        templates=templates,
         robots=tuple(n for n in names if models.models[members[n].model].drive is not None),
         rows={name: row for row, name in enumerate(names)},
         joints=int(starts[-1]),
@@ -131,27 +134,31 @@ def make_fleet(
 
 
 def make_frame(fleet: RenderedFleet, snapshot: Snapshot) -> RenderedFrame:
-    """Find where every link is.
+    """Compute the poses of all links.
 
     Raises:
-        MismatchedSnapshot: Too few or too many numbers, or one that is not finite.
+        MismatchedSnapshot: An array has another size or a number that is not finite.
     """
     base = _read_numbers(snapshot.base, len(fleet.names) * STATE_COLUMNS, "base")
     joints = _read_numbers(snapshot.joint_positions, fleet.joints, "joint_positions")
     states = base.reshape(-1, STATE_COLUMNS)
     links = tuple(
-        tuple(find_link_poses(c.form.visual_joints, states[c.rows, :7], joints[c.joint_columns]))
-        for c in fleet.groups
+        tuple(
+            find_link_poses(
+                group.template.visual_joints, states[group.rows, :7], joints[group.joint_columns]
+            )
+        )
+        for group in fleet.groups
     )
     return RenderedFrame(states, links)
 
 
 def fit_camera(points: Array, *, aspect: float, fov_rad: float) -> tuple[Array, Array]:
-    """Find a camera position and the point that it looks at, so that all points are in view.
+    """Find camera position and target point so that all points are in view.
 
     Args:
         points: (n, 3) in the world frame; n > 0.
-        aspect: Width over height of the picture.
+        aspect: Width / height of the image.
         fov_rad: Vertical field of view.
     """
     low, high = points.min(axis=0), points.max(axis=0)
@@ -166,7 +173,7 @@ def fit_camera(points: Array, *, aspect: float, fov_rad: float) -> tuple[Array, 
 
 
 def format_pose(state: Array) -> tuple[str, str]:
-    """Write a base state (STATE_COLUMNS,) as position and heading, and as speed."""
+    """Format a base state (STATE_COLUMNS,) as pose, and as speed."""
     x, y, z = state[:3]
     yaw = np.degrees(to_yaw(state[3:7]))
     speed, turn = np.linalg.norm(state[7:9]), state[12]
@@ -177,23 +184,23 @@ def format_pose(state: Array) -> tuple[str, str]:
 
 
 def _make_group(
-    form: VisualTemplate, names: tuple[str, ...], rows: np.ndarray, starts: np.ndarray
+    template: VisualTemplate, names: tuple[str, ...], rows: np.ndarray, starts: np.ndarray
 ) -> InstanceGroup:
-    columns = starts[rows][:, None] + np.arange(len(form.visual_joints))
-    return InstanceGroup(form, tuple(names[row] for row in rows), rows, columns)
+    columns = starts[rows][:, None] + np.arange(len(template.visual_joints))
+    return InstanceGroup(template, tuple(names[row] for row in rows), rows, columns)
 
 
 def _read_numbers(payload: bytes, count: int, what: str) -> Array:
     if len(payload) != 8 * count:
-        raise MismatchedSnapshot(f"{what} is {len(payload)} bytes; its models ask for {8 * count}")
+        raise MismatchedSnapshot(f"{what} has {len(payload)} bytes, expected {8 * count}")
     numbers = np.frombuffer(payload, dtype="<f8")
     if not np.isfinite(numbers).all():
-        raise MismatchedSnapshot(f"{what} holds a number that is not finite")
+        raise MismatchedSnapshot(f"{what} has a number that is not finite")
     return numbers
 
 
 def _find_view_axes(extent: Array) -> tuple[Array, Array, Array]:
-    """Right, up and ahead of a camera that looks along the long side, from above."""
+    """Find right, up and ahead of a camera that looks along the long side from above."""
     azimuth = VIEW_AZIMUTH_RAD if extent[0] >= extent[1] else np.pi / 2.0 - VIEW_AZIMUTH_RAD
     flat = np.cos(VIEW_ELEVATION_RAD)
     ahead = np.array((flat * np.cos(azimuth), flat * np.sin(azimuth), -np.sin(VIEW_ELEVATION_RAD)))

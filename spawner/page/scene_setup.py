@@ -1,4 +1,4 @@
-"""The scene around the robots: ground, colours, initial camera, lights and sky."""
+"""Ground, colours, initial camera, lights and sky of the page."""
 
 from typing import Final
 
@@ -13,16 +13,16 @@ GRID_CELLS: Final = (58, 63, 72)
 GRID_METRES: Final = (84, 91, 103)
 BRAND: Final = (64, 132, 214)
 MUTED_BUTTON: Final = (66, 71, 80)
-"""Of buttons that do not act on the simulation."""
+"""Colour of buttons without effect on the simulation."""
 FADE_DISTANCE_M: Final = 45.0
-"""Where the ground fades away."""
+"""Distance at which the ground fades out."""
 START_CAMERA: Final = ((-1.5, -1.6, 1.1), (3.0, 0.2, 0.0))
-"""Where the camera is and what it looks at before there is a robot."""
+"""Position and target of the camera before there is a robot."""
 FOV_RAD: Final = float(np.radians(45.0))
 
 
 def set_up_scene(server: viser.ViserServer) -> None:
-    """Furnish an empty page."""
+    """Set up an empty page."""
     server.gui.configure_theme(
         dark_mode=True, show_logo=False, show_share_button=False, brand_color=BRAND
     )
@@ -49,39 +49,39 @@ def set_up_scene(server: viser.ViserServer) -> None:
 SKY_TOP: Final = (24, 27, 33)
 SKY_BOTTOM: Final = (52, 57, 66)
 SUN_POSITION: Final = (-4.0, 5.0, 8.0)
-"""Where the page's own light comes from."""
+"""Position of the default light."""
 LAMP_DISTANCE_M: Final = 10.0
-"""How far away a lamp without a place is put."""
+"""Distance of directional lamps from the origin."""
 LAMP_INTENSITIES: Final = {"directional": 2.2, "point": 12.0, "spot": 24.0}
-"""How bright white is, by kind of lamp: SDF says colours only."""
+"""Intensity of white by kind of lamp; SDF has colours only."""
 AMBIENT_INTENSITY: Final = 3.0
 MAX_LIGHTS: Final = 8
-"""More would make every page slow."""
+"""Limit for the sake of frame rate."""
 
 LightHandle = viser.SceneNodeHandle
 
 
 class SceneLighting:
-    """What is lit how, changed only when another scene is shown."""
+    """Lights and background; changed only when the scene changes."""
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self._handles: list[LightHandle] = []
         self._shown: Scene | None = None
 
-    def show(self, seen: Scene) -> None:
-        """Light the page as a world says."""
-        if seen == self._shown:
+    def show(self, scene: Scene) -> None:
+        """Show the lights and background of a world."""
+        if scene == self._shown:
             return
-        self._shown = seen
+        self._shown = scene
         for handle in self._handles:
             handle.remove()
-        lamps = seen.lights[:MAX_LIGHTS]
-        self._handles = [self._add_ambient(seen.ambient)]
+        lamps = scene.lights[:MAX_LIGHTS]
+        self._handles = [self._add_ambient(scene.ambient)]
         self._handles += [self._add(f"/light/{i}", lamp) for i, lamp in enumerate(lamps)]
-        if seen.has_sun or not lamps:
+        if scene.has_sun or not lamps:
             self._handles.append(self._add_sun())
-        self._scene.set_background_image(make_sky(seen.background), format="png")
+        self._scene.set_background_image(make_sky(scene.background), format="png")
 
     def _add_ambient(self, colour: Quat | None) -> LightHandle:
         if colour is not None:
@@ -119,7 +119,7 @@ class SceneLighting:
 
 
 def find_light_position(lamp: Light) -> tuple[float, float, float]:
-    """Find a place to look from along a lamp's direction towards the origin [m]."""
+    """Find a position [m] from which a directional lamp points to the origin."""
     x, y, z = lamp.direction
     length = float(np.linalg.norm(lamp.direction))
     if not np.isfinite(length) or length == 0.0:
@@ -132,12 +132,12 @@ def find_light_position(lamp: Light) -> tuple[float, float, float]:
 
 
 def make_sky(colour: Quat | None = None) -> np.ndarray:
-    """Paint a sky of one colour, else one that is darker above, (rows, columns, 3) of uint8."""
+    """Make a background image (rows, columns, 3), uint8: one colour, or a gradient."""
     top, low = (SKY_TOP, SKY_BOTTOM) if colour is None else (_to_rgb(colour),) * 2
-    share = np.linspace(0.0, 1.0, 256)[:, None]
-    column = np.asarray(top) * (1.0 - share) + np.asarray(low) * share
-    picture: np.ndarray = np.repeat(column[:, None, :], 4, axis=1).round().astype(np.uint8)
-    return picture
+    weight = np.linspace(0.0, 1.0, 256)[:, None]
+    column = np.asarray(top) * (1.0 - weight) + np.asarray(low) * weight
+    image: np.ndarray = np.repeat(column[:, None, :], 4, axis=1).round().astype(np.uint8)
+    return image
 
 
 def _to_rgb(colour: Quat) -> tuple[int, int, int]:

@@ -1,4 +1,4 @@
-"""The side panel: its buttons, and the simulation's and the followed robot's state as HTML."""
+"""Side panel: buttons, and the state of simulation and followed robot as HTML."""
 
 from html import escape
 from typing import Final, Literal, get_args
@@ -12,7 +12,7 @@ BUTTONS: Final[tuple[Button, ...]] = get_args(Button)
 
 
 STATE_COLOURS: Final = {"playing": "#4cc38a", "paused": "#e5b454"}
-"""Of the dot before the state; any other state is red."""
+"""Colours of the state; any other state is red."""
 STALE_S: Final = 1.0
 """A command older than this is shown with its age."""
 
@@ -20,7 +20,7 @@ PanelRows = list[tuple[str, str]]
 
 
 def make_status_html(status: SimulationStatus) -> str:
-    """Write the state, simulation time, real-time factor and number of robots."""
+    """Format state, simulation time, real-time factor and number of robots."""
     colour = STATE_COLOURS.get(status.state, "#e5695e")
     others = status.entities - status.robots
     robots = f"{status.robots}" + (f" + {others} without drive" if others else "")
@@ -35,7 +35,7 @@ def make_status_html(status: SimulationStatus) -> str:
 
 
 def make_robot_html(member: EntityModel, state: Array, command: LastCommand | None) -> str:
-    """Write a robot's namespace, pose, speed and last command."""
+    """Format namespace, pose, speed and last command of a robot."""
     pose, speed = format_pose(state)
     return _make_table(
         [
@@ -48,15 +48,15 @@ def make_robot_html(member: EntityModel, state: Array, command: LastCommand | No
 
 
 def format_command(command: LastCommand | None) -> str:
-    """Write the last velocity command, and how old it is unless it is fresh."""
+    """Format the last velocity command, with its age if that exceeds `STALE_S`."""
     if command is None:
-        return "none yet"
-    told = f"v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
-    return told if command.age_s < STALE_S else f"{told}, {command.age_s:.0f} s ago"
+        return "none"
+    text = f"v {command.forward_mps:.2f} m/s  w {command.turn_radps:.2f} rad/s"
+    return text if command.age_s < STALE_S else f"{text}, {command.age_s:.0f} s ago"
 
 
 def format_clock(seconds: float) -> str:
-    """Write a time as h:mm:ss.hh, without the hours when there are none."""
+    """Format a time [s] as h:mm:ss.hh, or m:ss.hh below one hour."""
     minutes, rest = divmod(round(max(seconds, 0.0), 2), 60.0)
     hours, minutes = divmod(int(minutes), 60)
     return (f"{hours}:{minutes:02d}" if hours else f"{minutes}") + f":{rest:05.2f}"

@@ -1,4 +1,4 @@
-"""The viewer's loop: snapshots in, page out; without an open page it subscribes to nothing."""
+"""Loop of the viewer; it subscribes only while a client has the page open."""
 
 import time
 from collections.abc import Mapping
@@ -39,23 +39,23 @@ from zensim.spawner.page.render_state import (
 from zensim.spawner.page.side_panel import Button
 
 IDLE_S: Final = 0.1
-"""How long a page waits for its first visitor before it looks whether to end."""
+"""Period of the loop without clients."""
 POLL_S: Final = 1.0 / 60.0
 
 
 class PageProtocol(Protocol):
-    """What the loop needs of a page."""
+    """Page as the loop uses it."""
 
     @property
     def is_watched(self) -> bool:
-        """Whether anybody has the page open."""
+        """Whether a client has the page open."""
 
     @property
     def followed(self) -> frozenset[str]:
-        """The entities that somebody follows."""
+        """Entities that a client follows."""
 
     def wait_for_input(self, timeout_s: float) -> list[Button]:
-        """Wait so long for visitors to do something; return the buttons that they pressed."""
+        """Wait for events of clients, and return the pressed buttons."""
 
     def show(
         self,
@@ -67,17 +67,17 @@ class PageProtocol(Protocol):
         """Draw one snapshot."""
 
     def move_cameras(self) -> None:
-        """Bring every camera nearer to the robot that it follows."""
+        """Move each camera towards the robot that it follows."""
 
     def show_disconnected(self) -> None:
-        """Show that no server answers."""
+        """Show that no server replies."""
 
     def warn(self, text: str) -> None:
-        """Tell every visitor once."""
+        """Notify all clients."""
 
 
 class Viewer:
-    """Keeps a page up to date; call `tick` over and over."""
+    """Updates a page; call `tick` periodically."""
 
     def __init__(
         self,
@@ -89,42 +89,42 @@ class Viewer:
     ) -> None:
         self._network, self._page, self._world, self._clock = network, page, world, clock
         self._fetcher = MeshFetcher(network, world, clock)
-        self._feed: ViewerDataSource | None = None
-        self._warned = ""
+        self._data_source: ViewerDataSource | None = None
+        self._error_text = ""
         self._state = ""
 
     def tick(self) -> None:
-        """Heed visitors and, when there are any, show what is new."""
+        """Handle events of clients, and show new data if there are clients."""
         is_watched = self._page.is_watched
         for button in self._page.wait_for_input(POLL_S if is_watched else IDLE_S):
             self._handle_button(button)
         if self._page.is_watched:
-            self._update(self._feed or self._open_data_source())
+            self._update(self._data_source or self._open_data_source())
         else:
             self.close()
 
     def close(self) -> None:
-        """Ask the network for nothing any more."""
-        if self._feed is not None:
-            self._feed.close()
-            self._feed, self._warned = None, ""
+        """Close all subscriptions."""
+        if self._data_source is not None:
+            self._data_source.close()
+            self._data_source, self._error_text = None, ""
 
     def _open_data_source(self) -> ViewerDataSource:
-        self._feed = ViewerDataSource(self._network, self._world, self._clock, self._fetcher)
-        return self._feed
+        self._data_source = ViewerDataSource(self._network, self._world, self._clock, self._fetcher)
+        return self._data_source
 
-    def _update(self, feed: ViewerDataSource) -> None:
-        view = feed.newest()
+    def _update(self, source: ViewerDataSource) -> None:
+        view = source.newest()
         if view is not None:
             self._state = view.status.state
-            commands = feed.commands(self._page.followed)
+            commands = source.commands(self._page.followed)
             self._page.show(view.fleet, view.frame, view.status, commands)
-        elif feed.is_silent:
+        elif source.is_silent:
             self._page.show_disconnected()
         self._page.move_cameras()
-        if feed.error_text != self._warned:
-            self._warned = feed.error_text
-            self._page.warn(feed.error_text or "the models of the robots are here again")
+        if source.error_text != self._error_text:
+            self._error_text = source.error_text
+            self._page.warn(source.error_text or "the models of the robots are available again")
 
     def _handle_button(self, button: Button) -> None:
         if button == "Play":

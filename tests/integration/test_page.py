@@ -11,7 +11,7 @@ from websockets.sync.client import ClientConnection
 
 from tests.integration.bare_page import a_camera, a_click, a_wish_to_share, bare_page
 from tests.integration.processes import eventually
-from tests.spawner.page.builders import a_robot, a_snapshot, a_wall, models_in
+from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.spawner.page.http_server import CannotListen, PortTaken
 from zensim.spawner.page.render_state import (
     LastCommand,
@@ -62,9 +62,9 @@ def attend_until_followed(page: ViewerPage, *names: str) -> None:
 
 def a_scene(*names: str) -> tuple[RenderedFleet, RenderedFrame]:
     """Robots, and walls for names that begin with w."""
-    kinds = {name: a_wall() if name.startswith("w") else a_robot(name) for name in names}
-    fleet = make_fleet(names, models_in(kinds))
-    return fleet, make_frame(fleet, a_snapshot(*names, joints=fleet.joints))
+    kinds = {name: make_wall() if name.startswith("w") else make_robot(name) for name in names}
+    fleet = make_fleet(names, make_models_by_name(kinds))
+    return fleet, make_frame(fleet, make_snapshot(*names, joints=fleet.joints))
 
 
 def names_of(page: ViewerPage) -> object:

@@ -1,4 +1,4 @@
-"""Small models and snapshots for the viewer's tests."""
+"""Models, snapshots and a server for tests of the viewer."""
 
 from collections.abc import Mapping
 
@@ -18,8 +18,8 @@ CUBE = Shape("box", (0.1, 0.1, 0.1), rgba=BLUE)
 WHEEL = Shape("cylinder", (0.035, 0.01, 0.0))
 
 
-def a_robot(name: str = "bot", *, shape: Shape = CUBE) -> Model:
-    """A cube with one wheel, and a name in all that it has."""
+def make_robot(name: str = "bot", *, shape: Shape = CUBE) -> Model:
+    """Make a cube with one wheel; all names start with `name`."""
     return Model(
         name,
         (Link(f"{name}_base", visuals=(shape,)), Link(f"{name}_wheel", visuals=(WHEEL,))),
@@ -37,27 +37,27 @@ def a_robot(name: str = "bot", *, shape: Shape = CUBE) -> Model:
     )
 
 
-def a_wall(name: str = "wall") -> Model:
-    """Something that nobody drives."""
+def make_wall(name: str = "wall") -> Model:
+    """Make a static model without a drive."""
     return Model(name, (Link("base", visuals=(Shape("box", (1.0, 0.1, 1.0)),)),), is_static=True)
 
 
-def models_of(roster: int = 1, **entities: Model) -> GetModelsResponse:
-    """Answer `get_models` for these entities; each is in the namespace of its own name."""
-    return models_in(entities, roster)
+def make_models(roster: int = 1, **entities: Model) -> GetModelsResponse:
+    """Make the response of `get_models`; namespaces equal names."""
+    return make_models_by_name(entities, roster)
 
 
-def models_in(entities: Mapping[str, Model], roster: int = 1) -> GetModelsResponse:
-    """Answer `get_models` for these entities by name."""
+def make_models_by_name(entities: Mapping[str, Model], roster: int = 1) -> GetModelsResponse:
+    """Make the response of `get_models` for entities by name."""
     models = tuple(dict.fromkeys(entities.values()))
     members = tuple(EntityModel(n, n, models.index(model)) for n, model in entities.items())
     return GetModelsResponse(roster=roster, entities=members, models=models)
 
 
-def a_snapshot(
+def make_snapshot(
     *names: str, roster: int = 1, joints: int = 0, state: str = "playing", at_x: float = 0.0
 ) -> Snapshot:
-    """Entities in a row along x, a metre apart."""
+    """Make a snapshot of entities in a row along x, 1 m apart."""
     base = np.zeros((len(names), 13))
     base[:, 0] = np.arange(len(names)) + at_x
     base[:, 6] = 1.0
@@ -74,30 +74,30 @@ def a_snapshot(
     )
 
 
-class World:
-    """A server on a network in memory: it answers and publishes, and notes what it is asked."""
+class FakeServer:
+    """Replies, publishes and records requests on a bus in memory."""
 
     def __init__(self, bus: MemoryBus, models: GetModelsResponse) -> None:
         self.models = models
-        self.answers: dict[str, msgspec.Struct] = {}
-        """Other answers than yes, by service."""
-        self.is_deaf = False
-        self.asked: list[msgspec.Struct] = []
+        self.responses: dict[str, msgspec.Struct] = {}
+        """Responses by service; the default is success."""
+        self.is_silent = False
+        self.requests: list[msgspec.Struct] = []
         self._bus = bus
         self._calls = bus.serve(keys.services("default"))
-        bus.pumps.append(self._answer)
+        bus.pumps.append(self._reply)
 
     def publish(self, snapshot: Snapshot) -> None:
         self._bus.put_message(SNAPSHOT.key("default"), snapshot, Format.MSGPACK)
 
     def count(self, request: type[msgspec.Struct]) -> int:
-        return sum(isinstance(asked, request) for asked in self.asked)
+        return sum(isinstance(one, request) for one in self.requests)
 
-    def _answer(self) -> None:
-        for call in [] if self.is_deaf else self._calls.take():
+    def _reply(self) -> None:
+        for call in [] if self.is_silent else self._calls.take():
             service = SERVICES[call.name]
-            self.asked.append(decode(service.request, call.payload, call.encoding))
-            answer = self.answers.get(call.name, service.response())
+            self.requests.append(decode(service.request, call.payload, call.encoding))
+            response = self.responses.get(call.name, service.response())
             if call.name == "get_models":
-                answer = self.answers.get(call.name, self.models)
-            call.reply(encode(answer, Format.MSGPACK), Format.MSGPACK.value)
+                response = self.responses.get(call.name, self.models)
+            call.reply(encode(response, Format.MSGPACK), Format.MSGPACK.value)

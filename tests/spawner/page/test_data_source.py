@@ -1,3 +1,5 @@
+"""Data source of the viewer: snapshots, models, commands and meshes."""
+
 from hashlib import sha256
 from typing import Final
 
@@ -6,16 +8,26 @@ import numpy as np
 import pytest
 
 from tests.fakes import ManualClock, MemoryBus
-from tests.spawner.page.builders import World, a_robot, a_snapshot, a_wall, models_of
+from tests.spawner.page.builders import (
+    FakeServer,
+    make_models,
+    make_robot,
+    make_snapshot,
+    make_wall,
+)
 from zensim.proto import keys, topic_catalog
+from zensim.proto.bus import NoServer
 from zensim.proto.messages.asset_messages import GetAssetRequest, GetAssetResponse
-from zensim.proto.messages.model_messages import Shape
-from zensim.proto.messages.result_messages import Result, ResultCode
+from zensim.proto.messages.model_messages import Link, Model, Shape
+from zensim.proto.messages.result_messages import Result, ResultCode, ServiceError
 from zensim.proto.messages.standard_messages import Twist, TwistStamped, Vector3
 from zensim.proto.messages.telemetry_messages import GetModelsRequest, GetModelsResponse
 from zensim.proto.messages.world_messages import Scene
+from zensim.proto.service_catalog import Request, Response, Service
 from zensim.proto.stl import write_corners
 from zensim.spawner.page.data_source import (
+    MESH_BUDGET_BYTES,
+    MESH_RETRY_S,
     MIN_FRAME_PERIOD_S,
     MODELS_RETRY_S,
     SERVER_TIMEOUT_S,
@@ -26,269 +38,406 @@ from zensim.spawner.page.data_source import (
 from zensim.spawner.page.render_state import LastCommand
 
 SNAPSHOT: Final = topic_catalog.SNAPSHOT.key("default")
-NOBODY: Final[frozenset[str]] = frozenset()
+NO_ENTITIES: Final[frozenset[str]] = frozenset()
 
 
-class Stand:
-    """A feed with the world that it listens to."""
+class Setup:
+    """A data source and its server."""
 
     def __init__(self) -> None:
         self.bus = MemoryBus()
         self.clock = ManualClock()
-        self.world = World(self.bus, models_of(r1=a_robot("r1"), r2=a_robot("r2")))
+        self.server = FakeServer(self.bus, make_models(r1=make_robot("r1"), r2=make_robot("r2")))
         self.token = self.bus.token(keys.alive_server("default"))
         fetcher = MeshFetcher(self.bus, "default", self.clock)
-        self.feed = ViewerDataSource(self.bus, "default", self.clock, fetcher)
+        self.source = ViewerDataSource(self.bus, "default", self.clock, fetcher)
 
-    def see(self, *names: str, roster: int = 1, at_x: float = 0.0) -> ViewState | None:
-        """Let time pass and a snapshot come."""
+    def receive(self, *names: str, roster: int = 1, at_x: float = 0.0) -> ViewState | None:
+        """Publish a snapshot 1 s later, and return the view."""
         self.clock.sleep(1.0)
         joints = sum(name.startswith("r") for name in names)
-        self.world.publish(a_snapshot(*names, roster=roster, joints=joints, at_x=at_x))
-        return self.feed.newest()
+        self.server.publish(make_snapshot(*names, roster=roster, joints=joints, at_x=at_x))
+        return self.source.newest()
 
 
-def test_feed_shows_the_snapshot_with_its_status() -> None:
-    stand = Stand()
+def test_snapshot_is_returned_with_its_status() -> None:
+    setup = Setup()
 
-    view = stand.see("r1", "r2", at_x=5.0)
+    view = setup.receive("r1", "r2", at_x=5.0)
 
     assert view is not None
     assert view.frame.base[:, 0].tolist() == [5.0, 6.0]
     assert (view.status.state, view.status.sim_time_s, view.status.robots) == ("playing", 1.0, 2)
 
 
-def test_feed_shows_nothing_when_nothing_has_come() -> None:
-    assert Stand().feed.newest() is None
+def test_nothing_is_returned_without_a_snapshot() -> None:
+    assert Setup().source.newest() is None
 
 
-def test_feed_asks_for_models_once_when_nobody_comes_or_goes() -> None:
-    stand = Stand()
+def test_models_are_requested_once_per_roster() -> None:
+    setup = Setup()
 
-    first, second = stand.see("r1", "r2"), stand.see("r1", "r2")
+    first, second = setup.receive("r1", "r2"), setup.receive("r1", "r2")
 
     assert first is not None
     assert second is not None
     assert first.fleet is second.fleet
-    assert stand.world.count(GetModelsRequest) == 1
+    assert setup.server.count(GetModelsRequest) == 1
 
 
-def test_feed_asks_for_models_again_when_the_roster_changes() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-    stand.world.models = models_of(2, r1=a_robot(), r2=a_robot(), w1=a_wall())
+def test_models_are_requested_again_when_the_roster_changes() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+    setup.server.models = make_models(2, r1=make_robot(), r2=make_robot(), w1=make_wall())
 
-    view = stand.see("r1", "r2", "w1", roster=2)
+    view = setup.receive("r1", "r2", "w1", roster=2)
 
     assert view is not None
     assert (view.status.robots, view.status.entities) == (2, 3)
 
 
-def test_feed_takes_the_new_model_when_a_name_is_used_again() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-    stand.world.models = models_of(2, r1=a_robot(), r2=a_wall())
+def test_model_is_replaced_when_a_name_is_reused() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+    setup.server.models = make_models(2, r1=make_robot(), r2=make_wall())
 
-    stand.clock.sleep(1.0)
-    stand.world.publish(a_snapshot("r1", "r2", roster=2, joints=1))
-    view = stand.feed.newest()
+    setup.clock.sleep(1.0)
+    setup.server.publish(make_snapshot("r1", "r2", roster=2, joints=1))
+    view = setup.source.newest()
 
     assert view is not None
     assert view.fleet.robots == ("r1",)
 
 
-def test_feed_shows_nothing_when_a_snapshot_is_ahead_of_the_models() -> None:
-    stand = Stand()
+def test_nothing_is_returned_for_an_unknown_entity() -> None:
+    setup = Setup()
 
-    assert stand.see("r1", "r2", "r3", roster=2) is None
+    assert setup.receive("r1", "r2", "r3", roster=2) is None
 
 
-def test_feed_shows_meshes_once_they_have_come() -> None:
-    stand = Stand()
+def test_meshes_are_used_once_fetched() -> None:
+    setup = Setup()
     data = write_corners(np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]))
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh=sha256(data).hexdigest())
-    stand.world.models = models_of(r1=a_robot("r1", shape=shape))
-    stand.world.answers["get_asset"] = GetAssetResponse(data=data, total=len(data))
+    setup.server.models = make_models(r1=make_robot("r1", shape=shape))
+    setup.server.responses["get_asset"] = GetAssetResponse(data=data, total=len(data))
 
-    first, second = stand.see("r1"), stand.see("r1")
+    first, second = setup.receive("r1"), setup.receive("r1")
 
     assert first is not None
     assert second is not None
-    assert first.fleet.forms["r1"].links[0] == ()
-    assert second.fleet.forms["r1"].links[0] == (shape,)
+    assert first.fleet.templates["r1"].links[0] == ()
+    assert second.fleet.templates["r1"].links[0] == (shape,)
     assert list(second.fleet.meshes) == [shape.mesh]
 
 
-def test_feed_asks_for_no_mesh_while_the_server_is_gone() -> None:
-    stand = Stand()
+def test_no_mesh_is_requested_without_a_server() -> None:
+    setup = Setup()
     shape = Shape("mesh", (1.0, 1.0, 1.0), mesh="a" * 64)
-    stand.world.models = models_of(r1=a_robot("r1", shape=shape))
-    stand.see("r1")
+    setup.server.models = make_models(r1=make_robot("r1", shape=shape))
+    setup.receive("r1")
 
-    stand.token.close()
-    stand.clock.sleep(1.0)
-    stand.feed.newest()
+    setup.token.close()
+    setup.clock.sleep(1.0)
+    setup.source.newest()
 
-    assert stand.world.count(GetAssetRequest) == 0
+    assert setup.server.count(GetAssetRequest) == 0
 
 
-def test_feed_tells_how_the_world_is_lit() -> None:
-    stand = Stand()
+def test_scene_is_returned() -> None:
+    setup = Setup()
     scene = Scene(background=(0.0, 0.0, 1.0, 1.0))
-    stand.world.models = msgspec.structs.replace(stand.world.models, scene=scene)
+    setup.server.models = msgspec.structs.replace(setup.server.models, scene=scene)
 
-    view = stand.see("r1", "r2")
+    view = setup.receive("r1", "r2")
 
     assert view is not None
     assert view.fleet.scene == scene
 
 
-def test_feed_does_not_ask_at_every_snapshot_when_models_lag() -> None:
-    stand = Stand()
-    stand.see("r1", "r3", roster=7)
-    asked = stand.world.count(GetModelsRequest)
+def test_models_are_requested_at_a_limited_rate() -> None:
+    setup = Setup()
+    setup.receive("r1", "r3", roster=7)
+    count = setup.server.count(GetModelsRequest)
 
-    stand.clock.sleep(MODELS_RETRY_S / 2.0)
-    stand.world.publish(a_snapshot("r1", "r3", roster=8, joints=2))
-    stand.feed.newest()
+    setup.clock.sleep(MODELS_RETRY_S / 2.0)
+    setup.server.publish(make_snapshot("r1", "r3", roster=8, joints=2))
+    setup.source.newest()
 
-    assert stand.world.count(GetModelsRequest) == asked
+    assert setup.server.count(GetModelsRequest) == count
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x00", b"\xff\xff", b"{}", b"\x81\xa1a\x01"])
-def test_feed_goes_on_when_bytes_are_no_snapshot(payload: bytes) -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
+def test_malformed_snapshot_is_ignored(payload: bytes) -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
 
-    stand.clock.sleep(1.0)
-    stand.bus.put(SNAPSHOT, payload)
+    setup.clock.sleep(1.0)
+    setup.bus.put(SNAPSHOT, payload)
 
-    assert stand.feed.newest() is None
-    assert stand.see("r1", "r2") is not None
+    assert setup.source.newest() is None
+    assert setup.receive("r1", "r2") is not None
 
 
-def test_feed_leaves_frames_out_when_they_come_too_fast() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
+def test_frame_rate_is_limited() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
 
-    stand.clock.sleep(MIN_FRAME_PERIOD_S / 2.0)
-    stand.world.publish(a_snapshot("r1", "r2", joints=2))
-    too_early = stand.feed.newest()
-    stand.clock.sleep(MIN_FRAME_PERIOD_S)
+    setup.clock.sleep(MIN_FRAME_PERIOD_S / 2.0)
+    setup.server.publish(make_snapshot("r1", "r2", joints=2))
+    too_early = setup.source.newest()
+    setup.clock.sleep(MIN_FRAME_PERIOD_S)
 
     assert too_early is None
-    assert stand.feed.newest() is not None
+    assert setup.source.newest() is not None
 
 
-def test_feed_tells_of_trouble_when_the_models_are_refused() -> None:
-    stand = Stand()
+def test_refused_models_set_an_error_text() -> None:
+    setup = Setup()
     refusal = Result(ResultCode.OPERATION_FAILED, "refused")
-    stand.world.answers["get_models"] = GetModelsResponse(refusal)
+    setup.server.responses["get_models"] = GetModelsResponse(refusal)
 
-    assert stand.see("r1", "r2") is None
-    assert "refused" in stand.feed.error_text
-
-
-def test_feed_recovers_when_the_models_come_after_all() -> None:
-    stand = Stand()
-    stand.world.is_deaf = True
-    stand.see("r1", "r2")
-    trouble = stand.feed.error_text
-    stand.world.is_deaf = False
-
-    assert stand.see("r1", "r2") is not None
-    assert "no answer" in trouble
-    assert stand.feed.error_text == ""
+    assert setup.receive("r1", "r2") is None
+    assert "refused" in setup.source.error_text
 
 
-def test_feed_is_silent_at_once_when_the_server_goes() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
+def test_error_text_is_cleared_by_models() -> None:
+    setup = Setup()
+    setup.server.is_silent = True
+    setup.receive("r1", "r2")
+    error_text = setup.source.error_text
+    setup.server.is_silent = False
 
-    stand.token.close()
-    stand.feed.newest()
-
-    assert stand.feed.is_silent
-
-
-def test_feed_is_silent_when_no_snapshot_comes_for_long() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-
-    stand.clock.sleep(SERVER_TIMEOUT_S + 0.1)
-
-    assert stand.feed.newest() is None
-    assert stand.feed.is_silent
+    assert setup.receive("r1", "r2") is not None
+    assert error_text
+    assert setup.source.error_text == ""
 
 
-def test_feed_asks_for_models_again_when_another_server_comes() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-    stand.token.close()
-    stand.world.models = models_of(r1=a_wall(), r2=a_robot())
-    stand.bus.token(keys.alive_server("default"))
+def test_source_is_silent_when_the_token_disappears() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
 
-    stand.clock.sleep(1.0)
-    stand.world.publish(a_snapshot("r1", "r2", joints=1))
-    view = stand.feed.newest()
+    setup.token.close()
+    setup.source.newest()
+
+    assert setup.source.is_silent
+
+
+def test_source_is_silent_without_snapshots() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+
+    setup.clock.sleep(SERVER_TIMEOUT_S + 0.1)
+
+    assert setup.source.newest() is None
+    assert setup.source.is_silent
+
+
+def test_models_are_requested_again_from_a_new_server() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+    setup.token.close()
+    setup.server.models = make_models(r1=make_wall(), r2=make_robot())
+    setup.bus.token(keys.alive_server("default"))
+
+    setup.clock.sleep(1.0)
+    setup.server.publish(make_snapshot("r1", "r2", joints=1))
+    view = setup.source.newest()
 
     assert view is not None
     assert view.fleet.robots == ("r2",)
-    assert not stand.feed.is_silent
+    assert not setup.source.is_silent
 
 
-def test_feed_listens_to_the_commands_of_followed_robots_only() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
+def test_only_commands_of_followed_robots_are_subscribed() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
 
-    stand.feed.commands(frozenset({"r1", "gone"}))
+    setup.source.commands(frozenset({"r1", "gone"}))
 
-    assert stand.bus.is_heard("r1/cmd_vel")
-    assert not stand.bus.is_heard("r2/cmd_vel")
-    stand.feed.commands(NOBODY)
-    assert not stand.bus.is_heard("r1/cmd_vel")
+    assert setup.bus.is_heard("r1/cmd_vel")
+    assert not setup.bus.is_heard("r2/cmd_vel")
+    setup.source.commands(NO_ENTITIES)
+    assert not setup.bus.is_heard("r1/cmd_vel")
 
 
 @pytest.mark.parametrize("is_stamped", [False, True])
-def test_feed_tells_the_last_command_and_its_age(*, is_stamped: bool) -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-    stand.feed.commands(frozenset({"r1"}))
+def test_last_command_is_returned_with_its_age(*, is_stamped: bool) -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+    setup.source.commands(frozenset({"r1"}))
     twist = Twist(Vector3(x=0.2), Vector3(z=-0.5))
 
-    stand.bus.put_message("r1/cmd_vel", TwistStamped(twist=twist) if is_stamped else twist)
-    stand.feed.commands(frozenset({"r1"}))
-    stand.clock.sleep(2.0)
+    setup.bus.put_message("r1/cmd_vel", TwistStamped(twist=twist) if is_stamped else twist)
+    setup.source.commands(frozenset({"r1"}))
+    setup.clock.sleep(2.0)
 
-    commands = stand.feed.commands(frozenset({"r1"}))
+    commands = setup.source.commands(frozenset({"r1"}))
 
     assert commands == {"r1": LastCommand(0.2, -0.5, age_s=2.0)}
 
 
-def test_feed_keeps_the_last_command_when_garbage_follows() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-    stand.feed.commands(frozenset({"r1"}))
-    stand.bus.put_message("r1/cmd_vel", Twist(Vector3(x=0.2)))
-    stand.feed.commands(frozenset({"r1"}))
+def test_malformed_command_is_ignored() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+    setup.source.commands(frozenset({"r1"}))
+    setup.bus.put_message("r1/cmd_vel", Twist(Vector3(x=0.2)))
+    setup.source.commands(frozenset({"r1"}))
 
-    stand.bus.put("r1/cmd_vel", b"\x07garbage")
+    setup.bus.put("r1/cmd_vel", b"\x07garbage")
 
-    assert stand.feed.commands(frozenset({"r1"}))["r1"].forward_mps == 0.2
-
-
-def test_feed_tells_no_command_when_none_was_given() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-
-    assert stand.feed.commands(frozenset({"r1"})) == {}
+    assert setup.source.commands(frozenset({"r1"}))["r1"].forward_mps == 0.2
 
 
-def test_feed_listens_to_nothing_when_closed() -> None:
-    stand = Stand()
-    stand.see("r1", "r2")
-    stand.feed.commands(frozenset({"r1"}))
+def test_no_command_is_returned_without_one() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
 
-    stand.feed.close()
+    assert setup.source.commands(frozenset({"r1"})) == {}
 
-    assert not stand.bus.is_heard("**")
+
+def test_close_ends_all_subscriptions() -> None:
+    setup = Setup()
+    setup.receive("r1", "r2")
+    setup.source.commands(frozenset({"r1"}))
+
+    setup.source.close()
+
+    assert not setup.bus.is_heard("**")
+
+
+def make_mesh(size: float = 1.0) -> bytes:
+    corners = [[0.0, 0.0, 0.0], [size, 0.0, 0.0], [0.0, size, 0.0]]
+    return write_corners(np.array([corners, corners[::-1]]))
+
+
+class FileServer:
+    """Serves files in chunks."""
+
+    def __init__(self, *files: bytes, chunk: int = 1 << 20) -> None:
+        self.files = {sha256(data).hexdigest(): data for data in files}
+        self.chunk = chunk
+        self.requests: list[tuple[str, int]] = []
+        self.error: Exception | None = None
+
+    def call(
+        self,
+        service: Service[Request, Response],
+        request: Request,
+        *,
+        world: str,
+        timeout_s: float = 5.0,
+        request_id: str = "",
+    ) -> Response:
+        del request_id
+        assert isinstance(request, GetAssetRequest)
+        assert (world, timeout_s < 1.0) == ("w", True)
+        self.requests.append((request.sha256, request.offset))
+        if self.error is not None:
+            raise self.error
+        if (data := self.files.get(request.sha256)) is None:
+            raise ServiceError(service.name, 2, "NOT_FOUND", "no such file")
+        part = data[request.offset : request.offset + self.chunk]
+        return msgspec.convert(GetAssetResponse(data=part, total=len(data)), service.response)
+
+
+class FetcherSetup:
+    """A fetcher, its server and a clock."""
+
+    def __init__(
+        self, server: FileServer, *named: bytes, budget_bytes: int = MESH_BUDGET_BYTES
+    ) -> None:
+        self.clock = ManualClock()
+        self.fetcher = MeshFetcher(server, "w", self.clock, budget_bytes)
+        self.names = [sha256(data).hexdigest() for data in named]
+        self.set_meshes(*self.names)
+
+    def set_meshes(self, *names: str) -> None:
+        visuals = tuple(Shape("mesh", (1.0, 1.0, 1.0), mesh=name) for name in names)
+        self.fetcher.set_models([Model("m", (Link("base", visuals=visuals),))])
+
+    def fetch(self, times: int = 10) -> list[str]:
+        for _ in range(times):
+            self.fetcher.fetch()
+        return list(self.fetcher.meshes)
+
+
+def test_mesh_is_fetched_once_in_chunks() -> None:
+    data = make_mesh()
+    server = FileServer(data, chunk=100)
+    setup = FetcherSetup(server, data, data)
+
+    found = setup.fetch()
+
+    assert found == [sha256(data).hexdigest()]
+    assert [offset for _, offset in server.requests] == [0, 100]
+    assert len(setup.fetcher.meshes[found[0]].vertices) == 3
+
+
+def test_meshes_are_published_when_all_are_fetched() -> None:
+    here, gone = make_mesh(1.0), make_mesh(2.0)
+    setup = FetcherSetup(FileServer(here), here, gone)
+
+    assert setup.fetch(1) == []
+    assert setup.fetch(1) == setup.names[:1]
+
+
+def test_missing_mesh_is_requested_again_with_new_models() -> None:
+    data = make_mesh()
+    server = FileServer()
+    setup = FetcherSetup(server, data)
+    assert setup.fetch() == []
+
+    server.files[setup.names[0]] = data
+    setup.set_meshes(*setup.names)
+
+    assert setup.fetch() == setup.names
+    assert len(server.requests) == 2
+
+
+def test_mesh_is_requested_again_after_no_reply() -> None:
+    data = make_mesh()
+    server = FileServer(data)
+    server.error = NoServer("no server")
+    setup = FetcherSetup(server, data)
+    setup.clock.sleep(1.0)
+    setup.fetch()
+    server.error = None
+
+    assert (setup.fetch(), len(server.requests)) == ([], 1)
+    setup.clock.sleep(MESH_RETRY_S)
+    assert setup.fetch() == setup.names
+
+
+def test_unused_mesh_is_dropped() -> None:
+    data = make_mesh()
+    setup = FetcherSetup(FileServer(data), data)
+    setup.fetch()
+
+    setup.set_meshes()
+
+    assert setup.fetch() == []
+
+
+@pytest.mark.parametrize(
+    "bad", [b"not a mesh", write_corners(np.full((1, 3, 3), np.nan)), make_mesh()[:84]]
+)
+def test_malformed_mesh_is_skipped(bad: bytes) -> None:
+    good = make_mesh()
+
+    assert FetcherSetup(FileServer(bad, good), bad, good).fetch() == [sha256(good).hexdigest()]
+
+
+def test_mesh_with_another_hash_is_skipped() -> None:
+    data = make_mesh()
+    server = FileServer()
+    server.files[sha256(b"requested").hexdigest()] = data
+
+    assert FetcherSetup(server, b"requested").fetch() == []
+
+
+def test_meshes_beyond_the_budget_are_skipped() -> None:
+    first, second = make_mesh(1.0), make_mesh(2.0)
+    setup = FetcherSetup(FileServer(first, second), first, second, budget_bytes=len(first) + 1)
+
+    assert setup.fetch() == setup.names[:1]

@@ -1,3 +1,5 @@
+"""Requests that the page accepts and refuses."""
+
 import socket
 
 import pytest
@@ -20,7 +22,7 @@ OWN = socket.gethostname().lower()
         ("127.0.0.1:8080", ""),
     ],
 )
-def test_request_is_let_in_when_it_comes_from_the_own_page(host: str, origin: str) -> None:
+def test_request_of_the_own_page_is_accepted(host: str, origin: str) -> None:
     assert is_own_origin([host], [origin] if origin else [], bound_to="sim.lab")
 
 
@@ -40,7 +42,5 @@ def test_request_is_let_in_when_it_comes_from_the_own_page(host: str, origin: st
         ([], []),
     ],
 )
-def test_request_is_refused_when_it_comes_from_elsewhere(
-    hosts: list[str], origins: list[str]
-) -> None:
+def test_request_of_another_page_is_refused(hosts: list[str], origins: list[str]) -> None:
     assert not is_own_origin(hosts, origins, bound_to="127.0.0.1")

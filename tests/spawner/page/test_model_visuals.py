@@ -1,4 +1,4 @@
-"""Loose triangles become a mesh whose neighbours share their corners."""
+"""Visual templates, link poses and triangle meshes."""
 
 from collections import Counter
 
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.spawner.page.builders import BLUE, CUBE, a_robot
+from tests.spawner.page.builders import BLUE, CUBE, make_robot
 from zensim.proto.messages.model_messages import Joint, JointKind, Link, Model, Origin, Shape
 from zensim.proto.rigid_transforms import normalize
 from zensim.proto.se3 import from_rpy
@@ -35,14 +35,14 @@ SQUARE = np.array(
 )
 
 
-def test_equal_corners_are_one_vertex() -> None:
+def test_equal_corners_become_one_vertex() -> None:
     mesh = weld_triangles(SQUARE)
 
     assert len(mesh.vertices) == 4
     assert np.array_equal(mesh.vertices[mesh.faces.reshape(-1)], SQUARE)
 
 
-def test_different_corners_stay_apart() -> None:
+def test_different_corners_stay_separate() -> None:
     corners = np.random.default_rng(0).normal(size=(30_000, 3)).astype(np.float32)
 
     mesh = weld_triangles(corners)
@@ -74,7 +74,7 @@ def trees(draw: st.DrawFn) -> tuple[VisualJoint, ...]:
     )
 
 
-def matrix_of(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+def make_matrix(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     x, y, z, w = quaternion
     matrix = np.eye(4)
     matrix[:3, 3] = position
@@ -86,30 +86,30 @@ def matrix_of(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
     return matrix
 
 
-def motion_of(kind: JointKind, axis: np.ndarray, moved: float) -> np.ndarray:
-    """Rodrigues' formula, or a shift along the axis."""
+def make_motion(kind: JointKind, axis: np.ndarray, position: float) -> np.ndarray:
+    """Apply Rodrigues' formula, or shift along the axis."""
     matrix, (x, y, z) = np.eye(4), axis / np.linalg.norm(axis)
     if kind == "prismatic":
-        matrix[:3, 3] = moved * np.array((x, y, z))
+        matrix[:3, 3] = position * np.array((x, y, z))
     elif kind != "fixed":
         skew = np.array(((0, -z, y), (z, 0, -x), (-y, x, 0)))
-        matrix[:3, :3] += np.sin(moved) * skew + (1 - np.cos(moved)) * skew @ skew
+        matrix[:3, :3] += np.sin(position) * skew + (1 - np.cos(position)) * skew @ skew
     return matrix
 
 
-def matrices_of(
+def compute_matrices(
     visual_joints: tuple[VisualJoint, ...], base: np.ndarray, joints: np.ndarray
 ) -> list[np.ndarray]:
-    placed = [matrix_of(base[:3], base[3:])]
-    for hinge, moved in zip(visual_joints, joints, strict=True):
-        origin = matrix_of(np.array(hinge.origin.position), np.array(hinge.origin.orientation))
-        motion = motion_of(hinge.kind, np.array(hinge.axis), moved)
-        placed.append(placed[hinge.parent] @ origin @ motion)
-    return placed
+    matrices = [make_matrix(base[:3], base[3:])]
+    for joint, position in zip(visual_joints, joints, strict=True):
+        origin = make_matrix(np.array(joint.origin.position), np.array(joint.origin.orientation))
+        motion = make_motion(joint.kind, np.array(joint.axis), position)
+        matrices.append(matrices[joint.parent] @ origin @ motion)
+    return matrices
 
 
 @given(visual_joints=trees(), data=st.data(), count=st.integers(1, 3))
-def test_links_of_all_entities_are_where_matrices_put_each(
+def test_link_poses_equal_matrix_products(
     visual_joints: tuple[VisualJoint, ...], data: st.DataObject, count: int
 ) -> None:
     base = np.array(
@@ -120,44 +120,44 @@ def test_links_of_all_entities_are_where_matrices_put_each(
     links = find_link_poses(visual_joints, base, joints)
 
     for entity in range(count):
-        expected = matrices_of(visual_joints, base[entity], joints[entity])
+        expected = compute_matrices(visual_joints, base[entity], joints[entity])
         for pose, matrix in zip(links, expected, strict=True):
-            found = matrix_of(pose[entity, :3], pose[entity, 3:])
+            found = make_matrix(pose[entity, :3], pose[entity, 3:])
             np.testing.assert_allclose(found, matrix, atol=1e-9)
 
 
-def test_wheel_turns_about_its_axis_when_its_joint_moves() -> None:
-    hinge = VisualJoint("continuous", 0, Origin((0.0, 0.05, 0.0)), (0.0, 1.0, 0.0))
+def test_wheel_rotates_about_its_axis() -> None:
+    joint = VisualJoint("continuous", 0, Origin((0.0, 0.05, 0.0)), (0.0, 1.0, 0.0))
 
-    _, wheel = find_link_poses((hinge,), REST[None], np.array([[np.pi / 2.0]]))
+    _, wheel = find_link_poses((joint,), REST[None], np.array([[np.pi / 2.0]]))
 
     assert wheel[0, :3] == pytest.approx((0.0, 0.05, 0.0))
     assert wheel[0, 3:] == pytest.approx((0.0, np.sqrt(0.5), 0.0, np.sqrt(0.5)))
 
 
-def test_base_alone_is_where_it_is_when_nothing_is_hinged() -> None:
+def test_pose_of_a_single_link_is_the_base_pose() -> None:
     (base,) = find_link_poses((), REST[None] + 1.0, np.zeros((1, 0)))
 
     assert base[:, :3].tolist() == [[1.0, 1.0, 1.0]]
 
 
-def test_robots_have_one_form_when_only_their_names_differ() -> None:
-    assert make_template(a_robot("r1")) == make_template(a_robot("r2"))
+def test_template_does_not_depend_on_names() -> None:
+    assert make_template(make_robot("r1")) == make_template(make_robot("r2"))
 
 
-def test_robots_have_two_forms_when_a_colour_differs() -> None:
-    red = a_robot("r2", shape=msgspec.structs.replace(CUBE, rgba=(1.0, 0.0, 0.0, 1.0)))
+def test_template_depends_on_colours() -> None:
+    red = make_robot("r2", shape=msgspec.structs.replace(CUBE, rgba=(1.0, 0.0, 0.0, 1.0)))
 
-    assert make_template(a_robot("r1")) != make_template(red)
+    assert make_template(make_robot("r1")) != make_template(red)
 
 
-def test_collisions_are_drawn_when_all_visuals_are_files() -> None:
+def test_collisions_replace_missing_meshes() -> None:
     link = Link("base", collisions=(CUBE,), visuals=(Shape("mesh", mesh="body.dae"),))
 
     assert make_template(Model("bot", (link,))).links == ((CUBE,),)
 
 
-def test_mesh_is_drawn_once_it_is_here() -> None:
+def test_available_mesh_is_drawn() -> None:
     mesh = Shape("mesh", (1.0, 1.0, 1.0), mesh="sha")
     model = Model("bot", (Link("base", collisions=(CUBE,), visuals=(mesh, CUBE)),))
 
@@ -165,7 +165,7 @@ def test_mesh_is_drawn_once_it_is_here() -> None:
     assert make_template(model, {"sha"}).links == ((mesh, CUBE),)
 
 
-def test_nothing_is_drawn_when_a_link_has_collisions_only() -> None:
+def test_link_with_collisions_only_is_invisible() -> None:
     assert make_template(Model("bot", (Link("base", collisions=(CUBE,)),))).links == ((),)
 
 
@@ -186,7 +186,7 @@ def test_ground_is_not_drawn() -> None:
     ],
     ids=lambda model: model.name,
 )
-def test_form_is_refused_when_the_model_is_no_tree(model: Model) -> None:
+def test_template_needs_a_tree(model: Model) -> None:
     with pytest.raises(NotATree, match=model.name):
         make_template(model)
 
@@ -194,13 +194,13 @@ def test_form_is_refused_when_the_model_is_no_tree(model: Model) -> None:
 LENGTHS = st.floats(0.01, 5.0)
 
 
-def volume(mesh: TriangleMesh) -> float:
-    """Signed: positive when the faces are seen counter-clockwise from outside."""
+def compute_volume(mesh: TriangleMesh) -> float:
+    """Compute the volume; positive if faces are counter-clockwise from outside."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
     return float(np.sum(a * np.cross(b, c)) / 6.0)
 
 
-def open_edges(mesh: TriangleMesh) -> int:
+def count_open_edges(mesh: TriangleMesh) -> int:
     edges = Counter((int(face[i]), int(face[(i + 1) % 3])) for face in mesh.faces for i in range(3))
     return sum(edges[a, b] != 1 or edges[b, a] != 1 for a, b in edges)
 
@@ -209,24 +209,24 @@ def open_edges(mesh: TriangleMesh) -> int:
 def test_box_has_its_volume_and_extents(x: float, y: float, z: float) -> None:
     mesh = make_box(x, y, z)
 
-    assert volume(mesh) == pytest.approx(x * y * z)
+    assert compute_volume(mesh) == pytest.approx(x * y * z)
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx((x, y, z))
 
 
 @given(radius=LENGTHS, length=LENGTHS)
-def test_cylinder_has_nearly_its_volume_and_stands_along_z(radius: float, length: float) -> None:
+def test_cylinder_has_about_its_volume_along_z(radius: float, length: float) -> None:
     mesh = make_cylinder(radius, length)
 
-    assert volume(mesh) == pytest.approx(np.pi * radius**2 * length, rel=0.01)
+    assert compute_volume(mesh) == pytest.approx(np.pi * radius**2 * length, rel=0.01)
     assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(length)
 
 
 @given(radius=LENGTHS, length=st.one_of(st.just(0.0), LENGTHS))
-def test_capsule_has_nearly_its_volume_and_a_cap_at_each_end(radius: float, length: float) -> None:
+def test_capsule_has_about_its_volume_and_length(radius: float, length: float) -> None:
     mesh = make_capsule(radius, length)
 
     exact = np.pi * radius**2 * (length + 4.0 / 3.0 * radius)
-    assert volume(mesh) == pytest.approx(exact, rel=0.03)
+    assert compute_volume(mesh) == pytest.approx(exact, rel=0.03)
     assert np.ptp(mesh.vertices[:, 2]) == pytest.approx(length + 2.0 * radius)
 
 
@@ -241,11 +241,11 @@ def test_capsule_has_nearly_its_volume_and_a_cap_at_each_end(radius: float, leng
     ids=["box", "cylinder", "capsule", "sphere"],
 )
 def test_mesh_is_closed(mesh: TriangleMesh) -> None:
-    assert open_edges(mesh) == 0
+    assert count_open_edges(mesh) == 0
 
 
 @pytest.mark.parametrize("kind", ["plane", "mesh"])
-def test_shape_is_refused_when_it_has_no_triangles(kind: str) -> None:
+def test_plane_and_mesh_are_refused(kind: str) -> None:
     with pytest.raises(ValueError, match=repr(kind)):
         make_shape_mesh(Shape(kind))  # type: ignore[arg-type]
 
@@ -259,9 +259,7 @@ def test_shape_is_refused_when_it_has_no_triangles(kind: str) -> None:
         ("capsule", (0.8, 0.8, 1.4)),
     ],
 )
-def test_shape_has_the_extents_that_its_size_says(
-    kind: str, extents: tuple[float, float, float]
-) -> None:
+def test_shape_has_the_extents_of_its_size(kind: str, extents: tuple[float, float, float]) -> None:
     size = extents if kind == "box" else (0.4, 0.6, 0.0)
 
     mesh = make_shape_mesh(Shape(kind, size))  # type: ignore[arg-type]
@@ -269,30 +267,30 @@ def test_shape_has_the_extents_that_its_size_says(
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx(extents)
 
 
-def test_merged_keeps_every_face_where_it_was() -> None:
+def test_merged_meshes_keep_their_faces() -> None:
     both = merge_meshes((make_box(1.0, 1.0, 1.0), make_cylinder(0.5, 1.0)))
 
-    assert volume(both) == pytest.approx(
-        volume(make_box(1, 1, 1)) + volume(make_cylinder(0.5, 1.0))
+    assert compute_volume(both) == pytest.approx(
+        compute_volume(make_box(1, 1, 1)) + compute_volume(make_cylinder(0.5, 1.0))
     )
-    assert open_edges(both) == 0
+    assert count_open_edges(both) == 0
 
 
-def test_parts_are_one_for_each_colour() -> None:
+def test_link_has_a_part_per_colour() -> None:
     parts = make_link_meshes((CUBE, Shape("sphere", (0.1, 0.0, 0.0)), CUBE))
 
     assert [part.rgba for part in parts] == [BLUE, DEFAULT_RGBA]
-    assert volume(parts[0].mesh) == pytest.approx(2 * 0.1**3)
+    assert compute_volume(parts[0].mesh) == pytest.approx(2 * 0.1**3)
 
 
-def test_part_is_smooth_when_it_has_no_edges() -> None:
+def test_round_part_is_smooth() -> None:
     box_part, ball_part = make_link_meshes((CUBE, Shape("sphere", (0.1, 0.0, 0.0))))
 
     assert ball_part.is_smooth
     assert not box_part.is_smooth
 
 
-def test_part_from_a_file_is_scaled_and_stands_where_its_origin_says() -> None:
+def test_part_of_a_file_is_scaled_and_placed_at_its_origin() -> None:
     shape = Shape("mesh", (1.0, -2.0, 1.0), Origin((0.0, 0.0, 5.0)), mesh="sha")
 
     (part,) = make_link_meshes(
@@ -301,10 +299,10 @@ def test_part_from_a_file_is_scaled_and_stands_where_its_origin_says() -> None:
 
     assert part.has_file
     assert np.ptp(part.mesh.vertices[:8], axis=0).tolist() == [1.0, 2.0, 1.0]
-    assert volume(part.mesh) == pytest.approx(2.0 + 0.1**3)  # not inside out
+    assert compute_volume(part.mesh) == pytest.approx(2.0 + 0.1**3)  # not inside out
 
 
-def test_part_stands_where_its_origin_says() -> None:
+def test_part_is_placed_at_its_origin() -> None:
     turned = Origin((1.0, 0.0, 0.0), tuple(from_rpy(0.0, np.pi / 2.0, 0.0)))
 
     (part,) = make_link_meshes((Shape("cylinder", (0.1, 2.0, 0.0), turned),))
@@ -313,14 +311,14 @@ def test_part_stands_where_its_origin_says() -> None:
     assert part.mesh.vertices[:, 0].max() == pytest.approx(2.0)
 
 
-def test_top_is_that_of_the_highest_link() -> None:
-    assert find_top(make_template(a_robot())) == pytest.approx(0.05)
+def test_top_is_the_height_of_the_highest_link() -> None:
+    assert find_top(make_template(make_robot())) == pytest.approx(0.05)
 
 
-def test_top_is_the_base_when_nothing_is_drawn() -> None:
+def test_top_is_zero_without_shapes() -> None:
     assert (
         find_top(
-            VisualTemplate(links=((), ()), visual_joints=make_template(a_robot()).visual_joints)
+            VisualTemplate(links=((), ()), visual_joints=make_template(make_robot()).visual_joints)
         )
         == 0.0
     )

@@ -1,10 +1,12 @@
+"""Fleets, frames and cameras of the page."""
+
 import msgspec
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.spawner.page.builders import a_robot, a_snapshot, a_wall, models_of
+from tests.spawner.page.builders import make_models, make_robot, make_snapshot, make_wall
 from zensim.proto.messages.model_messages import Link, Model
 from zensim.spawner.page.render_state import (
     MismatchedSnapshot,
@@ -19,53 +21,55 @@ COORDINATES = st.floats(-50.0, 50.0)
 POINTS = st.lists(st.tuples(COORDINATES, COORDINATES, st.floats(0.0, 5.0)), min_size=1, max_size=20)
 
 
-def test_robots_are_one_cohort_when_they_look_alike() -> None:
-    fleet = make_fleet(("r1", "r2"), models_of(r1=a_robot("r1"), r2=a_robot("r2")))
+def test_equal_robots_are_one_group() -> None:
+    fleet = make_fleet(("r1", "r2"), make_models(r1=make_robot("r1"), r2=make_robot("r2")))
 
-    (cohort,) = fleet.groups
-    assert cohort.names == ("r1", "r2")
-    assert cohort.joint_columns.tolist() == [[0], [1]]
+    (group,) = fleet.groups
+    assert group.names == ("r1", "r2")
+    assert group.joint_columns.tolist() == [[0], [1]]
     assert fleet.joints == 2
 
 
-def test_entities_keep_their_rows_when_kinds_alternate() -> None:
-    models = models_of(r1=a_robot(), w1=a_wall(), r2=a_robot(), w2=a_wall())
+def test_groups_keep_the_rows_of_their_entities() -> None:
+    models = make_models(r1=make_robot(), w1=make_wall(), r2=make_robot(), w2=make_wall())
 
     fleet = make_fleet(("r1", "w1", "r2", "w2"), models)
 
-    assert [cohort.rows.tolist() for cohort in fleet.groups] == [[0, 2], [1, 3]]
+    assert [group.rows.tolist() for group in fleet.groups] == [[0, 2], [1, 3]]
     assert fleet.robots == ("r1", "r2")
     assert fleet.rows == {"r1": 0, "w1": 1, "r2": 2, "w2": 3}
 
 
-def test_arranging_fails_when_a_name_has_no_model() -> None:
+def test_fleet_needs_a_model_for_each_name() -> None:
     with pytest.raises(UnknownEntity, match="r2"):
-        make_fleet(("r1", "r2"), models_of(r1=a_robot()))
+        make_fleet(("r1", "r2"), make_models(r1=make_robot()))
 
 
-def test_arranging_fails_when_the_model_is_not_in_the_answer() -> None:
-    answer = msgspec.structs.replace(models_of(r1=a_robot()), models=())
+def test_fleet_needs_the_model_of_an_entity() -> None:
+    response = msgspec.structs.replace(make_models(r1=make_robot()), models=())
 
     with pytest.raises(UnknownEntity):
-        make_fleet(("r1",), answer)
+        make_fleet(("r1",), response)
 
 
-def test_arranging_fails_when_a_model_is_no_tree() -> None:
+def test_fleet_needs_models_that_are_trees() -> None:
     with pytest.raises(MismatchedSnapshot, match="loose"):
-        make_fleet(("r1",), models_of(r1=Model("loose", (Link("a"), Link("b")))))
+        make_fleet(("r1",), make_models(r1=Model("loose", (Link("a"), Link("b")))))
 
 
-def test_empty_world_is_drawn_as_nothing() -> None:
-    frame = make_frame(make_fleet((), models_of()), a_snapshot())
+def test_empty_world_has_an_empty_frame() -> None:
+    frame = make_frame(make_fleet((), make_models()), make_snapshot())
 
     assert frame.links == ()
     assert frame.base.shape == (0, 13)
 
 
-def test_drawing_places_every_link_of_every_robot() -> None:
-    fleet = make_fleet(("w1", "r1", "r2"), models_of(w1=a_wall(), r1=a_robot(), r2=a_robot()))
+def test_frame_has_the_poses_of_all_links() -> None:
+    fleet = make_fleet(
+        ("w1", "r1", "r2"), make_models(w1=make_wall(), r1=make_robot(), r2=make_robot())
+    )
 
-    frame = make_frame(fleet, a_snapshot("w1", "r1", "r2", joints=2))
+    frame = make_frame(fleet, make_snapshot("w1", "r1", "r2", joints=2))
 
     (wall,), (bases, wheels) = frame.links
     assert wall[:, :3].tolist() == [[0.0, 0.0, 0.0]]
@@ -83,9 +87,9 @@ def test_drawing_places_every_link_of_every_robot() -> None:
     ],
     ids=["no base", "nan", "too many joints", "infinite joint"],
 )
-def test_drawing_is_refused_when_the_numbers_do_not_fit(change: dict[str, bytes]) -> None:
-    fleet = make_fleet(("r1",), models_of(r1=a_robot()))
-    snapshot = msgspec.structs.replace(a_snapshot("r1", joints=1), **change)
+def test_frame_refuses_arrays_of_another_size(change: dict[str, bytes]) -> None:
+    fleet = make_fleet(("r1",), make_models(r1=make_robot()))
+    snapshot = msgspec.structs.replace(make_snapshot("r1", joints=1), **change)
 
     with pytest.raises(MismatchedSnapshot, match=r"base|joint_positions"):
         make_frame(fleet, snapshot)
@@ -102,13 +106,13 @@ def test_camera_sees_every_point(
     ahead = (look_at - position) / np.linalg.norm(look_at - position)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
-    seen = (cloud - position) @ np.stack((right, np.cross(right, ahead), ahead)).T
-    assert (seen[:, 2] > 0.0).all()
-    assert (np.abs(seen[:, 1]) < seen[:, 2] * np.tan(fov_rad / 2.0)).all()
-    assert (np.abs(seen[:, 0]) < seen[:, 2] * np.tan(fov_rad / 2.0) * aspect).all()
+    in_camera = (cloud - position) @ np.stack((right, np.cross(right, ahead), ahead)).T
+    assert (in_camera[:, 2] > 0.0).all()
+    assert (np.abs(in_camera[:, 1]) < in_camera[:, 2] * np.tan(fov_rad / 2.0)).all()
+    assert (np.abs(in_camera[:, 0]) < in_camera[:, 2] * np.tan(fov_rad / 2.0) * aspect).all()
 
 
-def test_camera_looks_along_y_when_the_fleet_is_a_row_along_y() -> None:
+def test_camera_looks_along_a_row() -> None:
     row = np.array([(0.0, y, 0.06) for y in range(10)])
 
     position, look_at = fit_camera(row, aspect=1.6, fov_rad=0.8)
@@ -116,7 +120,7 @@ def test_camera_looks_along_y_when_the_fleet_is_a_row_along_y() -> None:
     assert abs(look_at - position)[1] > abs(look_at - position)[0]
 
 
-def test_pose_is_written_in_metres_and_degrees() -> None:
+def test_pose_is_formatted_in_metres_and_degrees() -> None:
     state = np.array((1.0, -2.0, 0.06, 0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5), 0.3, 0.4, 0, 0, 0, 1))
 
     assert format_pose(state) == ("x 1.00  y -2.00  z 0.06 m  yaw 90°", "0.50 m/s  1.00 rad/s")

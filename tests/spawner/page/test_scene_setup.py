@@ -1,4 +1,4 @@
-"""Light and sky of the page are the world's where it says, else the page's own."""
+"""Lights and background of the page."""
 
 import msgspec
 import pytest
@@ -18,7 +18,7 @@ OWN = ["/light/ambient", "/light/sun"]
 
 
 class FakeHandle:
-    """A node that takes itself out of its scene."""
+    """A node that can be removed from its scene."""
 
     def __init__(self, nodes: dict[str, dict[str, object]], path: str) -> None:
         self._nodes, self._path = nodes, path
@@ -28,7 +28,7 @@ class FakeHandle:
 
 
 class FakeScene:
-    """A scene that keeps what it is told."""
+    """Records nodes and backgrounds."""
 
     def __init__(self) -> None:
         self.nodes: dict[str, dict[str, object]] = {}
@@ -46,7 +46,7 @@ class FakeScene:
         self.skies.append(tuple(image[0, 0].tolist()))  # type: ignore[index]
 
 
-def lit(*scenes: Scene) -> FakeScene:
+def show_scenes(*scenes: Scene) -> FakeScene:
     fake = FakeScene()
     lighting = SceneLighting(fake)  # type: ignore[arg-type]
     for scene in scenes:
@@ -54,17 +54,17 @@ def lit(*scenes: Scene) -> FakeScene:
     return fake
 
 
-def test_page_has_its_own_light_when_the_world_says_nothing() -> None:
-    fake = lit(Scene())
+def test_page_has_default_lights() -> None:
+    fake = show_scenes(Scene())
 
     assert [*fake.nodes] == OWN
     assert fake.nodes["/light/ambient"]["kind"] == "hemisphere"
 
 
-def test_lamps_of_a_world_are_where_it_has_them() -> None:
+def test_lights_of_a_world_are_shown() -> None:
     spot = msgspec.structs.replace(LAMP, kind="spot", direction=(0.0, 1.0, 0.0))
 
-    fake = lit(Scene(ambient=(0.2, 0.4, 1.0, 1.0), lights=(LAMP, spot)))
+    fake = show_scenes(Scene(ambient=(0.2, 0.4, 1.0, 1.0), lights=(LAMP, spot)))
 
     assert [*fake.nodes] == ["/light/ambient", "/light/0", "/light/1"]
     ambient, point, cone = fake.nodes.values()
@@ -73,15 +73,15 @@ def test_lamps_of_a_world_are_where_it_has_them() -> None:
     assert (cone["kind"], cone["direction"]) == ("spot", (0.0, 1.0, 0.0))
 
 
-def test_sun_of_a_world_shines_beside_its_lamps_of_which_few_are_lit() -> None:
-    fake = lit(Scene(lights=(LAMP,) * 30, has_sun=True))
+def test_number_of_lights_is_limited() -> None:
+    fake = show_scenes(Scene(lights=(LAMP,) * 30, has_sun=True))
 
     assert "/light/sun" in fake.nodes
     assert len(fake.nodes) == MAX_LIGHTS + 2
 
 
-def test_light_changes_with_the_world_and_only_then() -> None:
-    fake = lit(Scene(background=(0.0, 0.0, 1.0, 1.0), lights=(LAMP,)), Scene(), Scene())
+def test_lights_change_only_with_the_scene() -> None:
+    fake = show_scenes(Scene(background=(0.0, 0.0, 1.0, 1.0), lights=(LAMP,)), Scene(), Scene())
 
     assert [*fake.nodes] == OWN
     assert len(fake.skies) == 2
@@ -89,7 +89,7 @@ def test_light_changes_with_the_world_and_only_then() -> None:
 
 
 @pytest.mark.parametrize(
-    ("direction", "place"),
+    ("direction", "position"),
     [
         ((0.0, 0.0, -2.0), (0.0, 0.0, LAMP_DISTANCE_M)),
         ((3.0, 0.0, -4.0), (-0.6 * LAMP_DISTANCE_M, 0.0, 0.8 * LAMP_DISTANCE_M)),
@@ -97,15 +97,15 @@ def test_light_changes_with_the_world_and_only_then() -> None:
         ((float("nan"), 0.0, 0.0), (0.0, 0.0, LAMP_DISTANCE_M)),
     ],
 )
-def test_directional_light_comes_from_against_its_direction(
-    direction: tuple[float, float, float], place: tuple[float, float, float]
+def test_directional_light_is_opposite_to_its_direction(
+    direction: tuple[float, float, float], position: tuple[float, float, float]
 ) -> None:
     assert find_light_position(Light("sun", "directional", direction=direction)) == pytest.approx(
-        place
+        position
     )
 
 
-def test_sky_is_darker_above_when_it_has_no_colour() -> None:
+def test_default_sky_is_darker_above() -> None:
     picture = make_sky()
 
     assert picture[0].sum() < picture[-1].sum()

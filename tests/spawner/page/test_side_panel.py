@@ -1,3 +1,5 @@
+"""Texts of the side panel."""
+
 import numpy as np
 import pytest
 
@@ -37,7 +39,7 @@ def test_status_shows_state_time_factor_and_robots() -> None:
         assert text in html
 
 
-def test_status_counts_what_nobody_drives_apart() -> None:
+def test_status_counts_entities_without_drive() -> None:
     assert "10 + 2 without drive" in make_status_html(SimulationStatus(robots=10, entities=12))
 
 
@@ -48,7 +50,7 @@ def test_robot_shows_pose_and_last_command() -> None:
         assert text in html
 
 
-def test_names_are_escaped_when_they_hold_markup() -> None:
+def test_markup_in_names_is_escaped() -> None:
     html = make_robot_html(EntityModel("r1", "<img src=x>", 0), REST, None)
 
     assert "<img" not in html
@@ -57,12 +59,10 @@ def test_names_are_escaped_when_they_hold_markup() -> None:
 @pytest.mark.parametrize(
     ("command", "text"),
     [
-        (None, "none yet"),
+        (None, "none"),
         (LastCommand(0.1, 0.0, age_s=0.5), "v 0.10 m/s  w 0.00 rad/s"),
         (LastCommand(0.1, 0.0, age_s=4.2), "v 0.10 m/s  w 0.00 rad/s, 4 s ago"),
     ],
 )
-def test_command_is_shown_with_its_age_when_it_is_old(
-    command: LastCommand | None, text: str
-) -> None:
+def test_old_command_is_shown_with_its_age(command: LastCommand | None, text: str) -> None:
     assert format_command(command) == text

@@ -1,9 +1,11 @@
+"""Loop of the viewer with a fake page and a fake server."""
+
 from collections.abc import Mapping
 
 import pytest
 
 from tests.fakes import ManualClock, MemoryBus
-from tests.spawner.page.builders import World, a_robot, a_snapshot, models_of
+from tests.spawner.page.builders import FakeServer, make_models, make_robot, make_snapshot
 from zensim.proto import topic_catalog
 from zensim.proto.messages.result_messages import Result, ResultCode, SetSimulationStateCode
 from zensim.proto.messages.simulation_messages import (
@@ -28,7 +30,7 @@ SNAPSHOT = topic_catalog.SNAPSHOT.key("default")
 
 
 class FakePage:
-    """A page that notes what it is shown."""
+    """Records what is shown."""
 
     def __init__(self, clock: ManualClock) -> None:
         self.is_watched = False
@@ -64,22 +66,22 @@ class FakePage:
         self.warnings.append(text)
 
 
-class Stand:
-    """A viewer between a page and a world."""
+class Setup:
+    """A viewer, its page and its server."""
 
     def __init__(self, *, is_watched: bool = True) -> None:
         self.bus = MemoryBus()
         self.clock = ManualClock()
-        self.world = World(self.bus, models_of(r1=a_robot()))
+        self.server = FakeServer(self.bus, make_models(r1=make_robot()))
         self.page = FakePage(self.clock)
         self.page.is_watched = is_watched
         self.viewer = Viewer(self.bus, self.page, "default", clock=self.clock)
 
     def tick(self, state: str = "") -> None:
-        """Tick; with a state, after a snapshot in that state."""
+        """Tick; with a state, after a snapshot with that state."""
         if state:
             self.clock.sleep(1.0)
-            self.world.publish(a_snapshot("r1", joints=1, state=state))
+            self.server.publish(make_snapshot("r1", joints=1, state=state))
         self.viewer.tick()
 
     def press(self, *buttons: Button) -> None:
@@ -87,75 +89,73 @@ class Stand:
         self.tick()
 
 
-def test_viewer_asks_for_nothing_when_nobody_looks() -> None:
-    stand = Stand(is_watched=False)
+def test_viewer_makes_no_calls_without_clients() -> None:
+    setup = Setup(is_watched=False)
 
-    stand.tick()
+    setup.tick()
 
-    assert not stand.bus.is_heard("**")
-    assert stand.world.asked == []
+    assert not setup.bus.is_heard("**")
+    assert setup.server.requests == []
 
 
-def test_viewer_shows_snapshots_when_somebody_looks() -> None:
-    stand = Stand()
+def test_viewer_shows_snapshots_with_a_client() -> None:
+    setup = Setup()
 
-    stand.tick()
-    stand.tick("playing")
+    setup.tick()
+    setup.tick("playing")
 
-    ((status, commands),) = stand.page.shown
+    ((status, commands),) = setup.page.shown
     assert (status.state, status.robots) == ("playing", 1)
     assert commands == {}
 
 
-def test_viewer_stops_listening_when_the_last_page_is_closed() -> None:
-    stand = Stand()
-    stand.page.followed = frozenset({"r1"})
-    stand.tick()
-    stand.tick("playing")
+def test_viewer_unsubscribes_without_clients() -> None:
+    setup = Setup()
+    setup.page.followed = frozenset({"r1"})
+    setup.tick()
+    setup.tick("playing")
 
-    stand.page.is_watched = False
-    stand.tick()
+    setup.page.is_watched = False
+    setup.tick()
 
-    assert not stand.bus.is_heard("**")
-
-
-def test_viewer_asks_afresh_when_a_page_is_opened_again() -> None:
-    stand = Stand()
-    stand.tick()
-    stand.tick("playing")
-    stand.page.is_watched = False
-    stand.tick()
-
-    stand.page.is_watched = True
-    stand.tick()
-    stand.tick("playing")
-
-    assert stand.world.count(GetModelsRequest) == 2
+    assert not setup.bus.is_heard("**")
 
 
-def test_viewer_says_so_when_the_server_is_silent() -> None:
-    stand = Stand()
-    stand.tick()
+def test_viewer_requests_models_again_for_a_new_client() -> None:
+    setup = Setup()
+    setup.tick()
+    setup.tick("playing")
+    setup.page.is_watched = False
+    setup.tick()
 
-    stand.clock.sleep(10.0)
-    stand.tick()
+    setup.page.is_watched = True
+    setup.tick()
+    setup.tick("playing")
 
-    assert stand.page.losses == 1
+    assert setup.server.count(GetModelsRequest) == 2
 
 
-def test_viewer_warns_once_when_models_stay_away() -> None:
-    stand = Stand()
-    stand.tick()
-    stand.world.is_deaf = True
+def test_viewer_shows_a_silent_server() -> None:
+    setup = Setup()
+    setup.tick()
 
-    stand.tick("playing")
-    stand.tick("playing")
-    stand.world.is_deaf = False
-    stand.tick("playing")
+    setup.clock.sleep(10.0)
+    setup.tick()
 
-    first, second = stand.page.warnings
-    assert "missing" in first
-    assert "here again" in second
+    assert setup.page.losses == 1
+
+
+def test_viewer_warns_once_without_models() -> None:
+    setup = Setup()
+    setup.tick()
+    setup.server.is_silent = True
+
+    setup.tick("playing")
+    setup.tick("playing")
+    setup.server.is_silent = False
+    setup.tick("playing")
+
+    assert len(setup.page.warnings) == 2
 
 
 def set_state(state: State) -> SetSimulationStateRequest:
@@ -172,50 +172,50 @@ def set_state(state: State) -> SetSimulationStateRequest:
     ],
 )
 def test_button_calls_its_service(button: Button, request_: object) -> None:
-    stand = Stand()
+    setup = Setup()
 
-    stand.press(button)
+    setup.press(button)
 
-    assert stand.world.asked == [request_]
-    assert stand.page.warnings == []
-
-
-def test_step_pauses_first_when_the_world_plays() -> None:
-    stand = Stand()
-    stand.tick()
-    stand.tick("playing")
-    stand.world.asked.clear()
-
-    stand.press("Step")
-
-    assert stand.world.asked == [set_state(State.PAUSED), StepSimulationRequest(steps=1)]
+    assert setup.server.requests == [request_]
+    assert setup.page.warnings == []
 
 
-def test_viewer_warns_when_a_button_is_refused() -> None:
-    stand = Stand()
+def test_step_button_pauses_a_playing_world() -> None:
+    setup = Setup()
+    setup.tick()
+    setup.tick("playing")
+    setup.server.requests.clear()
+
+    setup.press("Step")
+
+    assert setup.server.requests == [set_state(State.PAUSED), StepSimulationRequest(steps=1)]
+
+
+def test_viewer_warns_of_a_refusal() -> None:
+    setup = Setup()
     refusal = Result(ResultCode.OPERATION_FAILED, "not now")
-    stand.world.answers["set_simulation_state"] = SetSimulationStateResponse(refusal)
+    setup.server.responses["set_simulation_state"] = SetSimulationStateResponse(refusal)
 
-    stand.press("Play")
+    setup.press("Play")
 
-    (warning,) = stand.page.warnings
+    (warning,) = setup.page.warnings
     assert "not now" in warning
 
 
-def test_viewer_says_nothing_when_the_world_plays_already() -> None:
-    stand = Stand()
-    refusal = Result(SetSimulationStateCode.ALREADY_IN_TARGET_STATE, "it plays")
-    stand.world.answers["set_simulation_state"] = SetSimulationStateResponse(refusal)
+def test_viewer_ignores_a_repeated_play() -> None:
+    setup = Setup()
+    refusal = Result(SetSimulationStateCode.ALREADY_IN_TARGET_STATE, "playing")
+    setup.server.responses["set_simulation_state"] = SetSimulationStateResponse(refusal)
 
-    stand.press("Play")
+    setup.press("Play")
 
-    assert stand.page.warnings == []
+    assert setup.page.warnings == []
 
 
-def test_viewer_warns_when_no_server_answers_a_button() -> None:
-    stand = Stand()
-    stand.world.is_deaf = True
+def test_viewer_warns_without_a_reply() -> None:
+    setup = Setup()
+    setup.server.is_silent = True
 
-    stand.press(*BUTTONS)
+    setup.press(*BUTTONS)
 
-    assert len(stand.page.warnings) == len(BUTTONS)
+    assert len(setup.page.warnings) == len(BUTTONS)
