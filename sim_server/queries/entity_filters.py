@@ -1,6 +1,6 @@
 """Filters entities by category, tags, regular expression and bounds, in time slices."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 import msgspec
@@ -10,12 +10,8 @@ from zensim.proto.messages.entity_messages import MAX_TAGS, EntityFilters, Filte
 from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.queries.bounds_queries import (
-    PoseSnapshot,
-    Region,
-    find_overlapping,
-    parse_bounds,
-)
+from zensim.sim_server.queries.bounds_queries import parse_bounds
+from zensim.sim_server.scene.scene import Region, Scene
 from zensim.sim_server.service_parts import DeferredResponse, Pacing
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import World
@@ -122,9 +118,12 @@ def filter_entities(
     found = _filter_by_info(world.entities, filters)
     if region is None and pattern is None:
         return make_response(tuple(entity.name for entity in found))
-    snapshot = PoseSnapshot(world.entities.index, world.states(), store.vertices)
     search = _EntitySearch(
-        snapshot, found, pacing.now_ns, pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS)
+        world.scene(store.vertices),
+        world.entities.index.row,
+        found,
+        pacing.now_ns,
+        pacing.loop_stats.work_budget_ns(SEARCH_SLICE_NS),
     )
     search.start(pattern, region)
     if search.advance():
@@ -137,12 +136,14 @@ class _EntitySearch:
 
     def __init__(
         self,
-        snapshot: PoseSnapshot,
+        scene: Scene,
+        rows: Mapping[str, int],
         entities: Sequence[Entity],
         now_ns: Callable[[], int],
         slice_ns: int,
     ) -> None:
-        self._snapshot = snapshot
+        self._scene = scene
+        self._rows = rows
         self._entities = {entity.name: entity for entity in entities}
         self._now_ns = now_ns
         self._slice_ns = slice_ns
@@ -172,9 +173,12 @@ class _EntitySearch:
         if pattern is not None:
             yield from self._keep_found(pattern.search(list(self._entities)))
         if region is not None:
-            yield from self._keep_found(
-                find_overlapping(self._snapshot, [*self._entities.values()], region)
-            )
+            yield from self._keep_found(self._find_overlaps(region))
+
+    def _find_overlaps(self, region: Region) -> Iterator[list[str]]:
+        names = {self._rows[name]: name for name in self._entities}
+        for found in self._scene.iter_overlaps(region, list(names)):
+            yield [names[row] for row in found]
 
     def _keep_found(self, found: Iterator[list[str]]) -> Iterator[None]:
         matching: set[str] = set()

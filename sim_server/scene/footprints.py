@@ -1,46 +1,26 @@
 """Planar footprints of models: bounding discs, heights, outlines of what is static."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from zensim.proto.messages.model_messages import Model, Origin, Shape
+from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.rigid_transforms import compose
-from zensim.proto.se3 import FloatArray, from_origin, transform_points
+from zensim.proto.se3 import FloatArray, from_origin
 from zensim.sim_server.description.model_geometry import (
     find_link_poses,
     links_in_contact,
 )
+from zensim.sim_server.scene.convex_shapes import ConvexShape, to_convex_shape
 
 MeshTriangles = Callable[[str], FloatArray]
 """Corners (3 f, 3) of the triangles of the mesh of a `Shape.mesh`, unscaled."""
-UNIT_CUBE_CORNERS = np.array(
-    [[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
-)
 CIRCLE_VERTICES = 16
 """Corners of the polygon about a circle."""
 CONTACT_HEIGHT_M = 0.01
 """What reaches this near to the lowest point stands on the ground."""
-
-
-@dataclass(frozen=True)
-class RoundedHull:
-    """One collision: the hull of points (m, 3), thickened by a ball [m]."""
-
-    points: FloatArray
-    sphere_radius_m: float
-
-    @property
-    def low(self) -> float:
-        """Its lowest height."""
-        return float(self.points[:, 2].min()) - self.sphere_radius_m
-
-    @property
-    def high(self) -> float:
-        """Its greatest height."""
-        return float(self.points[:, 2].max()) + self.sphere_radius_m
 
 
 @dataclass(frozen=True)
@@ -65,97 +45,70 @@ def make_circumscribed_polygon(radius_m: float, corners: int = CIRCLE_VERTICES) 
     return np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach
 
 
-def make_rounded_hull(shape: Shape, pose: Origin, corners: MeshTriangles) -> RoundedHull:
-    """Lay out a collision that is not a plane.
+def list_hulls_at_zero(
+    model: Model, links: Iterable[Link], meshes: MeshTriangles
+) -> Iterator[tuple[Shape, ConvexShape]]:
+    """List the collisions of links in the root link at joint positions 0; planes are left out.
 
-    Args:
-        shape: The collision.
-        pose: Of the frame that `Shape.origin` is in.
-        corners: Finds those of a mesh.
+    Discs become polygons about them.
     """
-    points, ball_m = _shape_points(shape, corners)
-    place = from_origin(compose(pose, shape.origin))
-    return RoundedHull(transform_points(place, points), ball_m)
-
-
-def list_rounded_hulls(model: Model, corners: MeshTriangles) -> Iterator[RoundedHull]:
-    """Lay out the collisions of a model in its root link, joints at zero; planes are left out."""
     poses = find_link_poses(model.links[0].name, model.joints)
-    for link in links_in_contact(model):
+    for link in links:
         for shape in link.collisions:
             if shape.kind != "plane":
-                yield make_rounded_hull(shape, poses[link.name], corners)
+                pose = from_origin(compose(poses[link.name], shape.origin))
+                yield shape, _expand_disc(to_convex_shape(shape, meshes)).transformed_by(pose)
+
+
+def _expand_disc(shape: ConvexShape) -> ConvexShape:
+    """Replace the disc of a shape in its own frame by a polygon about it."""
+    if not shape.disc_radius_m:
+        return shape
+    rim = np.pad(make_circumscribed_polygon(shape.disc_radius_m), ((0, 0), (0, 1)))
+    return ConvexShape((shape.points[:, None, :] + rim).reshape(-1, 3))
+
+
+def _height_range(shape: ConvexShape) -> tuple[float, float]:
+    heights, radius = shape.points[:, 2], shape.sphere_radius_m
+    return float(heights.min()) - radius, float(heights.max()) + radius
 
 
 def measure_footprint(
-    model: Model, corners: MeshTriangles, pivot: tuple[float, float] | None = None
+    model: Model, meshes: MeshTriangles, pivot: tuple[float, float] | None = None
 ) -> Footprint:
     """Find the room that a model takes which keeps its joints and only turns about z.
 
     Args:
         model: Of what stands upright.
-        corners: Finds those of a mesh.
+        meshes: Triangles by name.
         pivot: What the disc is about; None = the middle of all collisions.
     """
-    pieces = list(list_rounded_hulls(model, corners)) or [RoundedHull(np.zeros((1, 3)), 0.0)]
-    low = min(piece.low for piece in pieces)
+    hulls = [hull for _, hull in list_hulls_at_zero(model, links_in_contact(model), meshes)]
+    hulls = hulls or [ConvexShape(np.zeros((1, 3)))]
+    ranges = [_height_range(hull) for hull in hulls]
+    low = min(bottom for bottom, _ in ranges)
     if pivot is None:
-        least = np.min([p.points[:, :2].min(axis=0) - p.sphere_radius_m for p in pieces], axis=0)
-        most = np.max([p.points[:, :2].max(axis=0) + p.sphere_radius_m for p in pieces], axis=0)
+        least = np.min([h.points[:, :2].min(axis=0) - h.sphere_radius_m for h in hulls], axis=0)
+        most = np.max([h.points[:, :2].max(axis=0) + h.sphere_radius_m for h in hulls], axis=0)
         x, y = ((least + most) / 2.0).tolist()
         pivot = (x, y)
-    radius = max(_planar_radius(piece, np.array(pivot)) for piece in pieces)
-    feet = [_contact_points(piece) for piece in pieces if piece.low <= low + CONTACT_HEIGHT_M]
-    high = max(piece.high for piece in pieces)
-    return Footprint(pivot, radius, low, high, np.concatenate(feet))
+    radius = max(_planar_radius(hull, np.array(pivot)) for hull in hulls)
+    feet = [
+        _contact_points(hull)
+        for hull, (bottom, _) in zip(hulls, ranges, strict=True)
+        if bottom <= low + CONTACT_HEIGHT_M
+    ]
+    return Footprint(pivot, radius, low, max(top for _, top in ranges), np.concatenate(feet))
 
 
-def find_max_reach(model: Model, corners: MeshTriangles) -> float:
-    """Find how far [m] a model may reach from its root, however its joints stand."""
-    links = {model.links[0].name: 0.0}
-    for joint in model.joints:
-        slide = max(abs(joint.lower), abs(joint.upper)) if joint.kind == "prismatic" else 0.0
-        links[joint.child] = links[joint.parent] + math.hypot(*joint.origin.position) + slide
-    return max(
-        (
-            links[link.name] + _spatial_radius(make_rounded_hull(shape, Origin(), corners))
-            for link in model.links
-            for shape in link.collisions
-            if shape.kind != "plane"
-        ),
-        default=0.0,
-    )
+def _planar_radius(hull: ConvexShape, pivot: FloatArray) -> float:
+    arms = hull.points[:, :2] - pivot
+    return float(np.hypot(arms[:, 0], arms[:, 1]).max()) + hull.sphere_radius_m
 
 
-def _planar_radius(piece: RoundedHull, pivot: FloatArray) -> float:
-    arms = piece.points[:, :2] - pivot
-    return float(np.hypot(arms[:, 0], arms[:, 1]).max()) + piece.sphere_radius_m
-
-
-def _spatial_radius(piece: RoundedHull) -> float:
-    return float(np.linalg.norm(piece.points, axis=1).max()) + piece.sphere_radius_m
-
-
-def _contact_points(piece: RoundedHull) -> FloatArray:
-    lowest = piece.points[:, 2] <= piece.points[:, 2].min() + CONTACT_HEIGHT_M
-    return piece.points[lowest, :2]
-
-
-def _shape_points(shape: Shape, corners: MeshTriangles) -> tuple[FloatArray, float]:
-    first, second, _ = shape.size
-    if shape.kind == "box":
-        return UNIT_CUBE_CORNERS * np.array(shape.size), 0.0
-    if shape.kind == "sphere":
-        return np.zeros((1, 3)), first
-    ends = np.array([[0.0, 0.0, -second / 2.0], [0.0, 0.0, second / 2.0]])
-    if shape.kind == "capsule":
-        return ends, first
-    if shape.kind == "cylinder":
-        rim = np.concatenate(
-            [make_circumscribed_polygon(first), np.zeros((CIRCLE_VERTICES, 1))], axis=1
-        )
-        return (ends[:, None, :] + rim).reshape(-1, 3), 0.0
-    return corners(shape.mesh) * np.array(shape.size), 0.0
+def _contact_points(hull: ConvexShape) -> FloatArray:
+    lowest = hull.points[:, 2] <= hull.points[:, 2].min() + CONTACT_HEIGHT_M
+    return hull.points[lowest, :2]
 
 
 LARGE_ROUND_M = 0.3
@@ -196,7 +149,7 @@ def concatenate_edges(parts: list[StaticEdges]) -> StaticEdges:
     )
 
 
-def find_outline(model: Model, base: FloatArray, corners: MeshTriangles) -> StaticEdges:
+def find_outline(model: Model, base: FloatArray, meshes: MeshTriangles) -> StaticEdges:
     """Find the outlines of a model that never moves.
 
     A mesh is its triangles, hollows and all; everything else is convex. What leans is taken as
@@ -205,23 +158,18 @@ def find_outline(model: Model, base: FloatArray, corners: MeshTriangles) -> Stat
     Args:
         model: Of what stands there; its joints are at zero.
         base: State row (7,) or longer of its root link.
-        corners: Finds those of a mesh.
+        meshes: Triangles by name.
     """
-    poses = find_link_poses(model.links[0].name, model.joints)
     found = []
-    for link in model.links:
-        for shape in link.collisions:
-            if shape.kind == "plane":
-                continue
-            piece = make_rounded_hull(shape, poses[link.name], corners)
-            points = transform_points(base[:7], piece.points)
-            moved = RoundedHull(points, piece.sphere_radius_m)
-            found.append(_triangle_edges(moved) if shape.kind == "mesh" else _convex_edges(moved))
+    for shape, hull in list_hulls_at_zero(model, model.links, meshes):
+        placed = hull.transformed_by(base[:7])
+        is_mesh = shape.kind == "mesh"
+        found.append(_triangle_edges(placed.points) if is_mesh else _convex_edges(placed))
     return concatenate_edges(found)
 
 
-def _convex_edges(piece: RoundedHull) -> StaticEdges:
-    flat, thick = piece.points[:, :2], piece.sphere_radius_m
+def _convex_edges(hull: ConvexShape) -> StaticEdges:
+    flat, thick = hull.points[:, :2], hull.sphere_radius_m
     if thick > LARGE_ROUND_M:
         flat = (
             flat[:, None, :] + make_circumscribed_polygon(thick, LARGE_CIRCLE_VERTICES)
@@ -230,7 +178,7 @@ def _convex_edges(piece: RoundedHull) -> StaticEdges:
     ends = find_hull_edges(flat)
     count = len(ends)
     return StaticEdges(
-        ends, np.full(count, thick), np.tile(np.array([[piece.low, piece.high]]), (count, 1))
+        ends, np.full(count, thick), np.tile(np.array([_height_range(hull)]), (count, 1))
     )
 
 
@@ -261,8 +209,8 @@ def _cross_product(
     return (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
 
 
-def _triangle_edges(piece: RoundedHull) -> StaticEdges:
-    triangles = piece.points.reshape(-1, 3, 3)
+def _triangle_edges(points: FloatArray) -> StaticEdges:
+    triangles = points.reshape(-1, 3, 3)
     low, high = triangles[:, :, 2].min(axis=1), triangles[:, :, 2].max(axis=1)
     starts = triangles[:, :, :2]
     ends = np.concatenate([starts, np.roll(starts, -1, axis=1)], axis=2).reshape(-1, 4)

@@ -9,10 +9,10 @@ from zensim.proto.messages.entity_messages import BoundsType
 from zensim.proto.messages.result_messages import Result, SetEntityStateCode
 from zensim.proto.messages.spawn_messages import DeleteEntityRequest, DeleteEntityResponse
 from zensim.proto.messages.standard_messages import Header, time_from_ns
-from zensim.proto.se3 import FloatArray
+from zensim.proto.se3 import IDENTITY_POSE, FloatArray
 from zensim.sim_server.errors import PoseRefused, RequestRefused, UnsupportedFeature
 from zensim.sim_server.parser_process.asset_store import AssetStore
-from zensim.sim_server.queries.bounds_queries import BoundsUnsupported, PoseSnapshot, make_bounds
+from zensim.sim_server.queries.bounds_queries import BoundsUnsupported, make_bounds
 from zensim.sim_server.queries.entity_filters import filter_entities
 from zensim.sim_server.queries.frame_queries import (
     find_frame_pose,
@@ -20,7 +20,7 @@ from zensim.sim_server.queries.frame_queries import (
     states_to_frame,
     twist_to_world,
 )
-from zensim.sim_server.scene.convex_shapes import place_collision_shapes
+from zensim.sim_server.scene.scene import place_collision_shapes
 from zensim.sim_server.service_parts import CurrentWorld, DeferredResponse, Pacing
 from zensim.sim_server.world.entity import check_entity_info
 from zensim.sim_server.world.pose_conversion import (
@@ -44,9 +44,10 @@ def get_entity_bounds(
             f"type {request.type} is not supported; use 1 (box), 2 (convex hull), 3 (sphere) "
             f"or {entity_messages.ANY_BOUNDS} (any)"
         )
-    sight = PoseSnapshot(world.entities.index, world.states(), store.vertices)
-    links = sight.links_in_base(entity.model, entity.name)
-    shapes = list(place_collision_shapes(entity.model, links, store.vertices))
+    positions = world.states().joint_positions[world.entities.index.joints_of(entity.name)]
+    shapes = place_collision_shapes(
+        entity.model, IDENTITY_POSE[None], positions[None], store.vertices
+    )
     return entity_messages.GetEntityBoundsResponse(bounds=make_bounds(shapes, BoundsType(wanted)))
 
 

@@ -22,13 +22,14 @@ from zensim.proto.messages.spawn_messages import (
     SpawnResult,
 )
 from zensim.proto.messages.standard_messages import NANOSECONDS
+from zensim.proto.se3 import IDENTITY_POSE
 from zensim.sim_server.description.builtin_models import list_builtin_models
 from zensim.sim_server.description.model_geometry import find_ground_clearance
 from zensim.sim_server.errors import IncorrectState, ModelError, RequestRefused, SimError
 from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.queries.bounds_queries import find_link_poses_at_zero, make_bounds
+from zensim.sim_server.queries.bounds_queries import make_bounds
 from zensim.sim_server.queries.frame_queries import pose_to_world
-from zensim.sim_server.scene.convex_shapes import place_collision_shapes
+from zensim.sim_server.scene.scene import place_collision_shapes
 from zensim.sim_server.service_parts import DeferredResponse, Descriptions, Spawning
 from zensim.sim_server.world.entity import Entity, check_entity_info
 from zensim.sim_server.world.pose_conversion import is_zero_quaternion, pose_to_row
@@ -418,8 +419,9 @@ def _make_spawnable(
     descriptions: Descriptions, order: SpawnEntityOrder
 ) -> spawn_messages.Spawnable:
     model, _ = descriptions.provider.model(order)
-    shapes = list(
-        place_collision_shapes(model, find_link_poses_at_zero(model), descriptions.store.vertices)
+    at_zero = np.zeros((1, len(model.joints)))
+    shapes = place_collision_shapes(
+        model, IDENTITY_POSE[None], at_zero, descriptions.store.vertices
     )
     bounds = make_bounds(shapes, BoundsType.BOX)
     return spawn_messages.Spawnable(order.entity_resource, _describe_model(model), bounds)

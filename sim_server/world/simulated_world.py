@@ -13,6 +13,8 @@ from zensim.proto.messages.simulation_messages import ResetScope, State
 from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.sim_server.physics.actuation import make_stop_targets
 from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
+from zensim.sim_server.scene.convex_shapes import MeshVertices
+from zensim.sim_server.scene.scene import Scene, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
 from zensim.sim_server.world.divergence_guard import (
@@ -23,7 +25,7 @@ from zensim.sim_server.world.divergence_guard import (
     is_valid_state,
     make_frozen_model,
 )
-from zensim.sim_server.world.entity import Entity, default_info
+from zensim.sim_server.world.entity import Entity, EntityIndex, default_info
 from zensim.sim_server.world.entity_store import EntityStore
 from zensim.sim_server.world.simulation_clock import SimulationClock
 from zensim.sim_server.world.spawn_request import ValidatedSpawn
@@ -53,6 +55,7 @@ class World:
         self.ready_s: dict[str, float] = {}
         """Time from spawn to the first command of its agent, by name of entity."""
         self._recorded_changes: dict[str, int] = {}
+        self._scene_layout: tuple[EntityIndex, SceneLayout] | None = None
         self._states: BodyStates | None = None
         self._states_step = 0
         """The step that the states are of."""
@@ -318,6 +321,14 @@ class World:
             self._states = guard.remember(self.entities.index, states)
             self._states_step = self.clock.steps
         return self._states
+
+    def scene(self, vertices: MeshVertices) -> Scene:
+        """Make the scene of this step; meshes have these vertices."""
+        index, states = self.entities.index, self.states()
+        if self._scene_layout is None or self._scene_layout[0] is not index:
+            models = [entity.model for entity in self.entities]
+            self._scene_layout = index, SceneLayout(models, vertices)
+        return Scene(self._scene_layout[1], states.base, states.joint_positions)
 
     @property
     def _is_read(self) -> bool:

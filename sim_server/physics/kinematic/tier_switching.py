@@ -21,7 +21,8 @@ from zensim.sim_server.physics.kinematic.tier_body_table import (
     rotate_by_heading,
 )
 from zensim.sim_server.scene.broad_phase import expand_ranges
-from zensim.sim_server.scene.footprints import MeshTriangles, find_max_reach, find_outline
+from zensim.sim_server.scene.convex_shapes import find_bounding_radius
+from zensim.sim_server.scene.footprints import MeshTriangles, find_outline
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
@@ -241,7 +242,9 @@ class TieredBodies:
         self.moving_rows = np.flatnonzero((known.tier == Tier.FULL) & ~known.is_static)
         self.movers = tuple(known.full[self.moving_rows].tolist())
         for row in self.moving_rows[known.radius[self.moving_rows] <= 0.0].tolist():
-            known.radius[row] = max(find_max_reach(self.models[row], self._corners), MIN_RADIUS_M)
+            known.radius[row] = max(
+                find_bounding_radius(self.models[row], self._corners, unlimited_m=0.0), MIN_RADIUS_M
+            )
         self._is_gathered = True
 
     def _invalidate(self) -> None:

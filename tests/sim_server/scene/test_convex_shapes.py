@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.models import an_arm
-from zensim.proto.forward_kinematics import compute_link_poses
 from zensim.proto.messages.model_messages import JointKind, Link, Model, Origin, Shape
 from zensim.proto.se3 import FloatArray, from_rpy
 from zensim.sim_server.description.model_geometry import NO_MESHES
@@ -20,8 +19,8 @@ from zensim.sim_server.scene.convex_shapes import (
     find_bounding_radius,
     find_extreme_points,
     list_collision_shapes,
-    place_collision_shapes,
 )
+from zensim.sim_server.scene.scene import place_collision_shapes
 
 numbers = st.floats(-2.0, 2.0)
 points = st.tuples(numbers, numbers, numbers)
@@ -128,9 +127,10 @@ def test_reach_is_never_less_than_where_a_collision_is(position: float, kind: Jo
     tip = Link("arm", collisions=(Shape("box", (0.1, 0.2, 0.3), Origin((0.4, 0.0, 0.0))),))
     model = msgspec.structs.replace(arm, links=(arm.links[0], tip))
 
-    poses = compute_link_poses(model, at(0.0, 0.0, 0.0)[None], np.array([[position]]))
+    (solid, places), *_ = place_collision_shapes(
+        model, at(0.0, 0.0, 0.0)[None], np.array([[position]]), NO_MESHES
+    )
 
-    (solid, places), *_ = place_collision_shapes(model, poses, NO_MESHES)
     farthest = np.linalg.norm(solid.transformed_by(places[0]).points, axis=1).max()
     assert farthest <= find_bounding_radius(model, NO_MESHES) + 1e-9
 
