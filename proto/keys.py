@@ -14,11 +14,6 @@ def services(world: str) -> str:
     return f"sim/{world}/*"
 
 
-def drive_commands(world: str) -> str:
-    """Drive commands of all agents of a world."""
-    return f"sim/{world}/drive/*/command"
-
-
 def alive_server(world: str) -> str:
     """Liveliness token of the server."""
     return f"sim/{world}/alive/server"
@@ -47,11 +42,6 @@ def bonds(world: str) -> str:
 def robot(namespace: str, topic: str) -> str:
     """Topic of a robot."""
     return f"{namespace}/{topic}"
-
-
-def robot_topics(namespace: str) -> str:
-    """All topics of a robot."""
-    return f"{namespace}/*"
 
 
 def make_pattern(key: str) -> str:

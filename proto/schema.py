@@ -28,7 +28,7 @@ from zensim.proto.messages import (
 )
 from zensim.proto.sample_messages import make_sample_message
 from zensim.proto.service_catalog import SERVICES
-from zensim.proto.topic_catalog import TOPICS, TopicScope, TopicSpec
+from zensim.proto.topic_catalog import DRIVE_COMMAND, TOPICS, TopicScope, TopicSpec
 
 Kind = TypeVar("Kind")
 
@@ -116,11 +116,14 @@ def list_services() -> dict[str, object]:
 
 def list_keys() -> dict[str, object]:
     """Write each key expression with example arguments, and the messages of each topic."""
+    world, namespace = KEY_ARGUMENTS["world"], KEY_ARGUMENTS["namespace"]
     examples = {
-        topic.name: _make_example_key(topic)
-        for topic in TOPICS.values()
-        if topic.scope is not TopicScope.ROBOT
+        "drive_commands": DRIVE_COMMAND.key(world, "*"),
+        "robot_topics": keys.robot(namespace, "*"),
     }
+    for topic in TOPICS.values():
+        if topic.scope is not TopicScope.ROBOT:
+            examples[topic.name] = _make_example_key(topic)
     for name, function in vars(keys).items():
         if inspect.isfunction(function):
             wanted = inspect.signature(function).parameters

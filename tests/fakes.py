@@ -111,10 +111,10 @@ class MemoryBus:
         encoding = make_encoding(request, Format.MSGPACK)
         calls = self._ask(key, encode(request, Format.MSGPACK), encoding, request_id.encode())
         if not calls:
-            raise NoServer(f"nothing answers {key}")
+            raise NoServer(f"no server replies on {key}")
         answers = [answer for call in calls for answer in call.answers]
         if not answers:
-            raise TimeoutError(f"no answer from {key} within {timeout_s:g} s")
+            raise TimeoutError(f"no reply from {key} within {timeout_s:g} s")
         response = decode(service.response, answers[0].payload, answers[0].encoding)
         result: Result = getattr(response, "result", Result())
         if result.result != ResultCode.OK:

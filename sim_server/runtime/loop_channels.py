@@ -17,7 +17,7 @@ from zensim.proto.network_protocols import (
     ServiceCall,
     ServiceCallSource,
 )
-from zensim.proto.topic_catalog import DRIVE_STATE, WORLD_TOPICS, TopicSpec
+from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, WORLD_TOPICS, TopicSpec
 from zensim.proto.topic_endpoints import TopicFactory
 
 COMMAND_DEPTH = 8192
@@ -47,7 +47,7 @@ class BusInbox:
     ) -> None:
         self._agents = network.watch_tokens(keys.alive_agents(world))
         self._bonds = network.watch_tokens(keys.bonds(world))
-        self._commands = network.subscribe(keys.drive_commands(world), COMMAND_DEPTH)
+        self._commands = network.subscribe(DRIVE_COMMAND.key(world, "*"), COMMAND_DEPTH)
         self._calls = network.serve(keys.services(world))
         self._others = others
 

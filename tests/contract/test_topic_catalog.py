@@ -14,10 +14,9 @@ from zensim.proto.schema import SCHEMAS
 from zensim.proto.topic_catalog import TOPICS, Participant, TopicScope, TopicSpec
 from zensim.spawner.cli.topic_commands import to_plain
 
-PUBLISHING_PACKAGES = {
+PACKAGES = {
     Participant.SERVER: "sim_server/",
     Participant.AGENT: "robot_agent/",
-    Participant.USER: "spawner/",
 }
 PLACEHOLDERS = {
     TopicScope.WORLD: ("<world>",),
@@ -59,7 +58,7 @@ def make_sample(key: str, kind: type[msgspec.Struct], format_: Format) -> Sample
 @pytest.fixture(scope="module")
 def imported_topics() -> dict[str, set[str]]:
     """The topics that each package imports from the catalog."""
-    found: dict[str, set[str]] = {package: set() for package in PUBLISHING_PACKAGES.values()}
+    found: dict[str, set[str]] = {package: set() for package in PACKAGES.values()}
     for path in files():
         package = next((one for one in found if shown(path).startswith(one)), "")
         if package and path.suffix == ".py":
@@ -102,5 +101,9 @@ def test_ros2_page_has_the_rows_of_the_topic(topic: TopicSpec) -> None:
 
 
 @pytest.mark.parametrize("topic", TOPICS.values(), ids=TOPICS)
-def test_publisher_uses_the_topic(topic: TopicSpec, imported_topics: dict[str, set[str]]) -> None:
-    assert topic.name in imported_topics[PUBLISHING_PACKAGES[topic.publisher]]
+def test_publisher_and_subscriber_use_the_topic(
+    topic: TopicSpec, imported_topics: dict[str, set[str]]
+) -> None:
+    users = {topic.publisher, topic.subscriber} - {Participant.USER}
+
+    assert [one.value for one in users if topic.name not in imported_topics[PACKAGES[one]]] == []

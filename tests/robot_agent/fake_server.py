@@ -16,7 +16,7 @@ from zensim.proto.messages.agent_messages import (
 )
 from zensim.proto.messages.result_messages import ClaimCode, Result, ResultCode
 from zensim.proto.messages.telemetry_messages import Event, EventKind
-from zensim.proto.topic_catalog import DRIVE_STATE, EVENTS
+from zensim.proto.topic_catalog import DRIVE_COMMAND, DRIVE_STATE, EVENTS
 
 if TYPE_CHECKING:
     from zensim.proto.messages.model_messages import Model
@@ -36,7 +36,7 @@ class FakeServer:
         self._bus = bus
         self._next_claim = 1
         self._calls = bus.serve(keys.service(WORLD, "claim_entity"))
-        self._commands = bus.subscribe(keys.drive_commands(WORLD), 64)
+        self._commands = bus.subscribe(DRIVE_COMMAND.key(WORLD, "*"), 64)
         self._token: MemoryToken | None = None
         bus.pumps.append(self.poll)
 
