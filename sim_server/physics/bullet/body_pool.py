@@ -31,7 +31,7 @@ class BulletBody:
     Attributes:
         parts: Number of parts besides the root.
         gears: Bullet's numbers of its gear constraints.
-        holds: Rolling friction of its wheels while it stands.
+        rolling_frictions: Rolling friction of its wheels while it stands.
     """
 
     model: Model
@@ -39,7 +39,7 @@ class BulletBody:
     actuation: Actuation
     loads: Sequence[LinkForce]
     gears: Sequence[int]
-    holds: RollingFrictions
+    rolling_frictions: RollingFrictions
 
     @cached_property
     def joints(self) -> tuple[int, ...]:
@@ -51,8 +51,14 @@ def make_bullet_body(
     model: Model, blueprint: Blueprint, loads: Sequence[LinkForce], gears: Sequence[int]
 ) -> BulletBody:
     """Make the record of a body."""
-    parts, holds = len(blueprint.parts) - 1, find_rolling_frictions(model, blueprint)
-    return BulletBody(model, parts, make_actuation(model), loads, gears, holds)
+    return BulletBody(
+        model,
+        parts=len(blueprint.parts) - 1,
+        actuation=make_actuation(model),
+        loads=loads,
+        gears=gears,
+        rolling_frictions=find_rolling_frictions(model, blueprint),
+    )
 
 
 class ParkedBody(NamedTuple):

@@ -150,7 +150,8 @@ class PyBulletEngine(Engine):
         blueprint = self._blueprints.find(model)
         self._shapes.check(blueprint, self._shapes.find_missing(blueprint))
         if (parked := self._pool.take(model, awake=bool(base[7:].any()))) is not None:
-            known = replace(parked.body, holds=find_rolling_frictions(model, blueprint))
+            frictions = find_rolling_frictions(model, blueprint)
+            known = replace(parked.body, rolling_frictions=frictions)
             return self._reuse_parked(base, parked.number, known, awake=parked.was_awake)
         try:
             body = self._create(blueprint, base)
@@ -370,7 +371,7 @@ class PyBulletEngine(Engine):
         if is_held == (body in self._resisting):
             return
         (self._resisting.add if is_held else self._resisting.remove)(body)
-        for part, friction in self._bodies[body].holds:
+        for part, friction in self._bodies[body].rolling_frictions:
             rolling = friction if is_held else 0.0
             pybullet.changeDynamics(
                 body, part, rollingFriction=rolling, physicsClientId=self._client

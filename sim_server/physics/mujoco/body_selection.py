@@ -1,6 +1,6 @@
 """Index arrays to read the states and set the targets of a sequence of bodies."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,13 +10,14 @@ from zensim.proto.se3 import rotate
 from zensim.sim_server.physics.actuation import Actuation
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.link_forces import LinkForce
-from zensim.sim_server.physics.mujoco.actuator_targets import TargetScatter, make_target_scatter
 from zensim.sim_server.physics.mujoco.slot_layout import (
+    NO_INDEX,
     ROOT_QVEL_COUNT,
     Archetype,
     IndexArray,
     SlotAddress,
 )
+from zensim.sim_server.physics.mujoco.slot_state import ActuatorTargets
 
 QPOS_POSE_ORDER = np.array([0, 1, 2, 4, 5, 6, 3])
 
@@ -89,6 +90,57 @@ def make_state_gather(addresses: Sequence[SlotAddress]) -> StateGather:
 
 def _concatenate_indexes(parts: Sequence[IndexArray]) -> IndexArray:
     return np.concatenate(parts) if parts else np.zeros(0, np.intp)
+
+
+@dataclass(frozen=True)
+class TargetScatter:
+    """Where the targets of a sequence of bodies go.
+
+    Attributes:
+        speeds, speed_columns: Indexes in qvel, and of their values in the targets.
+        angles, angle_columns: Likewise.
+        roots, root_columns: (t,) and (t, 3) likewise, of roots with a planar twist.
+    """
+
+    speeds: IndexArray
+    speed_columns: IndexArray
+    angles: IndexArray
+    angle_columns: IndexArray
+    roots: IndexArray
+    root_columns: IndexArray
+
+    def apply(self, stored: ActuatorTargets, targets: FloatArray) -> bool:
+        """Store targets; return whether a twist is imposed on a root that had none."""
+        stored.speeds[self.speeds] = targets[self.speed_columns]
+        stored.angles[self.angles] = targets[self.angle_columns]
+        if not len(self.roots):
+            return False
+        stored.twists[self.roots[:, None] + np.arange(3)] = targets[self.root_columns]
+        is_new = not stored.is_twist_imposed[self.roots].all()
+        stored.is_twist_imposed[self.roots] = True
+        return is_new
+
+
+def make_target_scatter(bodies: Iterable[tuple[SlotAddress, Actuation]]) -> TargetScatter:
+    """Find the indexes for the targets of a sequence of bodies."""
+    speeds: list[tuple[int, int]] = []
+    angles: list[tuple[int, int]] = []
+    roots: list[tuple[int, int]] = []
+    first = 0
+    for address, actuation in bodies:
+        for pairs, motors in ((speeds, actuation.speeds), (angles, actuation.angles)):
+            for joint, column in zip(motors.joints, motors.columns, strict=True):
+                if (index := address.joint_velocity(joint)) != NO_INDEX:
+                    pairs.append((index, first + column))
+        if actuation.twist is not None and address.is_free:
+            roots.append((address.start.velocities, first + actuation.twist))
+        first += actuation.width
+    (speed, speed_column), (angle, angle_column), (root, root_column) = (
+        np.array(pairs, np.intp).reshape(-1, 2).T for pairs in (speeds, angles, roots)
+    )
+    return TargetScatter(
+        speed, speed_column, angle, angle_column, root, root_column[:, None] + np.arange(3)
+    )
 
 
 @dataclass

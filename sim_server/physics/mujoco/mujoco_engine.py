@@ -23,7 +23,6 @@ from zensim.sim_server.physics.engine import (
 )
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.link_forces import make_link_forces
-from zensim.sim_server.physics.mujoco.actuator_targets import make_zero_targets
 from zensim.sim_server.physics.mujoco.body_selection import (
     QPOS_POSE_ORDER,
     BodySelection,
@@ -44,16 +43,6 @@ from zensim.sim_server.physics.mujoco.mujoco_contact import (
     correct_contact_rows,
     make_soft_parameters,
 )
-from zensim.sim_server.physics.mujoco.slot_activation import (
-    MAX_STATE_VALUE,
-    activate_motors,
-    activate_slot,
-    copy_slot_states,
-    deactivate_all_slots,
-    deactivate_slot,
-    freeze_slot,
-    is_within_limits,
-)
 from zensim.sim_server.physics.mujoco.slot_layout import (
     NO_INDEX,
     Archetype,
@@ -62,6 +51,17 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
     SlotAddress,
     SlotAllocator,
     SlotCounts,
+)
+from zensim.sim_server.physics.mujoco.slot_state import (
+    MAX_STATE_VALUE,
+    activate_motors,
+    activate_slot,
+    copy_slot_states,
+    deactivate_all_slots,
+    deactivate_slot,
+    freeze_slot,
+    is_within_limits,
+    make_zero_targets,
 )
 from zensim.sim_server.physics.mujoco.step_inputs import make_step_inputs
 

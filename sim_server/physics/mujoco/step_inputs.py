@@ -11,13 +11,13 @@ from zensim.proto.se3 import conjugate, rotate
 from zensim.sim_server.physics.actuation import impose_planar_twists
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.physics.link_forces import LinkForce
-from zensim.sim_server.physics.mujoco.actuator_targets import POSITION_ERP, ActuatorTargets
 from zensim.sim_server.physics.mujoco.body_selection import (
     MujocoBody,
     StateGather,
     make_state_gather,
 )
 from zensim.sim_server.physics.mujoco.slot_layout import IndexArray
+from zensim.sim_server.physics.mujoco.slot_state import POSITION_ERP, ActuatorTargets
 
 
 class MjBodyMotions(Protocol):
@@ -137,7 +137,7 @@ def make_step_inputs(
     """
     bodies = list(bodies)
     motors = np.flatnonzero(friction > 0.0)
-    position_motors = np.flatnonzero(targets.holds[motors])
+    position_motors = np.flatnonzero(targets.is_position[motors])
     free = [body.address for body in bodies if body.address.is_free]
     return StepInputs(
         motors,

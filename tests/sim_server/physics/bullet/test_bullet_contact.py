@@ -127,9 +127,9 @@ def engine() -> Iterator[PyBulletEngine]:
 def test_rolling_resistance_scales_with_the_radius() -> None:
     model = a_box_bot()
 
-    holds = dict(find_rolling_frictions(model, make_blueprint(model)))
+    frictions = dict(find_rolling_frictions(model, make_blueprint(model)))
 
-    assert holds == {
+    assert frictions == {
         0: pytest.approx(ROLLING_RESISTANCE * 0.035),
         1: pytest.approx(ROLLING_RESISTANCE * 0.035),
     }

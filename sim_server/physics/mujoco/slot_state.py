@@ -1,6 +1,7 @@
-"""Activation of slots in MuJoCo's arrays; an inactive slot collides with nothing and costs little."""
+"""Targets and activation of slots in MuJoCo's arrays; an inactive slot collides with nothing."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -8,9 +9,54 @@ import numpy.typing as npt
 
 from zensim.sim_server.physics.actuation import Actuation
 from zensim.sim_server.physics.engine import FloatArray
-from zensim.sim_server.physics.mujoco.actuator_targets import ActuatorTargets
 from zensim.sim_server.physics.mujoco.mjcf import ModelLayout
 from zensim.sim_server.physics.mujoco.slot_layout import NO_INDEX, IndexArray, SlotAddress
+
+POSITION_ERP = 0.1
+"""Share of its error that a position motor corrects in a step; Bullet's default."""
+
+
+@dataclass(frozen=True)
+class ActuatorTargets:
+    """Targets, an entry for each degree of freedom.
+
+    Attributes:
+        speeds: Of a velocity motor [rad/s or m/s].
+        angles: Of a position motor [rad or m].
+        is_position: Whether it is a position motor.
+        twists: vx, vy and wz at the first three of a root with a planar twist.
+        is_twist_imposed: At the first of a root: whether its twist is imposed.
+    """
+
+    speeds: FloatArray
+    angles: FloatArray
+    is_position: npt.NDArray[np.bool_]
+    twists: FloatArray
+    is_twist_imposed: npt.NDArray[np.bool_]
+
+    def remap(self, old: IndexArray, new: IndexArray, count: int) -> "ActuatorTargets":
+        """Copy entries to the indexes of another model with `count` degrees of freedom."""
+        remapped = make_zero_targets(count)
+        for field in fields(self):
+            getattr(remapped, field.name)[new] = getattr(self, field.name)[old]
+        return remapped
+
+    def clear(self, indexes: IndexArray) -> None:
+        """Reset entries to zero."""
+        for field in fields(self):
+            getattr(self, field.name)[indexes] = 0
+
+
+def make_zero_targets(count: int) -> ActuatorTargets:
+    """Make zero targets for `count` degrees of freedom."""
+    return ActuatorTargets(
+        np.zeros(count),
+        np.zeros(count),
+        np.zeros(count, dtype=np.bool_),
+        np.zeros(count),
+        np.zeros(count, dtype=np.bool_),
+    )
+
 
 MAX_EFFORT = 1e12
 EMPTY_SLOT_DEPTH_M = 1e4
@@ -63,11 +109,11 @@ def activate_motors(
     model: MjModelArrays, targets: ActuatorTargets, address: SlotAddress, actuation: Actuation
 ) -> None:
     """Enable the motors of a slot."""
-    for motors, holds in ((actuation.speeds, False), (actuation.angles, True)):
+    for motors, is_position in ((actuation.speeds, False), (actuation.angles, True)):
         for joint, effort in zip(motors.joints, motors.efforts, strict=True):
             if (index := address.joint_velocity(joint)) != NO_INDEX:
                 model.dof_frictionloss[index] = min(effort, MAX_EFFORT)
-                targets.holds[index] = holds
+                targets.is_position[index] = is_position
 
 
 def deactivate_all_slots(model: MjModelArrays, data: MjDataArrays, layout: ModelLayout) -> None:
