@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from zensim.proto.messages.drive_messages import Drive
-from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher
+from zensim.proto.messages.model_messages import GroundTruth, JointStatePublisher, Model
 from zensim.sim_server.description.model_geometry import describe_contacts
 from zensim.sim_server.description.plugins import (
     diff_drive_plugins,
@@ -23,6 +23,7 @@ from zensim.sim_server.description.plugins.publisher_plugins import (
     read_ground_truth,
     read_joint_state,
 )
+from zensim.sim_server.description.plugins.sensor_tags import SensorElement, read_sensors
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -65,6 +66,32 @@ class RobotPlugins(msgspec.Struct, frozen=True):
     drive: Drive | None = None
     joint_state: JointStatePublisher | None = None
     ground_truths: tuple[GroundTruth, ...] = ()
+
+
+def make_model(
+    name: str,
+    lumped: LumpedModel,
+    *,
+    plugins: Iterable[Element],
+    sensors: Iterable[SensorElement],
+    report: ParseReport,
+) -> Model:
+    """Make a model of links and joints, plug-ins and sensors; its own report stays empty.
+
+    Raises:
+        ModelError: A value is not a number or out of range.
+    """
+    found = read_plugins(plugins, lumped, report)
+    return Model(
+        name=name,
+        links=lumped.links,
+        joints=lumped.joints,
+        frames=lumped.frames,
+        drive=found.drive,
+        joint_state=found.joint_state,
+        ground_truths=found.ground_truths,
+        sensors=read_sensors(sensors, lumped, report),
+    )
 
 
 def summarize_drive(drive: Drive) -> str:

@@ -33,8 +33,8 @@ from zensim.sim_server.description.parsed_model import (
     normalize_axes,
     order_as_tree,
 )
-from zensim.sim_server.description.plugins.plugin_registry import read_plugins
-from zensim.sim_server.description.plugins.sensor_tags import SensorElement, read_sensors
+from zensim.sim_server.description.plugins.plugin_registry import make_model
+from zensim.sim_server.description.plugins.sensor_tags import SensorElement
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.sdf.sdf_frames import PoseGraph, to_scoped_name
 from zensim.sim_server.description.sdf.sdf_includes import (
@@ -341,19 +341,11 @@ def read_model_element(element: Element, policy: MeshPolicy, report: ParseReport
         if not is_static:
             moving = [joint for joint in lumped.joints if joint.child not in pivots]
             check_moving_parts(lumped.links, moving, report)
-        plugins = read_plugins(found.plugins, lumped, report)
-        return Model(
-            name=name,
-            links=lumped.links,
-            joints=lumped.joints,
-            frames=lumped.frames,
-            drive=plugins.drive,
-            joint_state=plugins.joint_state,
-            ground_truths=plugins.ground_truths,
-            sensors=read_sensors(found.sensors, lumped, report),
-            is_static=is_static,
-            dynamics=read_dynamics(element, report),
+        model = make_model(
+            name, lumped, plugins=found.plugins, sensors=found.sensors, report=report
         )
+    dynamics = read_dynamics(element, report)
+    return msgspec.structs.replace(model, is_static=is_static, dynamics=dynamics)
 
 
 @contextmanager

@@ -39,8 +39,7 @@ from zensim.sim_server.description.parsed_model import (
     normalize_axes,
     order_as_tree,
 )
-from zensim.sim_server.description.plugins.plugin_registry import read_plugins
-from zensim.sim_server.description.plugins.sensor_tags import read_sensors
+from zensim.sim_server.description.plugins.plugin_registry import make_model
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.strict_parsing import (
     parse_xml,
@@ -297,19 +296,11 @@ def read_urdf(text: str, *, has_mesh: HasMesh = no_meshes, allow_missing: bool =
     check_links(parts.links, report)
     blocks = read_gazebo_extensions(robot, parts, report)
     lumped = _reduce_joints(parts, blocks, report)
-    plugins = read_plugins(blocks.plugins, lumped, report)
-    return Model(
-        name=parts.name,
-        links=lumped.links,
-        joints=lumped.joints,
-        frames=lumped.frames,
-        drive=plugins.drive,
-        joint_state=plugins.joint_state,
-        ground_truths=plugins.ground_truths,
-        sensors=read_sensors(blocks.sensors, lumped, report),
-        is_static=blocks.is_static or is_fixed_to_world(parts, report),
-        report=report.entries(),
+    model = make_model(
+        parts.name, lumped, plugins=blocks.plugins, sensors=blocks.sensors, report=report
     )
+    is_static = blocks.is_static or is_fixed_to_world(parts, report)
+    return msgspec.structs.replace(model, is_static=is_static, report=report.entries())
 
 
 def _reduce_joints(
