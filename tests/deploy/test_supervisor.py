@@ -101,7 +101,7 @@ def test_supervisor_raises_when_a_program_ends_that_may_not(
     supervisor.start("waiting", WAITING)
     wait_for_end(supervisor.start("server", arguments))
 
-    with pytest.raises(ProgramDied, match=f"^server ended with status {status}$"):
+    with pytest.raises(ProgramDied, match=rf"^server\b.*\b{status}$"):
         supervisor.watch()
 
 
@@ -126,7 +126,7 @@ def test_supervisor_gives_a_program_up_that_was_restarted_often(supervisor: Supe
     program.restarts = MAX_RESTARTS
     wait_for_end(program)
 
-    with pytest.raises(ProgramDied, match="agent ended with status 3"):
+    with pytest.raises(ProgramDied, match=r"agent\b.*\b3\b"):
         supervisor.watch()
 
 

@@ -52,7 +52,7 @@ def test_what_has_no_drive_is_refused_in_one_line() -> None:
         "crate", entity_resource=Resource(resource_string=CRATE), dynamics="kinematic"
     )
     with serving() as server:
-        with pytest.raises(ServiceError, match="cannot be kinematic: it has no drive; use full"):
+        with pytest.raises(ServiceError, match=r"kinematic.*drive.*full"):
             server.client.spawn(order)
 
         assert server.client.entities() == ()
