@@ -1,10 +1,10 @@
-"""Refusals of the server: one root exception, one class for each kind."""
+"""Errors with which the server refuses requests: one root class, one class per kind."""
 
 from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 
 
 class SimError(Exception):
-    """A request is refused; turned into a Result in one place.
+    """A request is refused; the dispatcher makes a Result of it.
 
     `slug` names the fault for programs, such as `urdf.cycle`, and begins the message, whose rest
     is for people; docs/refusals.md lists all slugs. Empty where the result's code says it all.
@@ -14,7 +14,7 @@ class SimError(Exception):
     slug = ""
 
     def __init__(self, message: str) -> None:
-        if not message.isprintable():  # what was given is quoted, and may be anything
+        if not message.isprintable():  # messages quote input, which may be anything
             message = "".join(letter if letter.isprintable() else "?" for letter in message)
         self.message = f"{self.slug}: {message}" if self.slug else message
         super().__init__(self.message)
@@ -53,40 +53,40 @@ class NameNotUnique(SimError):
 
 
 class NameRefused(SimError):
-    """A name that is not one."""
+    """The name is not valid."""
 
     code = SpawnCode.NAME_INVALID
     slug = "name.invalid"
 
 
 class NamespaceRefused(SimError):
-    """A namespace that is not one, or that another entity has."""
+    """The namespace is not valid, or belongs to another entity."""
 
     code = SpawnCode.NAMESPACE_INVALID
     slug = "name.namespace"
 
 
 class PoseRefused(SimError):
-    """A pose or twist that no entity can have."""
+    """The pose or twist is not finite or out of range."""
 
     code = SpawnCode.INVALID_POSE
     slug = "pose.refused"
 
 
 class IncorrectState(SimError):
-    """Right request, wrong moment."""
+    """The request is not possible in the current state."""
 
     code = ResultCode.INCORRECT_STATE
 
 
 class UnsupportedFeature(SimError):
-    """A feature of the vocabulary that this server does not have."""
+    """The server does not have this feature of simulation_interfaces."""
 
     code = ResultCode.FEATURE_UNSUPPORTED
 
 
 class AssetRefused(SimError):
-    """A file that was sent or asked for."""
+    """A file cannot be stored or read."""
 
     def __init__(self, message: str, *, slug: str, code: int = ResultCode.OPERATION_FAILED) -> None:
         self.slug = slug
@@ -95,7 +95,7 @@ class AssetRefused(SimError):
 
 
 class RequestRefused(SimError):
-    """Any other refusal, with the code of its service."""
+    """Any other refusal, with a result code of the service."""
 
     def __init__(self, code: int, message: str) -> None:
         super().__init__(message)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
-import numpy.ma  # noqa: F401  # numpy would look for it in the loop, in the first np.unique: 60 ms
+import numpy.ma  # noqa: F401  # else the first np.unique in the loop imports it: 60 ms
 
 from zensim.proto import keys
 from zensim.proto.bus import Bus, NoServer, open_bus_with_retry
@@ -70,11 +70,11 @@ STEP_HZ_TOLERANCE = 1e-6
 def load_initial_world(
     config: ServerConfig, journal: Journal | None
 ) -> tuple[LoadedWorld, ServerConfig]:
-    """Find the world to begin with, and fill in what was not asked for.
+    """Load the initial world, or take it from the journal; complete the configuration.
 
     Raises:
-        ConfigError: There is no such world, or it cannot be read.
-        JournalError: The journal is of another world than was asked for.
+        ConfigError: The world does not exist or cannot be parsed.
+        JournalError: The journal belongs to another world.
     """
     if journal is not None and journal.contents is not None:
         return LoadedWorld(journal.contents.world.source), _resume_config(config, journal.contents)
@@ -114,18 +114,18 @@ PARSER_START_TIMEOUT_S, PARSER_POLL_S = 30.0, 0.005
 
 
 class HostClock:
-    """The host's monotonic clock."""
+    """Monotonic clock of the host."""
 
     def now_ns(self) -> int:
-        """See `Clock`."""
+        """See `LoopClock`."""
         return time.monotonic_ns()
 
     def used_ns(self) -> int:
-        """See `Clock`."""
+        """See `LoopClock`."""
         return time.thread_time_ns()
 
     def sleep(self, seconds: float) -> None:
-        """See `Clock`."""
+        """See `LoopClock`."""
         time.sleep(seconds)
 
 
@@ -134,25 +134,25 @@ def run_server(
     should_stop: Callable[[], bool],
     on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
-    """Run a server until told to stop.
+    """Run a server until `should_stop` returns True.
 
     Raises:
-        ConfigError: The configuration cannot work.
-        AlreadyServed: Another server has this world.
-        BusError: The network cannot be joined.
+        ConfigError: The configuration is not valid.
+        WorldAlreadyServed: Another server has this world.
+        BusError: The network is not available.
         JournalError: The journal cannot be used.
     """
-    config = msgspec.structs.replace(validate_config(config), asked=config)
-    with ExitStack() as ending:
+    config = msgspec.structs.replace(validate_config(config), requested=config)
+    with ExitStack() as cleanup:
         journal = open_journal(config.journal) if config.journal else None
         if journal is not None:
-            ending.callback(journal.close)
+            cleanup.callback(journal.close)
         loaded, config = load_initial_world(config, journal)
         if journal is not None:
             journal.exclude_crashing(
                 partial(_make_engine, config, loaded.model, str(journal.files))
             )
-        bus = ending.enter_context(open_bus_with_retry(config.bus, config.wait_s))
+        bus = cleanup.enter_context(open_bus_with_retry(config.bus, config.wait_s))
         if _has_server(bus, config.world):
             raise WorldAlreadyServed(
                 f"world '{config.world}' already has a server at {bus.endpoint}; "
@@ -164,7 +164,7 @@ def run_server(
 
 
 def _has_server(bus: Bus, world: str) -> bool:
-    """Whether another server answers for a world; a router of our own is too young to have one."""
+    """Whether another server serves the world; our own new router has no other server."""
     if bus.config.mode == "router":
         return False
     try:
@@ -185,25 +185,25 @@ def _run(
     on_ready: Callable[[Bus, ServerConfig], None],
 ) -> None:
     clock = HostClock()
-    with ExitStack() as ending:
+    with ExitStack() as cleanup:
         store = AssetStore()
-        ending.callback(store.close)
+        cleanup.callback(store.close)
         parser = ParserClient(store, clock.now_ns)
-        ending.callback(parser.close)
+        cleanup.callback(parser.close)
         world = _make_world(config, loaded, store, journal)
-        ending.callback(world.close)
+        cleanup.callback(world.close)
         parts = _make_parts(config, loaded, world, parser, store)
         tracker = None if journal is None else journal.record(parts)
         if tracker is not None:
-            ending.callback(tracker.close)
+            cleanup.callback(tracker.close)
         if journal is None or journal.contents is None:
             _wait_for_parser(parser, clock, should_stop)
         node = start_server_node(bus, config.ros)
-        ending.callback(node.close)
+        cleanup.callback(node.close)
         inbox = BusInbox(bus, config.world, node.sources)
         publisher = BusWorldPublisher(bus, config.world, node.topics, node.on_progress)
         loop = ServerLoop(parts, inbox, publisher, clock, tracker)
-        ending.callback(bus.token(keys.alive_server(config.world)).close)
+        cleanup.callback(bus.token(keys.alive_server(config.world)).close)
         LOG.info("serving world=%s endpoint=%s", config.world, bus.endpoint)
         on_ready(bus, config)
         loop.run(should_stop)
@@ -231,18 +231,18 @@ def _make_parts(
 
 
 def _freeze_garbage_collector() -> None:
-    """Let Python's collector pass over what is here by now: it would hold steps up."""
+    """Exclude present objects from garbage collection, which would delay steps."""
     gc.collect()
     gc.freeze()
 
 
 def _wait_for_parser(
-    reader: ParserClient, clock: HostClock, should_stop: Callable[[], bool]
+    parser: ParserClient, clock: HostClock, should_stop: Callable[[], bool]
 ) -> None:
-    """Serve only once descriptions can be read, so that no spawn pays for the reader's start."""
-    give_up_ns = clock.now_ns() + round(PARSER_START_TIMEOUT_S * NANOSECONDS)
-    while not (reader.is_ready or should_stop() or clock.now_ns() > give_up_ns):
-        reader.poll()
+    """Wait until the parser process is ready, so that the first spawn does not wait for it."""
+    timeout_ns = clock.now_ns() + round(PARSER_START_TIMEOUT_S * NANOSECONDS)
+    while not (parser.is_ready or should_stop() or clock.now_ns() > timeout_ns):
+        parser.poll()
         clock.sleep(PARSER_POLL_S)
 
 
@@ -265,12 +265,12 @@ def _make_world(
 
 
 def _make_engine(config: ServerConfig, model: WorldModel, mesh_folder: str) -> Engine:
-    asked = EngineConfig(
+    engine_config = EngineConfig(
         config.step_ns,
         model.gravity,
         model.ground_plane,
         model.ground_friction,
         mesh_folder=mesh_folder,
     )
-    full = create_world_engine(asked, config.physics, period_steps=config.control_steps)
-    return TieredEngine(full, asked, config.physics.dynamics)
+    full = create_world_engine(engine_config, config.physics, period_steps=config.control_steps)
+    return TieredEngine(full, engine_config, config.physics.dynamics)

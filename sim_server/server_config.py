@@ -16,7 +16,7 @@ from zensim.sim_server.physics.engine_config import (
 )
 
 CONTROL_HZ = DRIVE_STATE.rate_hz
-"""Agents are told at this rate at most unless asked for, as a Gazebo drive updates by default."""
+"""Default maximum rate of drive states, as the default update rate of Gazebo's drives."""
 STEP_HZ = 240.0
 REAL_TIME_FACTOR = 1.0
 MAX_STEP_HZ = 10_000.0
@@ -25,7 +25,7 @@ MIN_LOCKSTEP_TIMEOUT_S, MAX_LOCKSTEP_TIMEOUT_S = 0.01, 3600.0
 
 
 class ConfigError(ValueError):
-    """A start that cannot work."""
+    """A configuration with which the server cannot start."""
 
 
 class WorldAlreadyServed(Exception):
@@ -33,36 +33,36 @@ class WorldAlreadyServed(Exception):
 
 
 class ServerConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """One world, its clock, and how it joins the network."""
+    """Configuration of a server: world, rates, network, engine."""
 
     bus: BusConfig
     world: str = "default"
     world_file: str = "empty"
     step_hz: float | None = None
-    """None = as the world file says, else 240."""
+    """Physics rate [Hz]; None = that of the world file, or 240."""
     control_hz: float = CONTROL_HZ
-    """How often agents are told of a simulated second, at most: each time all is read back."""
+    """Maximum rate of drive states [Hz, simulation time]; each one reads all bodies back."""
     real_time_factor: float | None = None
-    """0 = as fast as it can; None = as the world file says, else 1."""
+    """0 = as fast as possible; None = that of the world file, or 1."""
     model_paths: tuple[str, ...] = ()
-    """Folders where the world file's includes are looked for."""
+    """Folders with models that world files include."""
     is_strict: bool = False
-    """Refuse a world of which something is suspicious."""
+    """Refuse a world file with warnings."""
     is_paused: bool = False
     lockstep: LockstepSettings = LockstepSettings()
     physics: EngineOptions = EngineOptions()
     seed: int = 0
-    asked: "ServerConfig | None" = None
-    """What was asked for, before a world filled in the rest."""
+    requested: "ServerConfig | None" = None
+    """The configuration before the world file completed it."""
     journal: str = ""
-    """Folder that keeps the world for the next start; empty = it is lost."""
+    """Folder of the journal; empty = no journal."""
     wait_s: float = 30.0
-    """How long to wait for the router to join."""
+    """Timeout of connecting to the router."""
     ros: RosSettings = NO_ROS
 
     @property
     def step_ns(self) -> int:
-        """Length of a step; an integer, so that time never drifts."""
+        """Length of a step; an integer, so that time does not drift."""
         return round(NANOSECONDS / (self.step_hz or STEP_HZ))
 
     @property
@@ -113,7 +113,7 @@ def _check_lockstep_timeout(timeout_s: float) -> None:
 def fill_pace(
     config: ServerConfig, *, step_s: float | None, real_time_factor: float | None
 ) -> ServerConfig:
-    """Fill in what was not asked for with what the world file says [s per step], else the usual."""
+    """Complete step rate and speed from the world file, or with defaults."""
     step_hz = config.step_hz or (1.0 / step_s if step_s else STEP_HZ)
     factor = REAL_TIME_FACTOR if real_time_factor is None else real_time_factor
     if config.real_time_factor is not None:
@@ -122,7 +122,7 @@ def fill_pace(
 
 
 def make_server_bus_config(listen: str, connect: str) -> BusConfig:
-    """Say how a server joins: it is the router itself unless it connects to one."""
+    """Configure the server's session: its own router, or a client of the one to connect to."""
     if connect:
         return BusConfig(mode="client", connect=(connect,))
     return BusConfig(mode="router", listen=(listen or DEFAULT_ENDPOINT,))

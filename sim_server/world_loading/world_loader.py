@@ -117,7 +117,7 @@ def make_world_factory(
     config: ServerConfig, make_engine: Callable[[ServerConfig, WorldModel], Engine]
 ) -> WorldFactory:
     """Make a factory of worlds; a world file chooses what the command line does not."""
-    requested = config.asked or config
+    requested = config.requested or config
 
     def build(model: WorldModel) -> Iterator[BuiltWorld | None]:
         pace = model.pace
