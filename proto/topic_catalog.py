@@ -240,33 +240,9 @@ ROBOT_DESCRIPTION = TopicSpec(
 )
 
 TOPICS: dict[str, TopicSpec] = {
-    topic.name: topic
-    for topic in (
-        CLOCK,
-        STATS,
-        SNAPSHOT,
-        EVENTS,
-        MODEL_STATES,
-        LINK_STATES,
-        STEPS_PROGRESS,
-        DRIVE_STATE,
-        DRIVE_COMMAND,
-        CMD_VEL,
-        ODOM,
-        TF,
-        TF_STATIC,
-        JOINT_STATES,
-        ROBOT_DESCRIPTION,
-    )
+    topic.name: topic for topic in tuple(vars().values()) if isinstance(topic, TopicSpec)
 }
 """Every topic, by name."""
 WORLD_TOPICS = tuple(topic for topic in TOPICS.values() if topic.scope is TopicScope.WORLD)
 ROBOT_TOPICS = {topic.suffix: topic for topic in TOPICS.values() if topic.scope is TopicScope.ROBOT}
 """The topics of each robot, by suffix."""
-MESSAGE_TYPES_BY_ROS_NAME: dict[str, type[msgspec.Struct]] = {
-    kind.ros_type: kind
-    for topic in TOPICS.values()
-    for kind in (*topic.messages, topic.root_message)
-    if kind is not None and hasattr(kind, "ros_type")
-}
-"""Messages that travel as CDR, by `pkg/msg/Name`."""

@@ -121,7 +121,7 @@ def test_publisher_knows_whether_anybody_listens_through_changes_and_loss_of_the
     with open_bus(BusConfig(connect=(router.endpoint,))) as other:
         third = other.subscribe("**")
         second.close()
-        assert not is_alone()
+        eventually(lambda: publisher.is_matched, 5.0, "matching the third subscription")
         third.close()
     eventually(is_alone, 5.0, "being alone")
     fourth = router.subscribe("r1/odom")
