@@ -108,7 +108,8 @@ def to_yaw(turn: FloatArray) -> FloatArray:
 
 def _split(array: FloatArray) -> Any:  # noqa: ANN401 - stands for a tuple of floats
     """Split the last axis into a sequence of arrays."""
-    return np.moveaxis(array, -1, 0)
+    # As np.moveaxis, which takes four times as long for few vectors.
+    return [array[..., column] for column in range(array.shape[-1])]
 
 
 def _join(parts: Any) -> FloatArray:  # noqa: ANN401 - stands for a tuple of floats

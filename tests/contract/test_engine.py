@@ -281,7 +281,7 @@ def test_engine_ignores_removed_and_moved_bodies_in_overlaps(engine: Engine) -> 
 
 
 def a_drive_about(
-    make: MakeEngine, *, with_a_visitor: bool = False, is_asked_often: bool = False
+    make: MakeEngine, *, with_another: bool = False, is_asked_often: bool = False
 ) -> bytes:
     """Drive two carts and a box for 500 steps; add and remove another far away."""
     with running(make) as engine:
@@ -292,14 +292,14 @@ def a_drive_about(
         ]
         engine.command(bodies[:2], np.array([4.0, 4.5, -4.0, -4.0]))
         advance(engine, 100)
-        visitor = engine.add(a_cart(), on_ground(500.0)) if with_a_visitor else None
+        another = engine.add(a_cart(), on_ground(500.0)) if with_another else None
         for _ in range(200):
             engine.step()
             if is_asked_often:
                 engine.read(bodies)
                 engine.find_overlaps(bodies[0])
-        if visitor is not None:
-            engine.remove(visitor)
+        if another is not None:
+            engine.remove(another)
         advance(engine, 200)
         reading = engine.read(bodies)
     return b"".join(
@@ -319,7 +319,7 @@ def test_engine_repeats_a_run_exactly(make: MakeEngine) -> None:
 def test_engine_repeats_a_run_exactly_after_a_distant_body_was_removed(
     make: MakeEngine,
 ) -> None:
-    alone, visited = a_drive_about(make), a_drive_about(make, with_a_visitor=True)
+    alone, visited = a_drive_about(make), a_drive_about(make, with_another=True)
 
     assert alone == visited
 

@@ -66,10 +66,10 @@ def test_damping_of_a_link_scales_with_mass_and_inertia() -> None:
 
 
 def test_fixed_root_has_no_forces() -> None:
-    nailed = Link("a", a_body(), weightless=a_body())
+    root = Link("a", a_body(), weightless=a_body())
     arm = Link("b", a_body(), (Shape("sphere", (0.1, 0.0, 0.0)),), weightless=a_body())
 
-    assert [load.part for load in loads(nailed, arm, is_static=True)] == [0]
+    assert [load.part for load in loads(root, arm, is_static=True)] == [0]
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.5, 10.0, 1e4])

@@ -281,8 +281,8 @@ def test_joint_is_slowed_by_its_damping(engine: PyBulletEngine) -> None:
 
     advance(engine, 60)
 
-    quick, slow = engine.read([free, damped]).joint_velocities
-    assert 0.0 < slow < 0.6 * quick
+    fast, slow = engine.read([free, damped]).joint_velocities
+    assert 0.0 < slow < 0.6 * fast
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def engine() -> Iterator[Engine]:
     made.close()
 
 
-def drive_on(*, with_others: bool) -> bytes:
+def drive_pair(*, with_others: bool) -> bytes:
     """Drive two box_bots into each other while other archetypes are added and removed."""
     engine = MujocoEngine(EngineConfig(STEP_NS))
     model = a_box_bot()
@@ -52,12 +52,12 @@ def drive_on(*, with_others: bool) -> bytes:
     for turn in range(12):
         advance(engine, 20)
         if with_others:
-            newcomer = engine.add(
+            added = engine.add(
                 (a_cart(), a_box(), a_box_bot(), A_DAMPED)[turn % 4], on_ground(9.0, turn)
             )
             advance(engine, 5)
             if turn % 2:
-                engine.remove(newcomer)
+                engine.remove(added)
         else:
             advance(engine, 5)
     reading = engine.read(pair)
@@ -66,7 +66,7 @@ def drive_on(*, with_others: bool) -> bytes:
 
 
 def test_robots_continue_exactly_when_their_model_is_recompiled() -> None:
-    assert drive_on(with_others=True) == drive_on(with_others=False)
+    assert drive_pair(with_others=True) == drive_pair(with_others=False)
 
 
 def test_robots_of_different_archetypes_collide(engine: Engine) -> None:
@@ -95,21 +95,21 @@ def test_robot_spawned_inside_another_stays_finite(engine: Engine) -> None:
 
 def test_engine_reports_a_diverged_body_and_the_others_continue(engine: Engine) -> None:
     model = a_box_bot()
-    broken, other = engine.add(model, box_bot_at()), engine.add(model, box_bot_at(0.101))
+    diverged, other = engine.add(model, box_bot_at()), engine.add(model, box_bot_at(0.101))
     engine.command([other], np.array([4.0, 4.0]))
 
     state = box_bot_at()
     state[7] = np.nan
-    engine.set_base_state(broken, state)
+    engine.set_base_state(diverged, state)
 
     assert not engine.step()
     advance(engine, 240)
-    base = engine.read([broken, other]).base
+    base = engine.read([diverged, other]).base
     assert np.isnan(base[0]).any()
     assert base[1, 0] == pytest.approx(0.101 + 4.0 * 0.035, abs=0.01)
-    engine.set_base_state(broken, box_bot_at(-1.0))
+    engine.set_base_state(diverged, box_bot_at(-1.0))
     assert engine.step()
-    assert engine.read([broken]).base[0, 0] == pytest.approx(-1.0, abs=1e-3)
+    assert engine.read([diverged]).base[0, 0] == pytest.approx(-1.0, abs=1e-3)
 
 
 def test_forget_removed_drops_empty_slots(engine: Engine) -> None:

@@ -13,9 +13,9 @@ from zensim.sim_server.physics.mujoco.slot_layout import (
 BOX, CART = make_archetype(make_blueprint(a_box())), make_archetype(make_blueprint(a_cart()))
 
 
-@pytest.mark.parametrize(("count", "room"), [(1, 1), (2, 2), (3, 4), (5, 8), (64, 64), (65, 128)])
-def test_slot_count_is_the_next_power_of_two(count: int, room: int) -> None:
-    assert round_up_slots(count) == room
+@pytest.mark.parametrize(("count", "slots"), [(1, 1), (2, 2), (3, 4), (5, 8), (64, 64), (65, 128)])
+def test_slot_count_is_the_next_power_of_two(count: int, slots: int) -> None:
+    assert round_up_slots(count) == slots
 
 
 def test_lowest_free_slot_is_assigned_first() -> None:
@@ -30,19 +30,19 @@ def test_lowest_free_slot_is_assigned_first() -> None:
 
 def test_counts_are_in_the_order_of_first_bodies() -> None:
     slots = SlotAllocator()
-    for body, make in enumerate((CART, BOX, BOX, CART, BOX)):
-        slots.take(make, body)
+    for body, archetype in enumerate((CART, BOX, BOX, CART, BOX)):
+        slots.take(archetype, body)
 
     assert slots.counts == ((CART, 2), (BOX, 4))
 
 
 def test_counts_with_one_more_need_no_slot_taken() -> None:
     slots = SlotAllocator()
-    for body, make in enumerate((CART, BOX, BOX)):
-        foretold = slots.with_one_more(make)
-        slots.take(make, body)
+    for body, archetype in enumerate((CART, BOX, BOX)):
+        expected = slots.with_one_more(archetype)
+        slots.take(archetype, body)
 
-        assert slots.counts == foretold
+        assert slots.counts == expected
 
 
 def test_robots_that_differ_in_name_only_have_one_archetype() -> None:
