@@ -32,19 +32,19 @@ class ChangeJournal(Protocol):
     def is_failing(self) -> bool:
         """Whether the last change could not be written, and none was written since."""
 
-    def note(
+    def record(
         self,
-        answer: JournaledResponse | None = None,
-        forgotten: tuple[tuple[str, bytes], ...] = (),
+        response: JournaledResponse | None = None,
+        expired: tuple[tuple[str, bytes], ...] = (),
         *,
-        is_asked: bool = False,
+        is_requested: bool = False,
     ) -> int:
         """Submit all changes, and a response with them; return the newest position.
 
         Args:
-            answer: Response to the request that made the changes; written with them.
-            forgotten: Responses that expired: service and request id.
-            is_asked: Whether a request made the changes; it is refused if they cannot be written.
+            response: Response to the request that made the changes; written with them.
+            expired: Responses that expired: service and request id.
+            is_requested: Whether a request made the changes; it fails if they cannot be written.
         """
 
     def poll(self) -> str:

@@ -92,9 +92,9 @@ class BatchWriter:
             self._put(WORLD_KIND, record.world)
         if record.clock is not None:
             self._put(CLOCK_KIND, record.clock)
-        if (answer := record.answer) is not None:
-            self._put("answer", answer, make_response_key(answer.service, answer.request_id))
-        for service, request_id in record.forgotten:
+        if (response := record.response) is not None:
+            self._put("answer", response, make_response_key(response.service, response.request_id))
+        for service, request_id in record.expired:
             self._database.remove("answer", make_response_key(service, request_id))
 
     def _put(self, kind: str, row: msgspec.Struct, key: str = "") -> None:

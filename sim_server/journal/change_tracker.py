@@ -110,20 +110,20 @@ class ChangeTracker:
             LOG.warning("journal written again world=%s", self._parts.world.name)
         return self._is_failing
 
-    def note(
+    def record(
         self,
-        answer: JournaledResponse | None = None,
-        forgotten: tuple[tuple[str, bytes], ...] = (),
+        response: JournaledResponse | None = None,
+        expired: tuple[tuple[str, bytes], ...] = (),
         *,
-        is_asked: bool = False,
+        is_requested: bool = False,
     ) -> int:
-        """See `ChangeJournal.note`."""
-        if not is_asked and self._fingerprint() == self._seen:
+        """See `ChangeJournal.record`."""
+        if not is_requested and self._fingerprint() == self._seen:
             return self.position
         changes, former = self._find_changes(), self._motion
         world, clock = self._find_new_world(), self._find_new_clock()
         has_moved = self._motion_fingerprint() != self._motion_seen
-        if changes or world or clock or answer or forgotten or (is_asked and has_moved):
+        if changes or world or clock or response or expired or (is_requested and has_moved):
             self._submit(
                 JournalRecord(
                     self._generation,
@@ -132,9 +132,9 @@ class ChangeTracker:
                     world,
                     clock,
                     self._take_motion() if has_moved else None,
-                    self._make_response_row(answer),
-                    forgotten,
-                    is_asked,
+                    self._make_response_row(response),
+                    expired,
+                    is_requested,
                     former,
                 )
             )
@@ -151,7 +151,7 @@ class ChangeTracker:
         reason = self._handle_failure()
         self._drop_durable()
         self._end_lost_bonds()
-        self.note()
+        self.record()
         if self._is_motion_due():
             self._record_motion()
         return reason
@@ -167,20 +167,20 @@ class ChangeTracker:
 
     def close(self) -> bool:
         """Write all changes and end; return whether that worked."""
-        self.note()
+        self.record()
         self._record_motion()
         return self._writer.close()
 
-    def _make_response_row(self, answer: JournaledResponse | None) -> ResponseRow | None:
-        if answer is None:
+    def _make_response_row(self, response: JournaledResponse | None) -> ResponseRow | None:
+        if response is None:
             return None
         return ResponseRow(
             # Durable positions only increase, and a record has at most one response.
             number=self.position + 1,
-            service=answer.service,
-            request_id=answer.request_id,
-            payload=answer.payload,
-            encoding=answer.encoding,
+            service=response.service,
+            request_id=response.request_id,
+            payload=response.payload,
+            encoding=response.encoding,
             at_s=self._wall_s(),
         )
 
@@ -294,7 +294,7 @@ class ChangeTracker:
         self._motion_due_ns = self._parts.pacing.now_ns() + round(MOTION_PERIOD_S * NANOSECONDS)
         if self._is_failing:
             self._seen = ()  # changes that could not be written are submitted again
-            self.note()
+            self.record()
         world, last = self._parts.world, self._motion
         is_old = last is None or (last.epoch, last.steps) != (world.clock.epoch, world.clock.steps)
         is_old = is_old or last is None or last.names != world.entities.index.names
@@ -335,7 +335,7 @@ class ChangeTracker:
             self._known.pop(change.name, None)
             if change.before is not None:
                 self._known[change.name] = change.before
-            if record.is_asked and record.world is None:
+            if record.is_requested and record.world is None:
                 self._undo(change, record.former)
 
     def _undo(self, change: EntityChange, former: RecordedMotion | None) -> None:

@@ -49,7 +49,7 @@ class JournalContents:
     """In the order of spawning."""
     models: dict[str, Model]
     texts: dict[str, str]
-    answers: tuple[ResponseRow, ...]
+    responses: tuple[ResponseRow, ...]
     """Oldest first."""
     aside: tuple[ExcludedEntityRow, ...]
     motion: MotionRow | None = None
@@ -253,7 +253,7 @@ def summarize_journal(database: SqliteStore, contents: JournalContents | None) -
         "epoch": clock.epoch,
         "sim_time_s": round(contents.steps * round(NANOSECONDS / world.step_hz) * 1e-9, 9),
         "steps": contents.steps,
-        "answers": len(contents.answers),
+        "answers": len(contents.responses),
         "entities": [_summarize_entity(contents, row) for row in contents.entities],
         "aside": [{"name": row.entity.name, "reason": row.reason} for row in contents.aside],
     }

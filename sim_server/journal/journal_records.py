@@ -181,11 +181,11 @@ class JournalRecord:
     world: WorldRow | None = None
     clock: ClockRow | None = None
     motion: RecordedMotion | None = None
-    answer: ResponseRow | None = None
-    forgotten: tuple[tuple[str, bytes], ...] = ()
+    response: ResponseRow | None = None
+    expired: tuple[tuple[str, bytes], ...] = ()
     """Responses that expired: service and request id."""
 
-    is_asked: bool = False
+    is_requested: bool = False
     """Whether a request made the changes: they are undone if they cannot be written."""
     former: RecordedMotion | None = None
     """The previous states, for entities that are restored by undo."""

@@ -177,11 +177,11 @@ class Journal:
 
     def recent_responses(self, now_s: float) -> tuple[JournaledResponse, ...]:
         """List the responses that have not expired."""
-        answers = self.contents.answers if self.contents else ()
+        responses = self.contents.responses if self.contents else ()
         oldest_s = now_s - RESPONSE_LIFETIME_S
         return tuple(
             JournaledResponse(row.service, row.request_id, row.payload, row.encoding)
-            for row in answers
+            for row in responses
             if row.at_s >= oldest_s
         )
 

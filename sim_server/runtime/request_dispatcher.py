@@ -252,14 +252,17 @@ class RequestDispatcher:
     def _flush_unrelated_changes(self) -> None:
         """Flush unrelated changes first, so that a rollback cannot undo them."""
         if self._journal is not None:
-            self._journal.note()
+            self._journal.record()
 
     def _reply(self, call: ServiceCall, response: msgspec.Struct) -> None:
         cached = _encode_response(call, response)
         forgotten = self._responses.keep(call, cached)
         if self._journal is not None:
-            is_asked = is_mutating(call.name)
-            self._journal.note(make_journaled_response(call, cached), forgotten, is_asked=is_asked)
+            self._journal.record(
+                make_journaled_response(call, cached),
+                forgotten,
+                is_requested=is_mutating(call.name),
+            )
         self._send(call, cached)
 
     def _send(self, call: ServiceCall, cached: CachedResponse) -> None:

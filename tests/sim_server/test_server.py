@@ -20,7 +20,7 @@ CONFIG = ServerConfig(bus=BusConfig(), world_file="walls", journal="lab")
 def journal(tmp_path: Path) -> Journal:
     kept = JournaledServer(tmp_path, "r0")
     kept.parts.pacing.target_real_time_factor = 2.0
-    kept.tracker.note()
+    kept.tracker.record()
     kept.crash()
     return open_journal(str(tmp_path))
 

@@ -65,7 +65,7 @@ def test_restored_world_equals_the_former(tmp_path: Path) -> None:
     server.world.set_info("box", info)
     server.world.place("r1", on_ground(3.0, 2.0, 1.0), np.array([0.5, -0.25]))
     server.world.clock.pause()
-    server.tracker.note(is_asked=True)
+    server.tracker.record(is_requested=True)
     expected = describe(server.world)
 
     restarted = restart(server)
@@ -90,7 +90,7 @@ def test_time_continues_in_a_higher_epoch(tmp_path: Path) -> None:
 
 def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0")
-    server.tracker.note()
+    server.tracker.record()
 
     epochs = []
     for _ in range(3):
@@ -102,11 +102,11 @@ def test_epoch_is_higher_even_when_the_last_start_did_nothing(tmp_path: Path) ->
 
 def test_parsed_descriptions_are_restored(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path)
-    server.tracker.note()
+    server.tracker.record()
     entity = server.world.spawn(a_spawn("r0"))
     key = ParseKey("<robot/>", "gazebo11", allow_missing=True, assets=())
     server.parts.descriptions.provider.remember(key, entity.model)
-    server.tracker.note()
+    server.tracker.record()
 
     restarted = restart(server)
 
@@ -121,7 +121,7 @@ def test_robots_are_restored_at_rest_and_other_entities_with_their_speed(tmp_pat
     moving[7] = 0.5
     for name in ("r0", "ball"):
         server.world.place(name, moving)
-    server.tracker.note(is_asked=True)
+    server.tracker.record(is_requested=True)
 
     restarted = restart(server)
 
@@ -131,7 +131,7 @@ def test_robots_are_restored_at_rest_and_other_entities_with_their_speed(tmp_pat
 
 def test_entity_that_is_refused_is_excluded_and_named(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0", "r1")
-    server.tracker.note()
+    server.tracker.record()
     server.crash()
 
     class SelectiveEngine(ObedientEngine):
@@ -169,7 +169,7 @@ class CrashingEngine(ObedientEngine):
 
 def test_entity_that_crashes_is_excluded_after_a_start_that_crashed(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0", "r1", "r2")
-    server.tracker.note()
+    server.tracker.record()
     server.crash()
 
     def open_excluding() -> Journal:
@@ -192,7 +192,7 @@ def test_entity_that_crashes_is_excluded_after_a_start_that_crashed(tmp_path: Pa
 
 def test_mark_file_is_removed_after_a_restore(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0")
-    server.tracker.note()
+    server.tracker.record()
 
     restart(server)
 
@@ -221,13 +221,13 @@ class AnyHistory(RuleBasedStateMachine):
 
     def start(self) -> None:
         self.server = JournaledServer(Path(self.folder.name))
-        self.server.tracker.note()
+        self.server.tracker.record()
 
     def apply_to_both(self, act: Callable[[World], object]) -> None:
         for world in (self.server.world, self.twin):
             with suppress(SimError):
                 act(world)
-        self.server.tracker.note(is_asked=True)
+        self.server.tracker.record(is_requested=True)
 
     @rule(name=NAMES, is_cart=st.booleans(), x=st.integers(-5, 5))
     def spawn(self, name: str, *, is_cart: bool, x: int) -> None:
@@ -258,7 +258,7 @@ class AnyHistory(RuleBasedStateMachine):
         for name in names_in(self.server.world)[:1]:
             self.server.world.delete(name)
         self.server.world.spawn(a_spawn("lost"))
-        self.server.tracker.note(is_asked=True)
+        self.server.tracker.record(is_requested=True)
         self.server.disk.is_full = False
         assert self.server.tracker.poll()
 
@@ -283,7 +283,7 @@ TestAnyHistory.settings = settings(max_examples=12, stateful_step_count=12, dead
 
 def test_summary_lists_entities_and_excluded_ones(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0", "r1")
-    server.tracker.note()
+    server.tracker.record()
     contents = read_contents(server.database)
     assert contents is not None
     commit_restore(
@@ -298,7 +298,7 @@ def test_summary_lists_entities_and_excluded_ones(tmp_path: Path) -> None:
 
 def test_export_has_descriptions_and_is_json(tmp_path: Path) -> None:
     server = JournaledServer(tmp_path, "r0")
-    server.tracker.note()
+    server.tracker.record()
 
     export = json.loads(json.dumps(export_journal(server.database, read_contents(server.database))))
 

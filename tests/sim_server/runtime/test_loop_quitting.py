@@ -24,7 +24,7 @@ class SlowDisk:
     def durable(self) -> int:
         return int(self.looked_at > 3)
 
-    def note(self, *_: object, **__: object) -> int:
+    def record(self, *_: object, **__: object) -> int:
         return self.position
 
     def poll(self) -> str:
