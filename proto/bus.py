@@ -173,10 +173,10 @@ class BusQuery:
         with self._query as query:
             query.reply(key or self.key, payload, encoding=encoding, attachment=attachment or None)
 
-    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+    def reply_each(self, replies: Iterable[tuple[str, bytes]], encoding: str) -> None:
         """Reply with several values, each on its own key, and finish the query."""
         with self._query as query:
-            for key, payload in answers:
+            for key, payload in replies:
                 query.reply(key, payload, encoding=encoding)
 
     def add_reply(

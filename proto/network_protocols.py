@@ -91,7 +91,7 @@ class Query(ServiceCall, Protocol):
     def reply(self, payload: bytes, encoding: str, key: str = "", attachment: bytes = b"") -> None:
         """Reply once; `key` when the request's is an expression."""
 
-    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
+    def reply_each(self, replies: Iterable[tuple[str, bytes]], encoding: str) -> None:
         """Reply with several values, each on its own key."""
 
     def add_reply(

@@ -1,4 +1,4 @@
-"""A network and a clock in memory, for tests: they do what the real ones do, at once."""
+"""In-memory network and clock for tests."""
 
 from collections import deque
 from collections.abc import Iterable
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 Message = TypeVar("Message", bound=msgspec.Struct)
-PATIENCE = 100
+MAX_PUMP_ROUNDS = 100
 
 
 class ManualClock:
-    """Time that passes when told to."""
+    """A clock that advances only in `sleep`."""
 
     def __init__(self, now_s: float = 0.0) -> None:
         self.now_s = now_s
@@ -34,9 +34,9 @@ class ManualClock:
 
 
 class MemoryBus:
-    """All sessions of one network in one: has the methods of `zensim.proto.bus.Bus`.
+    """In-memory replacement of `zensim.proto.bus.Bus`; all its users share one session.
 
-    Nobody runs by himself: while a caller waits for an answer, the functions in `pumps` are run.
+    While a caller waits for a reply, the functions in `pumps` run.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class MemoryBus:
     def token(self, key: str) -> "MemoryToken":
         token = MemoryToken(self._tokens, self._watches, key)
         self._tokens.append(token)
-        token.tell(is_alive=True)
+        token.notify(is_alive=True)
         return token
 
     def watch_tokens(self, key: str, depth: int = 16384) -> "MemoryTokenWatch":
@@ -96,7 +96,7 @@ class MemoryBus:
 
     def get(self, key: str, timeout_s: float = 1.0, payload: bytes = b"") -> list[Sample]:
         del timeout_s
-        return [answer for call in self._ask(key, payload, "") for answer in call.answers]
+        return [answer for call in self._query(key, payload, "") for answer in call.answers]
 
     def call(
         self,
@@ -109,7 +109,7 @@ class MemoryBus:
     ) -> Response:
         key = keys.service(world, service.name)
         encoding = make_encoding(request, Format.MSGPACK)
-        calls = self._ask(key, encode(request, Format.MSGPACK), encoding, request_id.encode())
+        calls = self._query(key, encode(request, Format.MSGPACK), encoding, request_id.encode())
         if not calls:
             raise NoServer(f"no server replies on {key}")
         answers = [answer for call in calls for answer in call.answers]
@@ -122,32 +122,32 @@ class MemoryBus:
             raise ServiceError(service.name, result.result, name, result.error_message, response)
         return response
 
-    def is_heard(self, key: str) -> bool:
-        """Whether anybody listens to a key."""
+    def has_subscriber(self, key: str) -> bool:
+        """Whether a key has a subscriber."""
         return any(intersect(key, subscription.key) for subscription in self._subscriptions)
 
     def is_served(self, key: str) -> bool:
-        """Whether anybody answers on a key."""
+        """Whether a key has a queryable."""
         return any(intersect(key, queue.key) for queue in self._queues)
 
     def put(self, key: str, payload: bytes, encoding: str = "", attachment: bytes = b"") -> None:
-        """Send raw bytes to whoever listens."""
+        """Publish bytes."""
         for subscription in self._subscriptions:
             if intersect(key, subscription.key):
                 subscription.samples.append(Sample(key, payload, encoding, attachment))
 
     def put_message(self, key: str, message: msgspec.Struct, format_: Format = Format.CDR) -> None:
-        """Send a message to whoever listens."""
+        """Publish a message."""
         self.put(key, encode(message, format_), make_encoding(message, format_))
 
-    def _ask(
+    def _query(
         self, key: str, payload: bytes, encoding: str, request_id: bytes = b""
     ) -> "list[MemoryCall]":
         queues = [queue for queue in self._queues if intersect(key, queue.key)]
         calls = [MemoryCall(key, payload, encoding, request_id) for _ in queues]
         for queue, call in zip(queues, calls, strict=True):
             queue.calls.append(call)
-        for _ in range(PATIENCE):
+        for _ in range(MAX_PUMP_ROUNDS):
             if all(call.is_over for call in calls):
                 break
             for pump in self.pumps:
@@ -163,7 +163,7 @@ class MemoryPublisher:
 
     @property
     def is_matched(self) -> bool:
-        return self._bus.is_heard(self.key)
+        return self._bus.has_subscriber(self.key)
 
     def send(self, payload: bytes, attachment: bytes = b"", stamp: Stamp | None = None) -> None:
         del stamp
@@ -212,8 +212,8 @@ class MemoryCall:
     def covers(self, key: str) -> bool:
         return intersect(self.key, key)
 
-    def reply_each(self, answers: Iterable[tuple[str, bytes]], encoding: str) -> None:
-        self.answers += [Sample(key, payload, encoding) for key, payload in answers]
+    def reply_each(self, replies: Iterable[tuple[str, bytes]], encoding: str) -> None:
+        self.answers += [Sample(key, payload, encoding) for key, payload in replies]
         self.is_over = True
 
     def add_reply(
@@ -253,14 +253,14 @@ class MemoryToken:
         self._watches = watches
         self.key = key
 
-    def tell(self, *, is_alive: bool) -> None:
+    def notify(self, *, is_alive: bool) -> None:
         for watch in self._watches:
             if intersect(watch.key, self.key):
                 watch.changes.append((self.key, is_alive))
 
     def close(self) -> None:
         self._owner.remove(self)
-        self.tell(is_alive=False)
+        self.notify(is_alive=False)
 
 
 class MemoryTokenWatch:

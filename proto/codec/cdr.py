@@ -233,7 +233,7 @@ def _make_run_writer(run: Run) -> Write:
 
 
 def _make_fixed_writer(run: list[FixedLeaf]) -> Write:
-    packs = [image.pack for image in compile_structs(run, "<")]
+    packs = [compiled.pack for compiled in compile_structs(run, "<")]
     gather = _make_gatherer(run)
 
     def write(message: msgspec.Struct, out: bytearray) -> None:

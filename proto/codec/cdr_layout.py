@@ -212,13 +212,13 @@ def compile_structs(run: list[FixedLeaf], byte_order: str) -> tuple[struct.Struc
 
 
 def _make_struct_format(run: list[FixedLeaf], phase: int) -> str:
-    at, image = phase, ""
+    at, format_ = phase, ""
     for leaf in run:
         size, count = BYTES_OF_CODE[leaf.code], leaf.length or 1
         padding = -at % size
-        image += f"{padding}x{count}{leaf.code}"
+        format_ += f"{padding}x{count}{leaf.code}"
         at += padding + size * count
-    return image
+    return format_
 
 
 HEADER_BYTES = 4

@@ -28,26 +28,28 @@ class CdrTemplate:
             stamps: Paths of the `Time` fields to fill in.
         """
         self._buffer = bytearray(cdr.encode(template))
-        places = find_offsets(template)
-        self._runs = _find_runs([places[path] for path in numbers])
-        self._stamps = tuple(places[f"{path}.sec"] for path in stamps)
+        offsets = find_offsets(template)
+        self._runs = _find_runs([offsets[path] for path in numbers])
+        self._stamps = tuple(offsets[f"{path}.sec"] for path in stamps)
 
     def payload(self, time_ns: int, numbers: Sequence[float]) -> bytes:
         """Fill in the stamps and the numbers; return the message."""
-        moment = divmod(time_ns, NANOSECONDS_PER_SECOND)
-        for place in self._stamps:
-            STAMP_STRUCT.pack_into(self._buffer, place, *moment)
-        for run, place, where in self._runs:
-            run.pack_into(self._buffer, place, *numbers[where])
+        stamp = divmod(time_ns, NANOSECONDS_PER_SECOND)
+        for offset in self._stamps:
+            STAMP_STRUCT.pack_into(self._buffer, offset, *stamp)
+        for run, offset, part in self._runs:
+            run.pack_into(self._buffer, offset, *numbers[part])
         return bytes(self._buffer)
 
 
-def _find_runs(places: Sequence[int]) -> tuple[tuple[struct.Struct, int, slice], ...]:
+def _find_runs(offsets: Sequence[int]) -> tuple[tuple[struct.Struct, int, slice], ...]:
     """Find runs of adjacent numbers: one pack call writes each."""
-    gaps = [at for at, (one, next_) in enumerate(pairwise(places), 1) if next_ != one + FLOAT_BYTES]
-    bounds = [0, *gaps, len(places)]
+    gaps = [
+        at for at, (one, next_) in enumerate(pairwise(offsets), 1) if next_ != one + FLOAT_BYTES
+    ]
+    bounds = [0, *gaps, len(offsets)]
     return tuple(
-        (struct.Struct(f"<{end - start}d"), places[start], slice(start, end))
+        (struct.Struct(f"<{end - start}d"), offsets[start], slice(start, end))
         for start, end in pairwise(bounds)
         if end > start
     )

@@ -114,7 +114,7 @@ def test_agent_claims_its_entities_at_its_first_poll() -> None:
     scene.poll()
 
     assert scene.server.drivers == {"r1": AGENT, "r2": AGENT}
-    assert scene.bus.is_heard("r1/cmd_vel")
+    assert scene.bus.has_subscriber("r1/cmd_vel")
     assert scene.bus.is_served("r2/odom")
 
 

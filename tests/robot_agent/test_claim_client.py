@@ -58,7 +58,7 @@ def test_client_stops_calling_when_it_has_all() -> None:
     client.poll(100.0)
 
     assert server.take_requests() == [("r1",)]
-    assert not bus.is_heard(EVENTS.key(WORLD))
+    assert not bus.has_subscriber(EVENTS.key(WORLD))
 
 
 def test_client_backs_off() -> None:

@@ -135,7 +135,7 @@ def test_subscription_is_closed_with_its_owner() -> None:
 
     subscribe_cmd_vel(bus).close()
 
-    assert not bus.is_heard("r1/cmd_vel")
+    assert not bus.has_subscriber("r1/cmd_vel")
 
 
 def make_robots(bus: MemoryBus, *claims: int) -> IndividualRobots:
@@ -410,4 +410,4 @@ def test_robot_undeclares_everything_when_closed(model: Model) -> None:
     a_robot(bus, model).close()
 
     assert not bus.is_served("r1/*")
-    assert not bus.is_heard("r1/*")
+    assert not bus.has_subscriber("r1/*")

@@ -156,9 +156,9 @@ def test_gazebo_response_names_the_spawned_entity() -> None:
         encode(yes, Format.MSGPACK), make_encoding(yes, Format.MSGPACK)
     )
 
-    answer = decode(ros_service_catalog.GazeboSpawnEntityResponse, response, CDR_ENCODING_NAME)
-    assert answer.success
-    assert "r1_0" in answer.status_message
+    decoded = decode(ros_service_catalog.GazeboSpawnEntityResponse, response, CDR_ENCODING_NAME)
+    assert decoded.success
+    assert "r1_0" in decoded.status_message
 
 
 def test_cdr_of_the_current_version_is_returned_unchanged() -> None:
@@ -181,8 +181,8 @@ def test_spawnables_of_version_1_are_uris() -> None:
         encode(current, Format.MSGPACK), make_encoding(current, Format.MSGPACK)
     )
 
-    answer = decode(ros_service_catalog.GetSpawnablesResponseV1, response, CDR_ENCODING_NAME)
-    assert [one.uri for one in answer.spawnables] == ["zensim://box_bot"]
+    decoded = decode(ros_service_catalog.GetSpawnablesResponseV1, response, CDR_ENCODING_NAME)
+    assert [one.uri for one in decoded.spawnables] == ["zensim://box_bot"]
 
 
 def test_refusal_yields_an_empty_response_if_that_has_no_result() -> None:

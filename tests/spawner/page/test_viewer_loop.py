@@ -94,7 +94,7 @@ def test_viewer_makes_no_calls_without_clients() -> None:
 
     setup.tick()
 
-    assert not setup.bus.is_heard("**")
+    assert not setup.bus.has_subscriber("**")
     assert setup.server.requests == []
 
 
@@ -118,7 +118,7 @@ def test_viewer_unsubscribes_without_clients() -> None:
     setup.page.is_watched = False
     setup.tick()
 
-    assert not setup.bus.is_heard("**")
+    assert not setup.bus.has_subscriber("**")
 
 
 def test_viewer_requests_models_again_for_a_new_client() -> None:
