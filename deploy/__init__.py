@@ -1,1 +1,1 @@
-"""How the programs are put together."""
+"""Command line, and local deployment of all programs."""

@@ -1,4 +1,4 @@
-"""`zensim up` without its command line: start server, fleet, agents and page, and wait until they are ready."""
+"""Start server, robots, agents and viewer on this host, and wait until they are ready."""
 
 import time
 from collections.abc import Callable
@@ -21,32 +21,32 @@ from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
 START_TIMEOUT_S = 30.0
 AGENT_WAIT_S = 3.0 * START_TIMEOUT_S
-"""Longer than any wait here, so that it is told here what did not come up."""
+"""Longer than all timeouts here, so that the launcher reports the failure, not an agent."""
 ODOM_DEPTH = 65536
 POLL_S = 0.01
 
 
 ROBOTS_PER_POOL = 500
-"""Driving so many, at ten odometries and tfs a second each, keeps a fifth of a core busy."""
+"""Takes a fifth of a core at 10 Hz odometry and tf."""
 
 
 class LaunchFailed(Exception):
-    """What was asked for did not come up."""
+    """A program did not become ready."""
 
 
 class LaunchAgentsConfig(msgspec.Struct, frozen=True):
-    """What drives the robots."""
+    """Agents of a deployment."""
 
     pools: int | None = None
-    """How many pools share the robots; None = each robot has an agent of its own."""
+    """Number of pools that share the robots; None = one agent per robot."""
     odom_hz: float | None = None
-    """None = as described."""
+    """None = from the robot description."""
     tf_hz: float | None = None
-    """None = as described, or with odometry."""
+    """None = `odom_hz`, or from the robot description."""
 
 
 class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """What `zensim up` runs."""
+    """Settings of a deployment."""
 
     placements: tuple[RobotPlacement, ...]
     model: str
@@ -54,7 +54,7 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     world_name: str
     endpoint: str
     real_time_factor: float | None = None
-    """None = as the world file says."""
+    """None = from the world file."""
     model_paths: tuple[str, ...] = ()
     is_strict: bool = False
     is_lockstep: bool = False
@@ -62,7 +62,7 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
     clusters: str = "auto"
     engine_workers: int | None = None
     dynamics: Dynamics = "full"
-    """Empty = as a server chooses by itself."""
+    """Empty = default of the server."""
     agents: LaunchAgentsConfig = LaunchAgentsConfig()
     ros: RosSettings = RosSettings()
     has_viewer: bool
@@ -71,7 +71,7 @@ class LaunchConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class LaunchProgress:
-    """Called as things come up."""
+    """Callbacks, called once per robot."""
 
     on_spawned: Callable[[], None]
     on_odom: Callable[[], None]
@@ -79,7 +79,7 @@ class LaunchProgress:
 
 @dataclass
 class LocalDeployment:
-    """A running demo."""
+    """Running programs on this host."""
 
     config: LaunchConfig
     supervisor: Supervisor
@@ -88,31 +88,32 @@ class LocalDeployment:
     ready_s: float = 0.0
     viewer_url: str = ""
     restarts: int = 0
-    since: Info = field(default_factory=Info)
-    since_s: float = 0.0
+    ready_info: Info = field(default_factory=Info)
+    ready_at_s: float = 0.0
+    """Monotonic time when all programs were ready."""
 
 
 def launch(
-    config: LaunchConfig, supervisor: Supervisor, steps: LaunchProgress, began_s: float
+    config: LaunchConfig, supervisor: Supervisor, progress: LaunchProgress, began_s: float
 ) -> LocalDeployment:
-    """Bring everything up and return when every robot has published odom and the page is served.
+    """Start all programs, and wait until every robot publishes odom and the page is served.
 
     Raises:
-        DemoFailed: Something did not come up.
-        ProgramDied: A process ended.
+        LaunchFailed: A program is not ready in time.
+        ProgramDied: A process exited.
     """
     _start_programs(config, supervisor)
-    with ExitStack() as ending:
-        bus = ending.enter_context(_open_bus(config, supervisor))
-        demo = LocalDeployment(config, supervisor, bus, SimClient(bus, config.world_name))
-        _wait_until_ready(demo, steps, began_s)
-        # From here on the bus is the caller's to close.
-        ending.pop_all()
-    return demo
+    with ExitStack() as stack:
+        bus = stack.enter_context(_open_bus(config, supervisor))
+        deployment = LocalDeployment(config, supervisor, bus, SimClient(bus, config.world_name))
+        _wait_until_ready(deployment, progress, began_s)
+        # The caller closes the bus.
+        stack.pop_all()
+    return deployment
 
 
 def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
-    """Write the command line of the server; what was not asked for is left to the world file."""
+    """Make the command line of the server; defaults are left out."""
     factor = config.real_time_factor
     return (
         *("serve", "--listen", config.endpoint, "--world", config.world),
@@ -130,28 +131,28 @@ def make_serve_arguments(config: LaunchConfig) -> tuple[str, ...]:
 
 
 def make_agent_starts(config: LaunchConfig) -> dict[str, AgentProcessConfig]:
-    """Write what the agents are told, by what they are called here."""
+    """Make the settings of the agents, by program name."""
     common = AgentConfig(
         world=config.world_name,
         rates=RateOverrides(config.agents.odom_hz, config.agents.tf_hz),
         wait_s=AGENT_WAIT_S,
         ros=config.ros,
     )
-    told = {
+    configs = {
         f"agent of {one.name}": msgspec.structs.replace(common, entities=(one.name,))
         for one in config.placements
     }
     if config.agents.pools is not None:
         pool = msgspec.structs.replace(common, pool_limit=0)
-        told = {f"pool {number}": pool for number in range(config.agents.pools)}
+        configs = {f"pool {number}": pool for number in range(config.agents.pools)}
     return {
         name: AgentProcessConfig(endpoint=config.endpoint, config=one, is_quiet=True)
-        for name, one in told.items()
+        for name, one in configs.items()
     }
 
 
 def choose_pool_count(robots: int, cores: int) -> int:
-    """Choose how many pools drive so many robots on a host."""
+    """Choose the number of pools for a number of robots."""
     return max(1, min(cores, -(-robots // ROBOTS_PER_POOL)))
 
 
@@ -161,8 +162,8 @@ def _engine_worker_arguments(count: int | None) -> tuple[str, ...]:
 
 def _start_programs(config: LaunchConfig, supervisor: Supervisor) -> None:
     supervisor.start("server", make_serve_arguments(config))
-    for name, told in make_agent_starts(config).items():
-        words = ("agent", msgspec.json.encode(told).decode())
+    for name, start in make_agent_starts(config).items():
+        words = ("agent", msgspec.json.encode(start).decode())
         supervisor.start(name, words, is_restarted=True, module=PREPARED_START_MODULE)
 
 
@@ -175,44 +176,48 @@ def _open_bus(config: LaunchConfig, supervisor: Supervisor) -> Bus:
             return open_bus(bus_config)
         except BusError as error:
             if time.monotonic() > deadline:
-                raise LaunchFailed(f"the server is not up after {START_TIMEOUT_S:g} s") from error
+                raise LaunchFailed(
+                    f"the server is not ready after {START_TIMEOUT_S:g} s"
+                ) from error
 
 
-def _wait_until_ready(demo: LocalDeployment, steps: LaunchProgress, began_s: float) -> None:
-    config = demo.config
-    odom = demo.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
-    demo.client.wait_for_server(START_TIMEOUT_S, demo.supervisor.watch)
+def _wait_until_ready(
+    deployment: LocalDeployment, progress: LaunchProgress, began_s: float
+) -> None:
+    config = deployment.config
+    odom = deployment.bus.subscribe(ODOM.key("*"), ODOM_DEPTH)
+    deployment.client.wait_for_server(START_TIMEOUT_S, deployment.supervisor.watch)
     outcomes = spawn_fleet(
-        demo.client, config.model, config.placements, lambda _: steps.on_spawned()
+        deployment.client, config.model, config.placements, lambda _: progress.on_spawned()
     )
     if refused := [outcome for outcome in outcomes if outcome.code != ResultCode.OK]:
         raise LaunchFailed(f"{refused[0].name}: {refused[0].message}")
-    viewer = _start_viewer(demo) if config.has_viewer else None
-    missing = {ODOM.key(place.name) for place in config.placements}
+    viewer = _start_viewer(deployment) if config.has_viewer else None
+    missing = {ODOM.key(robot.name) for robot in config.placements}
     deadline = time.monotonic() + START_TIMEOUT_S + 0.2 * len(missing)
     while missing:
-        seen = {sample.key for sample in odom.take()} & missing
-        missing -= seen
-        for _ in seen:
-            steps.on_odom()
-        _poll(demo, deadline, f"{len(missing)} robots publish no odom")
+        arrived = {sample.key for sample in odom.take()} & missing
+        missing -= arrived
+        for _ in arrived:
+            progress.on_odom()
+        _poll(deployment, deadline, f"{len(missing)} robots do not publish odom")
     odom.close()
-    demo.ready_s = time.monotonic() - began_s
+    deployment.ready_s = time.monotonic() - began_s
     if viewer is not None:
-        demo.viewer_url = _read_viewer_url(viewer)
-    demo.since, demo.since_s = demo.client.info(), time.monotonic()
+        deployment.viewer_url = _read_viewer_url(viewer)
+    deployment.ready_info, deployment.ready_at_s = deployment.client.info(), time.monotonic()
 
 
-def _poll(demo: LocalDeployment, deadline: float, complaint: str) -> None:
-    demo.supervisor.watch()
+def _poll(deployment: LocalDeployment, deadline: float, failure: str) -> None:
+    deployment.supervisor.watch()
     if time.monotonic() > deadline:
-        raise LaunchFailed(f"{complaint} after {START_TIMEOUT_S:g} s")
+        raise LaunchFailed(f"{failure} after {START_TIMEOUT_S:g} s")
     time.sleep(POLL_S)
 
 
-def _start_viewer(demo: LocalDeployment) -> SupervisedProgram:
-    config = demo.config
-    return demo.supervisor.start(
+def _start_viewer(deployment: LocalDeployment) -> SupervisedProgram:
+    config = deployment.config
+    return deployment.supervisor.start(
         "viewer",
         (
             *("view", "--connect", config.endpoint, "--world-name", config.world_name),
@@ -223,38 +228,40 @@ def _start_viewer(demo: LocalDeployment) -> SupervisedProgram:
 
 def _read_viewer_url(viewer: SupervisedProgram) -> str:
     if viewer.process is None or viewer.process.stdout is None:
-        raise LaunchFailed("the page is not served")
-    # It prints one line when it serves, and closes its output when it cannot.
+        raise LaunchFailed("the viewer has no output")
+    # The viewer prints one line when it is ready, and closes its output if it fails.
     line = viewer.process.stdout.readline().decode()
     if not line:
-        raise LaunchFailed("the page is not served; see the line above, or use --no-viewer")
+        raise LaunchFailed("the viewer failed; see the line above, or use --no-viewer")
     return line.split()[-1]
 
 
-def supervise(demo: LocalDeployment, duration_s: float, should_stop: Callable[[], bool]) -> None:
-    """Look after the processes until told to stop or the duration [s] is over; 0 = for ever.
+def supervise(
+    deployment: LocalDeployment, duration_s: float, should_stop: Callable[[], bool]
+) -> None:
+    """Supervise the processes until `should_stop` or for a duration [s]; 0 = forever.
 
     Raises:
-        ProgramDied: One that may not end has ended.
+        ProgramDied: A process without restarts exited.
     """
     end = time.monotonic() + duration_s if duration_s > 0 else float("inf")
     while not should_stop() and time.monotonic() < end:
-        demo.supervisor.watch()
+        deployment.supervisor.watch()
         time.sleep(POLL_S * 5)
 
 
-def summarize_run(demo: LocalDeployment) -> dict[str, float | int]:
-    """Say how it went since it was ready."""
+def summarize_run(deployment: LocalDeployment) -> dict[str, float | int]:
+    """Compute the figures of a run since it was ready."""
     try:
-        last = demo.client.info()
+        last = deployment.client.info()
     except (NoServer, TimeoutError):
-        last = demo.since
-    wall_s = max(time.monotonic() - demo.since_s, 1e-9)
+        last = deployment.ready_info
+    wall_s = max(time.monotonic() - deployment.ready_at_s, 1e-9)
     return {
-        "real_time_factor": (last.sim_time_s - demo.since.sim_time_s) / wall_s,
+        "real_time_factor": (last.sim_time_s - deployment.ready_info.sim_time_s) / wall_s,
         "sim_time_s": last.sim_time_s,
         "wall_time_s": wall_s,
         "robots": last.entities,
         "agents": last.agents,
-        "restarts": sum(program.restarts for program in demo.supervisor.programs),
+        "restarts": sum(program.restarts for program in deployment.supervisor.programs),
     }

@@ -1,6 +1,6 @@
-"""`python -m zensim.deploy.prepared_start VERB SETTINGS`: run a program with its settings as JSON.
+"""`python -m zensim.deploy.prepared_start VERB SETTINGS`: run a program with JSON settings.
 
-Parsing a command line takes longer than everything else that an agent does before it drives.
+An agent would spend most of its start on the command line parser.
 """
 
 import os
@@ -20,12 +20,12 @@ def main(verb: str, settings: str) -> None:
     """Run the program until it is stopped.
 
     Raises:
-        SystemExit: As that of `zensim VERB`.
+        SystemExit: With the status of `zensim VERB`.
     """
     die_with_supervisor(os.environ)
     with exit_on_failure(verb):
         if verb != AGENT_VERB:
-            raise ValueError(f"verb {verb!r} is unknown here; use '{AGENT_VERB}'")
+            raise ValueError(f"verb must be '{AGENT_VERB}', got {verb!r}")
         run_agent_process(msgspec.json.decode(settings, type=AgentProcessConfig))
 
 

@@ -1,4 +1,4 @@
-"""The local supervisor: starts zensim's programs as processes, restarts them, ends them all."""
+"""Supervisor of local processes: starts, restarts and ends programs."""
 
 import os
 import subprocess
@@ -15,20 +15,20 @@ from zensim.proto.child_process import (
 from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 TERMINATE_TIMEOUT_S = 1.2
-"""What a process gets to end by itself; all together they must be gone within 2 s."""
+"""Grace period before SIGKILL; all processes must end within 2 s."""
 RESTART_DELAY_S = 0.5
 MAX_RESTARTS = 20
 CLI_MODULE, PREPARED_START_MODULE = "zensim", "zensim.deploy.prepared_start"
-"""What is run: with words as a user types them, or with settings that are ready made."""
+"""Modules to run: with command-line arguments, or with JSON settings."""
 
 
 class ProgramDied(Exception):
-    """A process that may not end has ended."""
+    """A process exited that is not restarted."""
 
 
 @dataclass
 class SupervisedProgram:
-    """One process and how to start it again."""
+    """One process, and how to restart it."""
 
     name: str
     arguments: tuple[str, ...]
@@ -41,7 +41,7 @@ class SupervisedProgram:
 
 @dataclass
 class Supervisor:
-    """Owns its processes: whatever happens, `close` leaves none."""
+    """Owner of processes; `close` ends all."""
 
     on_restart: Callable[[SupervisedProgram, int], None]
     programs: list[SupervisedProgram] = field(default_factory=list)
@@ -54,17 +54,17 @@ class Supervisor:
         is_restarted: bool = False,
         module: str = CLI_MODULE,
     ) -> SupervisedProgram:
-        """Start `zensim ARGUMENTS`, or another module, as a process of its own session."""
+        """Start `zensim ARGUMENTS`, or another module, as a process in a new session."""
         program = SupervisedProgram(name, tuple(arguments), is_restarted, module)
         program.process = _start_process(program)
         self.programs.append(program)
         return program
 
     def watch(self) -> None:
-        """Look after the processes once: restart those that should be, notice those that died.
+        """Check the processes once, and restart those that exited, if permitted.
 
         Raises:
-            ProgramDied: One that may not end has ended.
+            ProgramDied: A process exited that is not restarted.
         """
         for program in self.programs:
             if program.process is None:
@@ -75,15 +75,15 @@ class Supervisor:
                 continue
             close_pipes(program.process)
             if not program.is_restarted or program.restarts >= MAX_RESTARTS:
-                raise ProgramDied(f"{program.name} ended with status {status}")
+                raise ProgramDied(f"{program.name} exited with status {status}")
             self.on_restart(program, status)
             program.restarts += 1
             program.process = None
             program.restart_at_s = time.monotonic() + RESTART_DELAY_S
 
     def close(self) -> None:
-        """End every process: ask, wait a little, then kill."""
-        # The server goes last, so that nobody else meets a network that has gone.
+        """End all processes: SIGTERM, then SIGKILL after the grace period."""
+        # The server ends last, so that the others still have a network.
         alive = [p.process for p in reversed(self.programs) if p.process is not None]
         end_processes(alive, TERMINATE_TIMEOUT_S)
         self.programs.clear()

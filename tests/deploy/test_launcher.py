@@ -1,4 +1,4 @@
-"""`zensim up` tells its server what it was told itself, and nothing else."""
+"""Arguments and settings that `zensim up` passes to its programs."""
 
 import msgspec
 import pytest
@@ -14,7 +14,7 @@ from zensim.proto.ros2.ros_settings import RosSettings
 from zensim.robot_agent.agent_config import AgentProcessConfig, RateOverrides
 from zensim.spawner.spawn.spawn_poses import RobotPlacement
 
-PLAIN = LaunchConfig(
+DEFAULTS = LaunchConfig(
     placements=(),
     model="box_bot",
     world="w.world",
@@ -23,49 +23,49 @@ PLAIN = LaunchConfig(
     has_viewer=False,
     viewer_port=0,
 )
-JOINING = ("serve", "--listen", "tcp/127.0.0.1:1", "--world", "w.world", "--world-name", "default")
+COMMON = ("serve", "--listen", "tcp/127.0.0.1:1", "--world", "w.world", "--world-name", "default")
 ROS = ("--ros-domain", "0")
 
 
-def test_pace_is_left_to_the_world_unless_asked_for() -> None:
-    hasty = msgspec.structs.replace(PLAIN, real_time_factor=0.0)
+def test_rtf_is_passed_only_if_given() -> None:
+    fast = msgspec.structs.replace(DEFAULTS, real_time_factor=0.0)
 
-    assert make_serve_arguments(PLAIN) == (*JOINING, *ROS)
-    assert make_serve_arguments(hasty) == (*JOINING, "--rtf", "0.0", *ROS)
-
-
-def test_server_waits_for_agents_when_told_to() -> None:
-    locked = msgspec.structs.replace(PLAIN, is_lockstep=True)
-
-    assert make_serve_arguments(locked) == (*JOINING, "--lockstep", *ROS)
+    assert make_serve_arguments(DEFAULTS) == (*COMMON, *ROS)
+    assert make_serve_arguments(fast) == (*COMMON, "--rtf", "0.0", *ROS)
 
 
-def test_server_has_the_engine_that_is_asked_for() -> None:
-    chosen = msgspec.structs.replace(PLAIN, engine="mujoco")
+def test_lockstep_is_passed() -> None:
+    lockstep = msgspec.structs.replace(DEFAULTS, is_lockstep=True)
 
-    assert make_serve_arguments(chosen) == (*JOINING, "--engine", "mujoco", *ROS)
-
-
-def test_server_steps_clusters_as_it_is_told_to() -> None:
-    chosen = msgspec.structs.replace(PLAIN, clusters="on", engine_workers=0)
-
-    asked = ("--clusters", "on", "--engine-workers", "0")
-    assert make_serve_arguments(chosen) == (*JOINING, *asked, *ROS)
+    assert make_serve_arguments(lockstep) == (*COMMON, "--lockstep", *ROS)
 
 
-def test_server_looks_where_it_is_told_to() -> None:
-    config = msgspec.structs.replace(PLAIN, model_paths=("a", "b c"), is_strict=True)
+def test_engine_is_passed() -> None:
+    chosen = msgspec.structs.replace(DEFAULTS, engine="mujoco")
+
+    assert make_serve_arguments(chosen) == (*COMMON, "--engine", "mujoco", *ROS)
+
+
+def test_clusters_are_passed() -> None:
+    chosen = msgspec.structs.replace(DEFAULTS, clusters="on", engine_workers=0)
+
+    options = ("--clusters", "on", "--engine-workers", "0")
+    assert make_serve_arguments(chosen) == (*COMMON, *options, *ROS)
+
+
+def test_model_paths_are_passed() -> None:
+    config = msgspec.structs.replace(DEFAULTS, model_paths=("a", "b c"), is_strict=True)
 
     paths = ("--model-path", "a", "--model-path", "b c", "--strict")
-    assert make_serve_arguments(config) == (*JOINING, *paths, *ROS)
+    assert make_serve_arguments(config) == (*COMMON, *paths, *ROS)
 
 
-def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
-    places = (RobotPlacement("r1", 0.0, 0.0), RobotPlacement("r2", 1.0, 0.0))
-    alone = msgspec.structs.replace(PLAIN, placements=places)
-    pooled = msgspec.structs.replace(alone, agents=LaunchAgentsConfig(2, 50.0, 10.0))
+def test_each_robot_has_an_agent_without_pools() -> None:
+    placements = (RobotPlacement("r1", 0.0, 0.0), RobotPlacement("r2", 1.0, 0.0))
+    single = msgspec.structs.replace(DEFAULTS, placements=placements)
+    pooled = msgspec.structs.replace(single, agents=LaunchAgentsConfig(2, 50.0, 10.0))
 
-    one, other = make_agent_starts(alone).values()
+    one, other = make_agent_starts(single).values()
     assert (one.config.entities, other.config.entities) == (("r1",), ("r2",))
     assert one.config.pool_limit is None
     pools = make_agent_starts(pooled).values()
@@ -74,15 +74,15 @@ def test_each_robot_has_an_agent_unless_they_are_pooled() -> None:
     assert {pool.config.rates for pool in pools} == {RateOverrides(50.0, 10.0)}
 
 
-def test_agents_are_told_where_to_go_and_who_sees_them() -> None:
+def test_agents_get_endpoint_world_and_ros_settings() -> None:
     ros = RosSettings(domain=7, tf="global")
-    asked = msgspec.structs.replace(
-        PLAIN, placements=(RobotPlacement("r1", 0.0, 0.0),), world_name="w", ros=ros
+    config = msgspec.structs.replace(
+        DEFAULTS, placements=(RobotPlacement("r1", 0.0, 0.0),), world_name="w", ros=ros
     )
 
-    (start,) = make_agent_starts(asked).values()
+    (start,) = make_agent_starts(config).values()
 
-    assert start.endpoint == PLAIN.endpoint
+    assert start.endpoint == DEFAULTS.endpoint
     assert (start.config.world, start.config.ros) == ("w", ros)
     assert msgspec.json.decode(msgspec.json.encode(start), type=AgentProcessConfig) == start
 
@@ -90,18 +90,16 @@ def test_agents_are_told_where_to_go_and_who_sees_them() -> None:
 @pytest.mark.parametrize(
     ("robots", "cores", "pools"), [(1, 8, 1), (500, 8, 1), (501, 8, 2), (9000, 2, 2), (0, 1, 1)]
 )
-def test_pools_are_as_many_as_robots_need_and_cores_allow(
-    robots: int, cores: int, pools: int
-) -> None:
+def test_number_of_pools_depends_on_robots_and_cores(robots: int, cores: int, pools: int) -> None:
     assert choose_pool_count(robots, cores) == pools
 
 
-def test_server_shows_itself_to_ros_as_it_is_told() -> None:
-    hidden = msgspec.structs.replace(PLAIN, ros=RosSettings(domain=None))
+def test_ros_settings_are_passed() -> None:
+    hidden = msgspec.structs.replace(DEFAULTS, ros=RosSettings(domain=None))
     bridged = RosSettings(domain=7, has_hashes=False, tf="global", is_bridged=True)
 
-    assert make_serve_arguments(hidden) == (*JOINING, "--ros-domain", "off")
-    assert make_serve_arguments(msgspec.structs.replace(PLAIN, ros=bridged)) == (
-        *JOINING,
+    assert make_serve_arguments(hidden) == (*COMMON, "--ros-domain", "off")
+    assert make_serve_arguments(msgspec.structs.replace(DEFAULTS, ros=bridged)) == (
+        *COMMON,
         *("--ros-domain", "7", "--ros-distro", "humble", "--ros-bridge"),
     )

@@ -1,4 +1,4 @@
-"""Supervisor: starts real processes, restarts those that should be, leaves none."""
+"""Supervisor with real processes."""
 
 import os
 import signal
@@ -14,40 +14,40 @@ from zensim.proto.process_limits import PARENT_PID_VARIABLE
 
 NOWHERE = "tcp/127.0.0.1:1"
 WAITING = ("spawn", "box_bot", "--wait", "600", "--connect", NOWHERE)
-"""Does nothing for ten minutes."""
+"""Waits for ten minutes."""
 QUICK = ("model", "box_bot")
 MISTYPED = ("model", "nowhere.urdf")
 ENDS_S = 40.0
 
 
-class Notes:
-    """What a supervisor said of restarts."""
+class RestartLog:
+    """Records restarts."""
 
     def __init__(self) -> None:
         self.restarts: list[tuple[str, int]] = []
 
-    def take(self, program: SupervisedProgram, status: int) -> None:
+    def add(self, program: SupervisedProgram, status: int) -> None:
         self.restarts.append((program.name, status))
 
 
 @pytest.fixture
-def notes() -> Notes:
-    return Notes()
+def restart_log() -> RestartLog:
+    return RestartLog()
 
 
 @pytest.fixture
-def supervisor(notes: Notes) -> Iterator[Supervisor]:
-    made = Supervisor(notes.take)
-    yield made
-    made.close()
+def supervisor(restart_log: RestartLog) -> Iterator[Supervisor]:
+    started = Supervisor(restart_log.add)
+    yield started
+    started.close()
 
 
-def pid_of(program: SupervisedProgram) -> int:
+def find_pid(program: SupervisedProgram) -> int:
     assert program.process is not None
     return program.process.pid
 
 
-def wait_for_end(program: SupervisedProgram) -> int:
+def wait_for_exit(program: SupervisedProgram) -> int:
     process = program.process
     assert process is not None
     return eventually(lambda: process.poll() is not None, ENDS_S) and process.returncode
@@ -62,11 +62,11 @@ def is_gone(pid: int) -> bool:
     return not psutil.pid_exists(pid)
 
 
-def test_supervisor_starts_zensim_in_a_session_of_its_own(supervisor: Supervisor) -> None:
+def test_program_runs_in_its_own_session(supervisor: Supervisor) -> None:
     program = supervisor.start("waiting", WAITING)
 
-    process = psutil.Process(pid_of(program))
-    # The kernel tells both a moment after the process is there.
+    process = psutil.Process(find_pid(program))
+    # The kernel provides both shortly after the start.
     eventually(lambda: process.cmdline() or None, ENDS_S, "a command line")
     eventually(lambda: process.environ() or None, ENDS_S, "an environment")
     assert process.cmdline() == [sys.executable, "-m", "zensim", *WAITING]
@@ -75,7 +75,7 @@ def test_supervisor_starts_zensim_in_a_session_of_its_own(supervisor: Supervisor
     assert supervisor.programs == [program]
 
 
-def test_supervisor_gives_what_a_program_prints(supervisor: Supervisor) -> None:
+def test_output_of_a_program_is_readable(supervisor: Supervisor) -> None:
     program = supervisor.start("quick", (*QUICK, "--json"))
 
     assert program.process is not None
@@ -83,66 +83,66 @@ def test_supervisor_gives_what_a_program_prints(supervisor: Supervisor) -> None:
     assert b'"name": "box_bot"' in program.process.stdout.read()
 
 
-def test_supervisor_says_nothing_while_everything_is_up(
-    supervisor: Supervisor, notes: Notes
-) -> None:
+def test_running_program_is_not_restarted(supervisor: Supervisor, restart_log: RestartLog) -> None:
     program = supervisor.start("waiting", WAITING)
 
     supervisor.watch()
 
-    assert not is_gone(pid_of(program))
-    assert notes.restarts == []
+    assert not is_gone(find_pid(program))
+    assert restart_log.restarts == []
 
 
 @pytest.mark.parametrize(("arguments", "status"), [(QUICK, 0), (MISTYPED, 3)])
-def test_supervisor_raises_when_a_program_ends_that_may_not(
+def test_exit_without_restart_is_an_error(
     supervisor: Supervisor, arguments: tuple[str, ...], status: int
 ) -> None:
     supervisor.start("waiting", WAITING)
-    wait_for_end(supervisor.start("server", arguments))
+    wait_for_exit(supervisor.start("server", arguments))
 
-    with pytest.raises(ProgramDied, match=rf"^server\b.*\b{status}$"):
+    with pytest.raises(ProgramDied, match=f"server .* {status}$"):
         supervisor.watch()
 
 
-def test_supervisor_restarts_a_program_after_a_pause(supervisor: Supervisor, notes: Notes) -> None:
+def test_program_is_restarted_after_a_delay(
+    supervisor: Supervisor, restart_log: RestartLog
+) -> None:
     program = supervisor.start("agent", WAITING, is_restarted=True)
-    first = pid_of(program)
+    first = find_pid(program)
     os.kill(first, signal.SIGKILL)
-    wait_for_end(program)
+    wait_for_exit(program)
 
     supervisor.watch()
     was_started_at_once = program.process is not None
     eventually(lambda: is_up_after_watch(supervisor, program), ENDS_S)
 
     assert not was_started_at_once
-    assert notes.restarts == [("agent", -signal.SIGKILL)]
+    assert restart_log.restarts == [("agent", -signal.SIGKILL)]
     assert program.restarts == 1
-    assert pid_of(program) != first
+    assert find_pid(program) != first
 
 
-def test_supervisor_gives_a_program_up_that_was_restarted_often(supervisor: Supervisor) -> None:
+def test_number_of_restarts_is_limited(supervisor: Supervisor) -> None:
     program = supervisor.start("agent", MISTYPED, is_restarted=True)
     program.restarts = MAX_RESTARTS
-    wait_for_end(program)
+    wait_for_exit(program)
 
-    with pytest.raises(ProgramDied, match=r"agent\b.*\b3\b"):
+    with pytest.raises(ProgramDied, match=r"agent .* 3$"):
         supervisor.watch()
 
 
-def test_supervisor_goes_on_with_the_others_when_one_is_restarted(supervisor: Supervisor) -> None:
+def test_restart_does_not_affect_other_programs(supervisor: Supervisor) -> None:
     first, second = (supervisor.start(name, WAITING, is_restarted=True) for name in ("a", "b"))
-    kept = pid_of(second)
-    os.kill(pid_of(first), signal.SIGKILL)
-    wait_for_end(first)
+    second_pid = find_pid(second)
+    os.kill(find_pid(first), signal.SIGKILL)
+    wait_for_exit(first)
 
     supervisor.watch()
 
-    assert pid_of(second) == kept
-    assert not is_gone(kept)
+    assert find_pid(second) == second_pid
+    assert not is_gone(second_pid)
 
 
-def test_supervisor_ends_a_server_cleanly(supervisor: Supervisor) -> None:
+def test_close_ends_a_server_with_status_0(supervisor: Supervisor) -> None:
     endpoint = free_endpoint()
     process = supervisor.start("server", ("serve", "--listen", endpoint)).process
     assert process is not None
@@ -160,8 +160,8 @@ def listening_ports(pid: int) -> list[int]:
     return [one.laddr.port for one in connections if one.status == psutil.CONN_LISTEN]
 
 
-def test_supervisor_leaves_nobody_when_closed(supervisor: Supervisor) -> None:
-    pids = [pid_of(supervisor.start(name, WAITING)) for name in ("a", "b", "c")]
+def test_close_ends_all_programs(supervisor: Supervisor) -> None:
+    pids = [find_pid(supervisor.start(name, WAITING)) for name in ("a", "b", "c")]
 
     supervisor.close()
 
@@ -169,8 +169,8 @@ def test_supervisor_leaves_nobody_when_closed(supervisor: Supervisor) -> None:
     assert supervisor.programs == []
 
 
-def test_supervisor_kills_who_does_not_end_by_himself(supervisor: Supervisor) -> None:
-    pid = pid_of(supervisor.start("stopped", WAITING))
+def test_close_kills_a_suspended_program(supervisor: Supervisor) -> None:
+    pid = find_pid(supervisor.start("stopped", WAITING))
     os.kill(pid, signal.SIGSTOP)
 
     supervisor.close()
@@ -178,21 +178,21 @@ def test_supervisor_kills_who_does_not_end_by_himself(supervisor: Supervisor) ->
     assert is_gone(pid)
 
 
-def test_supervisor_closes_while_a_program_waits_for_its_restart(supervisor: Supervisor) -> None:
+def test_close_during_a_restart_delay(supervisor: Supervisor) -> None:
     waiting = supervisor.start("agent", WAITING, is_restarted=True)
-    os.kill(pid_of(waiting), signal.SIGKILL)
-    wait_for_end(waiting)
+    os.kill(find_pid(waiting), signal.SIGKILL)
+    wait_for_exit(waiting)
     supervisor.watch()
-    other = pid_of(supervisor.start("other", WAITING))
+    other = find_pid(supervisor.start("other", WAITING))
 
     supervisor.close()
 
     assert is_gone(other)
 
 
-def test_supervisor_closes_after_a_program_died(supervisor: Supervisor) -> None:
-    wait_for_end(supervisor.start("server", MISTYPED))
-    other = pid_of(supervisor.start("other", WAITING))
+def test_close_after_an_exit(supervisor: Supervisor) -> None:
+    wait_for_exit(supervisor.start("server", MISTYPED))
+    other = find_pid(supervisor.start("other", WAITING))
     with pytest.raises(ProgramDied):
         supervisor.watch()
 
@@ -202,7 +202,7 @@ def test_supervisor_closes_after_a_program_died(supervisor: Supervisor) -> None:
     assert is_gone(other)
 
 
-def test_supervisor_leaves_no_file_open(supervisor: Supervisor) -> None:
+def test_close_leaves_no_open_files(supervisor: Supervisor) -> None:
     before = psutil.Process().num_fds()
 
     for _ in range(3):
