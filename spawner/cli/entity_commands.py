@@ -3,6 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any
 
@@ -64,6 +65,30 @@ FetchListing = Callable[[], EntityListing]
 ShowListing = Callable[[EntityListing], None]
 
 
+@dataclass(frozen=True, kw_only=True)
+class FilterOptions:
+    """Which entities to list."""
+
+    pattern: Annotated[
+        str,
+        typer.Option(
+            "--filter", metavar="REGEX", help="Only names that contain a match of this expression."
+        ),
+    ] = ""
+    category: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--category",
+            metavar="CATEGORY",
+            help=f"Only entities of this category: {CATEGORIES}; repeatable.",
+        ),
+    ] = None
+    tag: Annotated[
+        list[str] | None,
+        typer.Option("--tag", metavar="TAG", help="Only entities with this tag; repeatable."),
+    ] = None
+
+
 @app.command(
     "list",
     epilog="""Examples:
@@ -74,24 +99,7 @@ ShowListing = Callable[[EntityListing], None]
 @expand_options
 def list_entities(
     *,
-    pattern: Annotated[
-        str,
-        typer.Option(
-            "--filter", metavar="REGEX", help="Only names that contain a match of this expression."
-        ),
-    ] = "",
-    category: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--category",
-            metavar="CATEGORY",
-            help=f"Only entities of this category: {CATEGORIES}; repeatable.",
-        ),
-    ] = None,
-    tag: Annotated[
-        list[str] | None,
-        typer.Option("--tag", metavar="TAG", help="Only entities with this tag; repeatable."),
-    ] = None,
+    filtering: FilterOptions,
     watch: Annotated[bool, flag("--watch", "-w", help="Repeat until Ctrl-C.")] = False,
     every: Annotated[
         float,
@@ -105,13 +113,9 @@ def list_entities(
     Filters of different kinds must all match; of several categories or tags, one must match.
     """
     with exit_on_failure("list"):
-        filters = make_filters(pattern, category or (), tag or ())
+        filters = make_filters(filtering.pattern, filtering.category or (), filtering.tag or ())
     if watch:
-        server = ClientOptions(
-            timeout=min(server.timeout, WATCH_TIMEOUT_S),
-            connect=server.connect,
-            world_name=server.world_name,
-        )
+        server = replace(server, timeout=min(server.timeout, WATCH_TIMEOUT_S))
     with open_client("list", server) as client:
         fetch = partial(fetch_listing, client, filters)
         show = _print_json_rows if as_json else _print_rows

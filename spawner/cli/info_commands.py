@@ -1,6 +1,7 @@
 """`zensim info get` and `set`, and entity categories and filters as words."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Annotated
 
 import typer
@@ -48,6 +49,7 @@ def make_filters(pattern: str, categories: Sequence[str], tags: Sequence[str]) -
 
 
 app = make_app("info")
+_new_value = partial(typer.Option, show_default="unchanged")
 
 
 @app.command("get")
@@ -69,25 +71,14 @@ def set_info(
     name: EntityName,
     *,
     category: Annotated[
-        str,
-        typer.Option(
-            metavar="CATEGORY", help=f"New category: {CATEGORIES}.", show_default="unchanged"
-        ),
+        str, _new_value(metavar="CATEGORY", help=f"New category: {CATEGORIES}.")
     ] = "",
     tag: Annotated[
         list[str] | None,
-        typer.Option(
-            "--tag",
-            metavar="TAG",
-            help="New tag; repeatable. Replaces all present tags.",
-            show_default="unchanged",
-        ),
+        _new_value("--tag", metavar="TAG", help="New tag; repeatable. Replaces all present tags."),
     ] = None,
     no_tags: Annotated[bool, flag("--no-tags", help="Remove all tags.")] = False,
-    description: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="New description.", show_default="unchanged"),
-    ] = None,
+    description: Annotated[str | None, _new_value(metavar="TEXT", help="New description.")] = None,
     as_json: JsonOption = False,
     server: ClientOptions,
 ) -> None:

@@ -119,10 +119,7 @@ def make_fleet(
         rows.setdefault(template, []).append(row)
     return RenderedFleet(
         names=names,
-        groups=tuple(
-            _make_group(template, names, np.array(own_rows), starts)
-            for template, own_rows in rows.items()
-        ),
+        groups=tuple(_make_group(one, names, np.array(own), starts) for one, own in rows.items()),
         members=members,
         templates=templates,
         robots=tuple(n for n in names if models.models[members[n].model].drive is not None),
