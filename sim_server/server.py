@@ -82,8 +82,8 @@ def load_initial_world(
     loaded = load_world_in_process(order)
     for fault in list_warnings(loaded.model.report):
         LOG.warning("world=%s %s", config.world_file, fault)
-    pace = loaded.model.pace
-    return loaded, fill_pace(config, step_s=pace.step_s, real_time_factor=pace.real_time_factor)
+    physics = loaded.model.physics
+    return loaded, fill_pace(config, step_s=physics.step_s, real_time_factor=physics.real_time_factor)
 
 
 def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerConfig:

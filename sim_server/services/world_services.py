@@ -214,7 +214,7 @@ def get_named_poses(
 ) -> spawn_messages.GetNamedPosesResponse:
     """List the named poses that pass a filter of tags."""
     passes = make_tags_test(request.tags)
-    found = (place.pose for place in current.model.places if passes(place.pose.tags))
+    found = (one.pose for one in current.model.named_poses if passes(one.pose.tags))
     return spawn_messages.GetNamedPosesResponse(poses=tuple(found))
 
 
@@ -222,9 +222,9 @@ def get_named_pose_bounds(
     current: CurrentWorld, request: spawn_messages.GetNamedPoseBoundsRequest
 ) -> spawn_messages.GetNamedPoseBoundsResponse:
     """Return the bounds of a named pose."""
-    for place in current.model.places:
-        if place.pose.name == request.name:
-            return spawn_messages.GetNamedPoseBoundsResponse(bounds=place.bounds)
+    for one in current.model.named_poses:
+        if one.pose.name == request.name:
+            return spawn_messages.GetNamedPoseBoundsResponse(bounds=one.bounds)
     raise RequestRefused(
         ResultCode.NOT_FOUND,
         f"no pose {request.name[:80]!r} in this world; 'get_named_poses' lists them",

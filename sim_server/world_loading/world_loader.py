@@ -120,9 +120,9 @@ def make_world_factory(
     requested = config.requested or config
 
     def build(model: WorldModel) -> Iterator[BuiltWorld | None]:
-        pace = model.pace
+        physics = model.physics
         world_config = fill_pace(
-            requested, step_s=pace.step_s, real_time_factor=pace.real_time_factor
+            requested, step_s=physics.step_s, real_time_factor=physics.real_time_factor
         )
         world = World(
             make_engine(world_config, model),

@@ -63,14 +63,14 @@ if TYPE_CHECKING:
 ZENSIM_WORLD_TAGS = ("description", "tags")
 
 
-class NamedPlace(msgspec.Struct, frozen=True):
+class BoundedPose(msgspec.Struct, frozen=True):
     """A named pose in the world and its bounds; empty bounds are unlimited."""
 
     pose: NamedPose
     bounds: Bounds = Bounds()
 
 
-def read_named_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
+def read_named_pose(frame: Element, name: str, origin: Origin) -> BoundedPose:
     """Read a <frame> of a world as a named pose.
 
     Raises:
@@ -89,7 +89,7 @@ def read_named_place(frame: Element, name: str, origin: Origin) -> NamedPlace:
             slug="sdf.named_pose",
         )
     pose = Pose(Point(*origin.position), Quaternion(*origin.orientation))
-    return NamedPlace(NamedPose(name, description, tags, pose), _read_bounds(texts, name))
+    return BoundedPose(NamedPose(name, description, tags, pose), _read_bounds(texts, name))
 
 
 def _read_bounds(texts: dict[str, str], name: str) -> Bounds:
@@ -225,16 +225,16 @@ class PlacedModel(msgspec.Struct, frozen=True):
 
 
 class WorldModel(msgspec.Struct, frozen=True):
-    """A world before its models are spawned."""
+    """A world before its models are spawned; journals keep the encoded names of its fields."""
 
     name: str
     gravity: Vec3 = EARTH_GRAVITY
     ground_plane: bool = False
     ground_friction: float = 1.0
-    pace: PhysicsSettings = PhysicsSettings()
+    physics: PhysicsSettings = msgspec.field(default=PhysicsSettings(), name="pace")
     models: tuple[PlacedModel, ...] = ()
     scene: Scene = Scene()
-    places: tuple[NamedPlace, ...] = ()
+    named_poses: tuple[BoundedPose, ...] = msgspec.field(default=(), name="places")
     report: tuple[ReportEntry, ...] = ()
 
 
@@ -359,7 +359,7 @@ def _read_element(child: Element, draft: _WorldDraft) -> None:
     elif child.tag == "gravity":
         draft.world = replace(draft.world, gravity=_read_gravity(child, report))
     elif child.tag == "physics":
-        draft.world = replace(draft.world, pace=read_physics(child, report))
+        draft.world = replace(draft.world, physics=read_physics(child, report))
     elif child.tag == "scene":
         colours = read_scene(child, report)
         scene = replace(draft.world.scene, ambient=colours.ambient, background=colours.background)
@@ -386,10 +386,10 @@ def _read_gravity(child: Element, report: ParseReport) -> Vec3:
 
 def _read_world_frame(frame: Element, draft: _WorldDraft) -> None:
     name = frame.get("name") or ""
-    place = read_named_place(frame, name, draft.frames.pose(name))
+    named_pose = read_named_pose(frame, name, draft.frames.pose(name))
     draft.report.applied(f"frame {quote(name)}", "a named pose")
-    places = (*draft.world.places, place)
-    draft.world = msgspec.structs.replace(draft.world, places=places)
+    named_poses = (*draft.world.named_poses, named_pose)
+    draft.world = msgspec.structs.replace(draft.world, named_poses=named_poses)
 
 
 def _report_element(child: Element, report: ParseReport) -> None:

@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 
 from tests.sim_server.description.robots import mentions, subjects
@@ -12,7 +13,12 @@ from zensim.proto.messages.result_messages import SpawnCode
 from zensim.proto.messages.standard_messages import Point, Vector3
 from zensim.proto.messages.world_messages import Light, Scene
 from zensim.sim_server.description.builtin_models import list_builtin_worlds, read_builtin_world
-from zensim.sim_server.description.sdf.sdf_world import NamedPlace, PhysicsSettings, read_world
+from zensim.sim_server.description.sdf.sdf_world import (
+    BoundedPose,
+    PhysicsSettings,
+    WorldModel,
+    read_world,
+)
 from zensim.sim_server.errors import ModelError
 
 GROUND = "<include><uri>model://ground_plane</uri></include>"
@@ -207,7 +213,7 @@ def test_tilted_plane_is_a_model() -> None:
 
 
 @pytest.mark.parametrize(
-    ("physics", "pace"),
+    ("physics", "settings"),
     [
         ("", PhysicsSettings()),
         ("<max_step_size>0.002</max_step_size>", PhysicsSettings(0.002, None)),
@@ -220,8 +226,8 @@ def test_tilted_plane_is_a_model() -> None:
         ("<real_time_update_rate>0</real_time_update_rate>", PhysicsSettings(None, 0.0)),
     ],
 )
-def test_physics_settings_are_read(physics: str, pace: PhysicsSettings) -> None:
-    assert read_world(a_world(GROUND, f"<physics>{physics}</physics>")).pace == pace
+def test_physics_settings_are_read(physics: str, settings: PhysicsSettings) -> None:
+    assert read_world(a_world(GROUND, f"<physics>{physics}</physics>")).physics == settings
 
 
 def test_lights_and_colours_are_read() -> None:
@@ -266,14 +272,14 @@ def test_invalid_world_is_refused(inside: str, slug: str) -> None:
 GROUND = "<include><uri>model://ground_plane</uri></include>"
 
 
-def places(inside: str, declared: str = "") -> dict[str, NamedPlace]:
+def named_poses(inside: str, declared: str = "") -> dict[str, BoundedPose]:
     text = f"<sdf version='1.9' {declared}><world name='w'>{GROUND}{inside}</world></sdf>"
-    return {place.pose.name: place for place in read_world(text).places}
+    return {named.pose.name: named for named in read_world(text).named_poses}
 
 
 @pytest.mark.parametrize("declared", ["", "xmlns:zensim='urn:zensim'"])
 def test_frame_is_a_named_pose_with_tags_and_bounds(declared: str) -> None:
-    found = places(
+    found = named_poses(
         "<frame name='dock'><pose>1 2 0 0 0 0</pose>"
         "<zensim:description> by the door </zensim:description>"
         "<zensim:tags>parking, charging parking</zensim:tags>"
@@ -288,19 +294,19 @@ def test_frame_is_a_named_pose_with_tags_and_bounds(declared: str) -> None:
 
 
 def test_frame_without_tags_is_a_pose_without_bounds() -> None:
-    bare = places("<frame name='bare'/>")["bare"]
+    bare = named_poses("<frame name='bare'/>")["bare"]
 
     assert (bare.bounds, bare.pose.tags) == (Bounds(), ())
 
 
 def test_frame_may_be_attached_to_another() -> None:
-    found = places(
+    found = named_poses(
         "<frame name='gate'><pose relative_to='dock'>1 0 0 0 0 0</pose></frame>"
         f"<frame name='dock'><pose>0 3 0 0 0 {math.pi / 2}</pose></frame>"
     )
 
-    place = found["gate"].pose.pose.position
-    assert (place.x, place.y, place.z) == pytest.approx((0.0, 4.0, 0.0))
+    named = found["gate"].pose.pose.position
+    assert (named.x, named.y, named.z) == pytest.approx((0.0, 4.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -315,7 +321,7 @@ def test_frame_may_be_attached_to_another() -> None:
 )
 def test_frame_with_a_bad_text_is_refused(inside: str, value: str) -> None:
     with pytest.raises(ModelError, match=value) as caught:
-        places(f"<frame name='dock'>{inside}</frame>")
+        named_poses(f"<frame name='dock'>{inside}</frame>")
 
     assert caught.value.slug == "sdf.named_pose"
 
@@ -324,5 +330,9 @@ def test_frame_with_a_bad_text_is_refused(inside: str, value: str) -> None:
 def test_built_in_world_has_a_spawn_pose(name: str) -> None:
     world = read_world(read_builtin_world(name))
 
-    assert any("spawn" in place.pose.tags for place in world.places)
+    assert any("spawn" in named.pose.tags for named in world.named_poses)
     assert {entry.status for entry in world.report} <= {"applied", "ignored"}
+
+
+def test_encoded_names_of_a_world_are_those_of_journals() -> None:
+    assert {"pace", "places"} <= set(msgspec.to_builtins(WorldModel("w")))
