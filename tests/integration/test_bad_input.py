@@ -203,7 +203,7 @@ def test_description_is_refused_when_it_is_too_large(
 
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert "at most" in done.stderr
+    assert "xml.size: " in done.stderr
 
 
 def test_server_goes_on_when_a_message_exceeds_the_limit(session: zenoh.Session) -> None:
@@ -261,7 +261,7 @@ def test_second_server_is_refused_when_the_port_is_taken(server: Server) -> None
     done = zensim("serve", "--listen", server.endpoint)
 
     assert done.returncode == 1
-    assert "is taken" in done.stderr
+    assert server.endpoint in done.stderr
     assert done.stderr.count("\n") == 1
 
 
@@ -269,7 +269,7 @@ def test_second_server_is_refused_when_the_world_has_one(server: Server) -> None
     done = zensim("serve", "--connect", server.endpoint)
 
     assert done.returncode == 1
-    assert "already has a server" in done.stderr
+    assert "zensim serve: FAILED (1): " in done.stderr
     assert done.stderr.count("\n") == 1
 
 
