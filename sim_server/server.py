@@ -83,7 +83,9 @@ def load_initial_world(
     for fault in list_warnings(loaded.model.report):
         LOG.warning("world=%s %s", config.world_file, fault)
     physics = loaded.model.physics
-    return loaded, fill_pace(config, step_s=physics.step_s, real_time_factor=physics.real_time_factor)
+    return loaded, fill_pace(
+        config, step_s=physics.step_s, real_time_factor=physics.real_time_factor
+    )
 
 
 def _resume_config(config: ServerConfig, contents: JournalContents) -> ServerConfig:
