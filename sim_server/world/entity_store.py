@@ -25,7 +25,8 @@ class EntityStore:
         self._index: EntityIndex | None = None
 
     def __iter__(self) -> Iterator[Entity]:
-        return iter(self._entities.values())
+        # A copy, so that callers may delete entities while they iterate.
+        return iter(tuple(self._entities.values()))
 
     def __len__(self) -> int:
         return len(self._entities)

@@ -34,6 +34,15 @@ def test_store_has_entities_in_the_order_of_commits() -> None:
     assert store.index.names == ("b", "a")
 
 
+def test_entities_may_be_removed_while_iterating() -> None:
+    store = a_store(an_entity("a", body=1), an_entity("b", body=2))
+
+    for entity in store:
+        store.remove(entity.name)
+
+    assert len(store) == 0
+
+
 @pytest.mark.parametrize("method", ["find", "remove"])
 def test_entity_that_does_not_exist_is_not_found(method: str) -> None:
     with pytest.raises(EntityNotFound):
