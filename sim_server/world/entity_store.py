@@ -95,7 +95,8 @@ class EntityStore:
         self._free(former)
         self._reserve(entity)
         self._entities[entity.name] = entity
-        self._index = None
+        if entity.body != former.body:
+            self._index = None
         if entity.model is not former.model:
             self._count_change()
 
