@@ -49,7 +49,7 @@ CONTROL_STEPS = 3
 
 
 class WallTime:
-    """A clock that goes on when told to, and by what is slept."""
+    """A wall clock that advances by setting it and by sleeping."""
 
     def __init__(self, now_ns: int = 5_000_000_000) -> None:
         self.ns = now_ns
@@ -68,7 +68,7 @@ class WallTime:
 
 
 class TimedEngine(ObedientEngine):
-    """Obeys perfectly, and takes a while for it."""
+    """An ideal engine whose steps take wall time."""
 
     def __init__(self, wall: WallTime, cost_ns: int = 0) -> None:
         super().__init__(EngineConfig(STEP_NS))
@@ -84,7 +84,7 @@ class TimedEngine(ObedientEngine):
 
 
 class InlineParser:
-    """Reads descriptions at once, or when told to; when given a model, that is what they say."""
+    """Parse descriptions in this process, unless `is_slow`; `given` replaces the parsed model."""
 
     def __init__(self, store: AssetStore | None = None) -> None:
         self.is_slow = False
@@ -129,7 +129,7 @@ class InlineParser:
 
 @dataclass
 class ScriptedInbox:
-    """Gives out what was put in, once."""
+    """An inbox filled by tests."""
 
     calls: list[MemoryCall] = field(default_factory=list)
     commands: list[Sample] = field(default_factory=list)
@@ -155,9 +155,9 @@ class ScriptedInbox:
 
 @dataclass
 class RecordingPublisher:
-    """Keeps what it was told."""
+    """A publisher that records its messages."""
 
-    told: list[tuple[str, msgspec.Struct]] = field(default_factory=list)
+    sent: list[tuple[str, msgspec.Struct]] = field(default_factory=list)
     drive_states: list[tuple[str, DriveState]] = field(default_factory=list)
     forgotten: list[str] = field(default_factory=list)
     unwanted: set[str] = field(default_factory=set)
@@ -166,7 +166,7 @@ class RecordingPublisher:
         return topic.suffix not in self.unwanted
 
     def publish(self, topic: TopicSpec, message: msgspec.Struct) -> None:
-        self.told.append((topic.suffix, message))
+        self.sent.append((topic.suffix, message))
 
     def publish_drive_state(self, agent: str, state: DriveState) -> None:
         self.drive_states.append((agent, state))
@@ -175,12 +175,12 @@ class RecordingPublisher:
         self.forgotten.append(agent)
 
     def on(self, topic: str) -> list[msgspec.Struct]:
-        return [message for told_topic, message in self.told if told_topic == topic]
+        return [message for topic_, message in self.sent if topic_ == topic]
 
 
 @dataclass
 class ServerFixture:
-    """A loop with all that it talks to."""
+    """A loop with its fakes."""
 
     wall: WallTime
     engine: TimedEngine
@@ -190,14 +190,14 @@ class ServerFixture:
     publisher: RecordingPublisher
     loop: ServerLoop
 
-    def ask(
+    def request(
         self, service: str, request: msgspec.Struct, format_: Format = Format.MSGPACK
     ) -> MemoryCall:
         """Put a request into the inbox."""
         return self.send(service, encode(request, format_), make_encoding(request, format_))
 
     def send(self, service: str, payload: bytes, encoding: str = "") -> MemoryCall:
-        """Put any bytes into the inbox as a request."""
+        """Put bytes into the inbox as a request."""
         call = MemoryCall(f"sim/default/{service}", payload, encoding, b"")
         self.inbox.calls.append(call)
         return call
@@ -210,7 +210,7 @@ class ServerFixture:
         )
 
     def turn_for(self, seconds: float) -> None:
-        """Turn the loop until so much wall time is over."""
+        """Turn the loop for a wall time."""
         end_ns = self.wall.ns + round(seconds * 1e9)
         while self.wall.ns < end_ns:
             before_ns = self.wall.ns
@@ -219,9 +219,9 @@ class ServerFixture:
                 self.wall.ns += 1000
 
     def events(self) -> list[tuple[str, str]]:
-        """Name the events that were told: kind and entity."""
-        told = [event for event in self.publisher.on("events") if isinstance(event, Event)]
-        return [(event.kind, event.entity) for event in told]
+        """List the published events: kind and entity."""
+        sent = [event for event in self.publisher.on("events") if isinstance(event, Event)]
+        return [(event.kind, event.entity) for event in sent]
 
 
 def a_server(
@@ -288,7 +288,7 @@ def a_spawn(
 
 
 def a_command(world: World, agent: str, *targets: float) -> DriveCommand:
-    """Make a command that answers what the agent was last told."""
+    """Make a command that replies to the newest state."""
     fleet = world.claimed_by_agent().get(agent)
     claims = fleet.claims if fleet else b""
     return DriveCommand(world.clock.epoch, world.clock.steps, claims, floats(targets))
@@ -299,7 +299,7 @@ def floats(numbers: Sequence[float]) -> bytes:
 
 
 def answer_of(call: MemoryCall, kind: type[msgspec.Struct]) -> msgspec.Struct:
-    """Read the only answer of a call."""
+    """Decode the only reply of a call."""
     (answer,) = call.answers
     return decode(kind, answer.payload, answer.encoding)
 

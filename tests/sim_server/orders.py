@@ -1,4 +1,4 @@
-"""Orders to spawn box_bots, and what came of them."""
+"""Spawn orders of box_bots, and their reports."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""`zensim serve` when it is mistyped."""
+"""`zensim serve` with wrong options."""
 
 import pytest
 
@@ -22,7 +22,7 @@ from zensim.proto.exit_codes import ExitCode
     ],
     ids=str,
 )
-def test_serve_is_refused_in_one_line_when_it_is_mistyped(
+def test_serve_is_refused_in_one_line_for_mistyped_options(
     arguments: tuple[str, ...], message: str
 ) -> None:
     done = zensim("serve", *arguments)
@@ -34,14 +34,14 @@ def test_serve_is_refused_in_one_line_when_it_is_mistyped(
     assert done.stdout == ""
 
 
-def test_serve_is_refused_when_it_is_to_listen_and_to_connect() -> None:
+def test_serve_is_refused_with_listen_and_connect() -> None:
     done = zensim("serve", "--listen", free_endpoint(), "--connect", free_endpoint())
 
     assert done.returncode == ExitCode.USAGE
     assert "--listen" in done.stderr
 
 
-def test_serve_says_so_when_nobody_listens_where_it_is_to_connect() -> None:
+def test_serve_fails_without_a_router_to_connect_to() -> None:
     endpoint = free_endpoint()
 
     done = zensim("serve", "--connect", endpoint, "--wait", "0")
@@ -51,7 +51,7 @@ def test_serve_says_so_when_nobody_listens_where_it_is_to_connect() -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_serve_names_the_policies_when_it_is_given_another() -> None:
+def test_serve_lists_the_policies_for_an_unknown_one() -> None:
     done = zensim("serve", "--on-miss", "panic")
 
     assert done.returncode == ExitCode.USAGE

@@ -1,4 +1,4 @@
-"""Beginning: a journal's world comes before the one that was asked for."""
+"""The initial world: that of the journal before the requested one."""
 
 from pathlib import Path
 
@@ -25,36 +25,36 @@ def journal(tmp_path: Path) -> Journal:
     return open_journal(str(tmp_path))
 
 
-def test_server_goes_on_with_the_world_of_its_journal(journal: Journal) -> None:
+def test_server_restores_the_world_of_its_journal(journal: Journal) -> None:
     loaded, config = load_initial_world(CONFIG, journal)
 
     assert loaded.model.name == "empty"
     assert (config.step_ns, config.real_time_factor, config.seed) == (STEP_NS, 2.0, 7)
 
 
-def test_server_holds_the_factor_that_was_asked_for(journal: Journal) -> None:
+def test_server_keeps_the_requested_factor(journal: Journal) -> None:
     _, config = load_initial_world(msgspec.structs.replace(CONFIG, real_time_factor=0.5), journal)
 
     assert config.real_time_factor == 0.5
 
 
-def test_server_reads_its_world_when_the_journal_is_new(tmp_path: Path) -> None:
+def test_server_loads_its_world_when_the_journal_is_new(tmp_path: Path) -> None:
     loaded, _ = load_initial_world(CONFIG, open_journal(str(tmp_path)))
 
     assert loaded.model.models
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "response_"),
     [
         ({"world": "other"}, "lab is the journal of world 'default'; use --world-name default"),
         ({"step_hz": 100.0}, "lab counts steps of 240 Hz, not 100; leave --step-hz out"),
     ],
 )
 def test_server_refuses_the_journal_of_another_world(
-    journal: Journal, change: dict[str, object], said: str
+    journal: Journal, change: dict[str, object], response_: str
 ) -> None:
     with pytest.raises(JournalError) as caught:
         load_initial_world(msgspec.structs.replace(CONFIG, **change), journal)
 
-    assert str(caught.value).startswith(said)
+    assert str(caught.value).startswith(response_)

@@ -1,4 +1,4 @@
-"""Configuration: what a server can start with."""
+"""Server configuration and its validation."""
 
 import pytest
 from hypothesis import given
@@ -20,7 +20,7 @@ from zensim.sim_server.server_config import (
 DEFAULTS = ServerConfig(bus=BusConfig())
 
 
-def test_config_defaults_can_be_started_with() -> None:
+def test_config_defaults_are_valid() -> None:
     assert validate_config(DEFAULTS) == DEFAULTS
 
 
@@ -44,7 +44,7 @@ def test_config_defaults_can_be_started_with() -> None:
     ],
     ids=str,
 )
-def test_config_is_refused_with_what_would_work(changes: dict[str, object], named: str) -> None:
+def test_config_is_refused_with_the_value(changes: dict[str, object], named: str) -> None:
     config = replace(DEFAULTS, **changes)
 
     with pytest.raises(ConfigError, match=named):
@@ -63,7 +63,7 @@ def test_config_is_refused_with_what_would_work(changes: dict[str, object], name
         (10_000.0, 100_000, 100),
     ],
 )
-def test_config_tells_step_and_control_period(
+def test_config_computes_step_and_control_period(
     step_hz: float, step_ns: int, control_steps: int
 ) -> None:
     config = replace(DEFAULTS, step_hz=step_hz)
@@ -72,29 +72,29 @@ def test_config_tells_step_and_control_period(
 
 
 @pytest.mark.parametrize(("control_hz", "steps"), [(50.0, 5), (240.0, 1), (1000.0, 1), (10.0, 24)])
-def test_agents_are_told_as_often_as_is_asked_for(control_hz: float, steps: int) -> None:
+def test_drive_states_have_the_requested_rate(control_hz: float, steps: int) -> None:
     assert replace(DEFAULTS, step_hz=240.0, control_hz=control_hz).control_steps == steps
 
 
 @given(st.floats(1.0, 10_000.0))
-def test_agents_are_told_at_most_at_the_control_rate(step_hz: float) -> None:
+def test_drive_states_have_at_most_the_control_rate(step_hz: float) -> None:
     config = replace(DEFAULTS, step_hz=step_hz)
 
     assert config.control_steps >= 1
     assert NANOSECONDS / config.step_ns / config.control_steps <= CONTROL_HZ * (1 + 1e-6)
 
 
-def test_server_is_a_router_at_the_default_endpoint_unless_told() -> None:
+def test_server_is_a_router_at_the_default_endpoint() -> None:
     assert make_server_bus_config("", "") == BusConfig(mode="router", listen=(DEFAULT_ENDPOINT,))
 
 
-def test_server_is_a_router_where_it_is_told_to_listen() -> None:
+def test_server_is_a_router_at_the_listen_endpoint() -> None:
     assert make_server_bus_config("tcp/0.0.0.0:1", "") == BusConfig(
         mode="router", listen=("tcp/0.0.0.0:1",)
     )
 
 
-def test_server_is_a_client_when_it_is_told_to_connect() -> None:
+def test_server_is_a_client_of_the_connect_endpoint() -> None:
     assert make_server_bus_config("", "tcp/h:1") == BusConfig(mode="client", connect=("tcp/h:1",))
 
 
@@ -107,7 +107,7 @@ def test_server_is_a_client_when_it_is_told_to_connect() -> None:
         ((100.0, 0.0), (0.001, 0.5), (100.0, 0.0)),
     ],
 )
-def test_pace_is_that_asked_for_else_that_of_the_world_file_else_the_usual(
+def test_pace_is_requested_or_of_the_world_file_or_the_default(
     asked: tuple[float | None, float | None],
     written: tuple[float | None, float | None],
     expected: tuple[float, float],

@@ -1,4 +1,4 @@
-"""Bonds: what hangs on one goes with it, and nothing else."""
+"""Bonds: the entities of a bond are deleted with it, and no others."""
 
 from tests.sim_server.fakes import WallTime, a_spawn, a_world, make_parts, names_in
 from tests.sim_server.orders import an_order, spawned
@@ -6,7 +6,7 @@ from zensim.sim_server.service_parts import ServerParts
 
 
 def make_bonded_parts(*names: str, bond: str = "b1") -> ServerParts:
-    """Make a server whose world has entities that hang on a bond, 5 m apart."""
+    """Make a world with entities of a bond, 5 m apart."""
     wall = WallTime()
     parts = make_parts(a_world("free"), wall)
     parts.bonds.alive.add(bond)
@@ -16,7 +16,7 @@ def make_bonded_parts(*names: str, bond: str = "b1") -> ServerParts:
     return parts
 
 
-def test_bond_takes_its_entities_out_when_it_ends() -> None:
+def test_bond_deletes_its_entities_when_it_ends() -> None:
     parts = make_bonded_parts("r1", "r2")
 
     parts.bonds.end("b1")
@@ -25,7 +25,7 @@ def test_bond_takes_its_entities_out_when_it_ends() -> None:
     assert parts.bonds.alive == set()
 
 
-def test_bond_leaves_everything_when_it_is_unknown() -> None:
+def test_bond_keeps_entities_when_it_is_unknown() -> None:
     parts = make_bonded_parts("r1")
 
     parts.bonds.end("b2")
@@ -43,7 +43,7 @@ def test_bond_ends_when_its_entity_was_deleted_before() -> None:
     assert names_in(parts.world) == ["free"]
 
 
-def test_bond_leaves_another_entity_that_got_the_name_since() -> None:
+def test_bond_keeps_another_entity_with_the_name() -> None:
     parts = make_bonded_parts("r1")
     parts.world.delete("r1")
     parts.world.spawn(a_spawn("r1"))

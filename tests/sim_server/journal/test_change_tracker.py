@@ -28,7 +28,7 @@ from zensim.sim_server.journal.change_tracker import BOND_TIMEOUT_S, MOTION_PERI
 def send(
     server: JournaledServer, service: str, request: msgspec.Struct, name: str = ""
 ) -> MemoryCall:
-    call = server.server.ask(service, request)
+    call = server.server.request(service, request)
     call.request_id = name.encode()
     return call
 

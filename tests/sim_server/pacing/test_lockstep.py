@@ -1,4 +1,4 @@
-"""Lockstep: who owes an answer, which command is one, and what becomes of those who are late."""
+"""Lockstep: awaited agents, valid replies, late agents."""
 
 import pytest
 
@@ -28,15 +28,15 @@ def a_lockstep(on_miss: OnMiss = "hold") -> Lockstep:
     return Lockstep(LockstepSettings(is_on=True, timeout_s=1.0, on_miss=on_miss))
 
 
-def look_for(lockstep: Lockstep, seconds: float, start_ns: int = 0) -> list[str]:
-    """Look again and again for so long; name those who became late."""
+def check_for(lockstep: Lockstep, seconds: float, start_ns: int = 0) -> list[str]:
+    """Check repeatedly for some wall time; list the agents that became late."""
     late: list[str] = []
     for now_ns in range(start_ns, start_ns + round(seconds * SECOND), MAX_CHECK_INTERVAL_NS // 2):
         late += lockstep.find_late(now_ns)
     return late
 
 
-def test_agents_are_awaited_until_they_answer() -> None:
+def test_agents_are_awaited_until_they_reply() -> None:
     lockstep = a_lockstep()
     lockstep.record_sent("b", state(3), 0)
     lockstep.record_sent("a", state(3), 0)
@@ -48,7 +48,7 @@ def test_agents_are_awaited_until_they_answer() -> None:
     assert lockstep.awaited == ("a",)
 
 
-def test_agent_that_is_told_of_an_unawaited_state_owes_nothing() -> None:
+def test_unawaited_state_needs_no_reply() -> None:
     lockstep = a_lockstep()
 
     lockstep.record_sent("a", state(3, is_awaited=False), 0)
@@ -60,7 +60,7 @@ def test_agent_that_is_told_of_an_unawaited_state_owes_nothing() -> None:
 @pytest.mark.parametrize(
     "other", [command(2), command(4), command(3, epoch=1), command(3, claims=b"\x02\0\0\0")]
 )
-def test_command_for_another_state_is_no_answer_to_an_awaited_one(other: DriveCommand) -> None:
+def test_command_for_another_state_is_no_reply_to_an_awaited_one(other: DriveCommand) -> None:
     lockstep = a_lockstep()
     lockstep.record_sent("a", state(3), 0)
 
@@ -68,22 +68,22 @@ def test_command_for_another_state_is_no_answer_to_an_awaited_one(other: DriveCo
     assert lockstep.awaited == ("a",)
 
 
-def test_late_agent_is_named_once_and_counted() -> None:
+def test_late_agent_is_listed_once_and_counted() -> None:
     lockstep = a_lockstep()
     lockstep.record_sent("a", state(3), 0)
 
-    early = look_for(lockstep, 0.9)
-    late = look_for(lockstep, 1.0, round(0.9 * SECOND))
+    early = check_for(lockstep, 0.9)
+    late = check_for(lockstep, 1.0, round(0.9 * SECOND))
 
     assert (early, late) == ([], ["a"])
     assert lockstep.misses == {"a": 1}
     assert not lockstep.is_waiting
 
 
-def test_late_answer_is_carried_out_as_long_as_nothing_newer_was_told() -> None:
+def test_late_reply_is_applied_until_a_newer_state_is_sent() -> None:
     lockstep = a_lockstep()
     lockstep.record_sent("a", state(3), 0)
-    look_for(lockstep, 2.0)
+    check_for(lockstep, 2.0)
 
     assert lockstep.record_answer("a", command(3))
 
@@ -92,15 +92,15 @@ def test_waiting_lockstep_waits_for_ever() -> None:
     lockstep = a_lockstep("wait")
     lockstep.record_sent("a", state(3), 0)
 
-    assert look_for(lockstep, 4.5) == ["a"] * 4
+    assert check_for(lockstep, 4.5) == ["a"] * 4
     assert lockstep.awaited == ("a",)
     assert lockstep.misses == {}
 
 
-def test_silent_agent_is_held_without_waiting_until_it_is_heard_again() -> None:
+def test_silent_agent_is_not_awaited_until_it_replies_again() -> None:
     lockstep = a_lockstep("hold")
     lockstep.record_sent("a", state(3), 0)
-    look_for(lockstep, 2.0)
+    check_for(lockstep, 2.0)
 
     is_owed = lockstep.record_sent("a", state(6), 0)
     lockstep.record_answer("a", command(3))
@@ -114,17 +114,17 @@ def test_silent_agent_is_held_without_waiting_until_it_is_heard_again() -> None:
 def test_failing_lockstep_waits_for_a_silent_agent_again() -> None:
     lockstep = a_lockstep("fail")
     lockstep.record_sent("a", state(3), 0)
-    look_for(lockstep, 2.0)
+    check_for(lockstep, 2.0)
 
     lockstep.record_sent("a", state(6), 0)
 
     assert lockstep.awaited == ("a",)
 
 
-def test_agent_that_has_gone_is_not_awaited_and_has_missed_nothing() -> None:
+def test_agent_that_has_disappeared_is_not_awaited_and_has_missed_nothing() -> None:
     lockstep = a_lockstep()
     lockstep.record_sent("a", state(3), 0)
-    look_for(lockstep, 2.0)
+    check_for(lockstep, 2.0)
     lockstep.record_sent("b", state(3), 0)
 
     lockstep.forget("a")
@@ -141,7 +141,7 @@ def test_time_in_which_the_server_itself_was_stopped_does_not_count() -> None:
     assert lockstep.awaited == ("a",)
 
 
-def test_agent_knows_what_it_was_told_in_this_epoch() -> None:
+def test_has_sent_is_true_for_the_claims_of_this_epoch() -> None:
     lockstep = a_lockstep()
     unknown = lockstep.has_sent("a", state(3))
     lockstep.record_sent("a", state(3), 0)

@@ -1,4 +1,4 @@
-"""Lockstep under any order of agents that answer, fall silent, go, come, and of requests."""
+"""Lockstep under any sequence of replies, silence, liveliness changes and requests."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,26 +19,26 @@ ACTS = st.one_of(
 )
 
 
-def act(server: ServerFixture, what: str, whom: object) -> None:
-    """Let one thing happen, then turn the loop a few times."""
-    if what == "answer" and isinstance(whom, set):
-        answer_states(server, silent=tuple(whom))
-    elif what == "reset" and isinstance(whom, int):
-        server.world.reset(whom)
-    elif what == "wait" and isinstance(whom, float):
-        server.turn_for(whom)
+def act(server: ServerFixture, what: str, argument: object) -> None:
+    """Do one action, then turn the loop a few times."""
+    if what == "answer" and isinstance(argument, set):
+        answer_states(server, silent=tuple(argument))
+    elif what == "reset" and isinstance(argument, int):
+        server.world.reset(argument)
+    elif what == "wait" and isinstance(argument, float):
+        server.turn_for(argument)
     else:
-        _come_or_go(server, what, str(whom))
+        _change_liveliness(server, what, str(argument))
     for _ in range(CONTROL_STEPS + 1):
         server.loop.turn()
 
 
-def _come_or_go(server: ServerFixture, what: str, name: str) -> None:
+def _change_liveliness(server: ServerFixture, what: str, name: str) -> None:
     is_there = name in {entity.name for entity in server.world.entities}
     if what in ("go", "come"):
         server.inbox.agents.append((name, what == "come"))
         if what == "come":
-            server.ask("claim_entity", ClaimEntityRequest(name, (name,)))
+            server.request("claim_entity", ClaimEntityRequest(name, (name,)))
     elif what == "delete" and is_there:
         server.world.delete(name)
     elif what == "spawn" and not is_there:
@@ -47,14 +47,14 @@ def _come_or_go(server: ServerFixture, what: str, name: str) -> None:
 
 @settings(max_examples=40)
 @given(st.lists(ACTS, max_size=12), st.sampled_from(("wait", "hold", "fail")))
-def test_time_never_goes_back_in_an_epoch_and_goes_on_when_all_agents_answer(
+def test_time_never_goes_back_in_an_epoch_and_continues_when_all_agents_reply(
     acts: list[tuple[str, object]], on_miss: OnMiss
 ) -> None:
     server = a_locked_server(*AGENTS, on_miss=on_miss)
     moments = [(0, 0)]
 
-    for what, whom in acts:
-        act(server, what, whom)
+    for what, argument in acts:
+        act(server, what, argument)
         moments.append((server.world.clock.epoch, server.world.clock.steps))
         assert set(server.parts.pacing.lockstep.awaited) <= set(server.world.claims.agents)
 

@@ -1,4 +1,4 @@
-"""Goals of steps: their order, their ends, their progress."""
+"""Step goals: order, end, progress."""
 
 import pytest
 
@@ -14,7 +14,7 @@ def make(step_goals: StepGoals, steps: int) -> None:
         step_goals.finish_completed()
 
 
-def told(step_goals: StepGoals, now_ns: int) -> list[StepsProgress]:
+def sent(step_goals: StepGoals, now_ns: int) -> list[StepsProgress]:
     return list(step_goals.due_progress(now_ns))
 
 
@@ -31,7 +31,7 @@ def test_goals_are_reached_one_after_another() -> None:
     assert not stepping.has_steps_left
 
 
-def test_goal_is_not_over_before_it_is_settled() -> None:
+def test_goal_has_not_ended_before_finish_completed() -> None:
     stepping = StepGoals()
     goal = stepping.add(1)
 
@@ -40,7 +40,7 @@ def test_goal_is_not_over_before_it_is_settled() -> None:
     assert (goal.remaining, goal.is_over, stepping.has_steps_left) == (0, False, False)
 
 
-def test_goal_of_no_steps_is_over_when_it_is_settled() -> None:
+def test_goal_of_no_steps_ends_with_finish_completed() -> None:
     stepping = StepGoals()
     goal = stepping.add(0)
 
@@ -78,40 +78,40 @@ def test_abort_ends_all_goals_with_a_reason() -> None:
     assert (goal.status, goal.reason) == ("aborted", "no more time")
 
 
-def test_progress_is_told_ten_times_a_second_at_most_and_at_the_end() -> None:
+def test_progress_is_made_at_10_hz_at_most_and_at_the_end() -> None:
     stepping = StepGoals()
     stepping.add(300, "a")
     seen = []
 
     for step in range(300):
         make(stepping, 1)
-        seen += told(stepping, step * SECOND // 100)
+        seen += sent(stepping, step * SECOND // 100)
 
     assert len(seen) == pytest.approx(31, abs=1)
     assert seen[-1] == StepsProgress("a", 300, 0, "succeeded")
     assert all(one.completed_steps + one.remaining_steps == 300 for one in seen)
 
 
-def test_progress_of_goals_without_an_id_is_not_told() -> None:
+def test_progress_of_goals_without_an_id_is_not_made() -> None:
     stepping = StepGoals()
     stepping.add(1)
 
-    first = told(stepping, 0)
+    first = sent(stepping, 0)
     make(stepping, 1)
 
-    assert first + told(stepping, SECOND) == []
+    assert first + sent(stepping, SECOND) == []
 
 
-def test_progress_of_a_canceled_goal_is_told_once() -> None:
+def test_progress_of_a_canceled_goal_is_made_once() -> None:
     stepping = StepGoals()
     stepping.add(5, "a")
     stepping.cancel("a")
 
-    assert told(stepping, 0) == [StepsProgress("a", 0, 5, "canceled")]
-    assert told(stepping, SECOND) == []
+    assert sent(stepping, 0) == [StepsProgress("a", 0, 5, "canceled")]
+    assert sent(stepping, SECOND) == []
 
 
-def test_goals_that_are_over_are_known_until_many_others_are() -> None:
+def test_ended_goals_are_kept_up_to_a_limit() -> None:
     stepping = StepGoals()
     for i in range(MAX_FINISHED_GOALS + 10):
         stepping.add(1, f"goal{i}")
@@ -121,7 +121,7 @@ def test_goals_that_are_over_are_known_until_many_others_are() -> None:
     assert stepping.find(f"goal{MAX_FINISHED_GOALS + 9}") is not None
 
 
-def test_late_agents_are_noted_for_the_goal_that_is_under_way() -> None:
+def test_late_agents_are_noted_for_the_active_goal() -> None:
     stepping = StepGoals()
     first, second = stepping.add(1), stepping.add(1)
 

@@ -1,4 +1,4 @@
-"""Every feature that is announced works, and none that works is kept quiet."""
+"""Every announced feature works, and every working feature is announced."""
 
 from typing import TYPE_CHECKING, cast
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def a_client() -> SimClient:
-    """Make a client of a world of fakes, whose server turns while the client waits."""
+    """Make a client of a server of fakes, whose loop turns while the client waits."""
     network, wall = MemoryBus(), WallTime()
     bus = cast("Bus", network)
     inbox, publisher = BusInbox(bus, "default"), BusWorldPublisher(bus, "default")

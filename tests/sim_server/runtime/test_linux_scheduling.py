@@ -1,4 +1,4 @@
-"""Short turns: asked of the kernel that runs these tests, in threads that end with them."""
+"""Short time slices, requested from the kernel in threads that end with the tests."""
 
 import os
 import subprocess
@@ -15,18 +15,18 @@ from zensim.sim_server.runtime.linux_scheduling import (
 
 T = TypeVar("T")
 ORDINARY_NS = read_time_slice_ns()
-"""0 where the kernel does not tell."""
+"""0 where the kernel does not report it."""
 SHORT_NS = min(TIME_SLICE_NS, ORDINARY_NS)
-TELL = "from zensim.sim_server.runtime.linux_scheduling import read_time_slice_ns; print(read_time_slice_ns())"
+PRINT_SLICE = "from zensim.sim_server.runtime.linux_scheduling import read_time_slice_ns; print(read_time_slice_ns())"
 
 
 def aside(call: Callable[[], T]) -> T:
-    """Call in a thread of its own."""
+    """Call in a new thread."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(call).result()
 
 
-def test_turns_are_short_when_asked_for() -> None:
+def test_time_slices_are_short_when_requested() -> None:
     def asked() -> tuple[bool, int]:
         return request_short_time_slice(), read_time_slice_ns()
 
@@ -35,7 +35,7 @@ def test_turns_are_short_when_asked_for() -> None:
     assert found == (True, SHORT_NS)
 
 
-def test_niceness_stays_when_turns_become_short() -> None:
+def test_niceness_stays_with_short_time_slices() -> None:
     def asked() -> tuple[int, int]:
         os.setpriority(os.PRIO_PROCESS, 0, os.getpriority(os.PRIO_PROCESS, 0) + 1)
         before = os.getpriority(os.PRIO_PROCESS, 0)
@@ -47,10 +47,10 @@ def test_niceness_stays_when_turns_become_short() -> None:
     assert after == before
 
 
-def test_what_is_started_has_ordinary_turns() -> None:
+def test_child_process_has_ordinary_time_slices() -> None:
     def started() -> int:
         request_short_time_slice()
-        command = [sys.executable, "-c", TELL]
+        command = [sys.executable, "-c", PRINT_SLICE]
         return int(subprocess.run(command, capture_output=True, check=True).stdout)
 
     found = aside(started)

@@ -1,4 +1,4 @@
-"""Loop: steps at their deadlines, flat out, paused, and one by one when asked."""
+"""Loop: steps at deadlines, flat out, paused, and on request."""
 
 import pytest
 
@@ -30,15 +30,15 @@ def a_paused_server(*names: str) -> ServerFixture:
 
 
 def turns_until_answered(server: ServerFixture, call: MemoryCall) -> int:
-    """Turn the loop until a call is answered; tell how many steps that took."""
+    """Turn the loop until a call has its reply; return the number of turns."""
     before = server.world.clock.steps
     while not call.is_over:
         server.loop.turn()
     return server.world.clock.steps - before
 
 
-def ask_for_steps(server: ServerFixture, steps: int) -> MemoryCall:
-    return server.ask("step_simulation", StepSimulationRequest(steps))
+def request_steps(server: ServerFixture, steps: int) -> MemoryCall:
+    return server.request("step_simulation", StepSimulationRequest(steps))
 
 
 def code_of(call: MemoryCall) -> int:
@@ -80,7 +80,7 @@ def test_loop_waits_for_the_deadline_and_no_longer() -> None:
     assert sum(server.wall.slept_s) == pytest.approx(1.0, abs=0.01)
 
 
-def test_loop_catches_up_when_it_was_held_up_a_little() -> None:
+def test_loop_catches_up_when_it_was_delayed_a_little() -> None:
     server = a_server()
     server.turn_for(1.0)
 
@@ -91,7 +91,7 @@ def test_loop_catches_up_when_it_was_held_up_a_little() -> None:
     assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
-def test_loop_lets_the_deadline_slip_and_says_so_when_it_was_held_up_for_long() -> None:
+def test_loop_moves_the_deadline_and_reports_it_when_it_was_delayed_for_long() -> None:
     server = a_server()
     server.turn_for(1.0)
 
@@ -106,7 +106,7 @@ def test_loop_lets_the_deadline_slip_and_says_so_when_it_was_held_up_for_long() 
     assert stats.slipped_s == pytest.approx(0.7, abs=0.01)
 
 
-def test_loop_makes_no_burst_when_it_was_held_up_for_long() -> None:
+def test_loop_makes_no_burst_when_it_was_delayed_for_long() -> None:
     server = a_server()
     server.turn_for(1.0)
     before = server.world.clock.steps
@@ -153,10 +153,10 @@ def test_loop_neither_steps_nor_catches_up_when_paused() -> None:
     assert server.parts.pacing.loop_stats.slipped_ns == 0
 
 
-def test_loop_answers_at_once_when_paused() -> None:
+def test_loop_replies_at_once_when_paused() -> None:
     server = a_paused_server()
     server.turn_for(1.0)
-    call = server.ask("info", InfoRequest())
+    call = server.request("info", InfoRequest())
 
     server.loop.turn()
 
@@ -165,10 +165,10 @@ def test_loop_answers_at_once_when_paused() -> None:
     assert info.state == "paused"
 
 
-def test_loop_answers_between_two_steps() -> None:
+def test_loop_replies_between_two_steps() -> None:
     server = a_server()
     server.loop.turn()
-    call = server.ask("info", InfoRequest())
+    call = server.request("info", InfoRequest())
 
     server.loop.turn()
 
@@ -185,9 +185,9 @@ def test_loop_runs_until_it_should_stop() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 2, 50])
-def test_loop_answers_a_step_request_when_its_last_step_is_done(steps: int) -> None:
+def test_loop_replies_to_a_step_request_when_its_last_step_is_done(steps: int) -> None:
     server = a_paused_server()
-    call = ask_for_steps(server, steps)
+    call = request_steps(server, steps)
 
     made = turns_until_answered(server, call)
     server.turn_for(0.1)
@@ -200,14 +200,14 @@ def test_loop_answers_a_step_request_when_its_last_step_is_done(steps: int) -> N
 def test_loop_makes_requested_steps_without_waiting() -> None:
     server = a_paused_server()
 
-    turns_until_answered(server, ask_for_steps(server, 1000))
+    turns_until_answered(server, request_steps(server, 1000))
 
     assert server.wall.slept_s == []
 
 
-def test_loop_answers_queued_step_requests_one_after_the_other() -> None:
+def test_loop_replies_to_queued_step_requests_one_after_the_other() -> None:
     server = a_paused_server()
-    first, second = ask_for_steps(server, 3), ask_for_steps(server, 4)
+    first, second = request_steps(server, 3), request_steps(server, 4)
 
     until_first = turns_until_answered(server, first)
     was_second_answered = second.is_over
@@ -218,9 +218,9 @@ def test_loop_answers_queued_step_requests_one_after_the_other() -> None:
 
 def test_loop_serves_while_it_makes_requested_steps() -> None:
     server = a_paused_server()
-    steps = ask_for_steps(server, 100)
+    steps = request_steps(server, 100)
     server.loop.turn()
-    info = server.ask("info", InfoRequest())
+    info = server.request("info", InfoRequest())
 
     server.loop.turn()
 
@@ -229,16 +229,16 @@ def test_loop_serves_while_it_makes_requested_steps() -> None:
 
 
 @pytest.mark.parametrize("scope", [ResetScope.TIME, ResetScope.STATE, ResetScope.ALL])
-def test_loop_makes_as_many_steps_as_asked_for_when_it_is_reset_meanwhile(
+def test_loop_makes_as_many_steps_as_requested_when_it_is_reset_meanwhile(
     scope: ResetScope,
 ) -> None:
     server = a_paused_server("r0")
-    turns_until_answered(server, ask_for_steps(server, 500))
-    first, second = ask_for_steps(server, 10), ask_for_steps(server, 10)
+    turns_until_answered(server, request_steps(server, 500))
+    first, second = request_steps(server, 10), request_steps(server, 10)
     for _ in range(5):
         server.loop.turn()
 
-    reset = server.ask("reset_simulation", ResetSimulationRequest(scope))
+    reset = server.request("reset_simulation", ResetSimulationRequest(scope))
     turns = 5
     while not second.is_over:
         server.loop.turn()
@@ -251,24 +251,26 @@ def test_loop_makes_as_many_steps_as_asked_for_when_it_is_reset_meanwhile(
 
 def test_loop_finishes_requested_steps_when_it_plays_meanwhile() -> None:
     server = a_paused_server()
-    call = ask_for_steps(server, 5)
-    server.ask("set_simulation_state", SetSimulationStateRequest(SimulationState(State.PLAYING)))
+    call = request_steps(server, 5)
+    server.request(
+        "set_simulation_state", SetSimulationStateRequest(SimulationState(State.PLAYING))
+    )
 
     assert turns_until_answered(server, call) == 5
 
 
 def test_loop_refuses_a_step_request_at_once_when_it_plays() -> None:
     server = a_server()
-    call = ask_for_steps(server, 5)
+    call = request_steps(server, 5)
 
     server.loop.turn()
 
     assert code_of(call) == ResultCode.INCORRECT_STATE
 
 
-def test_loop_answers_a_retry_in_place_of_a_step_request_that_waits() -> None:
+def test_loop_replies_to_a_retry_in_place_of_a_pending_step_request() -> None:
     server = a_paused_server()
-    first, retry = ask_for_steps(server, 5), ask_for_steps(server, 5)
+    first, retry = request_steps(server, 5), request_steps(server, 5)
     first.request_id = retry.request_id = b"the same"
 
     turns_until_answered(server, retry)
@@ -277,7 +279,7 @@ def test_loop_answers_a_retry_in_place_of_a_step_request_that_waits() -> None:
     assert server.world.clock.steps == 5
 
 
-def test_loop_carries_out_a_command_in_the_step_of_the_same_turn() -> None:
+def test_loop_applies_a_command_in_the_step_of_the_same_turn() -> None:
     server = a_server("r0", factor=0.0)
     server.world.claim("a", ("r0",), "stop")
 
@@ -290,7 +292,7 @@ def test_loop_carries_out_a_command_in_the_step_of_the_same_turn() -> None:
 def test_loop_grants_a_claim_that_comes_with_the_token() -> None:
     server = a_server("r0")
     server.inbox.agents.append(("a", True))
-    call = server.ask("claim_entity", ClaimEntityRequest("a", ("r0",)))
+    call = server.request("claim_entity", ClaimEntityRequest("a", ("r0",)))
 
     server.loop.turn()
 
@@ -300,7 +302,7 @@ def test_loop_grants_a_claim_that_comes_with_the_token() -> None:
     assert server.world.claims.agent_of("r0") == "a"
 
 
-def test_loop_tells_the_cpu_time_that_held_a_step_up() -> None:
+def test_loop_reports_the_cpu_time_that_delayed_a_step() -> None:
     server = a_server("r0")
     server.engine.cost_ns = 7 * MILLISECOND
     while not server.engine.began_ns:

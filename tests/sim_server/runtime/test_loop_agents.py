@@ -1,4 +1,4 @@
-"""Loop: agents that come, go and come again, and what becomes of their robots."""
+"""Loop: agents that appear and disappear, and their robots."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def a_driven_server(*names: str, on_release: OnRelease = "stop") -> ServerFixtur
     """A flat-out loop whose agent `a` drives all carts at 3 rad/s."""
     server = a_server(*names, factor=0.0)
     server.inbox.agents.append(("a", True))
-    server.ask("claim_entity", ClaimEntityRequest("a", names, on_release))
+    server.request("claim_entity", ClaimEntityRequest("a", names, on_release))
     server.loop.turn()
     server.drive("a", *[3.0, 3.0] * len(names))
     server.loop.turn()
@@ -39,7 +39,7 @@ def claim_of(call: MemoryCall) -> ClaimEntityResponse:
     return response
 
 
-def test_loop_stops_wheels_and_releases_claims_in_the_turn_that_an_agent_goes() -> None:
+def test_loop_stops_wheels_and_releases_claims_in_the_turn_that_an_agent_disappears() -> None:
     server = a_driven_server("r0", "r1")
     rolling = wheel_speeds(server.world)
 
@@ -52,7 +52,7 @@ def test_loop_stops_wheels_and_releases_claims_in_the_turn_that_an_agent_goes() 
     assert server.events()[-2:] == [("released", "r0"), ("released", "r1")]
 
 
-def test_loop_lets_wheels_turn_when_an_agent_goes_that_said_keep() -> None:
+def test_loop_keeps_wheels_turning_when_an_agent_with_keep_disappears() -> None:
     server = a_driven_server("r0", on_release="keep")
 
     server.inbox.agents.append(("a", False))
@@ -62,7 +62,7 @@ def test_loop_lets_wheels_turn_when_an_agent_goes_that_said_keep() -> None:
     assert server.world.claims.agents == ()
 
 
-def test_loop_deletes_robots_when_an_agent_goes_that_said_delete() -> None:
+def test_loop_deletes_robots_when_an_agent_with_delete_disappears() -> None:
     server = a_driven_server("r0", on_release="delete")
 
     server.inbox.agents.append(("a", False))
@@ -71,7 +71,7 @@ def test_loop_deletes_robots_when_an_agent_goes_that_said_delete() -> None:
     assert names_in(server.world) == []
 
 
-def test_loop_forgets_an_agent_that_has_gone_and_tells_it_nothing_more() -> None:
+def test_loop_publishes_nothing_for_an_agent_that_has_disappeared() -> None:
     server = a_driven_server("r0")
     server.inbox.agents.append(("a", False))
     server.loop.turn()
@@ -84,7 +84,7 @@ def test_loop_forgets_an_agent_that_has_gone_and_tells_it_nothing_more() -> None
     assert server.publisher.drive_states == []
 
 
-def test_loop_drops_the_last_command_of_an_agent_that_has_gone() -> None:
+def test_loop_drops_the_last_command_of_an_agent_that_has_disappeared() -> None:
     server = a_driven_server("r0")
 
     server.drive("a", 9.0, 9.0)
@@ -95,10 +95,10 @@ def test_loop_drops_the_last_command_of_an_agent_that_has_gone() -> None:
     assert server.world.claims.dropped == 1
 
 
-def test_loop_refuses_a_claim_when_its_token_goes_in_the_same_turn() -> None:
+def test_loop_refuses_a_claim_when_its_token_disappears_in_the_same_turn() -> None:
     server = a_server("r0")
     server.inbox.agents += [("a", True), ("a", False)]
-    call = server.ask("claim_entity", ClaimEntityRequest("a", ("r0",)))
+    call = server.request("claim_entity", ClaimEntityRequest("a", ("r0",)))
 
     server.loop.turn()
 
@@ -106,11 +106,11 @@ def test_loop_refuses_a_claim_when_its_token_goes_in_the_same_turn() -> None:
     assert server.world.claims.agent_of("r0") == ""
 
 
-def test_loop_grants_a_claim_anew_when_an_agent_goes_and_comes_in_one_turn() -> None:
+def test_loop_grants_a_claim_again_when_an_agent_restarts_in_one_turn() -> None:
     server = a_driven_server("r0")
     old = server.world.claimed_by_agent()["a"].claims
     server.inbox.agents += [("a", False), ("a", True)]
-    call = server.ask("claim_entity", ClaimEntityRequest("a", ("r0",)))
+    call = server.request("claim_entity", ClaimEntityRequest("a", ("r0",)))
 
     server.loop.turn()
 
@@ -118,10 +118,10 @@ def test_loop_grants_a_claim_anew_when_an_agent_goes_and_comes_in_one_turn() -> 
     assert server.world.claimed_by_agent()["a"].claims != old
 
 
-def test_loop_lets_another_agent_claim_what_was_left() -> None:
+def test_loop_lets_another_agent_claim_released_robots() -> None:
     server = a_driven_server("r0")
     server.inbox.agents += [("a", False), ("b", True)]
-    call = server.ask("claim_entity", ClaimEntityRequest("b", ("r0",)))
+    call = server.request("claim_entity", ClaimEntityRequest("b", ("r0",)))
 
     server.loop.turn()
 
@@ -129,7 +129,7 @@ def test_loop_lets_another_agent_claim_what_was_left() -> None:
     assert server.world.claims.agent_of("r0") == "b"
 
 
-def test_loop_takes_agents_that_nobody_has_heard_of() -> None:
+def test_loop_accepts_unknown_agents() -> None:
     server = a_server("r0")
 
     server.inbox.agents += [("", True), ("ghost", False), ("no name!", False)]
@@ -138,7 +138,7 @@ def test_loop_takes_agents_that_nobody_has_heard_of() -> None:
     assert server.world.claims.agents == ()
 
 
-def test_loop_tells_agents_of_every_control_step() -> None:
+def test_loop_publishes_every_control_step_to_agents() -> None:
     server = a_driven_server("r0")
     server.publisher.drive_states.clear()
 
@@ -147,10 +147,10 @@ def test_loop_tells_agents_of_every_control_step() -> None:
         server.drive("a", 3.0, 3.0)
         server.loop.turn()
 
-    assert steps_told(server) == [3, 6, 9]
+    assert sent_steps(server) == [3, 6, 9]
 
 
-def test_loop_tells_no_more_often_than_agents_answer_when_time_runs_fast() -> None:
+def test_loop_publishes_no_faster_than_agents_reply_when_flat_out() -> None:
     server = a_driven_server("r0")
     server.publisher.drive_states.clear()
 
@@ -159,14 +159,14 @@ def test_loop_tells_no_more_often_than_agents_answer_when_time_runs_fast() -> No
         server.drive("a", 3.0, 3.0)
         server.loop.turn()
 
-    assert steps_told(server) == [3, 24, 45]
+    assert sent_steps(server) == [3, 24, 45]
 
 
-def test_loop_waits_for_an_answer_before_it_tells_more_when_time_runs_fast_but_not_long() -> None:
+def test_loop_waits_a_limited_time_for_a_reply_when_flat_out() -> None:
     server = a_server("r0", "r1", factor=0.0)
     for agent, name in (("prompt", "r0"), ("silent", "r1")):
         server.inbox.agents.append((agent, True))
-        server.ask("claim_entity", ClaimEntityRequest(agent, (name,), "stop"))
+        server.request("claim_entity", ClaimEntityRequest(agent, (name,), "stop"))
     server.loop.turn()
     server.publisher.drive_states.clear()
 
@@ -175,12 +175,12 @@ def test_loop_waits_for_an_answer_before_it_tells_more_when_time_runs_fast_but_n
         server.drive("prompt", 3.0, 3.0)
         server.loop.turn()
 
-    told = [(agent, state.step) for agent, state in server.publisher.drive_states]
-    assert [step for agent, step in told if agent == "prompt"] == [3, 6, 9, 12]
-    assert [step for agent, step in told if agent == "silent"] == [9]
+    sent = [(agent, state.step) for agent, state in server.publisher.drive_states]
+    assert [step for agent, step in sent if agent == "prompt"] == [3, 6, 9, 12]
+    assert [step for agent, step in sent if agent == "silent"] == [9]
 
 
-def test_loop_tells_where_robots_came_to_when_time_stands_again() -> None:
+def test_loop_publishes_the_last_state_when_paused() -> None:
     server = a_driven_server("r0")
     for _ in range(9):
         server.loop.turn()
@@ -190,14 +190,14 @@ def test_loop_tells_where_robots_came_to_when_time_stands_again() -> None:
     server.loop.turn()
     server.loop.turn()
 
-    assert steps_told(server) == [server.world.clock.steps]
+    assert sent_steps(server) == [server.world.clock.steps]
 
 
-def steps_told(server: ServerFixture) -> list[int]:
+def sent_steps(server: ServerFixture) -> list[int]:
     return [state.step for _, state in server.publisher.drive_states]
 
 
-def test_loop_tells_an_agent_80_times_a_second_at_240_steps() -> None:
+def test_loop_publishes_states_at_80_hz_with_240_steps() -> None:
     server = a_server("r0")
     server.world.claim("a", ("r0",), "stop")
 
@@ -206,7 +206,7 @@ def test_loop_tells_an_agent_80_times_a_second_at_240_steps() -> None:
     assert len(server.publisher.drive_states) == pytest.approx(3 * 80, abs=1)
 
 
-def test_loop_tells_how_long_a_robot_took_to_be_driven() -> None:
+def test_loop_reports_the_time_until_a_robot_is_driven() -> None:
     server = a_server("r0")
     born_ns = server.world.entities.find("r0").born_ns
     server.world.claim("a", ("r0",), "stop")
@@ -221,7 +221,7 @@ def test_loop_tells_how_long_a_robot_took_to_be_driven() -> None:
     assert stats.ready_s == {"r0": pytest.approx((driven_ns - born_ns) * 1e-9, abs=1e-3)}
 
 
-def test_loop_takes_no_robot_for_driven_when_its_command_was_dropped() -> None:
+def test_loop_reports_no_ready_robot_when_its_command_was_dropped() -> None:
     server = a_server("r0")
     server.world.claim("a", ("r0",), "stop")
 
@@ -273,7 +273,7 @@ def test_loop_drops_and_counts_any_command_that_does_not_fit(
 
 
 @pytest.mark.parametrize("key", ["sim/default/drive", "sim/default/drive/a/b/command", "x", ""])
-def test_loop_drops_a_command_on_a_key_of_nobody(key: str) -> None:
+def test_loop_drops_a_command_of_an_unknown_agent(key: str) -> None:
     server = a_driven_server("r0")
     good = encode(a_command(server.world, "a", 9.0, 9.0), Format.MSGPACK)
 
@@ -284,9 +284,9 @@ def test_loop_drops_a_command_on_a_key_of_nobody(key: str) -> None:
     assert wheel_speeds(server.world) == [3.0, 3.0]
 
 
-def test_loop_tells_who_drives_a_robot() -> None:
+def test_loop_reports_the_agent_of_a_robot() -> None:
     server = a_driven_server("r0")
-    call = server.ask("get_models", GetModelsRequest())
+    call = server.request("get_models", GetModelsRequest())
 
     server.loop.turn()
 

@@ -1,4 +1,4 @@
-"""Loop in lockstep, and at requested steps: it waits for the agents, and serves meanwhile."""
+"""Loop in lockstep and at requested steps: it waits for agents, and handles requests meanwhile."""
 
 import struct
 
@@ -28,22 +28,22 @@ TIMEOUT_S = 0.5
 def a_locked_server(
     *names: str, factor: float = 0.0, is_on: bool = True, on_miss: OnMiss = "hold"
 ) -> ServerFixture:
-    """A server whose carts have an agent each, of their names, that does not answer by itself."""
+    """Make a server with one agent per cart, of the same name, that does not reply by itself."""
     server = a_server(*names, factor=factor, cost_ns=1_000_000)
     server.parts.pacing.lockstep = Lockstep(LockstepSettings(is_on, TIMEOUT_S, on_miss))
     server.loop = ServerLoop(server.parts, server.inbox, server.publisher, server.wall)
     for name in names:
         server.inbox.agents.append((name, True))
-        server.ask("claim_entity", ClaimEntityRequest(name, (name,)))
+        server.request("claim_entity", ClaimEntityRequest(name, (name,)))
     return server
 
 
 def answer_states(
     server: ServerFixture, speed: float = 1.0, *, silent: tuple[str, ...] = ()
 ) -> None:
-    """Let the agents answer what they were told."""
-    told, server.publisher.drive_states = server.publisher.drive_states, []
-    for agent, state in told:
+    """Reply to the drive states as the agents would."""
+    sent, server.publisher.drive_states = server.publisher.drive_states, []
+    for agent, state in sent:
         if agent in silent or not state.claims:
             continue
         targets = encode_targets(speed, 2 * len(state.claims) // 4)
@@ -71,7 +71,7 @@ def turn(server: ServerFixture, turns: int, *, silent: tuple[str, ...] = ()) -> 
         answer_states(server, silent=silent)
 
 
-def test_locked_loop_stands_until_every_agent_has_answered() -> None:
+def test_locked_loop_waits_until_every_agent_has_replied() -> None:
     server = a_locked_server("r0", "r1")
     turn(server, 5, silent=("r1",))
     stuck = (server.world.clock.steps, server.parts.pacing.lockstep.awaited)
@@ -84,7 +84,7 @@ def test_locked_loop_stands_until_every_agent_has_answered() -> None:
     assert server.world.clock.steps > CONTROL_STEPS
 
 
-def test_locked_loop_makes_a_control_period_for_each_answer() -> None:
+def test_locked_loop_makes_a_control_period_for_each_reply() -> None:
     server = a_locked_server("r0")
     server.loop.turn()
 
@@ -98,7 +98,7 @@ def test_locked_loop_makes_a_control_period_for_each_answer() -> None:
     assert seen == [0, 3, 6, 9]
 
 
-def test_locked_loop_carries_out_what_was_answered_in_the_very_next_step() -> None:
+def test_locked_loop_applies_replies_in_the_next_step() -> None:
     server = a_locked_server("r0")
     server.loop.turn()
 
@@ -126,7 +126,7 @@ def test_locked_loop_serves_while_it_waits_and_does_not_spin() -> None:
     server = a_locked_server("r0")
     server.loop.turn()
     server.wall.slept_s.clear()
-    call = server.ask("info", InfoRequest())
+    call = server.request("info", InfoRequest())
 
     for _ in range(10):
         server.loop.turn()
@@ -135,7 +135,7 @@ def test_locked_loop_serves_while_it_waits_and_does_not_spin() -> None:
     assert server.wall.slept_s == [POLL_S] * 10
 
 
-def test_stats_say_who_is_awaited() -> None:
+def test_stats_list_awaited_agents() -> None:
     server = a_locked_server("r0", "r1", on_miss="wait")
     turn(server, 3, silent=("r1",))
 
@@ -146,7 +146,7 @@ def test_stats_say_who_is_awaited() -> None:
     assert (stats.awaited, stats.misses) == (("r1",), {})
 
 
-def test_stats_say_who_has_missed() -> None:
+def test_stats_count_misses() -> None:
     server = a_locked_server("r0", on_miss="fail")
 
     server.turn_for(1.2)
@@ -156,7 +156,7 @@ def test_stats_say_who_has_missed() -> None:
     assert (stats.awaited, stats.misses) == ((), {"r0": 1})
 
 
-def test_holding_loop_goes_on_with_the_old_targets_after_the_timeout() -> None:
+def test_holding_loop_continues_with_the_old_targets_after_the_timeout() -> None:
     server = a_locked_server("r0", on_miss="hold")
     turn(server, 10)
     rolling = wheel_speeds(server.world)
@@ -170,7 +170,7 @@ def test_holding_loop_goes_on_with_the_old_targets_after_the_timeout() -> None:
     assert ("missed", "") in server.events()
 
 
-def test_waiting_loop_waits_until_the_token_goes() -> None:
+def test_waiting_loop_waits_until_the_token_disappears() -> None:
     server = a_locked_server("r0", on_miss="wait")
     server.turn_for(20 * TIMEOUT_S)
     waited = server.world.clock.steps
@@ -182,7 +182,7 @@ def test_waiting_loop_waits_until_the_token_goes() -> None:
     assert server.world.clock.steps > 0
 
 
-def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
+def test_waiting_loop_publishes_states_again() -> None:
     server = a_locked_server("r0", on_miss="wait")
     turn(server, 10)
     server.loop.turn()
@@ -200,7 +200,7 @@ def test_waiting_loop_tells_again_what_may_have_been_lost() -> None:
     assert server.world.clock.steps > steps
 
 
-def test_failing_loop_stands_still_and_says_so() -> None:
+def test_failing_loop_pauses_and_reports_it() -> None:
     server = a_locked_server("r0", on_miss="fail")
     turn(server, 10)
 
@@ -211,7 +211,7 @@ def test_failing_loop_stands_still_and_says_so() -> None:
     assert (missed.kind, missed.agent) == ("missed", "r0")
 
 
-def test_failing_loop_goes_on_when_it_is_told_to_play_and_the_agent_answers_again() -> None:
+def test_failing_loop_continues_when_played_and_the_agent_replies_again() -> None:
     server = a_locked_server("r0", on_miss="fail")
     server.turn_for(TIMEOUT_S + 0.1)
     before = server.world.clock.steps
@@ -222,7 +222,7 @@ def test_failing_loop_goes_on_when_it_is_told_to_play_and_the_agent_answers_agai
     assert server.world.clock.steps > before + CONTROL_STEPS
 
 
-def test_agent_is_told_at_once_what_it_has_claimed() -> None:
+def test_state_is_published_at_once_after_a_claim() -> None:
     server = a_locked_server("r0", is_on=False)
     server.world.clock.pause()
 
@@ -232,7 +232,7 @@ def test_agent_is_told_at_once_what_it_has_claimed() -> None:
     assert (agent, state.step, state.is_awaited, state.newest_claim) == ("r0", 0, False, 1)
 
 
-def test_agents_are_told_at_once_of_a_new_epoch() -> None:
+def test_states_are_published_at_once_in_a_new_epoch() -> None:
     server = a_locked_server("r0")
     turn(server, 20)
     server.publisher.drive_states.clear()
@@ -244,7 +244,7 @@ def test_agents_are_told_at_once_of_a_new_epoch() -> None:
     assert (agent, state.epoch, state.step) == ("r0", 1, 0)
 
 
-def test_answer_of_an_old_epoch_is_dropped_after_a_reset() -> None:
+def test_reply_of_an_old_epoch_is_dropped_after_a_reset() -> None:
     server = a_locked_server("r0")
     server.loop.turn()
     server.world.reset(ResetScope.TIME)
@@ -256,11 +256,11 @@ def test_answer_of_an_old_epoch_is_dropped_after_a_reset() -> None:
     assert server.parts.pacing.lockstep.awaited == ("r0",)
 
 
-def test_agent_that_claims_more_while_it_is_awaited_is_told_and_awaited_anew() -> None:
+def test_agent_that_claims_more_while_it_is_awaited_gets_a_new_state_and_is_awaited_again() -> None:
     server = a_locked_server("r0")
     server.loop.turn()
     server.world.spawn(a_spawn("r1", base=on_ground(5.0)))
-    server.ask("claim_entity", ClaimEntityRequest("r0", ("r1",)))
+    server.request("claim_entity", ClaimEntityRequest("r0", ("r1",)))
     server.publisher.drive_states.clear()
 
     server.loop.turn()
@@ -272,7 +272,7 @@ def test_agent_that_claims_more_while_it_is_awaited_is_told_and_awaited_anew() -
     assert server.world.clock.steps == 1
 
 
-def test_entity_that_is_deleted_while_its_agent_is_awaited_stops_nothing() -> None:
+def test_entity_that_is_deleted_while_its_agent_is_awaited_blocks_nothing() -> None:
     server = a_locked_server("r0", "r1")
     server.loop.turn()
     server.world.delete("r1")
@@ -283,11 +283,11 @@ def test_entity_that_is_deleted_while_its_agent_is_awaited_stops_nothing() -> No
 
 
 @pytest.mark.parametrize("is_on", [True, False])
-def test_step_request_is_answered_when_the_agents_have_answered(is_on: bool) -> None:  # noqa: FBT001
+def test_step_request_gets_its_reply_when_the_agents_have_replied(is_on: bool) -> None:  # noqa: FBT001
     server = a_locked_server("r0", is_on=is_on)
     server.world.clock.pause()
     turn(server, 3)
-    call = server.ask("step_simulation", StepSimulationRequest(CONTROL_STEPS))
+    call = server.request("step_simulation", StepSimulationRequest(CONTROL_STEPS))
 
     for _ in range(20):
         server.loop.turn()
@@ -299,11 +299,11 @@ def test_step_request_is_answered_when_the_agents_have_answered(is_on: bool) -> 
     assert server.world.clock.steps == CONTROL_STEPS
 
 
-def test_step_request_says_who_did_not_answer_when_it_holds() -> None:
+def test_step_request_lists_late_agents_with_hold() -> None:
     server = a_locked_server("r0", is_on=False)
     server.world.clock.pause()
     turn(server, 3)
-    call = server.ask("step_simulation", StepSimulationRequest(4 * CONTROL_STEPS))
+    call = server.request("step_simulation", StepSimulationRequest(4 * CONTROL_STEPS))
 
     server.turn_for(TIMEOUT_S + 0.2)
 
@@ -312,11 +312,11 @@ def test_step_request_says_who_did_not_answer_when_it_holds() -> None:
     assert "r0" in result.error_message
 
 
-def test_step_request_fails_when_an_agent_is_late_and_that_is_to_fail() -> None:
+def test_step_request_fails_when_an_agent_is_late_with_fail() -> None:
     server = a_locked_server("r0", is_on=False, on_miss="fail")
     server.world.clock.pause()
     turn(server, 3)
-    call = server.ask("step_simulation", StepSimulationRequest(4 * CONTROL_STEPS))
+    call = server.request("step_simulation", StepSimulationRequest(4 * CONTROL_STEPS))
 
     server.turn_for(TIMEOUT_S + 0.2)
 
@@ -326,7 +326,7 @@ def test_step_request_fails_when_an_agent_is_late_and_that_is_to_fail() -> None:
     assert server.world.clock.steps == CONTROL_STEPS
 
 
-def test_free_running_loop_waits_for_nobody() -> None:
+def test_free_running_loop_waits_for_no_agent() -> None:
     server = a_locked_server("r0", is_on=False)
 
     for _ in range(20):

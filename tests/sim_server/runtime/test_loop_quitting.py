@@ -1,4 +1,4 @@
-"""A loop that is asked to quit ends by itself, once everybody has been answered."""
+"""A loop ends after the reply to a request to quit."""
 
 from tests.sim_server.fakes import a_server
 from zensim.proto.messages.simulation_messages import (
@@ -11,24 +11,24 @@ QUIT = SetSimulationStateRequest(SimulationState(State.QUITTING))
 
 
 class SlowDisk:
-    """A journal that keeps everything, the third time it is looked at."""
+    """A journal whose records are durable after three polls."""
 
     earlier_responses = ()
     position = 1
     is_failing = False
 
     def __init__(self) -> None:
-        self.looked_at = 0
+        self.polls = 0
 
     @property
     def durable(self) -> int:
-        return int(self.looked_at > 3)
+        return int(self.polls > 3)
 
     def record(self, *_: object, **__: object) -> int:
         return self.position
 
     def poll(self) -> str:
-        self.looked_at += 1
+        self.polls += 1
         return ""
 
     def retry(self) -> int:
@@ -38,9 +38,9 @@ class SlowDisk:
         return bool(attempt)
 
 
-def test_loop_ends_after_the_answer_when_it_is_asked_to_quit() -> None:
+def test_loop_ends_after_the_reply_to_quit() -> None:
     server = a_server("r0")
-    call = server.ask("set_simulation_state", QUIT)
+    call = server.request("set_simulation_state", QUIT)
 
     server.loop.run(lambda: False)
 
@@ -49,12 +49,12 @@ def test_loop_ends_after_the_answer_when_it_is_asked_to_quit() -> None:
     assert server.world.clock.steps == 0
 
 
-def test_loop_waits_for_the_disk_before_it_ends() -> None:
+def test_loop_waits_for_the_journal_before_it_ends() -> None:
     disk = SlowDisk()
     server = a_server("r0", journal=disk)
-    call = server.ask("set_simulation_state", QUIT)
+    call = server.request("set_simulation_state", QUIT)
 
     server.loop.run(lambda: False)
 
     assert len(call.answers) == 1
-    assert disk.looked_at > 3
+    assert disk.polls > 3

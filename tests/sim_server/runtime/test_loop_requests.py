@@ -1,4 +1,4 @@
-"""Loop: replies in kind, retries, topics that are asked for, and bytes that are no request."""
+"""Loop: formats of replies, retries, gets of topics, and malformed requests."""
 
 import msgspec
 import pytest
@@ -42,7 +42,7 @@ def served(server: ServerFixture, service: str, payload: bytes, encoding: str = 
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
     server = a_server("r0", "r1")
-    call = server.ask("get_entities", GetEntitiesRequest(), wanted)
+    call = server.request("get_entities", GetEntitiesRequest(), wanted)
 
     server.loop.turn()
 
@@ -51,7 +51,7 @@ def test_loop_replies_in_the_format_of_the_request(wanted: Format) -> None:
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
-def test_loop_replies_in_the_format_that_the_first_byte_tells(wanted: Format) -> None:
+def test_loop_replies_in_the_format_of_the_first_byte(wanted: Format) -> None:
     call = served(a_server("r0"), "get_entities", encode(GetEntitiesRequest(), wanted))
 
     assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
@@ -60,7 +60,7 @@ def test_loop_replies_in_the_format_that_the_first_byte_tells(wanted: Format) ->
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
     server = a_server()
-    call = server.ask("delete_entity", DeleteEntityRequest("r9"), wanted)
+    call = server.request("delete_entity", DeleteEntityRequest("r9"), wanted)
 
     server.loop.turn()
 
@@ -69,14 +69,14 @@ def test_loop_refuses_in_the_format_of_the_request(wanted: Format) -> None:
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
-def test_loop_takes_an_empty_request_as_one_of_defaults(wanted: Format) -> None:
+def test_loop_reads_an_empty_request_as_defaults(wanted: Format) -> None:
     call = served(a_server("r0"), "get_entities", b"", wanted.value)
 
     assert call.answers[0].encoding == make_encoding(GetEntitiesResponse, wanted)
     assert answer_of(call, GetEntitiesResponse) == GetEntitiesResponse(entities=("r0",))
 
 
-def test_loop_replies_in_messagepack_when_cdr_cannot_tell_the_answer() -> None:
+def test_loop_replies_in_messagepack_when_cdr_cannot_express_the_response() -> None:
     call = served(a_server("r0"), "get_models", encode(GetModelsRequest(), Format.CDR))
 
     assert call.answers[0].encoding == Format.MSGPACK.value
@@ -86,7 +86,7 @@ def test_loop_replies_in_messagepack_when_cdr_cannot_tell_the_answer() -> None:
 
 
 @pytest.mark.parametrize("wanted", [Format.MSGPACK, Format.JSON])
-def test_loop_says_that_a_service_is_unknown_and_names_those_that_are_not(wanted: Format) -> None:
+def test_loop_refuses_an_unknown_service_and_lists_the_known(wanted: Format) -> None:
     call = served(a_server(), "make_coffee", encode(InfoRequest(), wanted))
 
     code, message = refusal_in(call)
@@ -119,7 +119,7 @@ def test_loop_refuses_a_malformed_request_with_its_reason(payload: bytes, named:
     assert names_in(server.world) == ["r0"]
 
 
-def test_loop_refuses_bytes_that_are_not_what_their_encoding_says() -> None:
+def test_loop_refuses_bytes_of_another_encoding() -> None:
     call = served(a_server(), "delete_entity", b'{"entity": "r0"}', "application/cdr")
 
     code, message = refusal_in(call)
@@ -128,7 +128,7 @@ def test_loop_refuses_bytes_that_are_not_what_their_encoding_says() -> None:
 
 
 @pytest.mark.parametrize("kind", [Info, Snapshot, Stats, WorldClock], ids=lambda one: one.__name__)
-def test_loop_tells_its_topics_to_who_asks(kind: type[msgspec.Struct]) -> None:
+def test_loop_replies_with_topics(kind: type[msgspec.Struct]) -> None:
     name = {Info: "info", Snapshot: "snapshot", Stats: "stats", WorldClock: "clock"}[kind]
     server = a_server("r0")
 
@@ -150,7 +150,7 @@ def test_loop_replies_on_its_own_key() -> None:
 
 
 @pytest.mark.parametrize("key", ["sim/default/*", "sim/**", "**", "sim/default/$*_entity"])
-def test_loop_answers_a_pattern_that_names_no_service(key: str) -> None:
+def test_loop_replies_to_a_pattern_that_names_no_service(key: str) -> None:
     server = a_server("r0")
     call = MemoryCall(key, b"", "", b"")
     server.inbox.calls.append(call)
@@ -170,11 +170,11 @@ def test_loop_counts_requests() -> None:
     assert server.parts.pacing.loop_stats.requests == 4
 
 
-def test_loop_answers_in_the_order_of_asking() -> None:
+def test_loop_replies_in_the_order_of_requests() -> None:
     server = a_server("r0")
-    before = server.ask("get_entities", GetEntitiesRequest())
-    server.ask("delete_entity", DeleteEntityRequest("r0"))
-    after = server.ask("get_entities", GetEntitiesRequest())
+    before = server.request("get_entities", GetEntitiesRequest())
+    server.request("delete_entity", DeleteEntityRequest("r0"))
+    after = server.request("get_entities", GetEntitiesRequest())
 
     server.loop.turn()
 
@@ -184,8 +184,8 @@ def test_loop_answers_in_the_order_of_asking() -> None:
 
 def test_loop_deletes_once_when_a_delete_is_sent_again() -> None:
     server = a_server("r0")
-    first = server.ask("delete_entity", DeleteEntityRequest("r0"))
-    second = server.ask("delete_entity", DeleteEntityRequest("r0"))
+    first = server.request("delete_entity", DeleteEntityRequest("r0"))
+    second = server.request("delete_entity", DeleteEntityRequest("r0"))
     first.request_id = second.request_id = b"the same"
 
     server.loop.turn()
@@ -193,9 +193,9 @@ def test_loop_deletes_once_when_a_delete_is_sent_again() -> None:
     assert refusal_in(first)[0] == refusal_in(second)[0] == ResultCode.OK
 
 
-def test_loop_gives_models_as_bytes_of_any_size() -> None:
+def test_loop_returns_models_as_bytes_of_any_size() -> None:
     server = a_server(*(f"r{i}" for i in range(50)))
-    call = server.ask("get_models", GetModelsRequest())
+    call = server.request("get_models", GetModelsRequest())
 
     server.loop.turn()
 
@@ -215,7 +215,7 @@ def test_loop_gives_models_as_bytes_of_any_size() -> None:
     ),
     request_id=st.sampled_from([b"", b"1", b"\xff" * 40]),
 )
-def test_loop_answers_any_bytes(
+def test_loop_replies_to_any_bytes(
     service: str, payload: bytes, encoding: str, request_id: bytes
 ) -> None:
     server = a_server("r0", factor=0.0)
@@ -230,7 +230,7 @@ def test_loop_answers_any_bytes(
     assert server.world.clock.steps == (server.world.clock.state == State.PLAYING)
 
 
-def test_loop_answers_a_step_request_by_any_name_of_the_world() -> None:
+def test_loop_replies_to_a_step_request_by_any_name_of_the_world() -> None:
     server = a_server()
     server.world.clock.pause()
     call = MemoryCall(
@@ -260,11 +260,11 @@ def test_loop_refuses_a_request_that_is_too_large_to_decode(service: str, code: 
     assert refusal_in(call)[1].startswith(f"request.size: a request of {MAX_REQUEST_BYTES + 1}")
 
 
-def test_request_of_another_service_does_not_take_the_place_of_one_that_waits() -> None:
+def test_request_of_another_service_does_not_replace_a_pending_one() -> None:
     server = a_server()
     server.world.clock.pause()
-    steps = server.ask("step_simulation", StepSimulationRequest(2))
-    other = server.ask("get_entities", GetEntitiesRequest())
+    steps = server.request("step_simulation", StepSimulationRequest(2))
+    other = server.request("get_entities", GetEntitiesRequest())
     steps.request_id = other.request_id = b"same"
 
     for _ in range(6):

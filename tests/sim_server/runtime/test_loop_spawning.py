@@ -1,4 +1,4 @@
-"""Loop: spawns that wait for their description, and robots that hang on a bond."""
+"""Loop: spawns that wait for parsing, and bonded robots."""
 
 import pytest
 
@@ -11,7 +11,7 @@ from zensim.proto.messages.telemetry_messages import InfoRequest
 
 
 def a_slow_server(*names: str) -> ServerFixture:
-    """A flat-out loop whose descriptions take a while."""
+    """Make a flat-out server whose descriptions are not parsed yet."""
     server = a_server(*names, factor=0.0)
     descriptions_of(server).is_slow = True
     return server
@@ -22,11 +22,11 @@ def descriptions_of(server: ServerFixture) -> InlineParser:
     return server.parts.descriptions.provider
 
 
-def ask_to_spawn(
+def request_spawn(
     server: ServerFixture, name: str, *, bond: str = "", request_id: bytes = b""
 ) -> MemoryCall:
     x = 5.0 + 5.0 * len(server.inbox.calls)
-    call = server.ask("spawn_entity", an_order(name, place=(x, 0.0, 0.06), bond=bond))
+    call = server.request("spawn_entity", an_order(name, place=(x, 0.0, 0.06), bond=bond))
     call.request_id = request_id
     return call
 
@@ -39,7 +39,7 @@ def code_of(call: MemoryCall) -> int:
 
 def test_loop_spawns_at_once_when_the_description_is_known() -> None:
     server = a_server(factor=0.0)
-    call = ask_to_spawn(server, "r1")
+    call = request_spawn(server, "r1")
 
     server.loop.turn()
 
@@ -47,9 +47,9 @@ def test_loop_spawns_at_once_when_the_description_is_known() -> None:
     assert names_in(server.world) == ["r1"]
 
 
-def test_loop_goes_on_while_a_description_is_read() -> None:
+def test_loop_continues_while_a_description_is_parsed() -> None:
     server = a_slow_server()
-    spawn, info = ask_to_spawn(server, "r1"), server.ask("info", InfoRequest())
+    spawn, info = request_spawn(server, "r1"), server.request("info", InfoRequest())
 
     for _ in range(5):
         server.loop.turn()
@@ -59,9 +59,9 @@ def test_loop_goes_on_while_a_description_is_read() -> None:
     assert names_in(server.world) == []
 
 
-def test_loop_spawns_in_the_order_of_asking_when_descriptions_are_read() -> None:
+def test_loop_spawns_in_the_order_of_requests_when_descriptions_are_parsed() -> None:
     server = a_slow_server()
-    calls = [ask_to_spawn(server, name) for name in ("r2", "r0", "r1")]
+    calls = [request_spawn(server, name) for name in ("r2", "r0", "r1")]
     server.loop.turn()
 
     descriptions_of(server).is_slow = False
@@ -71,9 +71,9 @@ def test_loop_spawns_in_the_order_of_asking_when_descriptions_are_read() -> None
     assert [code_of(call) for call in calls] == [ResultCode.OK] * 3
 
 
-def test_loop_refuses_the_second_of_two_that_waited_under_one_name() -> None:
+def test_loop_refuses_the_second_of_two_pending_spawns_of_one_name() -> None:
     server = a_slow_server()
-    first, second = ask_to_spawn(server, "r1"), ask_to_spawn(server, "r1")
+    first, second = request_spawn(server, "r1"), request_spawn(server, "r1")
     server.loop.turn()
 
     descriptions_of(server).is_slow = False
@@ -82,11 +82,11 @@ def test_loop_refuses_the_second_of_two_that_waited_under_one_name() -> None:
     assert (code_of(first), code_of(second)) == (ResultCode.OK, SpawnCode.NAME_NOT_UNIQUE)
 
 
-def test_loop_answers_a_retry_in_place_of_a_spawn_that_waits() -> None:
+def test_loop_replies_to_a_retry_in_place_of_a_pending_spawn() -> None:
     server = a_slow_server()
-    first = ask_to_spawn(server, "r1", request_id=b"same")
+    first = request_spawn(server, "r1", request_id=b"same")
     server.loop.turn()
-    retry = ask_to_spawn(server, "r1", request_id=b"same")
+    retry = request_spawn(server, "r1", request_id=b"same")
     server.loop.turn()
 
     descriptions_of(server).is_slow = False
@@ -98,10 +98,10 @@ def test_loop_answers_a_retry_in_place_of_a_spawn_that_waits() -> None:
 
 
 @pytest.mark.parametrize("turns", [0, 1, 5])
-def test_loop_takes_a_bonded_robot_out_in_the_turn_that_its_bond_goes(turns: int) -> None:
+def test_loop_deletes_a_bonded_robot_in_the_turn_that_its_bond_ends(turns: int) -> None:
     server = a_server("free", factor=0.0)
     server.inbox.bonds.append(("b1", True))
-    call = ask_to_spawn(server, "r1", bond="b1")
+    call = request_spawn(server, "r1", bond="b1")
     server.loop.turn()
     before = names_in(server.world)
     for _ in range(turns):
@@ -114,9 +114,9 @@ def test_loop_takes_a_bonded_robot_out_in_the_turn_that_its_bond_goes(turns: int
     assert names_in(server.world) == ["free"]
 
 
-def test_loop_refuses_to_spawn_on_a_bond_that_is_not_there() -> None:
+def test_loop_refuses_to_spawn_on_an_unknown_bond() -> None:
     server = a_server(factor=0.0)
-    call = ask_to_spawn(server, "r1", bond="b1")
+    call = request_spawn(server, "r1", bond="b1")
 
     server.loop.turn()
 
@@ -124,10 +124,10 @@ def test_loop_refuses_to_spawn_on_a_bond_that_is_not_there() -> None:
     assert names_in(server.world) == []
 
 
-def test_loop_refuses_to_spawn_on_a_bond_that_went_while_it_waited() -> None:
+def test_loop_refuses_to_spawn_on_a_bond_that_ended_meanwhile() -> None:
     server = a_slow_server()
     server.inbox.bonds.append(("b1", True))
-    call = ask_to_spawn(server, "r1", bond="b1")
+    call = request_spawn(server, "r1", bond="b1")
     server.loop.turn()
 
     server.inbox.bonds.append(("b1", False))

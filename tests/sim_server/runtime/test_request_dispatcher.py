@@ -1,4 +1,4 @@
-"""Replies: in the order of answering, each once what it tells is kept."""
+"""Response cache, and replies that wait for the journal in order."""
 
 from typing import cast
 
@@ -24,7 +24,7 @@ def an_answer(text: str) -> CachedResponse:
     return CachedResponse(text.encode(), "text/plain")
 
 
-def test_answers_know_a_retry_by_its_id() -> None:
+def test_cache_finds_a_retry_by_its_id() -> None:
     answers = ResponseCache()
     answers.keep(a_call(b"1"), an_answer("one"))
 
@@ -35,9 +35,7 @@ def test_answers_know_a_retry_by_its_id() -> None:
 @pytest.mark.parametrize(
     ("request_id", "service"), [(b"", "delete_entity"), (b"1", "info"), (b"1", "no_service")]
 )
-def test_answers_keep_only_what_changes_something_and_has_an_id(
-    request_id: bytes, service: str
-) -> None:
+def test_cache_keeps_only_mutating_requests_with_an_id(request_id: bytes, service: str) -> None:
     answers = ResponseCache()
 
     answers.keep(a_call(request_id, service), an_answer("one"))
@@ -45,7 +43,7 @@ def test_answers_keep_only_what_changes_something_and_has_an_id(
     assert answers.find(a_call(request_id, service)) is None
 
 
-def test_answers_forget_the_oldest_when_there_are_many() -> None:
+def test_cache_drops_the_oldest_when_there_are_many() -> None:
     answers = ResponseCache()
 
     for i in range(MAX_CACHED_RESPONSES + 1):
@@ -55,7 +53,7 @@ def test_answers_forget_the_oldest_when_there_are_many() -> None:
     assert answers.find(a_call(b"1")) == an_answer("1")
 
 
-def test_answers_forget_the_oldest_when_they_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache_drops_the_oldest_when_they_are_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("zensim.sim_server.runtime.request_dispatcher.MAX_CACHED_BYTES", 10)
     answers = ResponseCache()
 
@@ -67,7 +65,7 @@ def test_answers_forget_the_oldest_when_they_are_large(monkeypatch: pytest.Monke
     assert answers.find(a_call(b"2")) == an_answer("123456")
 
 
-def test_answers_know_what_another_server_told() -> None:
+def test_cache_loads_responses_of_an_earlier_server() -> None:
     first, second = ResponseCache(), ResponseCache()
     kept = make_journaled_response(a_call(b"1"), an_answer("one"))
     assert kept is not None
@@ -81,13 +79,13 @@ def test_answers_know_what_another_server_told() -> None:
 @pytest.mark.parametrize(
     ("request_id", "service"), [(b"", "delete_entity"), (b"1", "info"), (b"1", "claim_entity")]
 )
-def test_journal_is_given_only_answers_that_another_server_can_give(
+def test_journal_gets_only_responses_that_survive_a_restart(
     request_id: bytes, service: str
 ) -> None:
     assert make_journaled_response(a_call(request_id, service), an_answer("one")) is None
 
 
-def test_answer_that_was_taken_back_is_forgotten() -> None:
+def test_cache_forgets_a_response() -> None:
     answers = ResponseCache()
     answers.keep(a_call(b"1"), an_answer("one"))
 
@@ -115,7 +113,7 @@ def answered(calls: list[MemoryCall]) -> list[bool]:
     return [call.is_over for call in calls]
 
 
-def test_replies_go_as_far_as_the_journal_has_come() -> None:
+def test_replies_are_sent_up_to_the_durable_position() -> None:
     replies, calls = some_replies(1, 1, 2)
 
     replies.send_durable(1)
@@ -134,7 +132,7 @@ def test_replies_never_overtake_each_other() -> None:
     assert answered(calls) == [False, False]
 
 
-def test_replies_that_are_taken_back_are_not_sent() -> None:
+def test_replies_that_are_taken_are_not_sent() -> None:
     replies, calls = some_replies(1, 2)
 
     taken = replies.take_unsent()

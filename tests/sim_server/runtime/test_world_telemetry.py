@@ -1,11 +1,14 @@
-"""Telemetry: what is due when, at which rates, and what it says."""
+"""Telemetry: topics, rates and messages."""
 
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
 from tests.models import on_ground
-from tests.sim_server.fakes import a_server, a_spawn, a_world, make_parts, names_in
+from tests.sim_server.fakes import a_server, a_spawn, a_world, answer_of, make_parts, names_in
+from zensim.proto.messages.entity_messages import GetEntitiesRequest
+from zensim.proto.messages.gazebo_messages import LinkStates, ModelStates
 from zensim.proto.messages.simulation_messages import ResetScope
 from zensim.proto.messages.standard_messages import Time
 from zensim.proto.messages.telemetry_messages import Snapshot, Stats, WorldClock
@@ -30,7 +33,7 @@ def due(telemetry: WorldTelemetry, now_ns: int) -> list[str]:
 
 
 def counts(seconds: float, *, is_paused: bool = False) -> dict[str, int]:
-    """Count what a loop tells in some wall time."""
+    """Count the messages of each topic in some wall time."""
     server = a_server("r0")
     if is_paused:
         server.world.clock.pause()
@@ -38,32 +41,32 @@ def counts(seconds: float, *, is_paused: bool = False) -> dict[str, int]:
     return {topic: len(server.publisher.on(topic)) for topic in (*GETTABLE_TOPICS, "events")}
 
 
-def test_topics_are_told_at_their_rates_while_time_runs() -> None:
-    told = counts(5.0)
+def test_topics_are_published_at_their_rates_while_playing() -> None:
+    sent = counts(5.0)
 
-    assert told["clock"] == pytest.approx(500, abs=10)
-    assert told["clock"] <= 501
-    assert told["snapshot"] == pytest.approx(150, abs=2)
-    assert told["stats"] == pytest.approx(5, abs=1)
+    assert sent["clock"] == pytest.approx(500, abs=10)
+    assert sent["clock"] <= 501
+    assert sent["snapshot"] == pytest.approx(150, abs=2)
+    assert sent["stats"] == pytest.approx(5, abs=1)
 
 
-def test_topics_are_told_twice_a_second_while_time_stands() -> None:
-    told = counts(5.0, is_paused=True)
+def test_topics_are_published_at_2_hz_while_paused() -> None:
+    sent = counts(5.0, is_paused=True)
 
-    assert told["clock"] == pytest.approx(10, abs=2)
-    assert told["snapshot"] == pytest.approx(10, abs=2)
-    assert told["stats"] == pytest.approx(5, abs=1)
-    assert told["events"] == 1
+    assert sent["clock"] == pytest.approx(10, abs=2)
+    assert sent["snapshot"] == pytest.approx(10, abs=2)
+    assert sent["stats"] == pytest.approx(5, abs=1)
+    assert sent["events"] == 1
 
 
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
-def test_snapshot_follows_a_change_at_once_while_time_stands(
+def test_snapshot_follows_a_change_at_once_while_paused(
     change: Callable[[World], object],
 ) -> None:
     server = a_server("r0")
     server.world.clock.pause()
     server.turn_for(0.1)
-    server.publisher.told.clear()
+    server.publisher.sent.clear()
 
     change(server.world)
     server.turn_for(0.036)
@@ -74,16 +77,16 @@ def test_snapshot_follows_a_change_at_once_while_time_stands(
     assert snapshot.base == server.world.states().base.tobytes()
 
 
-def test_topics_are_not_made_when_nobody_listens() -> None:
+def test_topics_are_not_made_without_subscribers() -> None:
     server = a_server("r0")
     server.publisher.unwanted = set(GETTABLE_TOPICS)
 
     server.turn_for(2.0)
 
-    assert server.publisher.told == []
+    assert server.publisher.sent == []
 
 
-def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
+def test_snapshot_is_published_at_its_rate_when_flat_out() -> None:
     server = a_server("r0", factor=0.0, cost_ns=MILLISECOND)
 
     server.turn_for(2.0)
@@ -93,7 +96,7 @@ def test_snapshot_comes_as_often_as_can_be_when_flat_out() -> None:
     assert len(server.publisher.on("clock")) == pytest.approx(200, abs=4)
 
 
-def test_telemetry_tells_clock_and_where_everything_is_when_something_has_changed() -> None:
+def test_telemetry_lists_the_due_topics_after_a_change() -> None:
     world = a_world("r0")
     telemetry = WorldTelemetry(world, make_parts(world).pacing)
     for i in range(5):
@@ -115,7 +118,7 @@ def test_telemetry_tells_clock_and_where_everything_is_when_something_has_change
     ]
 
 
-def test_clock_tells_time_step_and_epoch() -> None:
+def test_clock_has_time_step_and_epoch() -> None:
     world = a_world()
     world.reset(ResetScope.TIME)
     for _ in range(240):
@@ -126,15 +129,15 @@ def test_clock_tells_time_step_and_epoch() -> None:
     assert clock == WorldClock(Time(1, 80), 240, 1)
 
 
-def test_stats_tell_how_the_loop_is_doing() -> None:
-    world, meter = a_world("r0", "r1"), LoopStats(0)
+def test_stats_contain_the_loop_statistics() -> None:
+    world, loop_stats = a_world("r0", "r1"), LoopStats(0)
     world.claim("a", ("r0",), "stop")
-    world.claims.dropped, world.claims.taken, meter.requests = 3, 4, 5
-    meter.note_step(simulated_ns=SECOND // 2, took_ns=2 * MILLISECOND, late_ns=MILLISECOND)
-    meter.slipped_ns = SECOND
-    meter.close_window(SECOND)
+    world.claims.dropped, world.claims.taken, loop_stats.requests = 3, 4, 5
+    loop_stats.note_step(simulated_ns=SECOND // 2, took_ns=2 * MILLISECOND, late_ns=MILLISECOND)
+    loop_stats.slipped_ns = SECOND
+    loop_stats.close_window(SECOND)
 
-    stats = WorldTelemetry(world, Pacing(lambda: 0, meter)).message(STATS)
+    stats = WorldTelemetry(world, Pacing(lambda: 0, loop_stats)).message(STATS)
 
     assert isinstance(stats, Stats)
     assert (stats.entities, stats.agents, stats.claimed) == (2, 1, 1)
@@ -144,12 +147,50 @@ def test_stats_tell_how_the_loop_is_doing() -> None:
 
 
 @pytest.mark.parametrize("topic", [STATS, SNAPSHOT], ids=["stats", "snapshot"])
-def test_real_time_factor_is_zero_while_time_stands(topic: TopicSpec) -> None:
-    world, meter = a_world(), LoopStats(0)
-    meter.real_time_factor = 1.0
+def test_real_time_factor_is_zero_while_paused(topic: TopicSpec) -> None:
+    world, loop_stats = a_world(), LoopStats(0)
+    loop_stats.real_time_factor = 1.0
     world.clock.pause()
 
-    message = WorldTelemetry(world, Pacing(lambda: 0, meter)).message(topic)
+    message = WorldTelemetry(world, Pacing(lambda: 0, loop_stats)).message(topic)
 
     assert isinstance(message, (Stats, Snapshot))
     assert message.real_time_factor == 0.0
+
+
+TOPICS = [("model_states", ModelStates), ("link_states", LinkStates)]
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_gazebo_topic_is_published_at_20_hz(topic: str, kind: type[msgspec.Struct]) -> None:
+    server = a_server("r0", "r1")
+
+    server.turn_for(1.0)
+
+    sent = server.publisher.on(topic)
+    assert 19 <= len(sent) <= 22
+    assert all(isinstance(message, kind) for message in sent)
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_gazebo_topic_is_not_made_without_a_subscriber(
+    topic: str, kind: type[msgspec.Struct]
+) -> None:
+    server = a_server("r0")
+    server.publisher.unwanted.add(topic)
+
+    server.turn_for(0.5)
+
+    assert server.publisher.on(topic) == []
+    assert kind.__name__ == "".join(word.capitalize() for word in topic.split("_"))
+
+
+@pytest.mark.parametrize(("topic", "kind"), TOPICS)
+def test_gazebo_topic_replies_to_a_get(topic: str, kind: type[msgspec.Struct]) -> None:
+    server = a_server("r0")
+    call = server.request(topic, GetEntitiesRequest())
+
+    server.loop.turn()
+
+    answer = answer_of(call, kind)
+    assert getattr(answer, "name")[0].startswith("r0")  # noqa: B009

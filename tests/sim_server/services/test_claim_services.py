@@ -1,9 +1,17 @@
-"""How robots are shared out among pools."""
+"""Claims by name, and shares of pools."""
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.models import a_box, on_ground
+from tests.sim_server.fakes import a_spawn, a_world, handle_request, make_parts
+from zensim.proto.codec.message_codec import MalformedPayload
+from zensim.proto.messages import agent_messages
+from zensim.sim_server.errors import IncorrectState, RequestRefused
+from zensim.sim_server.service_parts import ServerParts
+from zensim.sim_server.services import claim_services
 from zensim.sim_server.services.claim_services import find_robots_to_move, split_evenly
 
 MANY = 1 << 32
@@ -39,14 +47,14 @@ def test_shares_give_all_that_limits_allow_and_differ_by_one_below_them(
 
 
 @given(st.integers(0, 40), LIMITS, st.data())
-def test_moves_end_in_even_shares_whoever_asks_and_nothing_is_lost(
+def test_moves_end_in_even_shares_for_any_pool_and_lose_no_robot(
     total: int, limits: list[int], data: st.DataObject
 ) -> None:
     pools = {f"p{number}": limit for number, limit in enumerate(limits)}
     held: dict[str, list[str]] = {pool: [] for pool in pools}
     robots = [f"r{number}" for number in range(total)]
 
-    # Pools come one after another, and each asks again at the end.
+    # Pools start one after another, and each requests again at the end.
     joined: dict[str, int] = {}
     for pool in [*pools, *data.draw(st.permutations(list(pools)))]:
         joined[pool] = pools[pool]
@@ -67,8 +75,119 @@ def test_moves_take_free_robots_before_those_of_others() -> None:
     assert moved == ("r3", "r2")
 
 
-def test_nobody_moves_when_shares_are_even() -> None:
+def test_no_robot_moves_when_shares_are_even() -> None:
     held = {"a": ["r0", "r1"], "b": ["r2"]}
 
     assert find_robots_to_move("a", {"a": MANY, "b": MANY}, held, []) == ()
     assert find_robots_to_move("b", {"a": MANY, "b": MANY}, held, []) == ()
+
+
+CRATE = a_box()
+
+
+def share(parts: ServerParts, pool: str, limit: int = 0) -> agent_messages.ClaimShareResponse:
+    parts.agents.alive.add(pool)
+    response = handle_request(parts, agent_messages.ClaimShareRequest(pool, limit))
+    assert isinstance(response, agent_messages.ClaimShareResponse)
+    return response
+
+
+def driven_by(parts: ServerParts, pool: str) -> list[str]:
+    return [name for name, _ in parts.world.claims.list_claims(pool)]
+
+
+def test_first_pool_gets_all_robots_without_a_claim() -> None:
+    parts = make_parts(a_world("r0", "r1", "r2"))
+    parts.agents.alive.add("a")
+    handle_request(parts, agent_messages.ClaimEntityRequest("a", ("r1",)))
+
+    response = share(parts, "p")
+
+    assert [grant.entity for grant in response.grants] == ["r0", "r2"]
+    assert driven_by(parts, "a") == ["r1"]
+
+
+def test_second_pool_takes_its_half_from_the_first() -> None:
+    parts = make_parts(a_world("r0", "r1", "r2", "r3"))
+    share(parts, "p")
+
+    response = share(parts, "q")
+
+    assert [grant.entity for grant in response.grants] == ["r2", "r3"]
+    assert driven_by(parts, "p") == ["r0", "r1"]
+    assert share(parts, "p").grants == ()
+
+
+def test_share_contains_each_model_and_text_once() -> None:
+    parts = make_parts(a_world("r0", "r1", "r2"))
+
+    response = share(parts, "p")
+
+    assert len(response.grants) == 3
+    assert len(response.models) == len(response.robot_descriptions) == 1
+    assert [one.model for one in agent_messages.expand_grants(response)] == [
+        entity.model for entity in parts.world.entities
+    ]
+
+
+def test_share_keeps_to_the_limit_of_a_pool() -> None:
+    parts = make_parts(a_world("r0", "r1", "r2"))
+
+    assert len(share(parts, "p", limit=1).grants) == 1
+    assert len(share(parts, "q").grants) == 2
+
+
+def test_share_excludes_entities_without_a_drive() -> None:
+    parts = make_parts(a_world("r0"))
+    parts.world.spawn(a_spawn("crate", model=CRATE, base=on_ground(5.0)))
+
+    assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
+
+
+def test_share_excludes_frozen_entities() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    parts.world.divergence_guard.freeze(parts.world.entities.find("r1"))
+
+    assert [grant.entity for grant in share(parts, "p").grants] == ["r0"]
+
+
+def test_share_is_cut_where_texts_would_not_fit_in_a_reply(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    monkeypatch.setattr(claim_services, "MAX_SHARE_TEXT", -1)
+
+    first, second = share(parts, "p"), share(parts, "p")
+
+    assert [len(first.grants), first.is_more] == [1, True]
+    assert [len(second.grants), second.is_more] == [1, False]
+
+
+def test_robots_of_a_lost_pool_go_to_the_other() -> None:
+    parts = make_parts(a_world("r0", "r1"))
+    share(parts, "p")
+    share(parts, "q")
+
+    parts.world.release("p")
+    parts.agents.pool_limits.pop("p")
+
+    assert [grant.entity for grant in share(parts, "q").grants] == ["r0"]
+
+
+def test_pool_without_a_token_is_refused() -> None:
+    with pytest.raises(IncorrectState, match="'p'"):
+        handle_request(make_parts(a_world("r0")), agent_messages.ClaimShareRequest("p"))
+
+
+def test_pool_with_a_bad_name_is_refused() -> None:
+    with pytest.raises(RequestRefused, match="'p q'"):
+        handle_request(make_parts(a_world("r0")), agent_messages.ClaimShareRequest("p q"))
+
+
+def test_claims_of_a_response_share_models_and_refuse_missing_models() -> None:
+    response = share(make_parts(a_world("r0", "r1")), "p")
+    one, other = agent_messages.expand_grants(response)
+
+    assert one.model is other.model
+    with pytest.raises(MalformedPayload):
+        agent_messages.expand_grants(msgspec.structs.replace(response, models=()))

@@ -1,4 +1,4 @@
-"""What entities are, how much room they take, and where they are from elsewhere."""
+"""Info, bounds and states of entities."""
 
 import math
 from itertools import product
@@ -55,9 +55,7 @@ def corners(bounds: Bounds) -> list[tuple[float, float, float]]:
         (a_box(is_static=True), Category.STATIC_OBJECT),
     ],
 )
-def test_info_follows_from_the_model_unless_somebody_says_it(
-    model: Model, category: Category
-) -> None:
+def test_info_follows_from_the_model_unless_it_is_set(model: Model, category: Category) -> None:
     world = a_world()
     world.spawn(a_spawn("e", model=model))
 
@@ -103,7 +101,7 @@ def test_tags_are_kept_once_each() -> None:
         (EntityInfo(tags=("x" * 129,)), "128"),
     ],
 )
-def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, named: str) -> None:
+def test_invalid_info_is_refused(info: EntityInfo, named: str) -> None:
     parts = make_parts(a_world("r0"))
 
     with pytest.raises(SimError, match=named):
@@ -123,7 +121,7 @@ def test_info_that_no_entity_can_have_is_refused(info: EntityInfo, named: str) -
         entity_messages.GetEntitiesStatesOrder(EntityFilters(), "r9"),
     ],
 )
-def test_what_does_not_exist_is_not_found(request_: msgspec.Struct) -> None:
+def test_unknown_entity_or_frame_is_not_found(request_: msgspec.Struct) -> None:
     with pytest.raises(SimError) as error:
         handle_request(make_parts(a_world("r0")), request_)
 
@@ -172,7 +170,7 @@ def test_sphere_holds_the_box() -> None:
     assert sphere.points[1].x == pytest.approx(0.1 * math.sqrt(3.0))
 
 
-def test_bounds_are_empty_where_nothing_collides() -> None:
+def test_bounds_are_empty_without_collisions() -> None:
     world = a_world()
     world.spawn(a_spawn("e", model=an_arm("continuous")))
 
@@ -187,7 +185,7 @@ def test_bounds_of_no_type_are_unsupported(kind: int) -> None:
     assert error.value.code == ResultCode.FEATURE_UNSUPPORTED
 
 
-def test_state_is_told_in_the_frame_of_another_entity() -> None:
+def test_state_is_returned_in_the_frame_of_another_entity() -> None:
     world = a_world("r0", "r1")
     world.place("r1", on_ground(1.0, 2.0, math.pi / 2.0))
 
@@ -199,7 +197,7 @@ def test_state_is_told_in_the_frame_of_another_entity() -> None:
     assert (place.x, place.y, place.z) == pytest.approx((-2.0, 1.0, 0.0))
 
 
-def test_states_of_all_that_pass_are_told_at_once() -> None:
+def test_states_of_all_that_pass_are_of_one_step() -> None:
     parts = make_parts(a_world("r0", "r1", "x"))
 
     response = handle_request(parts, entity_messages.GetEntitiesStatesOrder(EntityFilters("^r")))
@@ -212,7 +210,7 @@ def test_states_of_all_that_pass_are_told_at_once() -> None:
     ]
 
 
-def test_states_of_nobody_are_none() -> None:
+def test_states_are_empty_when_no_entity_passes() -> None:
     response = handle_request(
         make_parts(a_world("r0")), entity_messages.GetEntitiesStatesOrder(EntityFilters("x"))
     )

@@ -1,4 +1,4 @@
-"""Gazebo's own services: what they do, and how they refuse."""
+"""Services of Gazebo classic, and their refusals."""
 
 import math
 
@@ -39,7 +39,7 @@ FOR_EVER = Duration(-1)
 
 @pytest.fixture
 def parts() -> ServerParts:
-    """A box that looks along y, and an arm."""
+    """A box that faces along y, and an arm."""
     world = a_world()
     world.spawn(a_spawn("box", model=a_box(), base=a_state((1.0, 2.0, 0.5), turn=LEFT)))
     world.spawn(a_spawn("arm", model=an_arm("revolute"), base=a_state((5.0, 0.0, 0.0))))
@@ -54,7 +54,7 @@ def a_push(link: str = "box::base", **changes: object) -> gazebo_messages.ApplyL
 
 
 def gained(parts: ServerParts, request: gazebo_messages.ApplyLinkWrenchRequest) -> list[float]:
-    """Push for a step, and find by how much each velocity grew for each newton [m/s^2]."""
+    """Apply a wrench for a step; return the change of each velocity per newton [m/s^2]."""
     report = handle_request(parts, request)
     assert isinstance(report, gazebo_messages.ApplyLinkWrenchReport)
     assert report.success
@@ -64,7 +64,7 @@ def gained(parts: ServerParts, request: gazebo_messages.ApplyLinkWrenchRequest) 
     return change
 
 
-def test_time_is_paused_and_played_however_often(parts: ServerParts) -> None:
+def test_time_is_paused_and_played_repeatedly(parts: ServerParts) -> None:
     for request, state in (
         (gazebo_messages.PausePhysicsRequest(), State.PAUSED),
         (gazebo_messages.UnpausePhysicsRequest(), State.PLAYING),
@@ -84,7 +84,7 @@ def test_world_is_reset_without_its_time(parts: ServerParts) -> None:
     assert (parts.world.clock.steps, names_in(parts.world)) == (1, ["box", "arm"])
 
 
-def test_state_is_told_in_the_frame_of_another_entity(parts: ServerParts) -> None:
+def test_state_is_returned_in_the_frame_of_another_entity(parts: ServerParts) -> None:
     parts.world.place("box", a_state((1.0, 2.0, 0.5), turn=LEFT, linear=(1.0, 0.0, 0.0)))
     parts.world.place("arm", a_state((1.0, 3.0, 0.5), linear=(1.0, 1.0, 0.0)))
 
@@ -98,7 +98,7 @@ def test_state_is_told_in_the_frame_of_another_entity(parts: ServerParts) -> Non
     assert (go.x, go.y, go.z) == pytest.approx((1.0, 0.0, 0.0), abs=1e-9)
 
 
-def test_state_of_a_link_is_told_in_the_world(parts: ServerParts) -> None:
+def test_state_of_a_link_is_returned_in_the_world(parts: ServerParts) -> None:
     report = handle_request(parts, gazebo_messages.GazeboGetEntityStateRequest("arm::arm"))
 
     assert isinstance(report, gazebo_messages.GazeboGetEntityStateReport)
@@ -108,7 +108,7 @@ def test_state_of_a_link_is_told_in_the_world(parts: ServerParts) -> None:
     assert report.header.frame_id == "world"
 
 
-def test_entity_is_put_beside_another(parts: ServerParts) -> None:
+def test_entity_is_placed_in_the_frame_of_another(parts: ServerParts) -> None:
     pose = Pose(Point(1.0, 0.0, 0.0), Quaternion())
     state = GazeboEntityState("arm", pose, Twist(Vector3(1.0)), "box")
 
@@ -195,7 +195,7 @@ def test_effort_is_applied_to_a_joint_by_either_name_and_cleared(parts: ServerPa
     assert len(parts.world.applied_forces) == 0
 
 
-def test_joint_is_changed_and_tells_so(parts: ServerParts) -> None:
+def test_joint_properties_are_set_and_returned(parts: ServerParts) -> None:
     wanted = ODEJointProperties(damping=(0.3,), lo_stop=(-0.1,), hi_stop=(0.2,), fmax=(0.05,))
     number = parts.world.entities.roster_number
 
@@ -215,7 +215,7 @@ def test_joint_is_changed_and_tells_so(parts: ServerParts) -> None:
     assert parts.world.entities.roster_number > number
 
 
-def test_entity_goes_on_where_it_was_when_it_is_changed(parts: ServerParts) -> None:
+def test_entity_keeps_its_state_when_its_model_changes(parts: ServerParts) -> None:
     parts.world.claim("a", ("arm",), "stop")
     parts.world.place("arm", a_state((3.0, 0.0, 0.0), linear=(1.0, 0.0, 0.0)), np.array([0.3]))
     before = parts.world.state_of("arm").copy()
@@ -230,7 +230,7 @@ def test_entity_goes_on_where_it_was_when_it_is_changed(parts: ServerParts) -> N
     assert parts.world.claims.agent_of("arm") == "a"
 
 
-def test_link_is_weighed_and_weighed_anew(parts: ServerParts) -> None:
+def test_link_properties_are_set_and_returned(parts: ServerParts) -> None:
     found = handle_request(parts, gazebo_messages.GetLinkPropertiesRequest("box::base"))
     assert isinstance(found, gazebo_messages.GetLinkPropertiesReport)
     assert (found.mass, found.izz, found.gravity_mode) == (1.0, 0.01, True)
@@ -249,7 +249,7 @@ def test_link_is_weighed_and_weighed_anew(parts: ServerParts) -> None:
     assert link.weightless == link.inertial != Inertial()
 
 
-def test_topics_tell_every_entity_and_every_link(parts: ServerParts) -> None:
+def test_topics_contain_every_entity_and_every_link(parts: ServerParts) -> None:
     models, links = make_model_states(parts.world), make_link_states(parts.world)
 
     assert models.name == ("box", "arm")
@@ -376,9 +376,9 @@ GAZEBO = [
 
 
 @pytest.mark.parametrize("name", GAZEBO)
-def test_refusal_says_so_in_gazebos_way_and_in_ours(name: str) -> None:
-    said = make_refusal(name, ResultCode.NOT_FOUND, "nobody is there")
+def test_refusal_sets_success_and_result(name: str) -> None:
+    response_ = make_refusal(name, ResultCode.NOT_FOUND, "nobody is there")
 
-    assert said.result.result == ResultCode.NOT_FOUND  # type: ignore[attr-defined]
-    assert getattr(said, "success", False) is False
-    assert getattr(said, "status_message", "nobody is there") == "nobody is there"
+    assert response_.result.result == ResultCode.NOT_FOUND  # type: ignore[attr-defined]
+    assert getattr(response_, "success", False) is False
+    assert getattr(response_, "status_message", "nobody is there") == "nobody is there"

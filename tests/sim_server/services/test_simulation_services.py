@@ -1,4 +1,4 @@
-"""Services of time: goals with progress, canceled, joined and fetched; runs to a time; speed."""
+"""Step goals with progress, cancel and retry; runs to a time; speed."""
 
 from typing import TypeVar
 
@@ -39,7 +39,7 @@ def a_paused_server(*names: str) -> ServerFixture:
 
 
 def simulate(server: ServerFixture, steps: int, goal_id: str = "g") -> MemoryCall:
-    return server.ask("simulate_steps", SimulateStepsRequest(steps, goal_id))
+    return server.request("simulate_steps", SimulateStepsRequest(steps, goal_id))
 
 
 def read(call: MemoryCall, kind: type[Answer]) -> Answer:
@@ -54,11 +54,11 @@ def turn(server: ServerFixture, turns: int) -> None:
 
 
 def progress_in(server: ServerFixture) -> list[StepsProgress]:
-    told = server.publisher.on("simulate_steps_feedback")
-    return [one for one in told if isinstance(one, StepsProgress)]
+    sent = server.publisher.on("simulate_steps_feedback")
+    return [one for one in sent if isinstance(one, StepsProgress)]
 
 
-def test_goal_is_answered_when_its_last_step_is_made() -> None:
+def test_goal_gets_its_reply_when_its_last_step_is_made() -> None:
     server = a_paused_server()
     call = simulate(server, 5)
 
@@ -70,7 +70,7 @@ def test_goal_is_answered_when_its_last_step_is_made() -> None:
     assert server.world.clock.steps == 5
 
 
-def test_goal_tells_of_its_progress_first_and_of_its_end_before_the_answer() -> None:
+def test_goal_publishes_progress_before_the_reply() -> None:
     server = a_paused_server()
     simulate(server, 5)
 
@@ -82,12 +82,12 @@ def test_goal_tells_of_its_progress_first_and_of_its_end_before_the_answer() -> 
     assert progress_in(server)[-1] == StepsProgress("g", 5, 0, "succeeded")
 
 
-def test_goal_that_is_canceled_says_how_far_it_came() -> None:
+def test_canceled_goal_reports_completed_steps() -> None:
     server = a_paused_server()
     goal = simulate(server, 100)
     turn(server, 7)
 
-    cancel = server.ask("cancel_steps", CancelStepsRequest("g"))
+    cancel = server.request("cancel_steps", CancelStepsRequest("g"))
     turn(server, 2)
 
     answer = read(goal, SimulateStepsResponse)
@@ -99,11 +99,11 @@ def test_goal_that_is_canceled_says_how_far_it_came() -> None:
 
 def test_cancel_without_an_id_ends_requested_steps_of_every_kind() -> None:
     server = a_paused_server()
-    server.ask("step_simulation", StepSimulationRequest(100))
+    server.request("step_simulation", StepSimulationRequest(100))
     simulate(server, 100)
     turn(server, 1)
 
-    cancel = server.ask("cancel_steps", CancelStepsRequest())
+    cancel = server.request("cancel_steps", CancelStepsRequest())
     turn(server, 5)
 
     assert read(cancel, CancelStepsResponse).goal_ids == ("", "g")
@@ -113,18 +113,18 @@ def test_cancel_without_an_id_ends_requested_steps_of_every_kind() -> None:
 @pytest.mark.parametrize(
     ("goal_id", "code"), [("other", ResultCode.NOT_FOUND), ("g", ResultCode.INCORRECT_STATE)]
 )
-def test_cancel_is_refused_for_a_goal_that_is_not_under_way(goal_id: str, code: int) -> None:
+def test_cancel_is_refused_for_a_goal_that_is_not_active(goal_id: str, code: int) -> None:
     server = a_paused_server()
     simulate(server, 1)
     turn(server, 2)
 
-    call = server.ask("cancel_steps", CancelStepsRequest(goal_id))
+    call = server.request("cancel_steps", CancelStepsRequest(goal_id))
     turn(server, 1)
 
     assert read(call, CancelStepsResponse).result.result == code
 
 
-def test_goal_that_is_asked_for_again_is_joined() -> None:
+def test_goal_requested_again_is_joined() -> None:
     server = a_paused_server()
     first = simulate(server, 10)
     turn(server, 3)
@@ -136,7 +136,7 @@ def test_goal_that_is_asked_for_again_is_joined() -> None:
     assert server.world.clock.steps == 10
 
 
-def test_result_of_a_goal_that_is_over_is_fetched_by_asking_again() -> None:
+def test_result_of_an_ended_goal_is_returned_again() -> None:
     server = a_paused_server()
     first = simulate(server, 10)
     turn(server, 12)
@@ -160,7 +160,7 @@ def test_goal_of_the_same_id_and_other_steps_is_refused() -> None:
 
 
 @pytest.mark.parametrize("goal_id", ["x" * 65, "a\nb", "\0"])
-def test_goal_id_that_is_none_is_refused(goal_id: str) -> None:
+def test_invalid_goal_id_is_refused(goal_id: str) -> None:
     server = a_paused_server()
     call = simulate(server, 1, goal_id)
 
@@ -190,7 +190,7 @@ def test_goals_beyond_the_limit_are_refused() -> None:
     assert read(calls[-1], SimulateStepsResponse).result.result == ResultCode.INCORRECT_STATE
 
 
-def test_goal_is_refused_while_time_runs() -> None:
+def test_goal_is_refused_while_playing() -> None:
     server = a_server()
     call = simulate(server, 1)
 
@@ -217,7 +217,7 @@ def test_goal_is_aborted_when_the_simulation_is_stopped() -> None:
 )
 def test_run_goes_to_the_first_step_at_or_after_a_time(wanted_ns: int, steps: int) -> None:
     server = a_paused_server()
-    call = server.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
+    call = server.request("run_to", RunToRequest(time_from_ns(wanted_ns)))
 
     turn(server, max(1, steps))
 
@@ -231,7 +231,7 @@ def test_run_reaches_any_time_and_makes_no_step_too_many(wanted_ns: int, before:
     server = a_paused_server()
     for _ in range(before):
         server.world.step()
-    call = server.ask("run_to", RunToRequest(time_from_ns(wanted_ns)))
+    call = server.request("run_to", RunToRequest(time_from_ns(wanted_ns)))
 
     while not call.is_over:
         server.loop.turn()
@@ -242,11 +242,11 @@ def test_run_reaches_any_time_and_makes_no_step_too_many(wanted_ns: int, before:
     assert is_past or 0 <= server.world.clock.time_ns - wanted_ns < STEP_NS
 
 
-def test_run_to_a_time_that_is_past_is_refused() -> None:
+def test_run_to_a_past_time_is_refused() -> None:
     server = a_paused_server()
     for _ in range(240):
         server.world.step()
-    call = server.ask("run_to", RunToRequest(Time(0, 500_000_000)))
+    call = server.request("run_to", RunToRequest(Time(0, 500_000_000)))
 
     turn(server, 1)
 
@@ -254,28 +254,28 @@ def test_run_to_a_time_that_is_past_is_refused() -> None:
     assert result.result == ResultCode.OPERATION_FAILED
 
 
-def test_run_is_refused_while_other_steps_wait() -> None:
+def test_run_is_refused_while_other_steps_are_active() -> None:
     server = a_paused_server()
     simulate(server, 10)
-    call = server.ask("run_to", RunToRequest(Time(1)))
+    call = server.request("run_to", RunToRequest(Time(1)))
 
     turn(server, 1)
 
     assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
 
 
-def test_run_is_refused_while_time_runs() -> None:
+def test_run_is_refused_while_playing() -> None:
     server = a_server()
-    call = server.ask("run_to", RunToRequest(Time(1)))
+    call = server.request("run_to", RunToRequest(Time(1)))
 
     turn(server, 1)
 
     assert read(call, RunToResponse).result.result == ResultCode.INCORRECT_STATE
 
 
-def test_run_ends_when_time_goes_back() -> None:
+def test_run_is_aborted_by_a_reset() -> None:
     server = a_paused_server()
-    call = server.ask("run_to", RunToRequest(Time(1)))
+    call = server.request("run_to", RunToRequest(Time(1)))
     turn(server, 5)
 
     server.world.reset(ResetScope.TIME)
@@ -287,11 +287,11 @@ def test_run_ends_when_time_goes_back() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 1000.0])
-def test_speed_is_held_from_now_on(factor: float) -> None:
+def test_speed_applies_at_once(factor: float) -> None:
     server = a_server(factor=0.02)
     server.turn_for(0.1)
     before_ns = server.world.clock.time_ns
-    call = server.ask("set_speed", SetSpeedRequest(factor))
+    call = server.request("set_speed", SetSpeedRequest(factor))
 
     seconds = 100.0 * STEP_NS * 1e-9 / factor
     server.turn_for(seconds)
@@ -303,17 +303,17 @@ def test_speed_is_held_from_now_on(factor: float) -> None:
 
 def test_speed_of_zero_is_flat_out() -> None:
     server = a_server(factor=1.0)
-    server.ask("set_speed", SetSpeedRequest(0.0))
+    server.request("set_speed", SetSpeedRequest(0.0))
 
     turn(server, 50)
 
     assert server.world.clock.steps >= 49
 
 
-def test_info_tells_the_speed_that_was_set() -> None:
+def test_info_returns_the_target_speed() -> None:
     server = a_server()
-    server.ask("set_speed", SetSpeedRequest(4.0))
-    call = server.ask("info", InfoRequest())
+    server.request("set_speed", SetSpeedRequest(4.0))
+    call = server.request("info", InfoRequest())
 
     turn(server, 1)
 
@@ -323,7 +323,7 @@ def test_info_tells_the_speed_that_was_set() -> None:
 @pytest.mark.parametrize("factor", [-1.0, 0.009, 1001.0, float("inf"), float("nan")])
 def test_speed_out_of_range_is_refused(factor: float) -> None:
     server = a_server()
-    call = server.ask("set_speed", SetSpeedRequest(factor))
+    call = server.request("set_speed", SetSpeedRequest(factor))
 
     turn(server, 1)
 

@@ -1,4 +1,4 @@
-"""Loading, unloading and listing of worlds, with every refusal that there is."""
+"""Loading, unloading and listing of worlds, and their refusals."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -52,8 +52,8 @@ def sdf(inside: str = "", name: str = "w") -> str:
     return f"<sdf version='1.6'><world name='{name}'>{GROUND}{inside}</world></sdf>"
 
 
-def loading(uri: str = "", text: str = "", **wishes: bool) -> world_messages.LoadWorldRequest:
-    return world_messages.LoadWorldRequest(Resource(uri, text), **wishes)
+def loading(uri: str = "", text: str = "", **options: bool) -> world_messages.LoadWorldRequest:
+    return world_messages.LoadWorldRequest(Resource(uri, text), **options)
 
 
 def loaded(
@@ -98,7 +98,7 @@ def folder(tmp_path: Path, parts: ServerParts) -> Path:
     return folder
 
 
-def test_world_takes_the_place_of_another(parts: ServerParts) -> None:
+def test_loaded_world_replaces_another(parts: ServerParts) -> None:
     parts.world.step()
     parts.world.claim("a", ("r0",), "stop")
     parts.world.clock.take_events()
@@ -118,7 +118,7 @@ def test_world_takes_the_place_of_another(parts: ServerParts) -> None:
     assert kinds == ["loading", "deleted", "deleted", "loaded", "spawned", "spawned"]
 
 
-def test_world_stands_while_another_is_read(parts: ServerParts) -> None:
+def test_world_is_stopped_while_another_is_parsed(parts: ServerParts) -> None:
     handle_request(parts, loading("walls"))
 
     assert parts.world.clock.state == State.LOADING_WORLD
@@ -129,7 +129,7 @@ def test_world_stands_while_another_is_read(parts: ServerParts) -> None:
         assert refused.value.code == ResultCode.INCORRECT_STATE
 
 
-def test_world_is_made_over_some_turns_and_is_there_at_once() -> None:
+def test_world_is_built_over_turns_and_replaced_at_once() -> None:
     wall = WallTime()
     parts = make_parts(a_world("r0"), wall)
     made = parts.loading.factory
@@ -242,7 +242,7 @@ def test_world_is_refused(
     assert names_in(parts.world) == ["r0", "r1"]
 
 
-def test_world_does_without_what_may_be_missing(parts: ServerParts, folder: Path) -> None:
+def test_world_loads_without_missing_assets_when_allowed(parts: ServerParts, folder: Path) -> None:
     (folder / "bad.stl").write_bytes(b"no mesh")
     lacking = sdf(
         "<include><uri>model://tree</uri></include>"
@@ -258,9 +258,7 @@ def test_world_does_without_what_may_be_missing(parts: ServerParts, folder: Path
     assert "model 'crate'" in subjects
 
 
-def test_world_includes_what_lies_in_the_operators_folders(
-    parts: ServerParts, folder: Path
-) -> None:
+def test_world_includes_models_of_the_operators_folders(parts: ServerParts, folder: Path) -> None:
     inner = "<include><uri>model://inner</uri></include><joint name='j' type='fixed'>"
     inner += "<parent>box</parent><child>crate::box</child></joint>"
     for name, inside in (("outer", inner), ("inner", "")):
@@ -302,7 +300,7 @@ def test_world_is_unloaded_with_everything_in_it(parts: ServerParts) -> None:
     assert parts.world.clock.state == State.STOPPED
 
 
-def test_current_world_is_told_as_it_is_asked_for(parts: ServerParts) -> None:
+def test_current_world_is_returned_as_its_resource(parts: ServerParts) -> None:
     text = sdf("<zensim:tags> a b </zensim:tags>", "yard")
     loaded(parts, loading(text=text))
 
@@ -328,7 +326,7 @@ def test_worlds_are_listed_by_folder_and_tag(parts: ServerParts, folder: Path) -
     assert "deep/a.world" in listed(parts, ask(additional_sources=("deep",)))
 
 
-def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(
+def test_world_has_its_own_description_not_that_of_its_frames(
     parts: ServerParts,
 ) -> None:
     found = available(parts, world_messages.GetAvailableWorldsRequest())
@@ -342,14 +340,14 @@ def test_world_is_told_by_its_own_words_and_not_by_those_of_its_frames(
     assert loaded(parts, loading(text=nameless)).world.tags == ()
 
 
-def test_text_of_open_frames_is_looked_through_in_one_pass() -> None:
-    # Seconds, were each of the frames to look for an end of its own.
+def test_text_with_unclosed_frames_is_searched_in_one_pass() -> None:
+    # It would take seconds if each frame searched for its own end.
     text = "<world name='w'><zensim:tags>a, b</zensim:tags>" + "<frame>" * 10_000
 
     assert read_world_metadata(Resource(), text).tags == ("a", "b")
 
 
-def test_many_files_are_looked_at_a_few_at_a_turn(parts: ServerParts, folder: Path) -> None:
+def test_files_are_searched_a_few_per_turn(parts: ServerParts, folder: Path) -> None:
     for number in range(3 * FILES_PER_TURN):
         (folder / f"{number:03}.world").write_text(sdf())
     later = handle_request(parts, world_messages.GetAvailableWorldsRequest())
@@ -364,7 +362,7 @@ def test_many_files_are_looked_at_a_few_at_a_turn(parts: ServerParts, folder: Pa
 
 
 @pytest.mark.parametrize("source", ["/etc", "..", "nowhere", "https://example.org/worlds"])
-def test_source_outside_the_operators_folders_is_not_looked_into(
+def test_source_outside_the_operators_folders_is_not_searched(
     parts: ServerParts, folder: Path, source: str
 ) -> None:
     with pytest.raises(SimError) as refused:
@@ -378,7 +376,7 @@ def test_source_outside_the_operators_folders_is_not_looked_into(
     assert folder.is_dir()
 
 
-def test_online_source_is_passed_over_when_only_offline_ones_are_wanted(
+def test_online_source_is_skipped_when_only_offline_ones_are_requested(
     parts: ServerParts,
 ) -> None:
     request = world_messages.GetAvailableWorldsRequest(("https://example.org",), offline_only=True)
@@ -386,7 +384,7 @@ def test_online_source_is_passed_over_when_only_offline_ones_are_wanted(
     assert listed(parts, request) == ["empty", "walls", "warehouse"]
 
 
-def test_worlds_are_not_listed_when_an_operators_folder_has_gone(
+def test_worlds_are_not_listed_when_an_operators_folder_is_missing(
     parts: ServerParts, folder: Path
 ) -> None:
     folder.rmdir()

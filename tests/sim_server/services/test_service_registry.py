@@ -1,4 +1,4 @@
-"""Handlers: what each service does; all but spawning and refusals."""
+"""Handlers of all services by the registry: parts, responses, refusals with their codes."""
 
 import math
 from typing import get_type_hints
@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from tests.models import WHEEL_RADIUS_M, on_ground
 from tests.proto.strategies import messages_of
+from tests.sim_server.description.robots import a_joint, a_link, a_robot
 from tests.sim_server.fakes import (
     a_command,
     a_world,
@@ -19,10 +20,17 @@ from tests.sim_server.fakes import (
     names_in,
     wheel_speeds,
 )
-from tests.sim_server.orders import an_order, spawned
+from tests.sim_server.orders import BOX_BOT, an_order, spawned
 from zensim.proto.codec.message_codec import Format, encode, supports_format
 from zensim.proto.messages import agent_messages, entity_messages, telemetry_messages
-from zensim.proto.messages.result_messages import ResultCode
+from zensim.proto.messages.entity_messages import EntityState
+from zensim.proto.messages.result_messages import (
+    ClaimCode,
+    ResultCode,
+    SetEntityStateCode,
+    SetSimulationStateCode,
+    SpawnCode,
+)
 from zensim.proto.messages.simulation_messages import (
     GetSimulationStateRequest,
     GetSimulationStateResponse,
@@ -33,9 +41,19 @@ from zensim.proto.messages.simulation_messages import (
     SetSimulationStateRequest,
     SimulationState,
     State,
+    StepSimulationRequest,
 )
-from zensim.proto.messages.spawn_messages import DeleteEntityRequest
-from zensim.proto.messages.standard_messages import Header, Point, Pose, Time, Twist, Vector3
+from zensim.proto.messages.spawn_messages import DeleteEntityRequest, Resource, SpawnEntityOrder
+from zensim.proto.messages.standard_messages import (
+    Header,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Time,
+    Twist,
+    Vector3,
+)
 from zensim.proto.service_catalog import SERVICES, Service
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.service_parts import DeferredResponse, ServerParts
@@ -45,6 +63,7 @@ from zensim.sim_server.services.service_registry import (
     ServiceEntry,
     make_refusal,
 )
+from zensim.sim_server.services.simulation_services import MAX_STEPS
 
 
 def state_at(
@@ -78,7 +97,7 @@ def test_services_have_different_requests() -> None:
     assert len({service.request for service in SERVICES.values()}) == len(SERVICES)
 
 
-def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
+def test_features_are_returned_with_the_formats_that_can_be_spawned() -> None:
     response = handle_request(make_parts(a_world()), GetSimulatorFeaturesRequest())
 
     assert isinstance(response, GetSimulatorFeaturesResponse)
@@ -87,7 +106,7 @@ def test_features_are_told_with_the_formats_that_can_be_spawned() -> None:
     assert response.features.custom_info.startswith("zensim ")
 
 
-def test_delete_takes_an_entity_out() -> None:
+def test_delete_removes_an_entity() -> None:
     parts = make_parts(a_world("r0", "r1"))
 
     handle_request(parts, DeleteEntityRequest("r0"))
@@ -95,7 +114,7 @@ def test_delete_takes_an_entity_out() -> None:
     assert names_in(parts.world) == ["r1"]
 
 
-def test_get_entities_names_all_in_the_order_of_spawning() -> None:
+def test_get_entities_lists_all_in_the_order_of_spawning() -> None:
     response = handle_request(
         make_parts(a_world("r2", "r0", "r1")), entity_messages.GetEntitiesRequest()
     )
@@ -104,7 +123,7 @@ def test_get_entities_names_all_in_the_order_of_spawning() -> None:
     assert response.entities == ("r2", "r0", "r1")
 
 
-def test_get_state_tells_pose_twist_and_time_in_the_world() -> None:
+def test_get_state_returns_pose_twist_and_time_in_the_world() -> None:
     world = a_world("r0")
     world.claim("a", ("r0",), "stop")
     world.command("a", a_command(world, "a", 4.0, 4.0))
@@ -129,7 +148,7 @@ def test_set_state_of_version_1_sets_pose_and_twist() -> None:
     assert (row[0], row[2], row[7]) == (3.0, 0.5, 1.0)
 
 
-def test_set_state_sets_only_the_pose_when_only_that_is_asked_for() -> None:
+def test_set_state_sets_only_the_pose_when_only_its_flag_is_set() -> None:
     parts = make_parts(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
@@ -139,7 +158,7 @@ def test_set_state_sets_only_the_pose_when_only_that_is_asked_for() -> None:
     assert (row[0], row[7]) == (3.0, 0.0)
 
 
-def test_set_state_sets_only_the_twist_when_only_that_is_asked_for() -> None:
+def test_set_state_sets_only_the_twist_when_only_its_flag_is_set() -> None:
     parts = make_parts(a_world("r0"))
     state = state_at((3.0, 0.0, 0.5), linear=(1.0, 0.0, 0.0))
 
@@ -161,7 +180,7 @@ def test_set_state_takes_pose_and_twist_in_the_frame_of_another_entity() -> None
     assert row[7:10] == pytest.approx([0.0, 2.0, 0.0])
 
 
-def test_set_state_does_not_change_where_a_reset_goes_back_to() -> None:
+def test_set_state_does_not_change_the_initial_state() -> None:
     parts = make_parts(a_world("r0"))
     handle_request(parts, entity_messages.SetEntityStateRequest("r0", state_at((3.0, 0.0, 0.5))))
 
@@ -192,7 +211,7 @@ def test_reset_takes_every_sum_of_known_bits(scope: int) -> None:
     assert bool(names_in(parts.world)) == (scope in (1, 2, 3))
 
 
-def test_claim_tells_model_and_clock() -> None:
+def test_claim_returns_model_and_clock() -> None:
     parts = make_parts(a_world("r0"))
     parts.agents.alive.add("a")
 
@@ -203,7 +222,7 @@ def test_claim_tells_model_and_clock() -> None:
     assert (response.step_ns, response.control_steps) == (parts.world.clock.step_ns, 3)
 
 
-def test_claim_ends_as_it_was_asked_to() -> None:
+def test_claim_ends_as_requested() -> None:
     parts = make_parts(a_world("r0"))
     parts.agents.alive.add("a")
 
@@ -213,7 +232,7 @@ def test_claim_ends_as_it_was_asked_to() -> None:
     assert names_in(parts.world) == []
 
 
-def test_models_are_told_once_for_all_that_share_them() -> None:
+def test_models_are_returned_once_for_all_entities_that_share_them() -> None:
     parts = make_parts(a_world("r0", "r1"))
     spawned(parts, an_order("r2"))
 
@@ -229,7 +248,7 @@ def test_models_are_told_once_for_all_that_share_them() -> None:
     assert response.roster == parts.world.entities.roster_number
 
 
-def test_models_of_some_entities_are_told_when_they_are_named() -> None:
+def test_models_of_named_entities_are_returned() -> None:
     parts = make_parts(a_world("r0", "r1"))
     parts.world.claim("a", ("r1",), "stop")
 
@@ -241,7 +260,7 @@ def test_models_of_some_entities_are_told_when_they_are_named() -> None:
     assert one.initial_pose.position == Point(1.0, 0.0, WHEEL_RADIUS_M)
 
 
-def test_info_tells_who_is_there() -> None:
+def test_info_returns_configuration_and_counts() -> None:
     parts = make_parts(a_world("r0", "r1"), factor=2.0)
     parts.world.claim("a", ("r0", "r1"), "stop")
     parts.world.step()
@@ -256,7 +275,7 @@ def test_info_tells_who_is_there() -> None:
     assert (info.engine, info.world_model) == ("obedient", "empty")
 
 
-def test_info_tells_a_real_time_factor_of_zero_when_paused() -> None:
+def test_info_has_a_real_time_factor_of_zero_when_paused() -> None:
     parts = make_parts(a_world())
     parts.pacing.loop_stats.real_time_factor = 0.9
     parts.world.clock.pause()
@@ -277,7 +296,7 @@ def test_refusal_is_a_response_with_a_result(name: str) -> None:
 
 @pytest.mark.parametrize("service", SERVICES.values(), ids=SERVICES)
 @given(data=st.data())
-def test_service_answers_any_request_or_refuses_it(
+def test_service_replies_to_any_request_or_refuses_it(
     service: Service[msgspec.Struct, msgspec.Struct], data: st.DataObject
 ) -> None:
     parts = make_parts(a_world("r0"))
@@ -297,3 +316,255 @@ def test_service_answers_any_request_or_refuses_it(
         assert encode(response, wanted)
     assert np.isfinite(parts.world.states().base).all()
     assert np.isfinite(wheel_speeds(parts.world)).all()
+
+
+HEDGEHOG = a_robot(
+    a_link("body"),
+    *(a_link(f"s{i}") + a_joint(f"j{i}", ("body", f"s{i}"), "continuous") for i in range(121)),
+)
+NAN, INF = math.nan, math.inf
+HERE, STILL = Pose(), Twist()
+
+
+def a_spawn(**changes: object) -> SpawnEntityOrder:
+    return msgspec.structs.replace(an_order("r9"), **changes)
+
+
+def a_spawn_of(text: str) -> SpawnEntityOrder:
+    return a_spawn(entity_resource=Resource(resource_string=text))
+
+
+def a_spawn_at(pose: Pose, frame_id: str = "") -> SpawnEntityOrder:
+    return a_spawn(initial_pose=PoseStamped(Header(frame_id=frame_id), pose))
+
+
+def a_placing(pose: Pose = HERE, twist: Twist = STILL) -> entity_messages.SetEntityStateRequest:
+    return entity_messages.SetEntityStateRequest("r0", EntityState(pose=pose, twist=twist))
+
+
+def in_state(state: int) -> SetSimulationStateRequest:
+    return SetSimulationStateRequest(SimulationState(state))
+
+
+REFUSED = {
+    "spawn nothing": (
+        a_spawn(entity_resource=Resource()),
+        SpawnCode.NO_RESOURCE,
+        "resource.empty: ",
+    ),
+    "spawn an unknown model": (
+        a_spawn(entity_resource=Resource("tank")),
+        ResultCode.NOT_FOUND,
+        "library.model: .*'tank'",
+    ),
+    "spawn a file": (
+        a_spawn(entity_resource=Resource("file:///etc/passwd")),
+        ResultCode.NOT_FOUND,
+        "resource.unknown: .*'file:///etc/passwd'",
+    ),
+    "spawn no XML": (a_spawn_of("<robot"), SpawnCode.RESOURCE_PARSE_ERROR, "."),
+    "spawn a model that the engine cannot simulate": (
+        a_spawn_of(HEDGEHOG),
+        SpawnCode.RESOURCE_PARSE_ERROR,
+        "urdf.joints: ",
+    ),
+    "spawn a taken name": (
+        a_spawn(name="r0"),
+        SpawnCode.NAME_NOT_UNIQUE,
+        "name.taken: .*'r0'",
+    ),
+    "spawn a bad name": (
+        a_spawn(name="9 lives"),
+        SpawnCode.NAME_INVALID,
+        "name.invalid: .*'9 lives'",
+    ),
+    "spawn in a bad namespace": (
+        a_spawn(entity_namespace="sim/r"),
+        SpawnCode.NAMESPACE_INVALID,
+        "name.namespace: .*'sim/r'",
+    ),
+    "spawn in a taken namespace": (
+        a_spawn(entity_namespace="/r1"),
+        SpawnCode.NAMESPACE_INVALID,
+        "name.namespace: .*'r1'",
+    ),
+    "spawn at a position that is no number": (
+        a_spawn_at(Pose(Point(y=NAN))),
+        SpawnCode.INVALID_POSE,
+        "finite",
+    ),
+    "spawn in an infinite direction": (
+        a_spawn_at(Pose(orientation=Quaternion(x=INF))),
+        SpawnCode.INVALID_POSE,
+        "finite",
+    ),
+    "spawn too far away": (
+        a_spawn_at(Pose(Point(z=1e6))),
+        SpawnCode.INVALID_POSE,
+        r"pose.refused: .*1e\+06",
+    ),
+    "spawn in no direction": (
+        a_spawn_at(Pose(orientation=Quaternion(w=1e-9))),
+        SpawnCode.INVALID_POSE,
+        "pose.refused: .*1e-09",
+    ),
+    "spawn beside nobody": (
+        a_spawn_at(Pose(), "r7"),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+    "delete nobody": (
+        DeleteEntityRequest("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+    "filter": (
+        entity_messages.GetEntitiesRequest(entity_messages.EntityFilters("r(")),
+        ResultCode.OPERATION_FAILED,
+        r"'r\('",
+    ),
+    "ask for the state of nobody": (
+        entity_messages.GetEntityStateOrder("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+    "place nobody": (
+        entity_messages.SetEntityStateRequest("r7"),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+    "place nowhere": (
+        a_placing(Pose(Point(x=NAN))),
+        SetEntityStateCode.INVALID_POSE,
+        "finite",
+    ),
+    "place too fast": (
+        a_placing(twist=Twist(Vector3(1e5))),
+        SetEntityStateCode.INVALID_POSE,
+        "10000",
+    ),
+    "place beside nobody": (
+        entity_messages.SetEntityStateRequest("r0", EntityState(Header(frame_id="r7"))),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+    "accelerate": (
+        entity_messages.SetEntityStateRequest("r0", set_acceleration=True),
+        ResultCode.FEATURE_UNSUPPORTED,
+        "acceleration",
+    ),
+    "play twice": (
+        in_state(State.PLAYING),
+        SetSimulationStateCode.ALREADY_IN_TARGET_STATE,
+        "playing",
+    ),
+    "unload by the state": (
+        in_state(State.NO_WORLD),
+        SetSimulationStateCode.INCORRECT_TRANSITION,
+        "no_world",
+    ),
+    "step while playing": (
+        StepSimulationRequest(1),
+        ResultCode.INCORRECT_STATE,
+        "playing",
+    ),
+    "reset unknown bits": (
+        ResetSimulationRequest(8),
+        ResultCode.FEATURE_UNSUPPORTED,
+        "scope 8",
+    ),
+    "claim under a bad name": (
+        agent_messages.ClaimEntityRequest("a b", ("r0",)),
+        ClaimCode.AGENT_INVALID,
+        "'a b'",
+    ),
+    "claim without being alive": (
+        agent_messages.ClaimEntityRequest("ghost", ("r0",)),
+        ResultCode.INCORRECT_STATE,
+        "'ghost'",
+    ),
+    "claim nothing": (
+        agent_messages.ClaimEntityRequest("a"),
+        ClaimCode.NOT_DRIVABLE,
+        ".",
+    ),
+    "claim nobody": (
+        agent_messages.ClaimEntityRequest("a", ("r0", "r7")),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+    "claim what another drives": (
+        agent_messages.ClaimEntityRequest("a", ("r1",)),
+        ClaimCode.ALREADY_CLAIMED,
+        "'r1'.*'b'",
+    ),
+    "ask for the model of nobody": (
+        telemetry_messages.GetModelsRequest(("r7",)),
+        ResultCode.NOT_FOUND,
+        "'r7'",
+    ),
+}
+
+
+@pytest.fixture
+def parts() -> ServerParts:
+    """Two entities; agent b drives the second."""
+    made = make_parts(a_world("r0", "r1"))
+    made.agents.alive |= {"a", "b"}
+    made.world.claim("b", ("r1",), "stop")
+    return made
+
+
+@pytest.mark.parametrize(("request_", "code", "named"), REFUSED.values(), ids=REFUSED)
+def test_request_is_refused_with_code_and_what_was_given(
+    parts: ServerParts, request_: msgspec.Struct, code: int, named: str
+) -> None:
+    before = parts.world.states().base.tobytes()
+
+    with pytest.raises(SimError, match=named) as refused:
+        handle_request(parts, request_)
+
+    assert refused.value.code == code
+    assert "\n" not in str(refused.value)
+    assert names_in(parts.world) == ["r0", "r1"]
+    assert parts.world.states().base.tobytes() == before
+    assert parts.world.claims.agent_of("r0") == ""
+
+
+@pytest.mark.parametrize("steps", [0, MAX_STEPS + 1, 2**64 - 1])
+def test_steps_are_refused_when_they_are_none_or_too_many(parts: ServerParts, steps: int) -> None:
+    parts.world.clock.pause()
+
+    with pytest.raises(SimError, match=str(steps)) as refused:
+        handle_request(parts, StepSimulationRequest(steps))
+
+    assert refused.value.code == ResultCode.OPERATION_FAILED
+
+
+def test_pause_is_refused_when_paused(parts: ServerParts) -> None:
+    parts.world.clock.pause()
+
+    with pytest.raises(SimError, match="paused") as refused:
+        handle_request(parts, in_state(State.PAUSED))
+
+    assert refused.value.code == SetSimulationStateCode.ALREADY_IN_TARGET_STATE
+
+
+def test_spawn_is_refused_when_the_model_has_no_name_that_could_be_one(
+    parts: ServerParts,
+) -> None:
+    nameless = a_spawn(
+        name="", entity_resource=Resource("", '<robot name="my robot"><link name="a"/></robot>')
+    )
+
+    with pytest.raises(SimError, match=r"name.invalid: .*'my robot'") as refused:
+        handle_request(parts, nameless)
+
+    assert refused.value.code == SpawnCode.NAME_INVALID
+
+
+def test_spawn_refuses_a_long_name_in_a_short_line(parts: ServerParts) -> None:
+    with pytest.raises(SimError) as refused:
+        handle_request(parts, a_spawn(name="x" * 100_000, entity_resource=BOX_BOT))
+
+    assert len(str(refused.value)) < 300
