@@ -264,14 +264,14 @@ class SurfaceTagReader:
             if damping is not None:
                 self._report.ignored(self._subject_of("kd"), "rigid contacts; add <kp>")
             return 0.0, 0.0
-        firm, slow = clamp_contact(
+        used, used_damping = clamp_contact(
             stiffness, DEFAULT_CONTACT_DAMPING if damping is None else damping
         )
-        is_rigid = firm == RIGID_STIFFNESS and slow <= MAX_RIGID_TIME_S * firm
-        self._report_stiffness("kp", firm, "rigid" if is_rigid else f"{firm:g} N/m at each point")
+        is_rigid = used == RIGID_STIFFNESS and used_damping <= MAX_RIGID_TIME_S * used
+        self._report_stiffness("kp", used, "rigid" if is_rigid else f"{used:g} N/m at each point")
         if damping is not None:
-            self._report_stiffness("kd", slow, "or more, to limit the rebound")
-        return (0.0, 0.0) if is_rigid else (firm, slow)
+            self._report_stiffness("kd", used_damping, "or more, to limit the rebound")
+        return (0.0, 0.0) if is_rigid else (used, used_damping)
 
     def _report_stiffness(self, tag: str, used: float, effect: str) -> None:
         written = self._texts[tag][:40]
@@ -348,5 +348,5 @@ def clamp_contact(stiffness: float, damping: float) -> tuple[float, float]:
     Their ratio, the time to correct a penetration, is kept: otherwise the stiffest of several feet
     carries all the weight.
     """
-    firm = min(stiffness, RIGID_STIFFNESS)
-    return firm, min(damping * (firm / stiffness), MAX_CONTACT_TIME_S * firm)
+    clamped = min(stiffness, RIGID_STIFFNESS)
+    return clamped, min(damping * (clamped / stiffness), MAX_CONTACT_TIME_S * clamped)

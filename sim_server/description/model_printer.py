@@ -37,23 +37,23 @@ def format_model_tree(model: Model) -> str:
 
 
 def _format_links(model: Model) -> list[str]:
-    below: dict[str, list[Joint]] = {}
+    children: dict[str, list[Joint]] = {}
     for joint in model.joints:
-        below.setdefault(joint.parent, []).append(joint)
+        children.setdefault(joint.parent, []).append(joint)
     masses = {link.name: link.inertial.mass_kg for link in model.links}
     lines = []
     root = model.links[0].name
-    waiting: list[tuple[str, str, int]] = [(root, "", 0)]
-    while waiting:
-        link, by, depth = waiting.pop()
-        lines.append(f"{'  ' * depth}{link} {masses[link]:.3f} kg{by}")
+    pending: list[tuple[str, str, int]] = [(root, "", 0)]
+    while pending:
+        link, moved_by, depth = pending.pop()
+        lines.append(f"{'  ' * depth}{link} {masses[link]:.3f} kg{moved_by}")
         lines += [
             f"{'  ' * depth}  ({frame.name}, merged)"
             for frame in model.frames
             if frame.parent == link
         ]
-        waiting.extend(
+        pending.extend(
             (joint.child, f" by {joint.kind} {joint.name}", depth + 1)
-            for joint in reversed(below.get(link, []))
+            for joint in reversed(children.get(link, []))
         )
     return lines

@@ -47,9 +47,9 @@ def order_as_tree(parts: ParsedModel) -> ParsedModel:
     joints = _depth_first(root, parts.joints)
     if len(joints) < len(parts.joints):
         reached = {root, *(joint.child for joint in joints)}
-        lost = [link.name for link in parts.links if link.name not in reached]
+        unreached = [link.name for link in parts.links if link.name not in reached]
         raise ModelError(
-            f"links {quote_names(lost)} are in a cycle; connect each link to root {root!r}",
+            f"links {quote_names(unreached)} are in a cycle; connect each link to root {root!r}",
             slug="urdf.cycle",
         )
     links = (by_name[root], *(by_name[joint.child] for joint in joints))
@@ -86,10 +86,10 @@ def _check_names(parts: ParsedModel) -> None:
         ("link", [link.name for link in parts.links]),
         ("joint", [joint.name for joint in parts.joints]),
     ):
-        twice = _find_repeated(names)
-        if twice:
+        repeated = _find_repeated(names)
+        if repeated:
             raise ModelError(
-                f"{what} names {quote_names(twice)} are used more than once; make them unique",
+                f"{what} names {quote_names(repeated)} are used more than once; make them unique",
                 slug=f"urdf.duplicate_{what}",
             )
 
@@ -109,10 +109,10 @@ def _check_ends(joints: Iterable[Joint], links: dict[str, Link]) -> None:
 
 
 def _check_single_parents(joints: Iterable[Joint]) -> None:
-    twice = _find_repeated([joint.child for joint in joints])
-    if twice:
+    repeated = _find_repeated([joint.child for joint in joints])
+    if repeated:
         raise ModelError(
-            f"links {quote_names(twice)} are the child of several joints; use one joint each",
+            f"links {quote_names(repeated)} are the child of several joints; use one joint each",
             slug="urdf.two_parents",
         )
 
@@ -131,15 +131,15 @@ def _find_root(parts: ParsedModel) -> str:
 
 
 def _depth_first(root: str, joints: Sequence[Joint]) -> list[Joint]:
-    below: dict[str, list[Joint]] = {}
+    children: dict[str, list[Joint]] = {}
     for joint in joints:
-        below.setdefault(joint.parent, []).append(joint)
+        children.setdefault(joint.parent, []).append(joint)
     ordered: list[Joint] = []
-    waiting = below.get(root, [])[::-1]
-    while waiting:
-        joint = waiting.pop()
+    pending = children.get(root, [])[::-1]
+    while pending:
+        joint = pending.pop()
         ordered.append(joint)
-        waiting.extend(below.get(joint.child, [])[::-1])
+        pending.extend(children.get(joint.child, [])[::-1])
     return ordered
 
 

@@ -179,9 +179,9 @@ class _WordIndex:
     def starts_with_word(self, letter: bytes) -> NDArray[np.bool_]:
         """Find for each line whether its first word is a letter."""
         first = self.starts[self.lines]
-        alone = self.text[np.minimum(first + 1, len(self.text) - 1)] <= SPACE
+        is_single = self.text[np.minimum(first + 1, len(self.text) - 1)] <= SPACE
         is_letter: NDArray[np.bool_] = self.text[first] == letter[0]
-        is_whole: NDArray[np.bool_] = is_letter & (alone | (first + 1 == len(self.text)))
+        is_whole: NDArray[np.bool_] = is_letter & (is_single | (first + 1 == len(self.text)))
         return is_whole
 
     def line(self, number: int) -> bytes:
@@ -268,8 +268,8 @@ def _read_faces(words: _WordIndex, known: IntArray) -> Faces:
     if len(far := np.flatnonzero(np.abs(numbers) > MAX_CORNER_NUMBER)):
         raise ObjSyntaxError(words.line(int(_line_of_each(words, is_read)[far[0]])))
     sides = words.counts[is_face] - 1
-    behind = np.repeat(known[is_face], sides)
-    return _triangulate(np.where(numbers < 0, numbers + behind, numbers - 1), sides)
+    counts = np.repeat(known[is_face], sides)
+    return _triangulate(np.where(numbers < 0, numbers + counts, numbers - 1), sides)
 
 
 def _spread_to_bytes(of_words: NDArray[np.bool_], words: _WordIndex) -> NDArray[np.bool_]:
@@ -311,14 +311,14 @@ def _read_selected(
 def _find_bad_word(text: ByteArray, ends: IntArray, kind: type[np.number[Any]]) -> int:
     """Find the first word that is not a number by bisection."""
     places = np.concatenate([[0], ends])
-    first, behind = 0, len(ends)
-    while behind - first > 1:
-        middle = (first + behind) // 2
+    first, end = 0, len(ends)
+    while end - first > 1:
+        middle = (first + end) // 2
         half = text[places[first] : places[middle]].tobytes()
         if len(read_leading_numbers(half, kind)) == middle - first:
             first = middle
         else:
-            behind = middle
+            end = middle
     return first
 
 

@@ -252,10 +252,10 @@ def _find_root(joints: Iterable[JointElement], links: Sequence[str]) -> str:
 def _direct_joints(
     root: str, joints: Sequence[JointElement], report: ParseReport
 ) -> Iterable[JointElement]:
-    ahead, back = _index_ends(joints)
+    by_parent, by_child = _index_ends(joints)
     reached = {root}
     tree: dict[str, JointElement] = {}
-    forward, backward = deque(ahead.get(root, [])), deque(back.get(root, []))
+    forward, backward = deque(by_parent.get(root, [])), deque(by_child.get(root, []))
     while forward or backward:
         # A joint is reversed only when no other joint leads to its link.
         joint = forward.popleft() if forward else _reverse_joint(backward.popleft())
@@ -263,8 +263,8 @@ def _direct_joints(
             continue
         reached.add(joint.child)
         tree[joint.name] = joint
-        forward.extend(ahead.get(joint.child, []))
-        backward.extend(back.get(joint.child, []))
+        forward.extend(by_parent.get(joint.child, []))
+        backward.extend(by_child.get(joint.child, []))
     for joint in joints:
         if joint.name in tree:
             yield tree[joint.name]
@@ -282,12 +282,12 @@ def _direct_joints(
 def _index_ends(
     joints: Iterable[JointElement],
 ) -> tuple[dict[str, list[JointElement]], dict[str, list[JointElement]]]:
-    ahead: dict[str, list[JointElement]] = {}
-    back: dict[str, list[JointElement]] = {}
+    by_parent: dict[str, list[JointElement]] = {}
+    by_child: dict[str, list[JointElement]] = {}
     for joint in joints:
-        ahead.setdefault(joint.parent, []).append(joint)
-        back.setdefault(joint.child, []).append(joint)
-    return ahead, back
+        by_parent.setdefault(joint.parent, []).append(joint)
+        by_child.setdefault(joint.child, []).append(joint)
+    return by_parent, by_child
 
 
 def _reverse_joint(joint: JointElement) -> JointElement:

@@ -127,15 +127,15 @@ def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
         ModelError: A name or a pose is invalid, or a joint's link does not exist.
     """
     found = FlattenedModel()
-    waiting = [("", model)]
-    while waiting:
-        scope, element = waiting.pop()
+    pending = [("", model)]
+    while pending:
+        scope, element = pending.pop()
         report_unused_tags(element, scope, report)
         if read_flag(element, "self_collide", default=False, where="model"):
             found.self_colliding.add(scope)
         _add_links(element, scope, found)
         _add_frames(element, scope, found)
-        waiting += [
+        pending += [
             (_add_nested_model(nested, scope, found, report), nested)
             for nested in element.findall("model")
         ]
@@ -152,10 +152,10 @@ def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
 
 
 def _check_unique(what: str, names: list[str]) -> None:
-    twice = [name for name, count in Counter(names).items() if count > 1]
-    if twice:
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
         raise ModelError(
-            f"{what} names {quote_names(twice)} are used more than once; make them unique",
+            f"{what} names {quote_names(repeated)} are used more than once; make them unique",
             slug="sdf.duplicate_link" if what == "link" else "sdf.duplicate_joint",
         )
 

@@ -322,9 +322,9 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
             slug="sdf.size",
         )
     names = [read_name(model, "model") for model in models]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
         raise ModelError(
-            f"model names {quote_names(twice)} are used more than once; make them unique",
+            f"model names {quote_names(repeated)} are used more than once; make them unique",
             slug="sdf.duplicate_name",
         )
     saved = {
