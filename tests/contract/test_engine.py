@@ -280,8 +280,8 @@ def test_engine_ignores_removed_and_moved_bodies_in_overlaps(engine: Engine) -> 
     assert list(engine.find_overlaps(body)) == []
 
 
-def a_drive_about(
-    make: MakeEngine, *, with_another: bool = False, is_asked_often: bool = False
+def drive_scene(
+    make: MakeEngine, *, with_another: bool = False, is_read_often: bool = False
 ) -> bytes:
     """Drive two carts and a box for 500 steps; add and remove another far away."""
     with running(make) as engine:
@@ -295,7 +295,7 @@ def a_drive_about(
         another = engine.add(a_cart(), on_ground(500.0)) if with_another else None
         for _ in range(200):
             engine.step()
-            if is_asked_often:
+            if is_read_often:
                 engine.read(bodies)
                 engine.find_overlaps(bodies[0])
         if another is not None:
@@ -310,7 +310,7 @@ def a_drive_about(
 
 @every_engine
 def test_engine_repeats_a_run_exactly(make: MakeEngine) -> None:
-    first, second = a_drive_about(make), a_drive_about(make)
+    first, second = drive_scene(make), drive_scene(make)
 
     assert first == second
 
@@ -319,16 +319,16 @@ def test_engine_repeats_a_run_exactly(make: MakeEngine) -> None:
 def test_engine_repeats_a_run_exactly_after_a_distant_body_was_removed(
     make: MakeEngine,
 ) -> None:
-    alone, visited = a_drive_about(make), a_drive_about(make, with_another=True)
+    alone, with_another = drive_scene(make), drive_scene(make, with_another=True)
 
-    assert alone == visited
+    assert alone == with_another
 
 
 @every_engine
 def test_engine_repeats_a_run_exactly_when_read_often(make: MakeEngine) -> None:
-    alone, asked = a_drive_about(make), a_drive_about(make, is_asked_often=True)
+    once, often = drive_scene(make), drive_scene(make, is_read_often=True)
 
-    assert alone == asked
+    assert once == often
 
 
 @pytest.mark.parametrize("model", [a_box(), a_cart(), a_lopsided_box()], ids=lambda m: m.name)

@@ -61,21 +61,21 @@ def test_engine_sets_a_robot_at_rest_with_given_joints(engine: Engine) -> None:
 
 
 def test_engine_robot_continues_equally_from_a_state_that_is_set(engine: Engine) -> None:
-    went, other = (engine.add(a_cart(), on_ground(y=y)) for y in (0.0, 50.0))
-    engine.command([went, other], np.array([4.0, 5.0, 4.0, 5.0]))
+    driven, other = (engine.add(a_cart(), on_ground(y=y)) for y in (0.0, 50.0))
+    engine.command([driven, other], np.array([4.0, 5.0, 4.0, 5.0]))
     advance(engine, 100)
-    reading = engine.read([went])
-    beside = reading.base[0].copy()
-    beside[1] += 50.0
+    reading = engine.read([driven])
+    shifted = reading.base[0].copy()
+    shifted[1] += 50.0
 
-    engine.set_state(other, beside, reading.joint_positions, reading.joint_velocities)
+    engine.set_state(other, shifted, reading.joint_positions, reading.joint_velocities)
 
     found = engine.read([other])
-    assert_same_state(found.base[0], beside)
+    assert_same_state(found.base[0], shifted)
     assert found.joint_positions == pytest.approx(reading.joint_positions, abs=1e-9)
     assert found.joint_velocities == pytest.approx(reading.joint_velocities, abs=1e-9)
     advance(engine, 100)
-    rows = engine.read([went, other]).base
+    rows = engine.read([driven, other]).base
     assert rows[1] - rows[0] == pytest.approx([0.0, 50.0, *[0.0] * 11], abs=1e-6)
 
 

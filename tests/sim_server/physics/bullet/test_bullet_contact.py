@@ -42,9 +42,9 @@ def a_part(contact: Contact = RIGID, friction: float = 0.5) -> RigidPart:
 
 
 def test_rigid_part_has_its_friction_and_nothing_else() -> None:
-    touch = make_contact_arguments(a_part(), DT_S, is_static=False)
+    arguments = make_contact_arguments(a_part(), DT_S, is_static=False)
 
-    assert touch == {
+    assert arguments == {
         "lateralFriction": 0.5,
         "spinningFriction": 0.0,
         "rollingFriction": 0.0,
@@ -55,10 +55,10 @@ def test_rigid_part_has_its_friction_and_nothing_else() -> None:
 
 @pytest.mark.parametrize(("damping", "used"), [(1.0, 16.0), (100.0, 100.0)])
 def test_compliant_part_has_the_least_damping(damping: float, used: float) -> None:
-    touch = make_contact_arguments(a_part(Contact(1000.0, damping)), DT_S, is_static=False)
+    arguments = make_contact_arguments(a_part(Contact(1000.0, damping)), DT_S, is_static=False)
 
-    assert touch["contactStiffness"] == 1000.0
-    assert touch["contactDamping"] == pytest.approx(used)
+    assert arguments["contactStiffness"] == 1000.0
+    assert arguments["contactDamping"] == pytest.approx(used)
 
 
 @pytest.mark.parametrize(
@@ -70,10 +70,10 @@ def test_frictions_of_two_directions_are_shares_of_the_greater(
 ) -> None:
     contact = Contact(direction=(1.0, 0.0, 0.0), friction_across=across)
 
-    touch = make_contact_arguments(a_part(contact, along), DT_S, is_static=False)
+    arguments = make_contact_arguments(a_part(contact, along), DT_S, is_static=False)
 
-    assert touch["lateralFriction"] == most
-    assert touch["anisotropicFriction"] == pytest.approx(shares)
+    assert arguments["lateralFriction"] == most
+    assert arguments["anisotropicFriction"] == pytest.approx(shares)
 
 
 @pytest.mark.parametrize(("written", "used"), [(0.3, 0.3), (1.0, 1.0), (100.0, 1.0)])
