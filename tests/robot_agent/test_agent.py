@@ -91,7 +91,7 @@ class Scene:
         return self.agent.poll(self.now_s)
 
     def drive_to(self, step: int, *claims: int, epoch: int = 0) -> list[tuple[float, ...]]:
-        """Send a state, and return the targets of the commands that come back."""
+        """Send a state, and return the targets of the commands."""
         self.server.commands()
         self.server.send(a_state(step, claims or (1,), epoch=epoch))
         assert self.poll()
@@ -357,7 +357,7 @@ def test_agent_process_ends_on_a_signal_whose_interrupt_was_lost() -> None:
 
 
 def revised(scene: Scene) -> list[tuple[float, ...]]:
-    """Poll between two states; return the targets of the commands that come of it."""
+    """Poll between two states; return the targets of the commands."""
     scene.server.commands()
     scene.now_s += 0.004
     assert not scene.agent.poll(scene.now_s)

@@ -94,16 +94,16 @@ def state(time_ns: int, *, is_awaited: bool = False) -> DriveState:
     return DriveState(0, 0, time_ns, b"", b"", b"", b"", is_awaited=is_awaited)
 
 
-class Wishes:
+class FakeNiceness:
     """What was asked of the kernel, which is too busy for the first few."""
 
     def __init__(self, refusals: int = 0) -> None:
-        self.queried: list[int] = []
+        self.requested: list[int] = []
         self._refusals = refusals
 
     def __call__(self, niceness: int) -> bool:
-        self.queried.append(niceness)
-        return len(self.queried) > self._refusals
+        self.requested.append(niceness)
+        return len(self.requested) > self._refusals
 
 
 def run(
@@ -117,56 +117,56 @@ def run(
 
 
 def test_priority_is_lowered_once_when_time_runs_fast() -> None:
-    wishes = Wishes()
+    niceness = FakeNiceness()
 
-    run(ProcessPriority(wishes), factor=4.0)
+    run(ProcessPriority(niceness), factor=4.0)
 
-    assert wishes.queried == [NICENESS]
+    assert niceness.requested == [NICENESS]
 
 
 def test_priority_stays_in_real_time() -> None:
-    wishes = Wishes()
+    niceness = FakeNiceness()
 
-    run(ProcessPriority(wishes), factor=1.0)
+    run(ProcessPriority(niceness), factor=1.0)
 
-    assert wishes.queried == []
+    assert niceness.requested == []
 
 
 def test_priority_stays_when_time_waits_for_the_agent() -> None:
-    wishes = Wishes()
+    niceness = FakeNiceness()
 
-    run(ProcessPriority(wishes), factor=4.0, awaited=True)
+    run(ProcessPriority(niceness), factor=4.0, awaited=True)
 
-    assert wishes.queried == []
+    assert niceness.requested == []
 
 
 def test_priority_is_set_again_when_the_kernel_refuses() -> None:
-    wishes = Wishes(refusals=2)
+    niceness = FakeNiceness(refusals=2)
 
-    run(ProcessPriority(wishes), factor=4.0)
+    run(ProcessPriority(niceness), factor=4.0)
 
-    assert wishes.queried == [NICENESS] * 3
+    assert niceness.requested == [NICENESS] * 3
 
 
 def test_priority_is_restored_when_time_runs_slowly_again() -> None:
-    wishes = Wishes()
-    priority = ProcessPriority(wishes)
+    niceness = FakeNiceness()
+    priority = ProcessPriority(niceness)
 
     run(priority, factor=4.0)
     run(priority, factor=1.0, from_s=100.0)
 
-    assert wishes.queried == [NICENESS, 0]
+    assert niceness.requested == [NICENESS, 0]
 
 
 def test_priority_survives_a_reset_of_time() -> None:
-    wishes = Wishes()
-    priority = ProcessPriority(wishes)
+    niceness = FakeNiceness()
+    priority = ProcessPriority(niceness)
 
     run(priority, factor=1.0, from_s=100.0)
     priority.note_state(103.0, state(0))
     priority.note_state(103.6, state(600 * MS))
 
-    assert wishes.queried == []
+    assert niceness.requested == []
 
 
 NOW_S = 5.0
@@ -174,11 +174,11 @@ NOW_S = 5.0
 
 def after(*states: tuple[int, tuple[int, ...], int, bool]) -> LateCommandWindow:
     """Take note of states: step, claims, epoch, whether each is awaited."""
-    revising = LateCommandWindow()
+    window = LateCommandWindow()
     for step, claims, epoch, is_awaited in states:
         state = replace(a_state(step, claims, epoch=epoch), is_awaited=is_awaited)
-        revising.note_state(state, NOW_S)
-    return revising
+        window.note_state(state, NOW_S)
+    return window
 
 
 def test_answer_may_be_revised_while_time_runs_freely() -> None:
@@ -205,18 +205,18 @@ def test_answer_is_not_revised_when_no_state_has_come_for_long() -> None:
 
 
 def test_answer_may_be_revised_for_longer_at_a_low_rate_of_states() -> None:
-    revising = LateCommandWindow()
-    for beat in (1, 2):
-        revising.note_state(a_state(beat, (1,)), NOW_S + 0.4 * beat)
-    assert revising.is_open(NOW_S + 0.8 + 0.7)
+    window = LateCommandWindow()
+    for step in (1, 2):
+        window.note_state(a_state(step, (1,)), NOW_S + 0.4 * step)
+    assert window.is_open(NOW_S + 0.8 + 0.7)
 
-    revising.note_state(a_state(3, (1,)), NOW_S + 100.0)
-    assert not revising.is_open(NOW_S + 100.0 + MAX_WINDOW_S)
+    window.note_state(a_state(3, (1,)), NOW_S + 100.0)
+    assert not window.is_open(NOW_S + 100.0 + MAX_WINDOW_S)
 
 
 def test_answer_is_revised_once() -> None:
-    revising = after((3, (1,), 0, False), (6, (1,), 0, False))
+    window = after((3, (1,), 0, False), (6, (1,), 0, False))
 
-    revising.close()
+    window.close()
 
-    assert not revising.is_open(NOW_S)
+    assert not window.is_open(NOW_S)

@@ -98,7 +98,7 @@ def test_removed_publisher_is_not_matched() -> None:
 
 
 class NoValues:
-    """Has no value of any row; see `outlet.Values`."""
+    """No value for any row; see `LastValues`."""
 
     def payload(self, row: int) -> bytes | None:
         del row
@@ -106,7 +106,7 @@ class NoValues:
 
 
 class CountingBus(MemoryBus):
-    """Keeps the keys of all that was put, heard or not."""
+    """Keeps the keys of all that was published."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -175,7 +175,7 @@ PUBLISHERS = "@ros2_lv/*/*/*/*/MP/**"
 
 @dataclass
 class ConstantValues:
-    """Says one thing of each row; see `outlet.Values`."""
+    """One value for every row; see `LastValues`."""
 
     value: bytes | None = b"fixed"
 

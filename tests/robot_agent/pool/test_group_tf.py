@@ -105,7 +105,7 @@ class PoolOnRos:
         self.step = 0
 
     def advance(self, claims: Sequence[Claim] = ()) -> None:
-        """Go on by a state of some robots, all unless said."""
+        """Advance by a state of some robots, by default all."""
         self.step += 1
         state = a_state(claims or self.claims, self.step)
         self.pool.release_all_except(state.claims)

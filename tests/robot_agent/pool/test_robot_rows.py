@@ -15,37 +15,37 @@ STEPS = st.lists(st.sampled_from([0, 4_166_667, 12_500_000, 10_000_000, 1]), max
 @pytest.mark.parametrize("rate_hz", RATES)
 @given(st.lists(STEPS, min_size=1, max_size=4))
 def test_rows_open_as_single_rate_limiters_do(rate_hz: float, courses: list[list[int]]) -> None:
-    gates, lone, time_ns = GroupRateLimiter(rate_hz), [], 0
+    limiters, singles, time_ns = GroupRateLimiter(rate_hz), [], 0
     # Each course begins with a robot more.
     for course in courses:
-        lone.append(RateLimiter(rate_hz))
-        gates.remap(np.array([*range(len(lone) - 1), -1], dtype=np.int64))
+        singles.append(RateLimiter(rate_hz))
+        limiters.remap(np.array([*range(len(singles) - 1), -1], dtype=np.int64))
         for step_ns in course:
             time_ns += step_ns
             expected = {
                 row: elapsed_s
-                for row, gate in enumerate(lone)
-                if (elapsed_s := gate.elapsed_s(time_ns)) is not None
+                for row, single in enumerate(singles)
+                if (elapsed_s := single.elapsed_s(time_ns)) is not None
             }
-            rows, elapsed = gates.open(time_ns)
+            rows, elapsed = limiters.open(time_ns)
             assert dict(zip(rows.tolist(), elapsed.tolist(), strict=True)) == expected
 
 
 def test_rows_forget_openings_at_a_reset() -> None:
-    gates = GroupRateLimiter(10.0)
-    gates.remap(np.array([-1, -1], dtype=np.int64))
-    gates.open(10**9)
+    limiters = GroupRateLimiter(10.0)
+    limiters.remap(np.array([-1, -1], dtype=np.int64))
+    limiters.open(10**9)
 
-    gates.reset()
+    limiters.reset()
 
-    assert gates.open(0)[0].tolist() == [0, 1]
+    assert limiters.open(0)[0].tolist() == [0, 1]
 
 
 def test_rows_keep_their_openings_when_remapped() -> None:
-    gates = GroupRateLimiter(10.0)
-    gates.remap(np.array([-1], dtype=np.int64))
-    gates.open(0)
-    gates.remap(np.array([-1, 0], dtype=np.int64))
+    limiters = GroupRateLimiter(10.0)
+    limiters.remap(np.array([-1], dtype=np.int64))
+    limiters.open(0)
+    limiters.remap(np.array([-1, 0], dtype=np.int64))
 
-    assert gates.open(50_000_000)[0].tolist() == [0]
-    assert gates.open(100_000_000)[0].tolist() == [1]
+    assert limiters.open(50_000_000)[0].tolist() == [0]
+    assert limiters.open(100_000_000)[0].tolist() == [1]
