@@ -16,19 +16,19 @@ from zensim.sim_server.description.model_geometry import (
 from zensim.sim_server.scene.convex_shapes import ConvexShape, to_convex_shape
 
 MeshTriangles = Callable[[str], FloatArray]
-"""Corners (3 f, 3) of the triangles of the mesh of a `Shape.mesh`, unscaled."""
+"""Finds the corners (3 f, 3) of the triangles of a `Shape.mesh`, unscaled."""
 CIRCLE_VERTICES = 16
-"""Corners of the polygon about a circle."""
+"""Vertices of the polygon about a circle."""
 CONTACT_HEIGHT_M = 0.01
-"""What reaches this near to the lowest point stands on the ground."""
+"""Parts up to this height above the lowest point touch the ground."""
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """A disc about a point of the root link, and heights against it, joints at zero [m].
+    """Bounding disc and heights [m] of a model in its root link at joint positions 0.
 
     Attributes:
-        feet: (m, 2) where it stands on the ground.
+        feet: (m, 2) points that touch the ground.
     """
 
     centre: tuple[float, float]
@@ -39,7 +39,7 @@ class Footprint:
 
 
 def make_circumscribed_polygon(radius_m: float, corners: int = CIRCLE_VERTICES) -> FloatArray:
-    """Find the corners (k, 2) of a polygon that a circle about the origin fits into."""
+    """Make the vertices (k, 2) of a polygon about a circle at the origin."""
     turns = np.arange(corners) * (2.0 * math.pi / corners)
     reach = radius_m / math.cos(math.pi / corners)
     return np.stack([np.cos(turns), np.sin(turns)], axis=1) * reach
@@ -76,12 +76,12 @@ def _height_range(shape: ConvexShape) -> tuple[float, float]:
 def measure_footprint(
     model: Model, meshes: MeshTriangles, pivot: tuple[float, float] | None = None
 ) -> Footprint:
-    """Find the room that a model takes which keeps its joints and only turns about z.
+    """Measure the disc that holds an upright model at any heading.
 
     Args:
-        model: Of what stands upright.
+        model: Its joints are at 0.
         meshes: Triangles by name.
-        pivot: What the disc is about; None = the middle of all collisions.
+        pivot: Centre of the disc; None = centre of all collisions.
     """
     hulls = [hull for _, hull in list_hulls_at_zero(model, links_in_contact(model), meshes)]
     hulls = hulls or [ConvexShape(np.zeros((1, 3)))]
@@ -112,19 +112,19 @@ def _contact_points(hull: ConvexShape) -> FloatArray:
 
 
 LARGE_ROUND_M = 0.3
-"""What is round and larger is taken as a polygon."""
+"""Larger spheres and capsules become polygons."""
 LARGE_CIRCLE_VERTICES = 32
-"""Corners of such a polygon."""
+"""Vertices of such a polygon."""
 
 
 @dataclass(frozen=True)
 class StaticEdges:
-    """Line segments on the ground, thickened by discs.
+    """Line segments in the plane, swept by discs.
 
     Attributes:
         ends: (n, 4): x and y of both ends.
-        thick: (n,) radius [m] about them.
-        heights: (n, 2) from where to where [m] they stand.
+        thick: (n,) radii [m] of the discs.
+        heights: (n, 2) lowest and highest point [m].
     """
 
     ends: FloatArray
@@ -139,7 +139,7 @@ NO_EDGES = StaticEdges(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 2)))
 
 
 def concatenate_edges(parts: list[StaticEdges]) -> StaticEdges:
-    """Put edges together."""
+    """Concatenate edges."""
     if not parts:
         return NO_EDGES
     return StaticEdges(
@@ -150,13 +150,12 @@ def concatenate_edges(parts: list[StaticEdges]) -> StaticEdges:
 
 
 def find_outline(model: Model, base: FloatArray, meshes: MeshTriangles) -> StaticEdges:
-    """Find the outlines of a model that never moves.
+    """Find the outlines of a static model in the plane.
 
-    A mesh is its triangles, hollows and all; everything else is convex. What leans is taken as
-    wide as it is anywhere.
+    Of a mesh they are the edges of its triangles, of any other shape the hull of its projection.
 
     Args:
-        model: Of what stands there; its joints are at zero.
+        model: Its joints are at 0.
         base: State row (7,) or longer of its root link.
         meshes: Triangles by name.
     """
@@ -183,7 +182,7 @@ def _convex_edges(hull: ConvexShape) -> StaticEdges:
 
 
 def find_hull_edges(points: FloatArray) -> FloatArray:
-    """Find the edges (k, 4) of the hull of points (n, 2); of those on one line, that line.
+    """Find the edges (k, 4) of the hull of points (n, 2); collinear points give one segment.
 
     Source: Andrew, 'Another efficient algorithm for convex hulls in two dimensions', 1979.
     """
@@ -193,7 +192,7 @@ def find_hull_edges(points: FloatArray) -> FloatArray:
 
 
 def _half_hull(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Go from the first of ordered points to the last, always around their right."""
+    """Find the right half of the hull of sorted points, from the first to the last."""
     found: list[tuple[float, float]] = []
     for x, y in points:
         while len(found) > 1 and _cross_product(found[-2], found[-1], (x, y)) <= 0.0:

@@ -8,22 +8,20 @@ from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.scene.broad_phase import IntArray, find_touching_discs, label_components
 
 FILL_RATIO = 0.75
-"""To which share of its room a cell that is too full is emptied, and others are filled."""
+"""Share of the capacity to which an overfull cell is emptied and others are filled."""
 
 LARGE_WORLD_CELLS = 4
-"""Cells of a large world, while they need not be larger than the largest."""
+"""Number of cells of a large world, unless `CellCapacity.largest` requires more."""
 
 
 @dataclass(frozen=True)
 class CellCapacity:
-    """What cells hold.
+    """Maximum numbers of bodies.
 
     Attributes:
-        most: Bodies of a cell, but for a group that is larger.
-        at_once: Bodies that are given away in one go; those of a group that must be joined are
-            beside it.
-        largest: Bodies of a cell of a large world, where each has a fourth of all: a cell takes
-            memory, however few it has.
+        most: Of a cell; a group that cannot be split may exceed it.
+        at_once: That an overfull cell gives away in one regrouping.
+        largest: Of a cell of a large world; fewer cells take less memory.
     """
 
     most: int
@@ -31,66 +29,66 @@ class CellCapacity:
     largest: int = 0
 
     def max_bodies(self, count: int) -> int:
-        """Say how many bodies a cell has at most in a world of so many."""
+        """Find the maximum bodies of a cell in a world of `count` bodies."""
         return max(self.most, min(self.largest, count // LARGE_WORLD_CELLS))
 
     def fill_limit(self, count: int) -> int:
-        """Say up to how many a cell is filled in a world of so many."""
+        """Find the number of bodies up to which a cell receives groups."""
         return max(1, int(self.max_bodies(count) * FILL_RATIO))
 
 
 def assign_cells(
-    cells: IntArray, groups: IntArray, places: FloatArray, room: CellCapacity
+    cells: IntArray, groups: IntArray, places: FloatArray, capacity: CellCapacity
 ) -> IntArray:
     """Choose a cell for each body.
 
     Args:
-        cells: (n,) where each is now, >= 0.
-        groups: (n,) which may touch: bodies of one number go to one cell.
+        cells: (n,) current cell of each, >= 0.
+        groups: (n,) bodies of one number go to one cell.
         places: (n, 2).
-        room: Of the cells.
+        capacity: Of the cells.
 
     Returns:
-        (n,) cells. Numbers that nobody had may be among them: the least that are free.
+        (n,) cells; new cells get the least free numbers.
     """
     found = _merge_groups(cells, groups)
-    for cell in np.flatnonzero(np.bincount(found, minlength=1) > room.max_bodies(len(cells))):
-        _offload_groups(int(cell), found, groups, places, room)
+    for cell in np.flatnonzero(np.bincount(found, minlength=1) > capacity.max_bodies(len(cells))):
+        _offload_groups(int(cell), found, groups, places, capacity)
     return found
 
 
 def _merge_groups(cells: IntArray, groups: IntArray) -> IntArray:
-    """Send each group to the cell that has most of it; to the first of those that have as many."""
+    """Move each group to the cell that contains most of it; the first of equals."""
     count = int(groups.max(initial=-1)) + 1
     low, high = np.full(count, np.iinfo(np.intp).max), np.full(count, -1)
     np.minimum.at(low, groups, cells)
     np.maximum.at(high, groups, cells)
-    home = low
+    target = low
     for group in np.flatnonzero(low != high):
-        home[group] = np.bincount(cells[groups == group]).argmax()
-    return home[groups]
+        target[group] = np.bincount(cells[groups == group]).argmax()
+    return target[groups]
 
 
 def _offload_groups(
-    cell: int, cells: IntArray, groups: IntArray, places: FloatArray, room: CellCapacity
+    cell: int, cells: IntArray, groups: IntArray, places: FloatArray, capacity: CellCapacity
 ) -> None:
-    """Give groups of a cell away, from one end of it, as many as may be at once."""
+    """Move groups from one end of an overfull cell to others, up to `at_once` bodies."""
     held = np.flatnonzero(cells == cell)
     left, moved = len(held), 0
     for members in _groups_from_far_end(held, groups, places):
         if (
-            left <= room.fill_limit(len(cells))
-            or moved >= room.at_once
+            left <= capacity.fill_limit(len(cells))
+            or moved >= capacity.at_once
             or len(members) == len(held)
         ):
             return
-        target = _find_receiving_cell(cell, members, cells, places, room)
+        target = _find_receiving_cell(cell, members, cells, places, capacity)
         cells[members] = target
         left, moved = left - len(members), moved + len(members)
 
 
 def _groups_from_far_end(held: IntArray, groups: IntArray, places: FloatArray) -> list[IntArray]:
-    """Line the groups of a cell up along its longer side, the far end first."""
+    """Sort the groups of a cell along its longer side, the far end first."""
     spread = np.ptp(places[held], axis=0)
     along = places[held, int(spread[1] > spread[0])]
     names, inverse = np.unique(groups[held], return_inverse=True)
@@ -101,11 +99,11 @@ def _groups_from_far_end(held: IntArray, groups: IntArray, places: FloatArray) -
 
 
 def _find_receiving_cell(
-    giver: int, members: IntArray, cells: IntArray, places: FloatArray, room: CellCapacity
+    giver: int, members: IntArray, cells: IntArray, places: FloatArray, capacity: CellCapacity
 ) -> int:
-    """Find the nearest cell that has room for a group, else a new one."""
+    """Find the nearest cell with capacity for a group, else a new one."""
     counts = np.bincount(cells)
-    fits = (counts > 0) & (counts + len(members) <= room.fill_limit(len(cells)))
+    fits = (counts > 0) & (counts + len(members) <= capacity.fill_limit(len(cells)))
     fits[giver] = False
     if not fits.any():
         free = np.flatnonzero(counts == 0)
@@ -117,19 +115,19 @@ def _find_receiving_cell(
 
 
 CELL_GAP_M = 0.02
-"""Between bodies of different cells at the least."""
+"""Least distance between bodies of different cells."""
 SPEED_MARGIN_MPS = 2.0
-"""What a body may gain in speed by its motors, or by being hit, before the next look."""
+"""Speed that a body may gain by motors or impacts before the next regrouping."""
 
 
 @dataclass(frozen=True)
 class InteractionGroups:
-    """Bodies in groups that cannot touch each other for some time.
+    """Groups of bodies that cannot touch other groups for some time.
 
     Attributes:
-        groups: (n,) by number, from 0.
-        speeds: (n,) how fast each may be for that [m/s].
-        periods: For how many periods it holds.
+        groups: (n,) group of each body, from 0.
+        speeds: (n,) assumed bounds of their speeds [m/s].
+        periods: Number of periods for which it holds.
     """
 
     groups: IntArray
@@ -138,7 +136,7 @@ class InteractionGroups:
 
     @property
     def largest(self) -> int:
-        """How many bodies the largest group has."""
+        """Number of bodies of the largest group."""
         return int(np.bincount(self.groups).max(initial=0))
 
 
@@ -148,14 +146,14 @@ def find_interaction_groups(
     """Put bodies that may touch within some periods into one group.
 
     Args:
-        places: (n, 2); what is not finite is a group of its own.
-        radii: (n,) that bodies have [m].
-        speeds: (n,) at most, unless others hit them.
+        places: (n, 2); a body without a finite place is a group of its own.
+        radii: (n,) [m].
+        speeds: (n,) upper bounds [m/s] without impacts.
         period_s: Length of a period.
-        periods: How many.
+        periods: Number of periods.
     """
-    is_somewhere = np.isfinite(places).all(axis=1) & np.isfinite(radii) & np.isfinite(speeds)
-    known = np.flatnonzero(is_somewhere)
+    is_known = np.isfinite(places).all(axis=1) & np.isfinite(radii) & np.isfinite(speeds)
+    known = np.flatnonzero(is_known)
     bounds = speeds.copy()
     groups = np.zeros(0, np.intp)
     while True:
@@ -167,13 +165,13 @@ def find_interaction_groups(
         bounds[known] = raised
     found = np.zeros(len(places), np.intp)
     found[known] = groups
-    lost = np.flatnonzero(~is_somewhere)
+    lost = np.flatnonzero(~is_known)
     found[lost] = int(groups.max(initial=-1)) + 1 + np.arange(len(lost))
     return InteractionGroups(found, bounds, periods)
 
 
 def _raise_to_fastest(speeds: FloatArray, groups: IntArray) -> FloatArray:
-    """What a group's fastest hits goes as fast at most, but for what each has to spare anyway."""
+    """Raise speed bounds in each group: an impact may make a body as fast as the fastest one."""
     fastest = np.zeros(int(groups.max(initial=-1)) + 1)
     np.maximum.at(fastest, groups, speeds)
     return np.maximum(speeds, fastest[groups] - SPEED_MARGIN_MPS / 2.0)

@@ -12,19 +12,19 @@ from zensim.sim_server.physics.engine import BodyStates, FloatArray
 from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 
 ALL_CELLS = -1
-"""Cell of what never moves: it has a copy in each."""
+"""Cell of a body that cannot move: each cell has a copy."""
 NO_CELL = -2
 INITIAL_CAPACITY = 64
 
 
 @dataclass
 class CellBody:
-    """A body.
+    """A body of the celled engine.
 
     Attributes:
-        targets: Where its targets stand among all.
-        copies: Of what never moves: its number in each cell that there is.
-        base: Of what never moves: its row (13,), as it was read.
+        targets: Slice of its targets among all.
+        copies: Of a body that cannot move: its number by cell.
+        base: Of a body that cannot move: its state row (13,).
     """
 
     model: Model
@@ -35,23 +35,24 @@ class CellBody:
 
 
 class CellBodyTable:
-    """Which bodies there are; arrays by number.
+    """All bodies; arrays are indexed by their number.
 
     Attributes:
-        cell: (m,) where each is.
-        inner: (m,) its number there.
-        place: (m, 2) where it was last known to be.
-        rigid_m: (m,) how far it reaches while nothing slides.
-        radius: (m,) how far it reached at the last look [m].
-        arm: (m,) from root to centre of mass [m].
-        bound: (m,) the speed that it was thought to have at most [m/s].
-        kick: (m,) what pushes gave it since [m/s].
-        told: (m,) whether its targets were set since it was at rest.
-        is_due: (m,) whether they are still to be told to its cell.
-        targets: of all, body by body.
-        moving_count: How many move.
-        concealed: Numbers of those that wait until others are made too.
-        version: Changes whenever somebody comes, goes or moves to another cell.
+        cell: (m,) cell of each, `ALL_CELLS` or `NO_CELL`.
+        inner: (m,) its number in the engine of that cell.
+        place: (m, 2) last known position.
+        rigid_m: (m,) radius with prismatic joints at zero.
+        radius: (m,) radius [m] at the last regrouping.
+        com_offset_m: (m,) from root link to centre of mass.
+        speed_bound: (m,) speed [m/s] assumed at the last regrouping.
+        load_speed: (m,) speed [m/s] added by loads since.
+        is_commanded: (m,) whether its targets were set since it was at rest.
+        is_due: (m,) whether its cell still lacks them.
+        targets: Of all bodies, body by body.
+        levers: Likewise: speed [m/s] of the body per unit of each target.
+        moving_count: Number of bodies that move.
+        concealed: Numbers of hidden bodies.
+        version: Changes whenever a body comes, goes or changes its cell.
     """
 
     def __init__(self) -> None:
@@ -63,10 +64,10 @@ class CellBodyTable:
         self.place: FloatArray = np.zeros((INITIAL_CAPACITY, 2))
         self.rigid_m: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.radius: FloatArray = np.zeros(INITIAL_CAPACITY)
-        self.arm: FloatArray = np.zeros(INITIAL_CAPACITY)
-        self.bound: FloatArray = np.zeros(INITIAL_CAPACITY)
-        self.kick: FloatArray = np.zeros(INITIAL_CAPACITY)
-        self.told = np.zeros(INITIAL_CAPACITY, np.bool_)
+        self.com_offset_m: FloatArray = np.zeros(INITIAL_CAPACITY)
+        self.speed_bound: FloatArray = np.zeros(INITIAL_CAPACITY)
+        self.load_speed: FloatArray = np.zeros(INITIAL_CAPACITY)
+        self.is_commanded = np.zeros(INITIAL_CAPACITY, np.bool_)
         self.is_due = np.zeros(INITIAL_CAPACITY, np.bool_)
         self.targets: FloatArray = np.zeros(INITIAL_CAPACITY)
         self.levers: FloatArray = np.zeros(INITIAL_CAPACITY)
@@ -76,22 +77,22 @@ class CellBodyTable:
 
     @property
     def moving(self) -> IntArray:
-        """Numbers of what moves, ascending."""
+        """Numbers of bodies that move, ascending."""
         return np.flatnonzero(self.cell >= 0)
 
     @property
     def present(self) -> IntArray:
-        """Numbers of what moves and is not concealed, ascending."""
+        """Numbers of bodies that move and are not hidden, ascending."""
         moving = self.moving
         return np.setdiff1d(moving, list(self.concealed)) if self.concealed else moving
 
     def set_concealed(self, number: int, *, is_concealed: bool) -> None:
-        """Note that a body takes part, or does not."""
+        """Mark a body as hidden or shown."""
         (self.concealed.add if is_concealed else self.concealed.discard)(number)
         self.version += 1
 
     def add(self, model: Model, reach: BodyReach, *, cell: int, inner: int) -> int:
-        """Give a new body the least number that is free."""
+        """Add a body with the least free number."""
         number = heapq.heappop(self._free) if self._free else len(self.by_number)
         while number >= len(self.cell):
             self._grow()
@@ -99,7 +100,7 @@ class CellBodyTable:
         self.by_number[number] = member
         self.cell[number], self.inner[number] = cell, inner
         self.rigid_m[number] = self.radius[number] = reach.radius_m
-        self.arm[number], self.bound[number] = reach.com_offset_m, 0.0
+        self.com_offset_m[number], self.speed_bound[number] = reach.com_offset_m, 0.0
         self.moving_count += cell >= 0
         self.levers[member.targets] = reach.levers
         self.forget_targets(number)
@@ -107,13 +108,13 @@ class CellBodyTable:
         return number
 
     def remove(self, number: int) -> CellBody:
-        """Forget a body."""
+        """Remove a body, and free its number."""
         member = self.by_number.pop(number)
         self.moving_count -= int(self.cell[number]) >= 0
         self.cell[number] = NO_CELL
         self.concealed.discard(number)
-        self.kick[number] = 0.0
-        self.told[number] = self.is_due[number] = False
+        self.load_speed[number] = 0.0
+        self.is_commanded[number] = self.is_due[number] = False
         width = member.targets.stop - member.targets.start
         self._gaps.setdefault(width, []).append(member.targets)
         heapq.heappush(self._free, number)
@@ -121,25 +122,25 @@ class CellBodyTable:
         return member
 
     def move(self, number: int, *, cell: int, inner: int) -> None:
-        """Note that a body went to another cell: its targets are to be told there."""
+        """Record the new cell of a body; its targets become due there."""
         self.cell[number], self.inner[number] = cell, inner
-        self.is_due[number] = self.told[number]
+        self.is_due[number] = self.is_commanded[number]
         self.version += 1
 
     def find_target_ranges(self, numbers: IntArray) -> tuple[IntArray, IntArray]:
-        """Find where the targets of bodies start, and how many each has."""
+        """Find the starts and lengths (n,) of the target ranges of bodies."""
         found = [self.by_number[number].targets for number in numbers.tolist()]
         starts = np.array([one.start for one in found], np.intp)
         return starts, np.array([one.stop for one in found], np.intp) - starts
 
     def forget_targets(self, number: int) -> None:
-        """Note that a body has none but those of a body at rest."""
-        self.told[number] = self.is_due[number] = False
-        self.kick[number] = 0.0
+        """Reset the targets of a body to zero."""
+        self.is_commanded[number] = self.is_due[number] = False
+        self.load_speed[number] = 0.0
         self.targets[self.by_number[number].targets] = 0.0
 
     def reset_numbering(self) -> None:
-        """Number bodies, and place their targets, as if nobody had ever gone."""
+        """Restart the numbering if there are no bodies."""
         if not self.by_number:
             self._free.clear()
             self._gaps.clear()
@@ -160,10 +161,10 @@ class CellBodyTable:
             "place",
             "rigid_m",
             "radius",
-            "arm",
-            "bound",
-            "kick",
-            "told",
+            "com_offset_m",
+            "speed_bound",
+            "load_speed",
+            "is_commanded",
             "is_due",
         ):
             array = getattr(self, name)
@@ -173,19 +174,19 @@ class CellBodyTable:
 
 @dataclass(frozen=True)
 class CellBodyOrder:
-    """All bodies that move, cell by cell: the order in which they are read and told.
+    """All n bodies that move, cell by cell: the order in which they are read and commanded.
 
     Attributes:
-        cells: Which cells have any.
-        bodies: For each of these, the numbers that its bodies have there.
-        numbers: (n,) of the bodies, one cell after the other.
-        row: (m,) where each number stands in `numbers`.
-        joint_start: (n + 1,) where the joints of each start.
-        targets: Of all targets, those of these bodies, but for those that have none.
-        target_starts: Where the targets of each body that has any start.
-        driven: (d,) rows of these bodies.
-        cell_targets: (c + 1,) where the targets of each cell start among `targets`.
-        slides: Pairs: row, and where a joint that slides stands among all joints.
+        cells: (c,) cells with such bodies.
+        bodies: For each cell, the numbers of its bodies in its engine.
+        numbers: (n,) of the bodies.
+        row: (m,) index in `numbers` by number; -1 = absent.
+        joint_start: (n + 1,) index of the first joint of each.
+        targets: (t,) indices of their targets in the table.
+        target_starts: (d,) starts in `targets`, of bodies with targets.
+        driven: (d,) rows of those bodies.
+        cell_targets: (c + 1,) starts in `targets` by cell.
+        slides: Row, and index among all joints, of each prismatic joint.
     """
 
     cells: tuple[int, ...]
@@ -201,7 +202,7 @@ class CellBodyOrder:
 
 
 def make_body_order(members: CellBodyTable) -> CellBodyOrder:
-    """Line up all that moves and takes part."""
+    """Sort all bodies that move and are shown by cell."""
     moving = members.present
     numbers = moving[np.argsort(members.cell[moving], kind="stable")]
     cells, firsts = np.unique(members.cell[numbers], return_index=True)
@@ -233,20 +234,20 @@ def make_body_order(members: CellBodyTable) -> CellBodyOrder:
 
 @dataclass(frozen=True)
 class CellIndexMap:
-    """Where the bodies that somebody names stand in a lineup and among the targets.
+    """Indices of n selected bodies in a `CellBodyOrder` and among the targets.
 
     Attributes:
-        rows: (k,) of the lineup.
-        into: (k,) rows of the answer that they fill; the others are of bodies that never move.
-        base: (n, 13) the answer, but for those.
-        joints: Of the lineup's joints, in the order of the answer's.
-        joints_into: Which of the answer's joints these fill.
-        joint_count: Of the answer.
-        numbers: (n,) the bodies.
-        targets: Of all targets, those of these bodies in order.
-        starts: Where the targets of each body that has any start.
-        driven: These bodies.
-        alone: (n,) the numbers that they have in the first cell, if there is no other.
+        rows: (k,) of the order.
+        into: (k,) rows of the result that they fill; the others cannot move.
+        base: (n, 13) the result for bodies that cannot move.
+        joints: Joints of the order, in the order of the result.
+        joints_into: Joints of the result that they fill.
+        joint_count: Of the result.
+        numbers: (n,) of the bodies.
+        targets: Indices of their targets in the table.
+        starts: Starts in `targets`, of bodies with targets.
+        driven: Numbers of those bodies.
+        alone: (n,) their numbers in cell 0, valid while it is the only cell.
     """
 
     rows: IntArray
@@ -261,22 +262,22 @@ class CellIndexMap:
     driven: IntArray
     alone: tuple[int, ...]
 
-    def select(self, now: BodyStates) -> BodyStates:
-        """Cut the answer out of a reading of the lineup."""
+    def select(self, states: BodyStates) -> BodyStates:
+        """Select their states from the states of the order."""
         base = self.base.copy()
-        base[self.into] = now.base[self.rows]
+        base[self.into] = states.base[self.rows]
         positions, velocities = np.zeros(self.joint_count), np.zeros(self.joint_count)
-        positions[self.joints_into] = now.joint_positions[self.joints]
-        velocities[self.joints_into] = now.joint_velocities[self.joints]
+        positions[self.joints_into] = states.joint_positions[self.joints]
+        velocities[self.joints_into] = states.joint_velocities[self.joints]
         return BodyStates(base, positions, velocities)
 
 
 def make_index_map(
-    bodies: Sequence[int], members: CellBodyTable, lineup: CellBodyOrder
+    bodies: Sequence[int], members: CellBodyTable, order: CellBodyOrder
 ) -> CellIndexMap:
-    """Work out how to find bodies."""
+    """Make the index map of some bodies."""
     numbers = np.array(bodies, np.intp)
-    rows = lineup.row[numbers] if len(numbers) else numbers
+    rows = order.row[numbers] if len(numbers) else numbers
     found = [members.by_number[number] for number in bodies]
     counts = np.array([len(member.model.joints) for member in found], np.intp)
     starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
@@ -284,18 +285,18 @@ def make_index_map(
     base = np.zeros((len(found), 13))
     for at in np.flatnonzero(rows < 0).tolist():
         base[at] = found[at].base
-    slices, widths = members.find_target_ranges(numbers)
+    starts_in_table, widths = members.find_target_ranges(numbers)
     is_driven = widths > 0
     ends = np.cumsum(widths)
     return CellIndexMap(
         rows[into],
         into,
         base,
-        expand_ranges(lineup.joint_start[rows[into]], counts[into])[1],
+        expand_ranges(order.joint_start[rows[into]], counts[into])[1],
         expand_ranges(starts[into], counts[into])[1],
         int(starts[-1]),
         numbers,
-        expand_ranges(slices, widths)[1],
+        expand_ranges(starts_in_table, widths)[1],
         (ends - widths)[is_driven].astype(np.intp),
         numbers[is_driven],
         tuple(m.copies.get(0, int(members.inner[n])) for n, m in zip(bodies, found, strict=True)),
@@ -303,7 +304,7 @@ def make_index_map(
 
 
 def concatenate_readings(readings: Sequence[BodyStates]) -> BodyStates:
-    """Chain what was read of cells."""
+    """Concatenate the states of cells."""
     if len(readings) == 1:
         return readings[0]
     return BodyStates(

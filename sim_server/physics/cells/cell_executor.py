@@ -13,7 +13,7 @@ from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 
 
 class CellReadRequest(NamedTuple):
-    """Bodies of a cell that are to be read."""
+    """Bodies of a cell to read."""
 
     cell: Engine
     bodies: Sequence[int]
@@ -28,32 +28,32 @@ class CellTargets(NamedTuple):
 
 
 class CellExecutor(Protocol):
-    """Makes engines for cells, and works many of them at once."""
+    """Makes engines for cells, and steps many of them at once."""
 
     def start(self) -> None:
-        """Get ready for more than one cell, and wait for nothing."""
+        """Prepare for more than one cell, without waiting."""
 
     def make(self) -> Engine:
         """Make an engine for a new cell."""
 
     def end(self, cell: Engine) -> None:
-        """Close the engine of a cell that nobody is in any more."""
+        """Close the engine of an empty cell."""
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
-        """Advance cells by some steps each; say whether all is well in all of them."""
+        """Advance each cell by some steps; return whether all steps succeeded."""
 
-    def read(self, asked: Sequence[CellReadRequest]) -> list[BodyStates]:
-        """Read bodies of many cells back."""
+    def read(self, requests: Sequence[CellReadRequest]) -> list[BodyStates]:
+        """Read bodies of many cells."""
 
-    def command(self, told: Sequence[CellTargets]) -> None:
+    def command(self, commands: Sequence[CellTargets]) -> None:
         """Set targets in many cells."""
 
     def close(self) -> None:
-        """End what works cells; the cells are closed before."""
+        """Free threads and processes, after the cells are closed."""
 
 
 class InProcessCellExecutor:
-    """Cells in this process, one after the other, or by threads where an engine lets them run."""
+    """Cells in this process, stepped in turn or by threads."""
 
     def __init__(self, make: Callable[[], Engine], *, threads: int = 1) -> None:
         self.make = make
@@ -61,29 +61,29 @@ class InProcessCellExecutor:
         self._pool = ThreadPoolExecutor(threads - 1) if threads > 1 else None
 
     def start(self) -> None:
-        """See `CellExecutor.start`: there is nothing to do."""
+        """See `CellExecutor.start`; does nothing."""
 
     def end(self, cell: Engine) -> None:
         """See `CellExecutor.end`."""
         cell.close()
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
-        """See `CellExecutor.step`; whichever thread is free takes the next cell, this one among them."""
+        """See `CellExecutor.step`; each free thread, this one included, takes the next cell."""
         if self._pool is None:
             return _step_cells(cells, steps)
-        left = iter(cells)  # the interpreter's lock lets each be taken once
+        left = iter(cells)  # the GIL makes `next` atomic
         helpers = min(self._threads, len(cells)) - 1
         others = [self._pool.submit(_step_cells, left, steps) for _ in range(helpers)]
-        is_well = _step_cells(left, steps)
-        return all([is_well, *(other.result() for other in others)])
+        is_ok = _step_cells(left, steps)
+        return all([is_ok, *(other.result() for other in others)])
 
-    def read(self, asked: Sequence[CellReadRequest]) -> list[BodyStates]:
+    def read(self, requests: Sequence[CellReadRequest]) -> list[BodyStates]:
         """See `CellExecutor.read`."""
-        return [cell.read(bodies) for cell, bodies in asked]
+        return [cell.read(bodies) for cell, bodies in requests]
 
-    def command(self, told: Sequence[CellTargets]) -> None:
+    def command(self, commands: Sequence[CellTargets]) -> None:
         """See `CellExecutor.command`."""
-        for cell, bodies, targets in told:
+        for cell, bodies, targets in commands:
             cell.command(bodies, targets)
 
     def close(self) -> None:
@@ -93,21 +93,21 @@ class InProcessCellExecutor:
 
 
 def _step_cells(cells: Iterable[Engine], steps: int) -> bool:
-    # One cell several times in a row: its memory is still near.
-    is_well = True
+    # All steps of a cell in a row: its memory stays in the cache.
+    is_ok = True
     for cell in cells:
         for _ in range(steps):
-            is_well &= cell.step()
-    return is_well
+            is_ok &= cell.step()
+    return is_ok
 
 
 @dataclass(frozen=True)
 class WorkerShare:
-    """What a worker is to do, and where its part stands in what was asked.
+    """The cells of a call that belong to one worker.
 
     Attributes:
-        places: Among what was asked.
-        cells: Numbers that the worker knows them by.
+        places: Indices in the call.
+        cells: Numbers of the cells in the worker.
     """
 
     places: list[int]
@@ -115,81 +115,83 @@ class WorkerShare:
 
 
 class WorkerCellExecutor:
-    """Cells, of which every worker has as many as this process."""
+    """Cells shared evenly by this process and worker processes."""
 
     def __init__(self, make: Callable[[], Engine], orders: object, *, workers: int) -> None:
-        """Get ready to make cells.
+        """Prepare to make cells.
 
         Args:
-            make: Makes one here.
-            orders: What a worker is told that it makes them by.
-            workers: How many to start, once there is more than one cell.
+            make: Makes an engine in this process.
+            orders: Tells a worker how to make engines; pickled.
+            workers: Number of workers to start with the second cell.
         """
         self._make = make
         self._orders = orders
         self._wanted = workers
-        self._here = InProcessCellExecutor(make)
+        self._in_process = InProcessCellExecutor(make)
         self._own: list[Engine] = []
         self._workers: list[CellWorkerClient] = []
         self._numbers = count()
 
     @property
     def process_ids(self) -> list[int]:
-        """Of the workers that are up."""
+        """Of the running workers."""
         return [worker.process_id for worker in self._workers]
 
     def start(self) -> None:
-        """Start the workers, if they are not up; they are waited for when they are asked."""
+        """Start the workers if they do not run; the first call waits for them."""
         while len(self._workers) < self._wanted:
             self._workers.append(CellWorkerClient(self._orders, len(self._workers) + 1))
 
     def make(self) -> Engine:
-        """See `Cells.make`: whoever has least gets it, this process the first and then the last."""
+        """See `CellExecutor.make`; the process with the fewest cells gets it, of equals a worker."""
         if self._own:
             self.start()
-        least = min(self._workers, key=lambda worker: worker.cells, default=None)
-        if least is None or len(self._own) < least.cells:
+        emptiest = min(self._workers, key=lambda worker: worker.cells, default=None)
+        if emptiest is None or len(self._own) < emptiest.cells:
             self._own.append(self._make())
             return self._own[-1]
-        least.cells += 1
-        return RemoteCell(least, next(self._numbers), self._own[0].name)
+        emptiest.cells += 1
+        return RemoteCell(emptiest, next(self._numbers), self._own[0].name)
 
     def end(self, cell: Engine) -> None:
-        """See `Cells.end`: whoever had it has one less."""
+        """See `CellExecutor.end`."""
         self._own = [one for one in self._own if one is not cell]
         cell.close()
 
     def step(self, cells: Sequence[Engine], steps: int) -> bool:
-        """See `Cells.step`."""
+        """See `CellExecutor.step`."""
         own, shares = self._split_by_worker(cells)
         for worker, share in shares:
             worker.send("step", share.cells, steps)
-        is_well = self._here.step([cells[place] for place in own], steps)
-        return all([is_well, *(worker.wait_for_reply(bool) for worker, _ in shares)])
+        is_ok = self._in_process.step([cells[place] for place in own], steps)
+        return all([is_ok, *(worker.wait_for_reply(bool) for worker, _ in shares)])
 
-    def read(self, asked: Sequence[CellReadRequest]) -> list[BodyStates]:
-        """See `Cells.read`."""
-        own, shares = self._split_by_worker([cell for cell, _ in asked])
+    def read(self, requests: Sequence[CellReadRequest]) -> list[BodyStates]:
+        """See `CellExecutor.read`."""
+        own, shares = self._split_by_worker([cell for cell, _ in requests])
         for worker, share in shares:
-            wanted = [asked[place].bodies for place in share.places]
+            wanted = [requests[place].bodies for place in share.places]
             worker.send("read", tuple(zip(share.cells, wanted, strict=True)))
-        found = dict(zip(own, self._here.read([asked[place] for place in own]), strict=True))
+        found = dict(
+            zip(own, self._in_process.read([requests[place] for place in own]), strict=True)
+        )
         for worker, share in shares:
             found.update(zip(share.places, worker.readings(), strict=True))
-        return [found[place] for place in range(len(asked))]
+        return [found[place] for place in range(len(requests))]
 
-    def command(self, told: Sequence[CellTargets]) -> None:
-        """See `Cells.command`."""
-        own, shares = self._split_by_worker([cell for cell, _, _ in told])
+    def command(self, commands: Sequence[CellTargets]) -> None:
+        """See `CellExecutor.command`."""
+        own, shares = self._split_by_worker([cell for cell, _, _ in commands])
         for worker, share in shares:
-            mine = [told[place] for place in share.places]
-            bodies = [(one.bodies, len(one.targets)) for one in mine]
-            targets = np.concatenate([one.targets for one in mine])
+            own_commands = [commands[place] for place in share.places]
+            bodies = [(one.bodies, len(one.targets)) for one in own_commands]
+            targets = np.concatenate([one.targets for one in own_commands])
             worker.send_targets(tuple(zip(share.cells, bodies, strict=True)), targets)
-        self._here.command([told[place] for place in own])
+        self._in_process.command([commands[place] for place in own])
 
     def close(self) -> None:
-        """See `Cells.close`."""
+        """See `CellExecutor.close`."""
         for worker in self._workers:
             worker.close()
         self._workers.clear()
@@ -197,7 +199,7 @@ class WorkerCellExecutor:
     def _split_by_worker(
         self, cells: Sequence[Engine]
     ) -> tuple[list[int], list[tuple[CellWorkerClient, WorkerShare]]]:
-        """Part what is asked: what is for cells of this process, and a share for each worker."""
+        """Split cells into indices of those in this process and a share for each worker."""
         own: list[int] = []
         shares: dict[int, tuple[CellWorkerClient, WorkerShare]] = {}
         for place, cell in enumerate(cells):

@@ -25,11 +25,11 @@ from zensim.sim_server.physics.engine import (
 )
 
 MAX_NUMBERS = 1 << 23
-"""Room on a board: what is not written takes no memory."""
+"""Capacity of a shared array; pages that are never written take no memory."""
 
 
 class SharedArray:
-    """An array of numbers in memory that is shared by its file descriptor."""
+    """Floats in memory that processes share by a file descriptor."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
@@ -40,29 +40,29 @@ class SharedArray:
         """Write arrays one after the other.
 
         Raises:
-            ValueError: There is no room for them.
+            ValueError: They do not fit.
         """
         if (count := sum(array.size for array in arrays)) > MAX_NUMBERS:
-            raise ValueError(f"{count} numbers do not fit; a board has room for {MAX_NUMBERS}")
+            raise ValueError(f"{count} numbers do not fit; at most {MAX_NUMBERS} do")
         at = 0
         for array in arrays:
             self._numbers[at : at + array.size] = array.reshape(-1)
             at += array.size
 
     def read(self, sizes: Sequence[int]) -> list[FloatArray]:
-        """Copy arrays of these sizes, which were written one after the other."""
+        """Copy arrays of these sizes, as written one after the other."""
         ends = np.cumsum(sizes, dtype=np.intp)
         return np.split(self._numbers[: int(ends[-1]) if len(ends) else 0].copy(), ends[:-1])
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._numbers = np.zeros(0)
         self._memory.close()
         os.close(self.descriptor)
 
 
 def make_shared_array() -> SharedArray:
-    """Make memory for a board."""
+    """Make a shared array."""
     descriptor = os.memfd_create("zensim", os.MFD_CLOEXEC)
     os.ftruncate(descriptor, 8 * MAX_NUMBERS)
     return SharedArray(descriptor)
@@ -70,24 +70,24 @@ def make_shared_array() -> SharedArray:
 
 Kind = TypeVar("Kind")
 CellTargetLayout = tuple[int, tuple[Sequence[int], int]]
-"""A cell by number, its bodies, and how many targets they have together."""
+"""Number of a cell, its bodies, and the number of their targets."""
 
 WORKER_MODULE = "zensim.sim_server.physics.cell_worker"
 MAX_QUEUED_CALLS = 32
-"""Orders that are held back to be sent together, unless something is asked before."""
+"""Calls that are sent together, unless a reply is needed before."""
 
 
 class CellWorkerDied(RuntimeError):
-    """A worker is no more, and its cells with it."""
+    """A worker process ended, and its cells are lost."""
 
 
 class CellWorkerReply(NamedTuple):
-    """What a worker says.
+    """The reply of a worker to a call.
 
     Attributes:
-        value: What was asked for.
-        refused: Why the engine cannot do it; empty when it did.
-        fault: What went wrong; empty when nothing did.
+        value: Result of the call.
+        refused: Message of `EngineRefused`; empty = not raised.
+        fault: Message of any other error; empty = none.
     """
 
     value: object = None
@@ -96,29 +96,29 @@ class CellWorkerReply(NamedTuple):
 
 
 class PendingReply(Generic[Kind]):
-    """What a worker was asked and has perhaps not answered yet."""
+    """The future reply to a call."""
 
     def __init__(self, worker: "CellWorkerClient", kind: type[Kind]) -> None:
         self._worker = worker
         self._kind = kind
-        self.answer: CellWorkerReply | None = None
+        self.reply: CellWorkerReply | None = None
 
     def wait(self) -> Kind:
-        """Wait for what was asked; raises as `CellWorkerClient.answer` does."""
-        while self.answer is None:
+        """Wait for the result; raises as `CellWorkerClient.wait_for_reply` does."""
+        while self.reply is None:
             self._worker.receive_reply()
-        return self._worker.unwrap(self.answer, self._kind)
+        return self._worker.unwrap(self.reply, self._kind)
 
 
 class CellWorkerClient:
-    """A process with cells."""
+    """A worker process, and calls to it over a pipe."""
 
     def __init__(self, orders: object, number: int) -> None:
-        """Start one; it is ready when it answers.
+        """Start a worker; it is ready when it replies.
 
         Args:
-            orders: What it is told first: how to make a cell.
-            number: What people call it.
+            orders: Tells it how to make engines; pickled.
+            number: Names it in errors.
         """
         self.number = number
         self.cells = 0
@@ -131,7 +131,7 @@ class CellWorkerClient:
             environment=SINGLE_THREADED,
         )
         there.close()
-        self._line: Connection[Any, Any] = Connection(here.detach())
+        self._pipe: Connection[Any, Any] = Connection(here.detach())
         self._model: Model | None = None
         self._queued: list[bytes] = []
         self._pending_replies: deque[PendingReply[Any]] = deque()
@@ -139,80 +139,80 @@ class CellWorkerClient:
 
     @property
     def process_id(self) -> int:
-        """Of the worker."""
+        """Of the worker process."""
         return self._process.pid
 
     def send(self, what: str, *given: object) -> None:
-        """Have something done at once, and wait for nothing.
+        """Send a call now, without waiting for its reply.
 
         Raises:
-            WorkerEnded: It is no more.
+            CellWorkerDied: The process ended.
         """
         self._queue_call(what, given)
         self._flush()
 
     def enqueue(self, what: str, *given: object) -> None:
-        """Have something done before anything that is told later; raises as `tell` does."""
+        """Queue a call; it is sent before later calls; raises as `send` does."""
         self._queue_call(what, given)
         if len(self._queued) >= MAX_QUEUED_CALLS:
             self._flush_if_writable()
 
     def select_model(self, model: Model) -> None:
-        """Have the worker know which model is meant from now on."""
+        """Set the model that later calls refer to."""
         if self._model is not model:
             self._model = model
             self.enqueue("model_is", model)
 
     def call_async(self, kind: type[Kind], what: str, *given: object) -> PendingReply[Kind]:
-        """Have something done as `enqueue` does, and get what comes of it later."""
-        promise = PendingReply(self, kind)
-        self._pending_replies.append(promise)
+        """Queue a call, and return its future reply."""
+        pending = PendingReply(self, kind)
+        self._pending_replies.append(pending)
         self.enqueue(what, *given)
-        return promise
+        return pending
 
     def is_idle(self) -> bool:
-        """Whether all that it was told is sent, and all that it was asked is answered."""
+        """Whether no call is queued and no reply is pending."""
         self._flush_if_writable()
         return not (self._queued or self._pending_replies)
 
     def receive_reply(self) -> None:
-        """Wait for the next answer that was promised."""
+        """Wait for the next pending reply."""
         if self._queued:
             self._flush()
-        self._pending_replies.popleft().answer = self._receive()
+        self._pending_replies.popleft().reply = self._receive()
 
     def wait_for_reply(self, kind: type[Kind]) -> Kind:
-        """Wait for what was asked, which is of a kind.
+        """Wait for the result of the last call, of type `kind`.
 
         Raises:
-            EngineRefused: The engine cannot do it.
-            WorkerEnded: It is no more, or something went wrong in it.
+            EngineRefused: The engine refused the call.
+            CellWorkerDied: The process ended, or the call failed.
         """
         while self._pending_replies:
             self.receive_reply()
         return self.unwrap(self._receive(), kind)
 
-    def unwrap(self, answer: CellWorkerReply, kind: type[Kind]) -> Kind:
-        """Take an answer apart; raises as `answer` does."""
-        if answer.refused:
-            raise EngineRefused(answer.refused)
-        if answer.fault:
-            raise CellWorkerDied(f"engine worker {self.number} failed: {answer.fault}")
-        assert isinstance(answer.value, kind)
-        return answer.value
+    def unwrap(self, reply: CellWorkerReply, kind: type[Kind]) -> Kind:
+        """Return the value of a reply; raises as `wait_for_reply` does."""
+        if reply.refused:
+            raise EngineRefused(reply.refused)
+        if reply.fault:
+            raise CellWorkerDied(f"engine worker {self.number} failed: {reply.fault}")
+        assert isinstance(reply.value, kind)
+        return reply.value
 
     def call(self, kind: type[Kind], what: str, *given: object) -> Kind:
-        """Have something done and wait for what comes of it."""
+        """Send a call and wait for its result."""
         self.send(what, *given)
         return self.wait_for_reply(kind)
 
-    def send_targets(self, told: Sequence[CellTargetLayout], targets: FloatArray) -> None:
-        """Have targets set, cell by cell; they are chained in this order."""
+    def send_targets(self, layouts: Sequence[CellTargetLayout], targets: FloatArray) -> None:
+        """Set targets, concatenated cell by cell in this order."""
         self._targets.write([targets])
-        self.send("command", told)
+        self.send("command", layouts)
 
     def readings(self) -> list[BodyStates]:
-        """Wait for what was asked to be read, cell by cell."""
+        """Wait for the states of a read call, cell by cell."""
         counts = self.wait_for_reply(list)
         sizes = [size for rows, joints in counts for size in (13 * rows, joints, joints)]
         found = self._states.read(sizes)
@@ -225,48 +225,50 @@ class CellWorkerClient:
 
     def close(self) -> None:
         """End the process."""
-        self._line.close()
+        self._pipe.close()
         self._process.kill()
         self._process.wait()
         self._states.close()
         self._targets.close()
 
     def _queue_call(self, what: str, given: tuple[object, ...]) -> None:
-        # At once: arrays may be others by the time that they are sent.
+        # Pickle now: the arrays may change before the call is sent.
         self._queued.append(pickle.dumps((what, given), pickle.HIGHEST_PROTOCOL))
 
     def _flush_if_writable(self) -> None:
-        """Send what is held, unless that would wait for the worker; take what it has answered."""
+        """Send queued calls and receive replies as far as that does not block."""
         try:
-            while self._pending_replies and self._line.poll():
+            while self._pending_replies and self._pipe.poll():
                 self.receive_reply()
         except OSError as error:
             raise self._died_error() from error
-        if self._queued and select.select((), (self._line,), (), 0.0)[1]:
+        if self._queued and select.select((), (self._pipe,), (), 0.0)[1]:
             self._flush()
 
     def _flush(self) -> None:
-        held, self._queued = self._queued, []
+        queued, self._queued = self._queued, []
         try:
-            self._line.send(held)
+            self._pipe.send(queued)
         except OSError as error:
             raise self._died_error() from error
 
     def _receive(self) -> CellWorkerReply:
         try:
-            answer: CellWorkerReply = self._line.recv()
+            reply: CellWorkerReply = self._pipe.recv()
         except (EOFError, OSError) as error:
             raise self._died_error() from error
-        return answer
+        return reply
 
     def _died_error(self) -> CellWorkerDied:
         status = self._process.poll()
-        said = "" if status is None else f" with status {status}"
-        return CellWorkerDied(f"engine worker {self.number} ended{said}, and its robots with it")
+        with_status = "" if status is None else f" with status {status}"
+        return CellWorkerDied(
+            f"engine worker {self.number} ended{with_status}, and its robots with it"
+        )
 
 
 class RemoteCell(Engine):
-    """The Engine of a cell that a worker has; it numbers bodies itself and so waits for none."""
+    """The Engine of a cell in a worker; it numbers bodies itself, so that adding needs no reply."""
 
     capabilities = EngineCapabilities(hides=True, is_remote=True)
 
@@ -275,7 +277,7 @@ class RemoteCell(Engine):
         self.cell = cell
         self._name = name
         self._numbers = count()
-        self._taken: Model | None = None
+        self._accepted: Model | None = None
         worker.enqueue("make", cell)
 
     @property
@@ -289,19 +291,19 @@ class RemoteCell(Engine):
         return self.worker.call(bool, "prepare", self.cell)
 
     def skip_validation(self, model: Model) -> None:
-        """See `Engine.skip_validation`; files of meshes may be gone by the time that they are read here."""
-        if model is not self._taken and not _has_meshes(model):
-            self._taken = model
+        """See `Engine.skip_validation`; not for meshes, whose files may be deleted meanwhile."""
+        if model is not self._accepted and not _has_meshes(model):
+            self._accepted = model
 
     def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; a model that was taken before is not waited for."""
+        """See `Engine.add`; does not wait for a model that was accepted before."""
         self.worker.select_model(model)
         number = next(self._numbers)
-        if model is self._taken:
+        if model is self._accepted:
             self.worker.enqueue("add_another", self.cell, number, base)
         else:
             self.worker.call(bool, "add", self.cell, number, base)
-            self._taken = model
+            self._accepted = model
         return number
 
     def remove(self, body: int) -> None:
@@ -309,7 +311,7 @@ class RemoteCell(Engine):
         self.worker.enqueue("remove", self.cell, body)
 
     def hide(self, body: int) -> None:
-        """See `Engine.hide`; a worker's engine that cannot lets the body be."""
+        """See `Engine.hide`; has no effect if the worker's engine cannot hide."""
         self.worker.enqueue("hide", self.cell, body)
 
     def show(self, bodies: Sequence[int]) -> None:

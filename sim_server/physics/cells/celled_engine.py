@@ -1,4 +1,4 @@
-"""The Engine over many cells: regroups bodies, moves them between cells, forwards calls."""
+"""The Engine over many cells: regroup bodies, move them between cells, forward calls."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -31,40 +31,35 @@ from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.scene.broad_phase import IntArray
 
 WORKER_START_RATIO = 0.8
-"""Of the bodies that one cell has before there are several: from then on workers start."""
+"""Share of `CellSettings.single_cell_bodies` at which workers start."""
 
 
 class CellMap:
-    """Cells by number; the first is always there.
+    """Engines by number of their cell, and the bodies in them; cell 0 always exists."""
 
-    Attributes:
-        members: All bodies.
-        engines: By number of the cell.
-    """
-
-    def __init__(self, cells: CellExecutor, alone: int, room: CellCapacity) -> None:
+    def __init__(self, cells: CellExecutor, alone: int, capacity: CellCapacity) -> None:
         self._cells = cells
         self._alone = alone
-        self._capacity = room
+        self._capacity = capacity
         self.members = CellBodyTable()
-        self._taken: Model | None = None
+        self._accepted: Model | None = None
         self.engines: dict[int, Engine] = {0: cells.make()}
 
     @property
     def is_single_cell(self) -> bool:
-        """Whether there is no need for a second cell."""
+        """Whether one cell is enough."""
         return len(self.engines) == 1 and self.members.moving_count <= self._alone
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`; who trusts others that took the model is not waited for."""
-        is_taken = model is self._taken
+        """See `Engine.prepare`; remote engines skip a model that another engine has accepted."""
+        is_accepted = model is self._accepted
         return all(
-            (is_taken and engine.capabilities.is_remote) or engine.prepare(model)
+            (is_accepted and engine.capabilities.is_remote) or engine.prepare(model)
             for engine in self.engines.values()
         )
 
     def add(self, model: Model, reach: BodyReach, base: FloatArray) -> int:
-        """Make a body where it may live; raises EngineRefused."""
+        """Add a body: one that cannot move to all cells, any other to one; raises EngineRefused."""
         if not can_move(model):
             copies = {cell: engine.add(model, base) for cell, engine in self.engines.items()}
             number = self.members.add(model, reach, cell=ALL_CELLS, inner=-1)
@@ -75,24 +70,24 @@ class CellMap:
             self._cells.start()
         cell = self._find_nearest_cell(base)
         inner = self._find_accepting_engine(cell, model).add(model, base)
-        self._taken = model
+        self._accepted = model
         return self.members.add(model, reach, cell=cell, inner=inner)
 
     def remove(self, body: int) -> None:
-        """Take a body out of wherever it is."""
+        """Remove a body from all its cells."""
         for engine, inner in self.locate(body):
             engine.remove(inner)
         self.members.remove(body)
 
     def hide(self, body: int) -> None:
-        """Let a body wait; one whose engine cannot do that stands where it will be."""
+        """Hide a body, if its engine can."""
         for engine, inner in self.locate(body):
             if engine.capabilities.hides:
                 engine.hide(inner)
                 self.members.set_concealed(body, is_concealed=True)
 
     def show(self, bodies: Iterable[int]) -> None:
-        """Let bodies that wait take part."""
+        """Show hidden bodies."""
         hidden: dict[int, tuple[Engine, list[int]]] = {}
         for body in bodies:
             for engine, inner in self.locate(body) if body in self.members.concealed else ():
@@ -102,7 +97,7 @@ class CellMap:
             engine.show(inners)
 
     def read_each(self, bodies: Iterable[int]) -> BodyStates:
-        """Read bodies one by one: also those that are in no lineup."""
+        """Read bodies one by one, hidden ones included."""
         each = [engine.read([inner]) for engine, inner in (self.locate(body)[0] for body in bodies)]
         return BodyStates(
             np.concatenate([one.base for one in each]),
@@ -111,34 +106,34 @@ class CellMap:
         )
 
     def locate(self, body: int) -> Sequence[tuple[Engine, int]]:
-        """List the engines that have a body, and its number there."""
+        """List the engines that contain a body, and its number in each."""
         if copies := self.members.by_number[body].copies:
             return [(self.engines[cell], inner) for cell, inner in copies.items()]
         cell, inner = int(self.members.cell[body]), int(self.members.inner[body])
         return [(self.engines[cell], inner)]
 
     def record_static(self, body: int) -> None:
-        """Remember where something that never moves is."""
+        """Store the state of a body that cannot move."""
         engine, inner = self.locate(body)[0]
         self.members.by_number[body].base = engine.read([inner]).base[0]
         self.members.version += 1
 
     def get_engine(self, cell: int) -> Engine:
-        """Find the engine of a cell; a new one gets all that never moves."""
+        """Find or make the engine of a cell; a new one gets all bodies that cannot move."""
         if (known := self.engines.get(cell)) is not None:
             return known
-        made = self.engines[cell] = self._cells.make()
+        engine = self.engines[cell] = self._cells.make()
         for member in self.members.by_number.values():
             if member.base is not None:
-                member.copies[cell] = made.add(member.model, member.base)
-        return made
+                member.copies[cell] = engine.add(member.model, member.base)
+        return engine
 
     def find_overlaps(self, body: int) -> list[int]:
-        """Name the other bodies that a body reaches into, in the cells where it is."""
+        """Find the bodies that a body overlaps in its cells."""
         members = self.members
-        homes = members.by_number[body].copies or {int(members.cell[body]): members.inner[body]}
+        cells = members.by_number[body].copies or {int(members.cell[body]): members.inner[body]}
         found: set[int] = set()
-        for cell, inner in homes.items():
+        for cell, inner in cells.items():
             found.update(
                 self._to_body_numbers(cell, set(self.engines[cell].find_overlaps(int(inner))))
             )
@@ -157,35 +152,35 @@ class CellMap:
         """See `Engine.is_idle`."""
         return all(engine.is_idle() for engine in self.engines.values())
 
-    def move(self, lineup: CellBodyOrder, now: BodyStates, cells: IntArray) -> bool:
-        """Move bodies that are to be in other cells, as they are now.
+    def move(self, order: CellBodyOrder, states: BodyStates, cells: IntArray) -> bool:
+        """Move bodies to other cells with their current states.
 
         Args:
-            lineup: All that moves.
-            now: The reading of it.
-            cells: (n,) where each is to be.
+            order: The n bodies that move.
+            states: Their states.
+            cells: (n,) the cell of each.
 
         Returns:
-            Whether anybody moved.
+            Whether any body changed its cell.
         """
         members = self.members
-        rows = np.flatnonzero(cells != members.cell[lineup.numbers]).tolist()
+        rows = np.flatnonzero(cells != members.cell[order.numbers]).tolist()
         for row in rows:
-            number, cell = int(lineup.numbers[row]), int(cells[row])
-            joints = slice(lineup.joint_start[row], lineup.joint_start[row + 1])
+            number, cell = int(order.numbers[row]), int(cells[row])
+            joints = slice(order.joint_start[row], order.joint_start[row + 1])
             self.engines[int(members.cell[number])].remove(int(members.inner[number]))
             engine = self._find_accepting_engine(cell, members.by_number[number].model)
-            inner = engine.add(members.by_number[number].model, now.base[row])
-            positions, velocities = now.joint_positions[joints], now.joint_velocities[joints]
-            engine.set_state(inner, now.base[row], positions, velocities)
+            inner = engine.add(members.by_number[number].model, states.base[row])
+            positions, velocities = states.joint_positions[joints], states.joint_velocities[joints]
+            engine.set_state(inner, states.base[row], positions, velocities)
             members.move(number, cell=cell, inner=inner)
         return bool(rows)
 
     def forget_removed(self) -> None:
-        """Make cells that nobody is in anew when they are needed again."""
+        """Close cells without moving bodies, and number new bodies as in a fresh run."""
         members = self.members
-        lived_in = set(members.cell[members.moving].tolist())
-        for cell in [cell for cell in self.engines if cell and cell not in lived_in]:
+        occupied = set(members.cell[members.moving].tolist())
+        for cell in [cell for cell in self.engines if cell and cell not in occupied]:
             self._cells.end(self.engines.pop(cell))
             for member in members.by_number.values():
                 member.copies.pop(cell, None)
@@ -200,14 +195,14 @@ class CellMap:
         self._cells.close()
 
     def _find_accepting_engine(self, cell: int, model: Model) -> Engine:
-        """Find the engine of a cell; it knows whether others have taken a model."""
+        """Find the engine of a cell; it skips validation of a model that another has accepted."""
         engine = self.get_engine(cell)
-        if model is self._taken:
+        if model is self._accepted:
             engine.skip_validation(model)
         return engine
 
     def _find_nearest_cell(self, base: FloatArray) -> int:
-        """Find a cell with room for a new body: the one where its nearest fellow is."""
+        """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
         if len(self.engines) == 1 and self.members.moving_count < self._alone:
             return 0
         moving = self.members.moving
@@ -220,7 +215,7 @@ class CellMap:
         return int(cells[np.where(has_room, apart, np.inf).argmin()])
 
     def _to_body_numbers(self, cell: int, inner: set[int]) -> Iterator[int]:
-        """Find whom a cell means."""
+        """Convert body numbers of a cell's engine."""
         if not inner:
             return
         members = self.members
@@ -233,32 +228,32 @@ class CellMap:
 
 
 LOOKAHEAD_PERIODS = (4, 2, 1)
-"""How many periods to the next look: the first for which no group is too large for a cell."""
+"""Periods until the next regrouping: the first for which all groups fit into cells."""
 ALERT_S = 1.0
-"""How long every step is looked at, once somebody was faster than thought."""
+"""Simulation time of regrouping at each step, after a body exceeded its speed bound."""
 MAX_CACHED_INDEX_MAPS = 256
 MIN_DIVISOR = 1e-3
-"""Of a mass [kg] or a radius [m] that something is divided by."""
+"""Least mass [kg] or radius [m] as a divisor."""
 
 
 class QueuedLoad(NamedTuple):
-    """A wrench on a link, or an effort on a joint, in the next step."""
+    """A wrench (6,) or an effort on a part, the number of a link or a joint, for the next step."""
 
     body: int
-    where: int
-    what: FloatArray | float
+    part: int
+    load: FloatArray | float
 
 
 @dataclass(frozen=True)
 class CellSettings:
-    """How a world is cut into cells.
+    """How a world is divided into cells.
 
     Attributes:
-        alone: So many moving bodies at most stay in one cell.
-        most: Bodies of a cell, once there are several.
-        period_steps: The least time between two looks, while nobody is too fast.
-        largest: Bodies of a cell of a large world.
-        at_once: Bodies that leave a cell that is too full in one look.
+        alone: Up to so many moving bodies stay in one cell.
+        most: Maximum bodies of a cell, once there are several.
+        period_steps: Least steps between two regroupings.
+        at_once: Maximum bodies that leave an overfull cell in one regrouping.
+        largest: Maximum bodies of a cell of a large world; see `CellCapacity`.
     """
 
     alone: int = 150
@@ -269,25 +264,25 @@ class CellSettings:
 
 
 class CelledEngine(Engine):
-    """Engines as one."""
+    """One engine made of many: bodies that may touch soon are in the same cell."""
 
     def __init__(self, config: EngineConfig, cells: CellExecutor, settings: CellSettings) -> None:
         self._cells = cells
         self._settings = settings
-        self._room = CellCapacity(settings.most, settings.at_once, settings.largest)
+        self._capacity = CellCapacity(settings.most, settings.at_once, settings.largest)
         self._dt_s = config.step_ns * 1e-9
         self._ahead_s = settings.period_steps * LOOKAHEAD_PERIODS[0] * self._dt_s
         self._speed_margin_mps = (
             SPEED_MARGIN_MPS + float(np.linalg.norm(config.gravity)) * self._ahead_s
         )
         self._measure = ReachCache(config.mesh_folder)
-        self._cell_map = CellMap(cells, settings.alone, self._room)
+        self._cell_map = CellMap(cells, settings.alone, self._capacity)
         self.capabilities = replace(self._cell_map.engines[0].capabilities, sleeps=False)
         self._members = self._cell_map.members
-        self._pushes: list[QueuedLoad] = []
+        self._loads: list[QueuedLoad] = []
         self._body_order: tuple[int, CellBodyOrder] | None = None
-        self._routes: dict[int, tuple[Sequence[int], int, CellIndexMap]] = {}
-        self._now: BodyStates | None = None
+        self._index_maps: dict[int, tuple[Sequence[int], int, CellIndexMap]] = {}
+        self._states: BodyStates | None = None
         self._steps = self._last_regroup = self._next_regroup = self._alert_until = 0
         self._is_due = self._was_due = self._is_bad = self._has_new_targets = False
 
@@ -297,7 +292,7 @@ class CelledEngine(Engine):
         return self._cell_map.engines[0].name
 
     def prepare(self, model: Model) -> bool:
-        """See `Engine.prepare`: a part for one of the cells, or a mesh is measured."""
+        """See `Engine.prepare`; each call prepares one cell or measures one mesh."""
         return self._cell_map.prepare(model) and self._measure.prepare(model)
 
     def add(self, model: Model, base: FloatArray) -> int:
@@ -308,7 +303,7 @@ class CelledEngine(Engine):
         return number
 
     def hide(self, body: int) -> None:
-        """See `Engine.hide`; who takes no part is looked at by nobody."""
+        """See `Engine.hide`; hidden bodies need no regrouping."""
         self._cell_map.hide(body)
         if body in self._members.concealed:
             self._is_due = self._was_due
@@ -316,13 +311,13 @@ class CelledEngine(Engine):
     def show(self, bodies: Sequence[int]) -> None:
         """See `Engine.show`."""
         self._cell_map.show(bodies)
-        self._now, self._is_due = None, True
+        self._states, self._is_due = None, True
 
     def remove(self, body: int) -> None:
         """See `Engine.remove`."""
-        self._pushes = [push for push in self._pushes if push.body != body]
+        self._loads = [load for load in self._loads if load.body != body]
         self._cell_map.remove(body)
-        self._now = None
+        self._states = None
 
     def forget_removed(self) -> None:
         """See `Engine.forget_removed`."""
@@ -374,31 +369,31 @@ class CelledEngine(Engine):
         self._record_place(body, base)
 
     def command(self, bodies: Sequence[int], targets: FloatArray) -> None:
-        """See `Engine.command`: cells are told before the next step, all at once."""
-        members, route = self._members, self._index_map(bodies)
-        if not len(route.driven):
+        """See `Engine.command`; cells get their targets together before the next step."""
+        members, index_map = self._members, self._index_map(bodies)
+        if not len(index_map.driven):
             return
-        members.targets[route.targets] = targets
-        members.told[route.driven] = True
+        members.targets[index_map.targets] = targets
+        members.is_commanded[index_map.driven] = True
         if self._cell_map.is_single_cell:
-            self._cell_map.engines[0].command(route.alone, targets)
+            self._cell_map.engines[0].command(index_map.alone, targets)
             return
-        members.is_due[route.driven] = self._has_new_targets = True
-        speeds = np.abs(targets) * members.levers[route.targets]
-        asked = np.maximum.reduceat(speeds, route.starts)
-        self._is_due |= bool((asked > members.bound[route.driven]).any())
+        members.is_due[index_map.driven] = self._has_new_targets = True
+        speeds = np.abs(targets) * members.levers[index_map.targets]
+        commanded = np.maximum.reduceat(speeds, index_map.starts)
+        self._is_due |= bool((commanded > members.speed_bound[index_map.driven]).any())
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.apply_link_wrench`: cells are told before the next step."""
-        self._bound_push_speed(
+        """See `Engine.apply_link_wrench`; cells get it before the next step."""
+        self._bound_load_speed(
             body, float(np.abs(wrench[:3]).sum()), float(np.abs(wrench[3:]).sum())
         )
-        self._pushes.append(QueuedLoad(body, link, wrench.copy()))
+        self._loads.append(QueuedLoad(body, link, wrench.copy()))
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.apply_joint_effort`: likewise."""
-        self._bound_push_speed(body, abs(effort), abs(effort))
-        self._pushes.append(QueuedLoad(body, joint, effort))
+        """See `Engine.apply_joint_effort`; cells get it before the next step."""
+        self._bound_load_speed(body, abs(effort), abs(effort))
+        self._loads.append(QueuedLoad(body, joint, effort))
 
     def step(self) -> bool:
         """See `Engine.step`."""
@@ -408,11 +403,11 @@ class CelledEngine(Engine):
             self._regroup()
         if self._has_new_targets:
             self._send_targets()
-        if self._pushes:
+        if self._loads:
             self._apply_loads()
         is_well = self._advance()
         self._steps += 1
-        self._now = None
+        self._states = None
         return is_well
 
     def close(self) -> None:
@@ -428,13 +423,13 @@ class CelledEngine(Engine):
         return is_well
 
     def _may_touch_other_cells(self, body: int) -> bool:
-        """Whether a body may touch one that is in another cell."""
+        """Whether a body may touch a body of another cell."""
         members, moving = self._members, self._members.moving
         if members.cell[body] == ALL_CELLS:
             return False
         others = moving[members.cell[moving] != members.cell[body]]
         elapsed_s = (self._steps - self._last_regroup) * self._dt_s
-        radii = members.radius + members.bound * elapsed_s + CELL_GAP_M
+        radii = members.radius + members.speed_bound * elapsed_s + CELL_GAP_M
         apart = np.linalg.norm(members.place[others] - members.place[body], axis=1)
         return bool((apart <= radii[others] + radii[body]).any())
 
@@ -442,15 +437,15 @@ class CelledEngine(Engine):
         if self._members.cell[body] == ALL_CELLS:
             self._cell_map.record_static(body)
         self._members.place[body] = base[:2]
-        self._now, self._is_due = None, True
+        self._states, self._is_due = None, True
 
-    def _bound_push_speed(self, body: int, force: float, torque: float) -> None:
-        """Bound the speed that a push gives a body; a torque pushes at its rim."""
+    def _bound_load_speed(self, body: int, force: float, torque: float) -> None:
+        """Bound the speed that a load adds to a body; a torque acts at its radius."""
         members = self._members
         rim, mass = members.radius[body], members.by_number[body].model.mass_kg
         gained = (force + torque / max(rim, MIN_DIVISOR)) / max(mass, MIN_DIVISOR) * self._dt_s
-        members.kick[body] += gained
-        self._is_due |= bool(members.kick[body] > SPEED_MARGIN_MPS / 4.0)
+        members.load_speed[body] += gained
+        self._is_due |= bool(members.load_speed[body] > SPEED_MARGIN_MPS / 4.0)
 
     def _current_order(self) -> CellBodyOrder:
         if self._body_order is None or self._body_order[0] != self._members.version:
@@ -459,118 +454,116 @@ class CelledEngine(Engine):
 
     def _index_map(self, bodies: Sequence[int]) -> CellIndexMap:
         version = self._members.version
-        known = self._routes.get(id(bodies))
+        known = self._index_maps.get(id(bodies))
         if known is not None and known[0] is bodies and known[1] == version:
             return known[2]
-        route = make_index_map(bodies, self._members, self._current_order())
-        if isinstance(bodies, tuple):  # else its content may change
-            if len(self._routes) >= MAX_CACHED_INDEX_MAPS:
-                self._routes.clear()
-            self._routes[id(bodies)] = (bodies, version, route)
-        return route
+        index_map = make_index_map(bodies, self._members, self._current_order())
+        if isinstance(bodies, tuple):  # a list may change
+            if len(self._index_maps) >= MAX_CACHED_INDEX_MAPS:
+                self._index_maps.clear()
+            self._index_maps[id(bodies)] = (bodies, version, index_map)
+        return index_map
 
     def _read_moving(self) -> BodyStates:
-        """Read all that moves, once a step at most."""
-        if self._now is None:
-            lineup, engines = self._current_order(), self._cell_map.engines
-            homes = zip(lineup.cells, lineup.bodies, strict=True)
-            self._now = concatenate_readings(
-                self._cells.read([CellReadRequest(engines[cell], b) for cell, b in homes])
+        """Read all bodies that move, at most once a step."""
+        if self._states is None:
+            order, engines = self._current_order(), self._cell_map.engines
+            cells = zip(order.cells, order.bodies, strict=True)
+            self._states = concatenate_readings(
+                self._cells.read([CellReadRequest(engines[cell], b) for cell, b in cells])
             )
-        return self._now
+        return self._states
 
     def _regroup(self) -> None:
-        """Put bodies that may touch before the next look into one cell."""
-        lineup, now, members = self._current_order(), self._read_moving(), self._members
-        numbers, places = lineup.numbers, now.base[:, :2]
-        self._check_speed_bounds(places - members.place[numbers], members.bound[numbers])
-        parting = self._find_groups(lineup, now)
-        members.place[numbers], members.bound[numbers] = places, parting.speeds
-        members.kick[numbers] = 0.0
-        is_good = np.asarray(np.isfinite(now.base).all(axis=1))
-        self._is_bad |= not is_good.all()
+        """Move bodies that may touch before the next regrouping into one cell."""
+        order, states, members = self._current_order(), self._read_moving(), self._members
+        numbers, places = order.numbers, states.base[:, :2]
+        self._check_speed_bounds(places - members.place[numbers], members.speed_bound[numbers])
+        found = self._find_groups(order, states)
+        members.place[numbers], members.speed_bound[numbers] = places, found.speeds
+        members.load_speed[numbers] = 0.0
+        is_finite = np.asarray(np.isfinite(states.base).all(axis=1))
+        self._is_bad |= not is_finite.all()
         before = members.cell[numbers]
         after = assign_cells(
-            before, parting.groups, np.where(is_good[:, None], places, 0.0), self._room
+            before, found.groups, np.where(is_finite[:, None], places, 0.0), self._capacity
         )
-        if self._cell_map.move(lineup, now, np.where(is_good, after, before)):
-            self._now, self._has_new_targets = None, True
+        if self._cell_map.move(order, states, np.where(is_finite, after, before)):
+            self._states, self._has_new_targets = None, True
         self._last_regroup, self._is_due = self._steps, False
         period = self._settings.period_steps
-        self._next_regroup = (self._steps // period + parting.periods) * period
+        self._next_regroup = (self._steps // period + found.periods) * period
         if self._steps < self._alert_until:
             self._next_regroup = self._steps + 1
 
     def _check_speed_bounds(self, moved: FloatArray, bounds: FloatArray) -> None:
-        """Look at every step for a while when somebody went farther than was thought."""
+        """Regroup at each step for a while after a body moved farther than its speed bound."""
         elapsed_s = (self._steps - self._last_regroup) * self._dt_s
         with np.errstate(invalid="ignore", over="ignore"):
             beyond = np.linalg.norm(moved, axis=1) - bounds * elapsed_s
         if (beyond > CELL_GAP_M / 2.0).any():
             self._alert_until = self._steps + round(ALERT_S / self._dt_s)
 
-    def _find_groups(self, lineup: CellBodyOrder, now: BodyStates) -> InteractionGroups:
-        members, numbers = self._members, lineup.numbers
-        radii = members.radius[numbers] = self._radii(lineup, now)
-        velocity = now.base[:, 7:]
+    def _find_groups(self, order: CellBodyOrder, states: BodyStates) -> InteractionGroups:
+        members, numbers = self._members, order.numbers
+        radii = members.radius[numbers] = self._radii(order, states)
+        velocity = states.base[:, 7:]
         with np.errstate(invalid="ignore", over="ignore"):
             linear = np.linalg.norm(velocity[:, :3], axis=1)
-            own = linear + np.linalg.norm(velocity[:, 3:], axis=1) * members.arm[numbers]
-        asked = np.zeros(len(numbers))
-        if len(lineup.driven):
-            told = np.abs(members.targets[lineup.targets]) * members.levers[lineup.targets]
-            asked[lineup.driven] = np.maximum.reduceat(told, lineup.target_starts)
-        speeds = np.maximum(own, asked) + members.kick[numbers] + self._speed_margin_mps
+            own = linear + np.linalg.norm(velocity[:, 3:], axis=1) * members.com_offset_m[numbers]
+        commanded = np.zeros(len(numbers))
+        if len(order.driven):
+            target_speeds = np.abs(members.targets[order.targets]) * members.levers[order.targets]
+            commanded[order.driven] = np.maximum.reduceat(target_speeds, order.target_starts)
+        speeds = np.maximum(own, commanded) + members.load_speed[numbers] + self._speed_margin_mps
         period_s = self._settings.period_steps * self._dt_s
         choices = LOOKAHEAD_PERIODS[-1:] if self._steps < self._alert_until else LOOKAHEAD_PERIODS
         for periods in choices:
             found = find_interaction_groups(
-                now.base[:, :2], radii, speeds, period_s, periods=periods
+                states.base[:, :2], radii, speeds, period_s, periods=periods
             )
-            if found.largest <= self._room.max_bodies(len(numbers)):
+            if found.largest <= self._capacity.max_bodies(len(numbers)):
                 break
         return found
 
-    def _radii(self, lineup: CellBodyOrder, now: BodyStates) -> FloatArray:
-        """Find how far each body reaches, with what slides where it is and will be."""
-        radii = self._members.rigid_m[lineup.numbers]
-        rows, joints = lineup.slides
-        ahead = np.abs(now.joint_velocities[joints]) * self._ahead_s
-        np.add.at(radii, rows, np.abs(now.joint_positions[joints]) + ahead)
+    def _radii(self, order: CellBodyOrder, states: BodyStates) -> FloatArray:
+        """Bound the radii (n,) of bodies until the next regrouping, prismatic joints included."""
+        radii = self._members.rigid_m[order.numbers]
+        rows, joints = order.slides
+        ahead = np.abs(states.joint_velocities[joints]) * self._ahead_s
+        np.add.at(radii, rows, np.abs(states.joint_positions[joints]) + ahead)
         return radii
 
     def _send_targets(self) -> None:
-        """Tell cells the targets of their bodies."""
+        """Send new targets to the cells."""
         self._cells.command(list(self._list_pending_targets()))
         self._members.is_due[:] = self._has_new_targets = False
 
     def _apply_loads(self) -> None:
-        """Push what is to be pushed in this step."""
-        for body, where, push in self._pushes:
+        """Apply the queued loads to this step."""
+        for body, part, load in self._loads:
             for engine, inner in self._cell_map.locate(body):
-                if isinstance(push, float):
-                    engine.apply_joint_effort(inner, where, push)
+                if isinstance(load, float):
+                    engine.apply_joint_effort(inner, part, load)
                 else:
-                    engine.apply_link_wrench(inner, where, push)
-        self._pushes.clear()
+                    engine.apply_link_wrench(inner, part, load)
+        self._loads.clear()
 
     def _list_pending_targets(self) -> Iterator[CellTargets]:
-        lineup, members, engines = self._current_order(), self._members, self._cell_map.engines
-        is_due = members.is_due[lineup.numbers]
-        if is_due[lineup.driven].all():
-            ends = lineup.cell_targets.tolist()
+        order, members, engines = self._current_order(), self._members, self._cell_map.engines
+        is_due = members.is_due[order.numbers]
+        if is_due[order.driven].all():
+            ends = order.cell_targets.tolist()
             for cell, bodies, at, end in zip(
-                lineup.cells, lineup.bodies, ends, ends[1:], strict=False
+                order.cells, order.bodies, ends, ends[1:], strict=False
             ):
                 if at < end:
-                    yield CellTargets(
-                        engines[cell], bodies, members.targets[lineup.targets[at:end]]
-                    )
+                    yield CellTargets(engines[cell], bodies, members.targets[order.targets[at:end]])
             return
         due = np.flatnonzero(is_due)
-        cells = members.cell[lineup.numbers[due]]
+        cells = members.cell[order.numbers[due]]
         for cell in np.unique(cells).tolist():
-            numbers = lineup.numbers[due[cells == cell]]
+            numbers = order.numbers[due[cells == cell]]
             targets = [members.targets[members.by_number[n].targets] for n in numbers.tolist()]
             bodies = tuple(members.inner[numbers].tolist())
             yield CellTargets(engines[cell], bodies, np.concatenate(targets))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def make_mesh_reader(folder: str) -> MeshTriangles:
-    """Find meshes in a folder."""
+    """Make a reader of the meshes in a folder."""
 
     def corners(mesh: str) -> FloatArray:
         return read_corners(Path(folder, f"{mesh}.stl").read_bytes()).astype(np.float64)
@@ -36,28 +36,28 @@ def make_mesh_reader(folder: str) -> MeshTriangles:
 
 ROUND_KINDS = ("sphere", "cylinder", "capsule")
 DRIVEN_WEIGHT_SHARE = 0.5
-"""Share of its weight that a robot has on its driven wheels, as a rule: it bounds how they pull."""
+"""Assumed share of the weight on driven wheels; it bounds their traction."""
 DEFAULT_STEERING_RAD_S = 10.0
-"""How fast a joint is steered that knows no limit."""
+"""Speed of a steering joint without a velocity limit."""
 TIPPING_RATIO = 0.8
-"""Share of the acceleration that would tip a robot over up to which it stays flat."""
+"""Share of the tipping acceleration that is allowed."""
 MIN_LENGTH_M = 1e-4
 
 
 class NotPlanar(ValueError):
-    """A model that cannot be driven in the plane without dynamics."""
+    """A model whose motion in the plane cannot be computed without dynamics."""
 
 
 @dataclass(frozen=True)
 class VehicleWheel:
-    """A wheel as the links have it, joints at zero, in the root link.
+    """A wheel in the root link at joint positions 0.
 
     Attributes:
         joint: Index among `Model.joints`.
         place: (x, y) of its centre.
-        ahead: Unit (x, y), where it rolls to when its joint turns forward.
+        ahead: Unit (x, y) of rolling at positive joint speed.
         radius_m: > 0.
-        steering: Which of the steering joints turns it; -1 = none.
+        steering: Index of its steering joint in `PlanarVehicle.steering`; -1 = none.
     """
 
     joint: int
@@ -69,7 +69,7 @@ class VehicleWheel:
 
 @dataclass(frozen=True)
 class VehicleMotors:
-    """Actuators of one kind: where their numbers are among those of a command, and their joints."""
+    """Actuators of one kind: indices of their targets in a command, and of their joints."""
 
     places: tuple[int, ...]
     joints: tuple[int, ...]
@@ -77,22 +77,23 @@ class VehicleMotors:
 
 @dataclass(frozen=True)
 class PlanarVehicle:
-    """What moves a robot in the plane; alike for all robots that are built alike.
+    """Wheels, motors and limits of a robot in the plane; equal for robots of equal build.
 
     Attributes:
-        width: How many numbers a command has.
+        width: Length of a command.
         joint_count: Of the model.
-        twist: Where vx, vy, wz stand in a command; -1 = wheels move it.
-        driven: Motors that wheels turn by.
-        steered: Motors that are told an angle.
+        twist: Index of vx, vy, wz in a command; -1 = wheels move it.
+        driven: Motors of wheels.
+        steered: Motors with target angles.
         turned: Motors that steer by speed.
-        wheels: Those that are driven, in the order of `driven`, then those that only roll.
-        steering: Joints that steer, in the order that `VehicleWheel.steering` counts by.
+        wheels: The driven ones in the order of `driven`, then the passive ones.
+        steering: Indices of the steering joints.
         matrix: (3, k) root twist by the speeds of the driven wheels, row by row; empty if steered.
-        axle: (x, y) in the root link about which a steered robot does not slide sideways.
-        max_rim: How fast [m/s^2] wheels can gain speed.
-        max_aside: Acceleration [m/s^2] sideways up to which it neither slides nor tips.
-        is_tippy: Whether its wheels could tip it over.
+        axle: (x, y) in the root link that does not slide sideways.
+        max_rim_accel: Of the wheels [m/s^2].
+        max_lateral_accel: Without sliding or tipping [m/s^2].
+        can_tip: Whether its wheels could tip it over.
+        steering_rad_s: Maximum speed of each motor of `steered`.
     """
 
     width: int
@@ -110,37 +111,30 @@ class PlanarVehicle:
     can_tip: bool
     steering_rad_s: tuple[float, ...]
 
-    @property
-    def pivot(self) -> tuple[float, float] | None:
-        """What it turns on the spot about; None where it cannot, or may choose."""
-        if not self.matrix:
-            return None
-        return self.axle
-
 
 def make_planar_vehicle(
     model: Model, corners: MeshTriangles, gravity: float
 ) -> tuple[PlanarVehicle, Footprint]:
-    """Find how a model is driven in the plane, and the room that it takes.
+    """Make the planar vehicle of a robot, and its footprint.
 
     Args:
-        model: A robot.
-        corners: Finds those of a mesh.
-        gravity: How strongly [m/s^2] it is pulled to the ground.
+        model: The robot.
+        corners: Triangles of meshes by name.
+        gravity: [m/s^2], positive downwards.
 
     Raises:
-        NotFlat: It has no drive, never moves, or its wheels do not say where it goes.
+        NotPlanar: It has no drive, is static, or its wheels do not determine its motion.
     """
     drive = model.drive
     if model.is_static or drive is None:
-        raise NotPlanar("it has no drive" if drive is None else "it never moves")
+        raise NotPlanar("it has no drive" if drive is None else "it is static")
     index = {joint.name: i for i, joint in enumerate(model.joints)}
     steering = tuple(index[name] for name in drive.steering_joints)
     wheels = [_make_wheel(model, index[name], steering) for name in _list_wheel_joints(model)]
     matrix, axle = _find_drive_matrix(wheels, model)
-    planned = _VehicleGeometry(model, index, steering, tuple(wheels), matrix, axle)
+    geometry = _VehicleGeometry(model, index, steering, tuple(wheels), matrix, axle)
     footprint = measure_footprint(model, corners, axle if matrix else None)
-    return planned.vehicle(footprint, gravity), footprint
+    return geometry.vehicle(footprint, gravity), footprint
 
 
 @dataclass(frozen=True)
@@ -181,7 +175,7 @@ class _VehicleGeometry:
         )
 
     def _effort(self) -> float:
-        """How fast [m/s^2] the motors could make it faster if all wheels gripped."""
+        """Find the acceleration [m/s^2] by the effort of the motors without slip."""
         radius = {wheel.joint: wheel.radius_m for wheel in self.wheels}
         forces = [
             actuator.effort / radius[self.index[actuator.joint]]
@@ -196,7 +190,7 @@ def _make_motors(pairs: list[tuple[int, int]]) -> VehicleMotors:
 
 
 def _list_wheel_joints(model: Model) -> tuple[str, ...]:
-    """Name the wheels: first those that are driven, in the order of the actuators."""
+    """List the wheel joints: driven ones in the order of the actuators, then the others."""
     drive = model.drive
     if drive is None:
         return ()
@@ -258,7 +252,7 @@ def _declared_radius(model: Model, joint: str) -> float:
 def _find_drive_matrix(
     wheels: list[VehicleWheel], model: Model
 ) -> tuple[tuple[float, ...], tuple[float, float]]:
-    """Find the root twist by wheel speeds, and the point that does not slide sideways."""
+    """Find the matrix from wheel speeds to root twist, and the point that does not slide."""
     if any(actuator.mode == "twist" for actuator in model.actuators):
         return (), (0.0, 0.0)
     fixed = [wheel for wheel in wheels if wheel.steering < 0]
@@ -280,7 +274,7 @@ def _solve_drive_matrix(
         held.append([-fy, fx, x * fx + y * fy])
     rows: FloatArray = np.array(rolled + held)
     if np.linalg.matrix_rank(rows, tol=MIN_LENGTH_M) < rows.shape[1]:
-        raise NotPlanar("its wheels leave open where it goes: it needs two on either side")
+        raise NotPlanar("its wheels do not determine its motion: it needs two on either side")
     radii = np.diag([wheel.radius_m for wheel in wheels])
     found = np.linalg.pinv(rows) @ np.vstack([radii, np.zeros_like(radii)])
     x, y = np.mean([wheel.place for wheel in wheels], axis=0).tolist()
@@ -288,7 +282,7 @@ def _solve_drive_matrix(
 
 
 def _find_tipping_limits(model: Model, footprint: Footprint, gravity: float) -> tuple[float, float]:
-    """Find the accelerations [m/s^2] ahead and aside that tip a robot over, less some margin."""
+    """Find the accelerations [m/s^2] ahead and aside that tip a robot over, with a margin."""
     poses = find_link_poses(model.links[0].name, model.joints)
     places = np.array(
         [transform_point(poses[link.name], link.inertial.com_in_link) for link in model.links]
@@ -309,7 +303,7 @@ PlanarPlan = tuple[PlanarVehicle, Footprint]
 
 
 class PlanarPlanCache:
-    """Plans of the models seen last."""
+    """Caches the vehicles and footprints of models."""
 
     def __init__(self, config: EngineConfig, default: Dynamics) -> None:
         self.corners = make_mesh_reader(config.mesh_folder)
@@ -319,14 +313,14 @@ class PlanarPlanCache:
         self._plans: dict[int, tuple[Model, PlanarPlan | None]] = {}
 
     def dynamics(self, model: Model) -> Dynamics:
-        """Say which dynamics a model asks for, or else the world."""
+        """Find the dynamics of a model: its own, else those of the world."""
         return "full" if model.is_static else model.dynamics or self._default
 
     def plan(self, model: Model) -> PlanarPlan | None:
-        """Find how a model is driven flat; None where it is full, always or for want of a drive.
+        """Find the vehicle and footprint of a model; None if it needs full dynamics.
 
         Raises:
-            EngineRefused: It asks to be kinematic and cannot.
+            EngineRefused: It requires kinematic dynamics and cannot have them.
         """
         if self.dynamics(model) == "full":
             return None
@@ -339,7 +333,7 @@ class PlanarPlanCache:
     def _planned(self, model: Model) -> PlanarPlan | None:
         shapes = (shape for link in model.links for shape in link.collisions)
         if not all(Path(self._folder, f"{s.mesh}.stl").is_file() for s in shapes if s.mesh):
-            return None  # the full engine says which is missing
+            return None  # the full engine reports the missing file
         try:
             return make_planar_vehicle(model, self.corners, self._gravity)
         except NotPlanar as error:

@@ -29,22 +29,22 @@ from zensim.sim_server.scene.broad_phase import (
 from zensim.sim_server.scene.footprints import NO_EDGES, StaticEdges, concatenate_edges
 
 NEAR_M = 0.02
-"""Discs with a smaller gap are near each other, if any of them moves."""
+"""Discs with a smaller gap are near each other, if one of them moves."""
 CLEAR_M = 0.06
-"""With a larger gap they are alone again."""
+"""Discs with a larger gap to all others are clear."""
 NEIGHBOUR_MARGIN_M = 2.0 * CLEAR_M
 MOVING_M_S = 1e-3
 
 
 @dataclass(frozen=True)
 class MovingDiscs:
-    """Bodies at a look.
+    """Discs of n bodies at one check.
 
     Attributes:
         centres: (n, 2).
         radius: (n,).
-        pace: (n,) how fast [m/s] each may be until the next look.
-        is_loose: (n,) whether it moves by itself or by others, and cannot be stopped here.
+        pace: (n,) bounds of their speeds [m/s] until the next check.
+        is_free_moving: (n,) whether only the full engine moves it.
     """
 
     centres: FloatArray
@@ -55,21 +55,21 @@ class MovingDiscs:
 
 @dataclass(frozen=True)
 class ProximityResult:
-    """What a look found, a number each.
+    """Result of a check for n discs.
 
     Attributes:
-        is_near: Whether it may touch something before the next look.
-        is_alone: Whether nothing is anywhere near.
+        is_near: (n,) whether it can_stop touch something before the next check.
+        is_clear: (n,) whether nothing is near.
     """
 
     is_near: BoolColumn
-    is_alone: BoolColumn
+    is_clear: BoolColumn
 
 
 def find_discs_near_discs(
     discs: MovingDiscs, pairs: tuple[IntArray, IntArray], period_s: float
 ) -> ProximityResult:
-    """See who has others near: at least one of two moves, or is loose."""
+    """Check discs against discs; pairs of which neither moves do not count."""
     one, other = pairs
     apart = np.hypot(*(discs.centres[one] - discs.centres[other]).T)
     gap = apart - discs.radius[one] - discs.radius[other]
@@ -77,37 +77,37 @@ def find_discs_near_discs(
     is_moving = (discs.pace > MOVING_M_S) | discs.is_free_moving
     counts = is_moving[one] | is_moving[other]
     near, close = counts & (gap < NEAR_M), counts & (gap < CLEAR_M)
-    is_near, is_alone = _all_false(discs), ~_all_false(discs)
+    is_near, is_clear = _all_false(discs), ~_all_false(discs)
     for side in (one, other):
         is_near[side[near]] = True
-        is_alone[side[close]] = False
-    return ProximityResult(is_near, is_alone)
+        is_clear[side[close]] = False
+    return ProximityResult(is_near, is_clear)
 
 
 def find_discs_near_edges(
     discs: MovingDiscs, edges: StaticEdges, pairs: tuple[IntArray, IntArray], period_s: float
 ) -> ProximityResult:
-    """See who moves near an edge.
+    """Check moving discs against edges.
 
     Args:
         discs: All n.
         edges: All edges.
-        pairs: A disc and an edge each, whose heights meet.
-        period_s: Until the next look.
+        pairs: Indices of discs and of edges at overlapping heights.
+        period_s: Time until the next check.
     """
     disc, edge = pairs
     _, gap = find_distances_to_edges(discs.centres[disc], edges.ends[edge])
     gap -= discs.radius[disc] + edges.thick[edge] + discs.pace[disc] * period_s
     counts = discs.pace[disc] > MOVING_M_S
-    is_near, is_alone = _all_false(discs), ~_all_false(discs)
+    is_near, is_clear = _all_false(discs), ~_all_false(discs)
     is_near[disc[counts & (gap < NEAR_M)]] = True
-    is_alone[disc[counts & (gap < CLEAR_M)]] = False
-    return ProximityResult(is_near, is_alone)
+    is_clear[disc[counts & (gap < CLEAR_M)]] = False
+    return ProximityResult(is_near, is_clear)
 
 
 def combine_results(one: ProximityResult, other: ProximityResult) -> ProximityResult:
-    """Put two looks together."""
-    return ProximityResult(one.is_near | other.is_near, one.is_alone & other.is_alone)
+    """Combine two results."""
+    return ProximityResult(one.is_near | other.is_near, one.is_clear & other.is_clear)
 
 
 def _all_false(discs: MovingDiscs) -> BoolColumn:
@@ -115,15 +115,15 @@ def _all_false(discs: MovingDiscs) -> BoolColumn:
 
 
 MIN_TRAVEL_M = 0.05
-"""How far anybody may go, at least, before the lists are made anew."""
+"""Least distance that a disc can_stop move before the lists are rebuilt."""
 LOOKAHEAD_CHECKS = 4.0
-"""For how many looks the lists are made, by how fast each is."""
+"""Checks for which the lists hold, by the speed of each disc."""
 SAMPLES_PER_CELL = 4
-"""Points on an edge for each cell that it goes through."""
+"""Sample points on an edge per cell of the grid."""
 
 
 class NeighbourLists:
-    """Pairs of discs that may meet, and discs that may meet edges.
+    """Pairs of discs, and of discs and edges, that can_stop meet (a Verlet list).
 
     Attributes:
         one, other: (k,) indices of the discs of each pair.
@@ -146,21 +146,21 @@ class NeighbourLists:
         self._travelled_m = 0.0
 
     def set_edges(self, edges: StaticEdges) -> None:
-        """Take other edges."""
+        """Replace the edges."""
         self._edges, self._cells = edges, None
         self._is_valid = False
 
     def invalidate(self) -> None:
-        """Make the lists anew next time: other discs are there."""
+        """Rebuild the lists at the next refresh."""
         self._is_valid = False
 
     def refresh(self, centres: FloatArray, radius: FloatArray, way: FloatArray) -> None:
-        """See that the lists hold all who may meet.
+        """Rebuild the lists if a pair that can_stop meet could be missing.
 
         Args:
-            centres: (n, 2) where discs are.
+            centres: (n, 2).
             radius: (n,).
-            way: (n,) how far each may go until it is asked again.
+            way: (n,) bounds of the distance to the next refresh.
         """
         self._travelled_m += float(way.max()) if len(way) else 0.0
         if self._is_valid and (
@@ -176,9 +176,9 @@ class NeighbourLists:
         self._is_valid = True
 
     def _is_too_far(self, centres: FloatArray, way: FloatArray) -> bool:
-        gone = centres - self._centres
+        moved = centres - self._centres
         left = self._allowed - way
-        square = np.einsum("ij,ij->i", gone, gone)
+        square = np.einsum("ij,ij->i", moved, moved)
         return bool(((left < 0.0) | (square > left * left)).any())
 
     def _near_edges(self, centres: FloatArray, reach: FloatArray) -> tuple[IntArray, IntArray]:
@@ -197,7 +197,7 @@ class NeighbourLists:
         return disc[is_near], edge[is_near]
 
     def _sampled(self, size_m: float) -> PointGrid:
-        """Put points on all edges, so close that each edge is found by one of them."""
+        """Sample all edges so densely that each is found by one of its points."""
         ends = self._edges.ends
         along = ends[:, 2:] - ends[:, :2]
         parts = (
@@ -212,18 +212,18 @@ class NeighbourLists:
 
 
 class ProximityIndex:
-    """All discs that are there, and what never moves.
+    """Discs of all bodies that can move, and edges of all that cannot.
 
     Attributes:
-        discs: (d,) rows of all that can move.
-        mine: (n,) where the kinematic robots are among them.
+        discs: (d,) rows of bodies that can move.
+        own: (n,) indices of the kinematic robots among them.
     """
 
     def __init__(self, rows: TierBodyTable, kinematic: KinematicRobots, period_s: float) -> None:
         self.discs: IntArray = np.zeros(0, np.intp)
-        self.mine: RowSelection = np.zeros(0, np.intp)
-        self._at: RowSelection = self.mine
-        self._known = rows
+        self.own: RowSelection = np.zeros(0, np.intp)
+        self._at: RowSelection = self.own
+        self._table = rows
         self._kinematic = kinematic
         self._period_s = period_s
         self._neighbours = NeighbourLists(NEIGHBOUR_MARGIN_M)
@@ -231,36 +231,38 @@ class ProximityIndex:
         self._edges: StaticEdges | None = NO_EDGES
 
     def set_outline(self, row: int, outline: StaticEdges) -> None:
-        """Note what never moves, or that it was put elsewhere."""
+        """Set the edges of a static body."""
         self._outlines[row] = outline
         self._edges = None
 
     def remove_outline(self, row: int) -> None:
-        """Note that what never moved is gone."""
+        """Remove the edges of a static body."""
         if self._outlines.pop(row, None) is not None:
             self._edges = None
 
     def gather(self) -> None:
-        """Note that bodies came, went, or changed tiers."""
-        known = self._known
-        discs = np.flatnonzero((known.tier != Tier.NONE) & ~known.is_static)
+        """Update the rows after bodies came, went or changed tiers."""
+        table = self._table
+        discs = np.flatnonzero((table.tier != Tier.NONE) & ~table.is_static)
         if not np.array_equal(discs, self.discs):
             self._neighbours.invalidate()
         self.discs = discs
-        place = np.zeros(len(known.tier), np.intp)
+        place = np.zeros(len(table.tier), np.intp)
         place[discs] = np.arange(len(discs))
-        self.mine = select_rows(place[self._kinematic.rows])
+        self.own = select_rows(place[self._kinematic.rows])
         self._at = select_rows(discs)
 
     def invalidate(self) -> None:
-        """Note that somebody was put elsewhere."""
+        """Rebuild the neighbour lists: a body was moved by a request."""
         self._neighbours.invalidate()
 
     def find_near(self) -> ProximityResult:
-        """See who is near whom, until the next look."""
-        known, rows = self._known, self.discs
-        is_loose = (known.tier[rows] == Tier.FULL) & ~known.is_held[rows]
-        discs = MovingDiscs(known.discs(self._at), known.radius[rows], known.pace[rows], is_loose)
+        """Check all discs for the time until the next check."""
+        table, rows = self._table, self.discs
+        is_free_moving = (table.tier[rows] == Tier.FULL) & ~table.is_held[rows]
+        discs = MovingDiscs(
+            table.discs(self._at), table.radius[rows], table.pace[rows], is_free_moving
+        )
         self._refresh(discs.centres, np.zeros(len(rows)))
         neighbours = self._neighbours
         found = find_discs_near_discs(discs, (neighbours.one, neighbours.other), self._period_s)
@@ -272,50 +274,52 @@ class ProximityIndex:
         return found
 
     def find_free_fractions(self, way: FloatArray) -> FloatArray:
-        """Find how much (n,) of their ways (3, n) kinematic robots can go."""
-        moves = self._kinematic.disc_motions(way, self._at, self.mine, self._period_s)
+        """Find the fractions (n,) of displacements (3, n) that are free for kinematic robots."""
+        moves = self._kinematic.disc_motions(way, self._at, self.own, self._period_s)
         self._refresh(moves.start, np.hypot(moves.way[:, 0], moves.way[:, 1]))
-        neighbours, shares = self._neighbours, np.ones(len(self.discs))
+        neighbours, fractions = self._neighbours, np.ones(len(self.discs))
         if len(neighbours.disc):
-            shares = self._limit_by_edges(moves)
+            fractions = self._limit_by_edges(moves)
         if len(neighbours.one):
-            shares = limit_by_other_discs(moves, neighbours.one, neighbours.other, shares)
-        return shares[self.mine]
+            fractions = limit_by_other_discs(moves, neighbours.one, neighbours.other, fractions)
+        return fractions[self.own]
 
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:
-        """Find whose discs a disc reaches into, and whether it reaches an edge."""
-        known = self._known
-        rows = np.flatnonzero((known.tier != Tier.NONE) & ~known.is_static)
+        """Find the rows of discs that a disc overlaps, and whether it overlaps an edge."""
+        table = self._table
+        rows = np.flatnonzero((table.tier != Tier.NONE) & ~table.is_static)
         rows = rows[rows != row]
-        centre = known.discs(np.array([row]))
-        apart = np.hypot(*(known.discs(rows) - centre).T)
-        found: list[int] = rows[apart < known.radius[rows] + known.radius[row]].tolist()
+        centre = table.discs(np.array([row]))
+        apart = np.hypot(*(table.discs(rows) - centre).T)
+        found: list[int] = rows[apart < table.radius[rows] + table.radius[row]].tolist()
         edges = self._static_edges()
         if not len(edges):
             return found, False
         _, gap = find_distances_to_edges(np.broadcast_to(centre, (len(edges), 2)), edges.ends)
-        return found, bool((gap < edges.thick + known.radius[row]).any())
+        return found, bool((gap < edges.thick + table.radius[row]).any())
 
     def _limit_by_edges(self, moves: DiscMotions) -> FloatArray:
         disc, edge = self._edge_pairs_at_height()
         edges = self._static_edges()
-        may = moves.may_stop[disc]
-        return limit_by_edges(moves, disc[may], edges.ends[edge[may]], edges.thick[edge[may]])
+        can_stop = moves.may_stop[disc]
+        return limit_by_edges(
+            moves, disc[can_stop], edges.ends[edge[can_stop]], edges.thick[edge[can_stop]]
+        )
 
     def _edge_pairs_at_height(self) -> tuple[IntArray, IntArray]:
-        """Pairs of a disc and an edge near it that is as high as it."""
-        known, disc, edge = self._known, self._neighbours.disc, self._neighbours.edge
+        """List pairs of a disc and a near edge at overlapping heights."""
+        table, disc, edge = self._table, self._neighbours.disc, self._neighbours.edge
         rows, heights = self.discs[disc], self._static_edges().heights[edge]
-        low = known.place[2, rows] + known.heights[0, rows] + CLEARABLE_HEIGHT_M
-        high = known.place[2, rows] + known.heights[1, rows]
+        low = table.place[2, rows] + table.heights[0, rows] + CLEARABLE_HEIGHT_M
+        high = table.place[2, rows] + table.heights[1, rows]
         meets = (heights[:, 0] < high) & (heights[:, 1] > low)
         return disc[meets], edge[meets]
 
     def _refresh(self, centres: FloatArray, way: FloatArray) -> None:
-        known = self._known
+        table = self._table
         self._static_edges()
-        far = np.maximum(way, known.pace[self._at] * self._period_s)
-        self._neighbours.refresh(centres, known.radius[self._at], far)
+        far = np.maximum(way, table.pace[self._at] * self._period_s)
+        self._neighbours.refresh(centres, table.radius[self._at], far)
 
     def _static_edges(self) -> StaticEdges:
         if self._edges is None:

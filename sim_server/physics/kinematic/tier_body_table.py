@@ -15,7 +15,7 @@ from zensim.sim_server.scene.broad_phase import IntArray, expand_ranges
 IntColumn = npt.NDArray[np.intp]
 BoolColumn = npt.NDArray[np.bool_]
 RowSelection = IntColumn | slice
-"""Which rows: their numbers, or from where to where."""
+"""Rows by their numbers or as a slice."""
 INITIAL_ROWS = 64
 
 
@@ -29,26 +29,26 @@ class Tier(IntEnum):
 
 
 class TierBodyTable:
-    """Columns of all bodies; a body's number is its row. What has k numbers a body is (k, n).
+    """Columns of all bodies, indexed by row, the number of a body.
 
     Attributes:
         tier: One of `Tier`.
-        is_auto: Whether it changes tiers by itself.
-        is_held: Whether it is a robot that may be in the kinematic tier, so that its joints and
-            targets are kept here.
+        is_auto: Whether it changes tiers automatically.
+        is_held: Whether it may be in the kinematic tier; then its joints and targets are pooled.
         is_static: Whether it never moves.
         full: Its number in the full engine; -1 = none.
-        joint_count, joint_start: Where its joints are in the pool.
-        width, target_start: Where its targets are in the pool.
+        joint_count, joint_start: Range of its joints in the pool.
+        width, target_start: Range of its targets in the pool.
         radius: Of its disc [m].
         centre: (2, n) of the disc in the root link.
-        heights: (2, n) lowest and highest point against the root link.
+        heights: (2, n) lowest and highest point relative to the root link.
         place: (3, n) of the root link.
-        yaw: Heading [rad], and `half`, (2, n) sine and cosine of half of it.
-        tilt: (4, n) orientation of the root link before it is turned by its heading.
+        yaw: Heading [rad].
+        half: (2, n) sine and cosine of half the heading.
+        tilt: (4, n) orientation of the root link before rotation by its heading.
         twist: (3, n) vx, vy, wz along the heading.
-        pace: How fast [m/s] it may become before the next look, at most.
-        is_harsh: Whether it is asked for more than it can do flat.
+        pace: Bound of its speed [m/s] until the next proximity check.
+        exceeds_limits: Whether its command exceeds what it can do without dynamics.
     """
 
     def __init__(self) -> None:
@@ -74,7 +74,7 @@ class TierBodyTable:
         self._free = list(range(INITIAL_ROWS))
 
     def allocate(self) -> int:
-        """Take the lowest row that is free, all zeros."""
+        """Allocate the lowest free row, set to zeros."""
         if not self._free:
             self._grow()
         row = heapq.heappop(self._free)
@@ -97,12 +97,12 @@ class TierBodyTable:
         self.half[1, at] = np.cos(half)
 
     def headings(self, at: RowSelection) -> tuple[FloatArray, FloatArray]:
-        """Find cosines and sines (n,) of headings."""
+        """Compute cosines and sines (n,) of headings."""
         sin, cos = self.half[0, at], self.half[1, at]
         return cos * cos - sin * sin, 2.0 * sin * cos
 
     def discs(self, at: RowSelection) -> FloatArray:
-        """Find the centres (n, 2) of discs in the world."""
+        """Compute the centres (n, 2) of discs in the world."""
         x, y = self.centre[0, at], self.centre[1, at]
         found = np.empty((len(x), 2))
         found[:, 0], found[:, 1] = self.place[0, at], self.place[1, at]
@@ -113,12 +113,12 @@ class TierBodyTable:
         return found
 
     def states(self, at: RowSelection) -> FloatArray:
-        """Compose the state rows (n, 13) of kinematic bodies."""
+        """Compute the state rows (n, 13) of kinematic bodies."""
         sin, cos = self.half[0, at], self.half[1, at]
         x, y, z, w = (self.tilt[k, at] for k in range(4))
         vx, vy = rotate_by_heading(self.twist[0, at], self.twist[1, at], self.headings(at))
         found = np.zeros((len(x), 13))
-        # All at once: number by number would go through memory thirteen times.
+        # One assignment: column by column would pass through memory thirteen times.
         found.T[:9] = [
             *(self.place[k, at] for k in range(3)),
             *(cos * x - sin * y, cos * y + sin * x, cos * z + sin * w, cos * w - sin * z),
@@ -136,7 +136,7 @@ class TierBodyTable:
 
 
 def select_rows(rows: IntColumn) -> RowSelection:
-    """Say where rows are: those that follow one another are reached several times as fast."""
+    """Convert consecutive rows to a slice, which is several times as fast."""
     if len(rows) and rows[-1] - rows[0] == len(rows) - 1 and bool((np.diff(rows) == 1).all()):
         return slice(int(rows[0]), int(rows[-1]) + 1)
     return rows
@@ -145,13 +145,13 @@ def select_rows(rows: IntColumn) -> RowSelection:
 def rotate_by_heading(
     x: FloatArray, y: FloatArray, heading: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn vectors (n,), (n,) by headings, given as their cosines and sines."""
+    """Rotate vectors x (n,), y (n,) by headings, given as cosines and sines."""
     cos, sin = heading
     return cos * x - sin * y, sin * x + cos * y
 
 
 class ArrayPool:
-    """Numbers of bodies, each body's in a row; room that was given back is used again."""
+    """Array of consecutive numbers of each body; freed ranges are reused."""
 
     def __init__(self) -> None:
         self.numbers: FloatArray = np.zeros(INITIAL_ROWS)
@@ -159,7 +159,7 @@ class ArrayPool:
         self._free: dict[int, list[int]] = {}
 
     def allocate(self, count: int) -> int:
-        """Find room for so many; it is the caller's to fill."""
+        """Allocate a range; its values are undefined."""
         if free := self._free.get(count):
             return heapq.heappop(free)
         start, self._end = self._end, self._end + count
@@ -168,7 +168,7 @@ class ArrayPool:
         return start
 
     def free(self, start: int, count: int) -> None:
-        """Free what was taken."""
+        """Free an allocated range."""
         heapq.heappush(self._free.setdefault(count, []), start)
 
 
@@ -180,9 +180,9 @@ class TierSlice:
     """The bodies of a sequence that are in one tier.
 
     Attributes:
-        rows: Theirs.
-        places: (n,) where they stand in the sequence.
-        joints, targets: Where their numbers stand among all joints and targets of the sequence.
+        rows: (n,) of the bodies.
+        places: (n,) indices in the sequence.
+        joints, targets: Indices among the joints and targets of the whole sequence.
     """
 
     rows: IntArray
@@ -193,17 +193,17 @@ class TierSlice:
 
 @dataclass(frozen=True)
 class TierIndexMap:
-    """A sequence of bodies, parted by tier.
+    """A sequence of bodies, split by tier.
 
     Attributes:
-        count: How many there are.
+        count: Number of bodies.
         joint_count: Of all of them.
-        at: Where the rows of the kinematic half are.
-        bodies: Of the full engine.
-        pooled_joints: Where the joints of the kinematic half are in the pool.
-        held: The rows of those robots that may be kinematic.
-        pooled_targets: Where their targets are in the pool.
-        held_targets: And among the targets of the sequence.
+        at: Rows of the kinematic ones.
+        bodies: Numbers of the others in the full engine.
+        pooled_joints: Indices of the joints of the kinematic ones in the pool.
+        held: Rows of robots that may be kinematic.
+        pooled_targets: Indices of their targets in the pool.
+        held_targets: Indices of their targets in the sequence.
     """
 
     count: int
@@ -219,7 +219,7 @@ class TierIndexMap:
 
 
 def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
-    """Part bodies (n,) by tier."""
+    """Split bodies (n,) by tier."""
     joints, widths = rows.joint_count[numbers], rows.width[numbers]
     joint_at, target_at = np.cumsum(joints) - joints, np.cumsum(widths) - widths
     is_kinematic = rows.tier[numbers] == Tier.KINEMATIC
@@ -252,10 +252,10 @@ def split_by_tier(rows: TierBodyTable, numbers: IntArray) -> TierIndexMap:
 
 
 class TierIndexMapCache:
-    """Mappings of sequences that are asked for again and again."""
+    """Caches the index maps of tuples of bodies."""
 
     def __init__(self, rows: TierBodyTable) -> None:
-        self._known = rows
+        self._table = rows
         self._kept: OrderedDict[int, tuple[Sequence[int], IntArray, TierIndexMap | None]] = (
             OrderedDict()
         )
@@ -264,22 +264,22 @@ class TierIndexMapCache:
         return len(self._kept)
 
     def get(self, bodies: Sequence[int]) -> TierIndexMap:
-        """Part bodies by tier."""
+        """Split bodies by tier."""
         if not isinstance(bodies, tuple):
-            return split_by_tier(self._known, np.array(bodies, np.intp))
-        # A tuple never changes: while it is kept here, no other has its number.
+            return split_by_tier(self._table, np.array(bodies, np.intp))
+        # A tuple is constant, and while it is kept here, its id is unique.
         kept = self._kept.get(id(bodies))
         if kept is not None and kept[2] is not None:
             return kept[2]
         numbers = kept[1] if kept else np.array(bodies, np.intp)
-        mapping = split_by_tier(self._known, numbers)
+        mapping = split_by_tier(self._table, numbers)
         self._kept[id(bodies)] = (bodies, numbers, mapping)
         if len(self._kept) > MAX_CACHED_INDEX_MAPS_BY_TIER:
             self._kept.popitem(last=False)
         return mapping
 
     def invalidate(self) -> None:
-        """Note that bodies changed tiers, came or went; what nobody asked for since is gone."""
+        """Drop all maps after bodies changed; forget tuples that were not used since the last time."""
         kept = list(self._kept.items())
         self._kept.clear()
         for number, (bodies, numbers, mapping) in kept:

@@ -30,17 +30,17 @@ if TYPE_CHECKING:
     from zensim.sim_server.physics.kinematic.planar_vehicle import PlanarPlan, PlanarVehicle
 
 SETTLED_S = 0.3
-"""For how long a robot has been alone and even before it leaves full dynamics."""
+"""Time for which a robot is clear and rolls evenly before it leaves full dynamics."""
 LEVEL_TOLERANCE = 0.01
-"""Most of the x and y of a quaternion that stands upright."""
+"""Maximum x and y of the quaternion of an upright robot."""
 GROUND_TOLERANCE_M = 0.01
-"""How far from the ground the lowest point may be."""
+"""Maximum distance of the lowest point from the ground."""
 TWIST_TOLERANCE_M_S, TWIST_TOLERANCE_RAD_S = 0.03, 0.15
-"""How far twists may differ from what the wheels say."""
+"""Maximum difference of a twist from that of the wheels."""
 MAX_RISE_M_S, MAX_ROCK_RAD_S = 0.005, 0.05
-"""How fast it may still rise, sink and rock."""
+"""Maximum vertical speed and roll or pitch rate."""
 TARGET_TOLERANCE_M_S = 0.05
-"""How far rims may be from the speed that is asked for."""
+"""Maximum difference of rim speeds from their targets."""
 
 
 def is_level_on_ground(base: FloatArray, low: float) -> bool:
@@ -50,7 +50,7 @@ def is_level_on_ground(base: FloatArray, low: float) -> bool:
 
 
 def matches_planar_twist(base: FloatArray, twist: FloatArray) -> bool:
-    """Whether a root link moves as a twist (3,) along its heading says."""
+    """Whether a root link moves with a twist (3,) along its heading."""
     ahead, left = _velocity_along_heading(base)
     return bool(
         abs(ahead - twist[0]) < TWIST_TOLERANCE_M_S
@@ -61,11 +61,13 @@ def matches_planar_twist(base: FloatArray, twist: FloatArray) -> bool:
     )
 
 
-def has_reached_targets(vehicle: PlanarVehicle, told: FloatArray, velocities: FloatArray) -> bool:
-    """Whether wheels turn as told, and nothing else moves."""
+def has_reached_targets(
+    vehicle: PlanarVehicle, targets: FloatArray, velocities: FloatArray
+) -> bool:
+    """Whether wheels turn at their targets, and no other joint moves."""
     driven = list(vehicle.driven.joints)
     radii = np.array([wheel.radius_m for wheel in vehicle.wheels[: len(driven)]])
-    missing = (told[list(vehicle.driven.places)] - velocities[driven]) * radii
+    missing = (targets[list(vehicle.driven.places)] - velocities[driven]) * radii
     wheels = {wheel.joint for wheel in vehicle.wheels}
     others = [joint for joint in range(vehicle.joint_count) if joint not in wheels]
     return bool(
@@ -82,19 +84,20 @@ def _velocity_along_heading(base: FloatArray) -> tuple[float, float]:
 
 
 WAKING_TURN_RAD_S = 1e-9
-"""An engine makes a body that moves anew [rad/s]."""
+"""Yaw rate [rad/s] at which an engine makes a body awake."""
 MIN_RADIUS_M = 1e-3
-"""Radius of what collides with nothing."""
+"""Radius of a body without collisions."""
 
 
 class TieredBodies:
-    """Rows, who drives flat among them, and the full engine that has all others.
+    """All bodies: rows of kinematic robots, and numbers of the others in the full engine.
 
     Attributes:
-        numbers: The row of each body of the full engine.
-        movers: Those of them that can move, and `moving_rows` theirs.
-        told: Rows of robots that were commanded since they rested.
-        held: How many may be in the kinematic tier.
+        numbers: Row by number in the full engine.
+        movers: Those numbers whose bodies can move.
+        moving_rows: Their rows.
+        commanded: Rows of robots that were commanded since they were at rest.
+        held_count: Number of robots that may be in the kinematic tier.
     """
 
     def __init__(self, full: Engine, corners: MeshTriangles, dt_s: float, period_s: float) -> None:
@@ -115,7 +118,7 @@ class TieredBodies:
         self._last: tuple[tuple[int, ...], BodyStates] | None = None
 
     def add(self, model: Model, plan: PlanarPlan | None, *, is_auto: bool) -> int:
-        """Make a row of a body that is in no engine yet."""
+        """Add a row for a body that is not in the full engine."""
         rows, row = self.rows, self.rows.allocate()
         self.models[row] = model
         rows.tier[row] = Tier.KINEMATIC
@@ -132,7 +135,7 @@ class TieredBodies:
         return row
 
     def remove(self, row: int) -> None:
-        """Forget a body, in whatever tier it is."""
+        """Remove a body from its tier."""
         if self.rows.full[row] >= 0:
             self.move_to_kinematic(row)
         if self.rows.is_held[row]:
@@ -146,18 +149,18 @@ class TieredBodies:
         self._invalidate()
 
     def register_full(self, row: int, number: int) -> None:
-        """Note that a body is one of the full engine."""
+        """Record the number of a body in the full engine."""
         rows = self.rows
         rows.full[row], rows.tier[row] = number, Tier.FULL
         self.numbers[number] = row
         self._invalidate()
 
     def move_to_full(self, row: int, *, at_once: bool = False) -> int:
-        """Find the number of a body in the full engine; put it there if it is not.
+        """Add a body to the full engine if it is not there, and return its number.
 
         Args:
             row: Its row.
-            at_once: Whether it must move in the next step: what slept in an engine stands for one.
+            at_once: Whether it must move in the next step; a sleeping body wakes a step later.
         """
         rows = self.rows
         if rows.full[row] < 0:
@@ -173,13 +176,13 @@ class TieredBodies:
         return int(rows.full[row])
 
     def add_guest(self, row: int, turning: float = 0.0) -> int:
-        """Make a body in the full engine where a kinematic one is, turning so fast [rad/s]."""
+        """Add a copy of a kinematic body to the full engine, with a yaw rate [rad/s]."""
         state = self.rows.states(np.array([row]))[0]
         state[7:12], state[12] = 0.0, turning
         return self._full.add(self.models[row], state)
 
     def move_to_kinematic(self, row: int) -> None:
-        """Take a body out of the full engine."""
+        """Remove a body from the full engine."""
         number = int(self.rows.full[row])
         self._full.remove(number)
         del self.numbers[number]
@@ -187,7 +190,7 @@ class TieredBodies:
         self._invalidate()
 
     def set_state(self, row: int, base: FloatArray) -> None:
-        """Note where a body was put (13,)."""
+        """Record the state (13,) of a body that a request set."""
         if self.rows.is_static[row]:
             self._pending_outlines[row] = base.copy()
         elif self.held_count:
@@ -197,22 +200,22 @@ class TieredBodies:
         self._is_gathered = False
 
     def record_states(self, rows: IntColumn, base: FloatArray) -> None:
-        """Note where bodies are (n, 13)."""
-        known, yaw = self.rows, to_yaw(base[:, 3:7])
-        known.place[:, rows] = base[:, :3].T
-        known.turn_to(rows, yaw)
-        sin, cos = known.half[:, rows]
+        """Record the states (n, 13) of bodies."""
+        table, yaw = self.rows, to_yaw(base[:, 3:7])
+        table.place[:, rows] = base[:, :3].T
+        table.turn_to(rows, yaw)
+        sin, cos = table.half[:, rows]
         x, y, z, w = base[:, 3:7].T
-        known.tilt[:, rows] = (
+        table.tilt[:, rows] = (
             *(cos * x + sin * y, cos * y - sin * x),
             *(cos * z - sin * w, cos * w + sin * z),
         )
-        cos, sin = known.headings(rows)
-        known.twist[:2, rows] = rotate_by_heading(base[:, 7], base[:, 8], (cos, -sin))
-        known.twist[2, rows] = base[:, 12]
+        cos, sin = table.headings(rows)
+        table.twist[:2, rows] = rotate_by_heading(base[:, 7], base[:, 8], (cos, -sin))
+        table.twist[2, rows] = base[:, 12]
 
     def stand_still(self, row: int, positions: FloatArray | None) -> None:
-        """Let a robot stand, its joints at `positions` or zero, and told nothing."""
+        """Set the joints of a robot to `positions` or zero, and its targets to zero."""
         count = int(self.rows.joint_count[row])
         angles = np.zeros(count) if positions is None else positions
         self.commanded.discard(row)
@@ -220,29 +223,29 @@ class TieredBodies:
         self.kinematic.set_joints(row, angles, np.zeros(count))
 
     def read_full(self, numbers: tuple[int, ...]) -> BodyStates:
-        """Read bodies of the full engine, those that were asked for last not again in a step."""
+        """Read bodies of the full engine; the last tuple is cached for a step."""
         if self._last is None or self._last[0] != numbers:
             self._last = (numbers, self._full.read(numbers))
         return self._last[1]
 
     def invalidate_reading(self) -> None:
-        """Note that bodies of the full engine are elsewhere."""
+        """Drop the cached states of the full engine."""
         self._last = None
 
     def gather(self) -> None:
-        """Find who is where, if that has changed."""
+        """Update rows, outlines and radii after changes."""
         if self._is_gathered:
             return
-        known = self.rows
+        table = self.rows
         for row, base in self._pending_outlines.items():
             self.surroundings.set_outline(row, find_outline(self.models[row], base, self._corners))
         self._pending_outlines.clear()
         self.kinematic.gather()
         self.surroundings.gather()
-        self.moving_rows = np.flatnonzero((known.tier == Tier.FULL) & ~known.is_static)
-        self.movers = tuple(known.full[self.moving_rows].tolist())
-        for row in self.moving_rows[known.radius[self.moving_rows] <= 0.0].tolist():
-            known.radius[row] = max(
+        self.moving_rows = np.flatnonzero((table.tier == Tier.FULL) & ~table.is_static)
+        self.movers = tuple(table.full[self.moving_rows].tolist())
+        for row in self.moving_rows[table.radius[self.moving_rows] <= 0.0].tolist():
+            table.radius[row] = max(
                 find_bounding_radius(self.models[row], self._corners, unlimited_m=0.0), MIN_RADIUS_M
             )
         self._is_gathered = True
@@ -254,14 +257,11 @@ class TieredBodies:
 
 
 FALL_MARGIN_M_S2 = 20.0
-"""What anything loose may gain between two looks."""
+"""Bound of the acceleration of bodies in the full engine."""
 
 
 class TierSwitcher:
-    """Moves `auto` robots between the tiers.
-
-    Robots are taken in the order of their rows, so that the same requests give the same bodies.
-    """
+    """Moves `auto` robots between the tiers, in the order of their rows, for repeatability."""
 
     def __init__(self, bodies: TieredBodies, period_s: float) -> None:
         self._bodies = bodies
@@ -270,27 +270,27 @@ class TierSwitcher:
         self._last_states: dict[int, FloatArray] = {}
 
     def forget(self, row: int) -> None:
-        """Note that a robot was taken out, or set to rest."""
+        """Reset the settling time of a robot."""
         self._settled_s.pop(row, None)
 
     def update(self) -> None:
-        """See where all are, and change the tiers of those that have to or may."""
+        """Check proximity, and move robots to the tier that they need."""
         bodies, rows = self._bodies, self._bodies.rows
         bodies.gather()
         self._read_full_bodies()
         if not rows.is_auto.any():
             return
         bodies.kinematic.update_speed_bounds()
-        sight = bodies.surroundings.find_near()
+        proximity = bodies.surroundings.find_near()
         discs = bodies.surroundings.discs
-        needs_full = sight.is_near | rows.exceeds_limits[discs]
+        needs_full = proximity.is_near | rows.exceeds_limits[discs]
         is_flat = rows.is_auto[discs] & (rows.full[discs] < 0)
         for row in discs[is_flat & needs_full].tolist():
             bodies.move_to_full(row)
-        self._release_settled(sight, discs)
+        self._release_settled(proximity, discs)
 
     def find_overlapping(self, row: int) -> tuple[list[int], bool]:
-        """Find whose discs a disc reaches into now, and whether it reaches an edge."""
+        """Find the rows of discs that a disc overlaps now, and whether it overlaps an edge."""
         self._bodies.gather()
         if self._bodies.movers:
             self._read_full_bodies()
@@ -302,34 +302,34 @@ class TierSwitcher:
             return
         reading, moving = bodies.read_full(bodies.movers), bodies.moving_rows
         base = reading.base
-        good = np.isfinite(base).all(axis=1)
-        bodies.record_states(moving[good], base[good])
+        is_finite = np.isfinite(base).all(axis=1)
+        bodies.record_states(moving[is_finite], base[is_finite])
         self._last_states = dict(zip(moving.tolist(), base, strict=True))
         speed = np.linalg.norm(base[:, 7:10], axis=1)
-        falling = np.where(speed > MOVING_M_S, speed + FALL_MARGIN_M_S2 * self._period_s, 0.0)
-        rows.pace[moving] = np.where(good, falling, 0.0)
+        speed_bound = np.where(speed > MOVING_M_S, speed + FALL_MARGIN_M_S2 * self._period_s, 0.0)
+        rows.pace[moving] = np.where(is_finite, speed_bound, 0.0)
         counts = rows.joint_count[moving]
         is_held = rows.is_held[moving]
         at = np.cumsum(counts) - counts
-        mine = expand_ranges(at[is_held], counts[is_held])[1]
+        own = expand_ranges(at[is_held], counts[is_held])[1]
         pooled = expand_ranges(rows.joint_start[moving[is_held]], counts[is_held])[1]
-        bodies.kinematic.positions.numbers[pooled] = reading.joint_positions[mine]
-        bodies.kinematic.velocities[pooled] = reading.joint_velocities[mine]
+        bodies.kinematic.positions.numbers[pooled] = reading.joint_positions[own]
+        bodies.kinematic.velocities[pooled] = reading.joint_velocities[own]
 
     def _release_settled(
-        self, sight: ProximityResult, discs: np.ndarray[tuple[int], np.dtype[np.intp]]
+        self, proximity: ProximityResult, discs: np.ndarray[tuple[int], np.dtype[np.intp]]
     ) -> None:
         rows = self._bodies.rows
         is_full = rows.is_auto[discs] & (rows.full[discs] >= 0)
-        is_calm = is_full & sight.is_alone & ~rows.exceeds_limits[discs]
-        for row in discs[is_full & ~is_calm].tolist():
+        is_settled = is_full & proximity.is_clear & ~rows.exceeds_limits[discs]
+        for row in discs[is_full & ~is_settled].tolist():
             self._settled_s[row] = 0.0
-        for row in discs[is_calm].tolist():
-            calm_s = self._settled_s.get(row, 0.0) + self._period_s
-            if calm_s >= SETTLED_S and self._may_become_kinematic(row):
+        for row in discs[is_settled].tolist():
+            settled_s = self._settled_s.get(row, 0.0) + self._period_s
+            if settled_s >= SETTLED_S and self._may_become_kinematic(row):
                 self._bodies.move_to_kinematic(row)
-                calm_s = 0.0
-            self._settled_s[row] = min(calm_s, SETTLED_S)
+                settled_s = 0.0
+            self._settled_s[row] = min(settled_s, SETTLED_S)
 
     def _may_become_kinematic(self, row: int) -> bool:
         bodies, base = self._bodies, self._last_states.get(row)

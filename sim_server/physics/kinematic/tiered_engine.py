@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from zensim.sim_server.physics.kinematic.tier_body_table import TierIndexMap
 
 PROXIMITY_PERIOD_S = 0.02
-"""How often robots look around, or once a step if that is longer."""
-MAX_TRIED_MODELS = 256
+"""Period of proximity checks; at least one step."""
+MAX_VERIFIED_MODELS = 256
 
 
 class TieredEngine(EngineLayer):
-    """Robots in the kinematic tier, and all else in a full engine; `auto` robots change over."""
+    """Robots in the kinematic tier, all else in a full engine; `auto` robots switch."""
 
     def __init__(self, full: Engine, config: EngineConfig, default: Dynamics) -> None:
         super().__init__(full)
@@ -43,7 +43,7 @@ class TieredEngine(EngineLayer):
         self._steps_to_check = 0
         self._bodies = TieredBodies(full, self._plans.corners, dt_s, self._every * dt_s)
         self._switcher = TierSwitcher(self._bodies, self._every * dt_s)
-        self._tried: dict[int, Model] = {}
+        self._verified: dict[int, Model] = {}
 
     def tier_of(self, body: int) -> TierName:
         """See `Engine.tier_of`."""
@@ -55,7 +55,7 @@ class TieredEngine(EngineLayer):
         return int((self._bodies.rows.tier == Tier.KINEMATIC).sum())
 
     def add(self, model: Model, base: FloatArray) -> int:
-        """See `Engine.add`; refuses also a model that asks for the kinematic tier and cannot."""
+        """See `Engine.add`; also refuses a model that requires the kinematic tier and cannot use it."""
         bodies, plan = self._bodies, self._plans.plan(model)
         is_auto = self._plans.dynamics(model) == "auto"
         number = -1
@@ -75,7 +75,7 @@ class TieredEngine(EngineLayer):
         self._switcher.forget(body)
 
     def hide(self, body: int) -> None:
-        """See `Engine.hide`; who is kinematic costs nothing and stands where it will be."""
+        """See `Engine.hide`; kinematic bodies are not hidden."""
         if (number := int(self._bodies.rows.full[body])) >= 0:
             self._inner.hide(number)
 
@@ -85,7 +85,7 @@ class TieredEngine(EngineLayer):
         self._inner.show(numbers[numbers >= 0].tolist())
 
     def find_overlaps(self, body: int) -> Sequence[int]:
-        """See `Engine.find_overlaps`; who is kinematic is asked of the full engine if need be."""
+        """See `Engine.find_overlaps`; kinematic bodies are added to the full engine if discs overlap."""
         bodies = self._bodies
         full = bodies.rows.full
         guests, is_by_edge = (
@@ -94,16 +94,16 @@ class TieredEngine(EngineLayer):
         if full[body] < 0 and not guests and not is_by_edge:
             return []
         guests = [row for row in (body, *guests) if full[row] < 0]
-        visits = {row: bodies.add_guest(row) for row in guests}
-        rows = {**bodies.numbers, **{visit: row for row, visit in visits.items()}}
-        mine = visits.get(body, int(full[body]))
+        guest_numbers = {row: bodies.add_guest(row) for row in guests}
+        rows = {**bodies.numbers, **{number: row for row, number in guest_numbers.items()}}
+        mine = guest_numbers.get(body, int(full[body]))
         found = sorted(rows[other] for other in self._inner.find_overlaps(mine))
-        for visit in visits.values():
-            self._inner.remove(visit)
+        for number in guest_numbers.values():
+            self._inner.remove(number)
         return found
 
     def find_overlaps_async(self, body: int) -> Callable[[], Sequence[int]]:
-        """See `Engine.find_overlaps_async`; where somebody is kinematic it is found at once."""
+        """See `Engine.find_overlaps_async`; synchronous if there are kinematic bodies."""
         number = int(self._bodies.rows.full[body])
         if number < 0 or self._bodies.held_count:
             found = self.find_overlaps(body)
@@ -122,9 +122,9 @@ class TieredEngine(EngineLayer):
         base = np.empty((mapping.count, 13))
         positions, velocities = np.empty(mapping.joint_count), np.empty(mapping.joint_count)
         base[kinematic.places] = self._bodies.rows.states(mapping.at)
-        flat = self._bodies.kinematic
-        positions[kinematic.joints] = flat.positions.numbers[mapping.pooled_joints]
-        velocities[kinematic.joints] = flat.velocities[mapping.pooled_joints]
+        robots = self._bodies.kinematic
+        positions[kinematic.joints] = robots.positions.numbers[mapping.pooled_joints]
+        velocities[kinematic.joints] = robots.velocities[mapping.pooled_joints]
         reading = self._bodies.read_full(mapping.bodies)
         base[full.places] = reading.base
         positions[full.joints] = reading.joint_positions
@@ -132,15 +132,15 @@ class TieredEngine(EngineLayer):
         return BodyStates(base, positions, velocities)
 
     def _read_kinematic(self, mapping: TierIndexMap) -> BodyStates:
-        flat = self._bodies.kinematic
+        kinematic = self._bodies.kinematic
         return BodyStates(
             self._bodies.rows.states(mapping.at),
-            flat.positions.numbers[mapping.pooled_joints],
-            flat.velocities[mapping.pooled_joints],
+            kinematic.positions.numbers[mapping.pooled_joints],
+            kinematic.velocities[mapping.pooled_joints],
         )
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
-        """See `Engine.set_base_state`; who is always kinematic keeps the twist that its wheels give it."""
+        """See `Engine.set_base_state`; an always kinematic robot keeps the twist of its wheels."""
         if not self._stays_kinematic(body, base):
             self._inner.set_base_state(self._bodies.move_to_full(body), base)
         self._bodies.set_state(body, base)
@@ -157,7 +157,7 @@ class TieredEngine(EngineLayer):
         bodies.set_state(body, base)
 
     def set_at_rest(self, body: int, base: FloatArray, positions: FloatArray | None = None) -> None:
-        """See `Engine.set_at_rest`; who may be kinematic there is so from now on."""
+        """See `Engine.set_at_rest`; a robot that may be kinematic there becomes so."""
         bodies, rows = self._bodies, self._bodies.rows
         if rows.is_held[body]:
             self._switcher.forget(body)
@@ -183,21 +183,21 @@ class TieredEngine(EngineLayer):
             self._inner.command(mapping.bodies, targets[mapping.full.targets])
 
     def apply_link_wrench(self, body: int, link: int, wrench: FloatArray) -> None:
-        """See `Engine.apply_link_wrench`; who is always kinematic does not mind."""
+        """See `Engine.apply_link_wrench`; no effect on robots that are always kinematic."""
         if self._can_be_pushed(body):
             self._inner.apply_link_wrench(
                 self._bodies.move_to_full(body, at_once=True), link, wrench
             )
 
     def apply_joint_effort(self, body: int, joint: int, effort: float) -> None:
-        """See `Engine.apply_joint_effort`; who is always kinematic does not mind."""
+        """See `Engine.apply_joint_effort`; no effect on robots that are always kinematic."""
         if self._can_be_pushed(body):
             self._inner.apply_joint_effort(
                 self._bodies.move_to_full(body, at_once=True), joint, effort
             )
 
     def step(self) -> bool:
-        """See `Engine.step`: look around, go, and then all that is full."""
+        """See `Engine.step`: check proximity, move kinematic robots, then step the full engine."""
         bodies = self._bodies
         if not bodies.held_count:
             return self._inner.step()
@@ -217,30 +217,32 @@ class TieredEngine(EngineLayer):
             kinematic.commit(twists, way, self._bodies.surroundings.find_free_fractions(way))
 
     def _verify_model(self, model: Model, base: FloatArray) -> None:
-        """See that the full engine takes a model, before it has to."""
-        if id(model) in self._tried:
+        """Check that the full engine accepts a model, before a robot switches to it."""
+        if id(model) in self._verified:
             return
         self._inner.remove(self._inner.add(model, base))
-        self._tried[id(model)] = model
-        if len(self._tried) > MAX_TRIED_MODELS:
-            del self._tried[next(iter(self._tried))]
+        self._verified[id(model)] = model
+        if len(self._verified) > MAX_VERIFIED_MODELS:
+            del self._verified[next(iter(self._verified))]
 
     def _starts_kinematic(self, base: FloatArray, low: float) -> bool:
         return self._is_on_flat_ground(base, low) and not base[7:].any()
 
     def _is_on_flat_ground(self, base: FloatArray, low: float) -> bool:
-        """Whether a robot put at `base` stands on the plane."""
+        """Whether a robot at `base` stands upright on the ground plane."""
         return self._has_flat_ground and is_level_on_ground(base, low)
 
     def _stays_kinematic(self, body: int, base: FloatArray) -> bool:
-        """Whether a robot put at `base` needs no full engine, if it is not in it now."""
+        """Whether a kinematic robot that is moved to `base` remains kinematic."""
         rows = self._bodies.rows
         if rows.full[body] >= 0:
             return False
         if not rows.is_auto[body]:
             return True
-        goes = not base[7:].any() or matches_planar_twist(base, self._bodies.kinematic.twist(body))
-        return goes and self._is_on_flat_ground(base, float(rows.heights[0, body]))
+        is_rolling = not base[7:].any() or matches_planar_twist(
+            base, self._bodies.kinematic.twist(body)
+        )
+        return is_rolling and self._is_on_flat_ground(base, float(rows.heights[0, body]))
 
     def _can_be_pushed(self, body: int) -> bool:
         rows = self._bodies.rows

@@ -1,4 +1,4 @@
-"""Solids: extents, corners, and whether two overlap, against what geometry says."""
+"""Bounds, reach and overlaps of convex shapes agree with closed forms."""
 
 import math
 
@@ -49,14 +49,14 @@ def ball(centre: tuple[float, float, float], radius: float) -> ConvexShape:
         (Shape("capsule", (0.5, 2.0, 0.0)), (0.5, 0.5, 1.5)),
     ],
 )
-def test_extents_are_those_of_the_shape(shape: Shape, high: tuple[float, float, float]) -> None:
+def test_bounds_are_those_of_the_shape(shape: Shape, high: tuple[float, float, float]) -> None:
     low_found, high_found = solid_of(shape).bounds_at(at(1.0, 0.0, 0.0)[None])
 
     assert high_found[0] == pytest.approx([1.0 + high[0], high[1], high[2]])
     assert low_found[0] == pytest.approx([1.0 - high[0], -high[1], -high[2]])
 
 
-def test_extents_of_a_turned_cylinder_are_exact() -> None:
+def test_bounds_of_a_rotated_cylinder_are_exact() -> None:
     solid = solid_of(Shape("cylinder", (0.5, 2.0, 0.0)))
 
     _, high = solid.bounds_at(at(0.0, 0.0, 0.0, turn=(math.pi / 4.0, 0.0, 0.0))[None])
@@ -64,7 +64,7 @@ def test_extents_of_a_turned_cylinder_are_exact() -> None:
     assert high[0] == pytest.approx([0.5, 1.5 * math.sqrt(0.5), 1.5 * math.sqrt(0.5)])
 
 
-def test_planes_are_no_solids() -> None:
+def test_planes_are_left_out() -> None:
     assert (
         list(
             list_collision_shapes(Model("m", (Link("l", collisions=(Shape("plane"),)),)), NO_MESHES)
@@ -75,7 +75,7 @@ def test_planes_are_no_solids() -> None:
 
 @settings(max_examples=40)
 @given(points, sizes)
-def test_a_ball_and_a_box_overlap_when_the_nearest_point_is_near(
+def test_sphere_overlaps_a_box_within_its_radius(
     centre: tuple[float, float, float], radius: float
 ) -> None:
     gap = math.hypot(*(max(abs(part) - 0.5, 0.0) for part in centre))
@@ -87,7 +87,7 @@ def test_a_ball_and_a_box_overlap_when_the_nearest_point_is_near(
 
 @settings(max_examples=40)
 @given(points, sizes)
-def test_a_ball_and_a_cylinder_overlap_when_the_nearest_point_is_near(
+def test_sphere_overlaps_a_cylinder_within_its_radius(
     centre: tuple[float, float, float], radius: float
 ) -> None:
     x, y, z = centre
@@ -100,7 +100,7 @@ def test_a_ball_and_a_cylinder_overlap_when_the_nearest_point_is_near(
 
 @settings(max_examples=25)
 @given(st.lists(points, min_size=1, max_size=9), st.lists(points, min_size=1, max_size=9))
-def test_overlap_is_the_same_both_ways_and_holds_for_shared_points(
+def test_overlap_is_symmetric_and_true_for_shared_points(
     one: list[tuple[float, float, float]], other: list[tuple[float, float, float]]
 ) -> None:
     left, right = ConvexShape(np.array(one)), ConvexShape(np.array(other))
@@ -110,7 +110,7 @@ def test_overlap_is_the_same_both_ways_and_holds_for_shared_points(
     assert are_overlapping(left, shared)
 
 
-def test_outermost_points_are_the_corners_of_a_box() -> None:
+def test_extreme_points_of_a_box_are_its_corners() -> None:
     inner = np.random.default_rng(1).uniform(-0.4, 0.4, (200, 3))
 
     found = find_extreme_points(np.vstack([inner, UNIT_CUBE]))
@@ -122,7 +122,7 @@ def test_outermost_points_are_the_corners_of_a_box() -> None:
     st.lists(st.floats(-0.5, 0.5), min_size=1, max_size=1),
     st.sampled_from(["revolute", "prismatic"]),
 )
-def test_reach_is_never_less_than_where_a_collision_is(position: float, kind: JointKind) -> None:
+def test_bounding_radius_holds_all_collisions(position: float, kind: JointKind) -> None:
     arm = an_arm(kind)
     tip = Link("arm", collisions=(Shape("box", (0.1, 0.2, 0.3), Origin((0.4, 0.0, 0.0))),))
     model = msgspec.structs.replace(arm, links=(arm.links[0], tip))
@@ -135,7 +135,7 @@ def test_reach_is_never_less_than_where_a_collision_is(position: float, kind: Jo
     assert farthest <= find_bounding_radius(model, NO_MESHES) + 1e-9
 
 
-def test_reach_of_a_joint_without_limits_has_none() -> None:
+def test_bounding_radius_of_an_unlimited_joint_is_infinite() -> None:
     arm = an_arm("prismatic")
     free = msgspec.structs.replace(arm.joints[0], lower=0.0, upper=0.0)
     tip = Link("arm", collisions=(Shape("sphere", (0.1, 0.0, 0.0)),))

@@ -1,4 +1,4 @@
-"""What never moves, as edges on the ground."""
+"""Static models become edges in the plane."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def standing(shape: Shape) -> Model:
     return Model("post", (Link("base", collisions=(shape,)),), is_static=True)
 
 
-def test_box_is_four_edges_as_high_as_it_is() -> None:
+def test_box_has_four_edges_of_its_height() -> None:
     box = standing(Shape("box", (2.0, 4.0, 1.0)))
 
     edges = find_outline(box, a_state((10.0, 0.0, 0.5), turn=(0.0, 0.0, np.pi / 2.0)), NOWHERE)
@@ -30,7 +30,7 @@ def test_box_is_four_edges_as_high_as_it_is() -> None:
     assert edges.heights == pytest.approx(np.tile([[0.0, 1.0]], (4, 1)))
 
 
-def test_small_round_post_is_a_thick_point() -> None:
+def test_small_sphere_is_one_thick_point() -> None:
     edges = find_outline(
         standing(Shape("sphere", (0.2, 0.0, 0.0))), a_state((1.0, 2.0, 0.2)), NOWHERE
     )
@@ -40,7 +40,7 @@ def test_small_round_post_is_a_thick_point() -> None:
 
 
 @pytest.mark.parametrize("kind", ["sphere", "capsule", "cylinder"])
-def test_large_round_post_is_a_polygon_about_it(kind: str) -> None:
+def test_large_round_shape_is_a_polygon_about_it(kind: str) -> None:
     shape = Shape(kind, (2.0, 1.0, 0.0))  # type: ignore[arg-type]
 
     edges = find_outline(standing(shape), a_state(), NOWHERE)
@@ -50,11 +50,11 @@ def test_large_round_post_is_a_polygon_about_it(kind: str) -> None:
     assert (np.hypot(*edges.ends[:, :2].T) < 2.1).all()
 
 
-def test_plane_and_nothing_have_no_edges() -> None:
+def test_plane_has_no_edges() -> None:
     assert len(find_outline(standing(Shape("plane")), a_state(), NOWHERE)) == 0
 
 
-def test_mesh_is_each_of_its_triangles() -> None:
+def test_mesh_has_the_edges_of_each_triangle() -> None:
     triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
     shape = Shape("mesh", (1.0, 1.0, 1.0), Origin((5.0, 0.0, 0.0)), mesh="a")
 
@@ -67,7 +67,7 @@ def test_mesh_is_each_of_its_triangles() -> None:
 
 @settings(max_examples=80, deadline=None)
 @given(arrays(np.float64, (12, 2), elements=st.floats(-5.0, 5.0).map(lambda x: round(x, 2))))
-def test_hull_has_all_its_points_on_one_side_of_each_edge(flat: FloatArray) -> None:
+def test_hull_contains_all_points(flat: FloatArray) -> None:
     edges = find_hull_edges(flat)
 
     first, along = edges[:, :2], edges[:, 2:] - edges[:, :2]

@@ -1,4 +1,4 @@
-"""Cells in other processes: nobody can tell, but by the time it takes."""
+"""Cells in worker processes give the results of cells in one process."""
 
 import os
 import signal
@@ -24,7 +24,7 @@ ORDERS = CellConfig("pybullet", EngineConfig(STEP_NS))
 
 
 @contextmanager
-def worked(workers: int) -> Iterator[tuple[CelledEngine, WorkerCellExecutor]]:
+def with_workers(workers: int) -> Iterator[tuple[CelledEngine, WorkerCellExecutor]]:
     cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=workers)
     engine = CelledEngine(ORDERS.config, cells, SETTINGS)
     try:
@@ -34,7 +34,7 @@ def worked(workers: int) -> Iterator[tuple[CelledEngine, WorkerCellExecutor]]:
 
 
 @contextmanager
-def here() -> Iterator[CelledEngine]:
+def in_process() -> Iterator[CelledEngine]:
     engine = CelledEngine(ORDERS.config, InProcessCellExecutor(ORDERS.make), SETTINGS)
     try:
         yield engine
@@ -42,8 +42,8 @@ def here() -> Iterator[CelledEngine]:
         engine.close()
 
 
-def a_mixed_crowd(engine: Engine) -> bytes:
-    """Drive all kinds of robots among walls for 2 s, push them, place them and take some out."""
+def drive_mixed_robots(engine: Engine) -> bytes:
+    """Drive robots of all kinds among walls for 2 s; push, move and remove some."""
     draws, model = np.random.default_rng(3), a_cart()
     engine.add(a_box(side_m=0.5, is_static=True), a_state((0.0, 0.0, 0.25)))
     places = draws.uniform(-2.0, 2.0, (12, 2)).tolist()
@@ -73,15 +73,15 @@ def a_mixed_crowd(engine: Engine) -> bytes:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_workers_give_the_bits_of_one_process_whoever_has_which_cell(workers: int) -> None:
-    with here() as alone, worked(workers) as (shared, cells):
-        assert a_mixed_crowd(shared) == a_mixed_crowd(alone)
+def test_workers_give_the_bits_of_one_process(workers: int) -> None:
+    with in_process() as alone, with_workers(workers) as (shared, cells):
+        assert drive_mixed_robots(shared) == drive_mixed_robots(alone)
 
         assert len(cells.process_ids) == workers
 
 
 def test_workers_are_not_started_for_one_cell() -> None:
-    with worked(2) as (engine, cells):
+    with with_workers(2) as (engine, cells):
         for x in (0.0, 5.0):
             engine.add(a_cart(), on_ground(x))
         advance(engine, 5)
@@ -90,7 +90,7 @@ def test_workers_are_not_started_for_one_cell() -> None:
 
 
 def test_workers_end_with_the_engine() -> None:
-    with worked(1) as (engine, cells):
+    with with_workers(1) as (engine, cells):
         for x in range(4):
             engine.add(a_cart(), on_ground(5.0 * x))
         engine.step()
@@ -100,20 +100,20 @@ def test_workers_end_with_the_engine() -> None:
     assert not psutil.pid_exists(worker)
 
 
-def test_worker_that_dies_is_told_of_in_the_next_step() -> None:
-    with worked(1) as (engine, cells):
+def test_death_of_a_worker_is_raised_in_the_next_step() -> None:
+    with with_workers(1) as (engine, cells):
         for x in range(4):
             engine.add(a_cart(), on_ground(5.0 * x))
         engine.step()
 
         os.kill(cells.process_ids[0], signal.SIGKILL)
 
-        with pytest.raises(CellWorkerDied, match="engine worker 1 ended"):
+        with pytest.raises(CellWorkerDied):
             advance(engine, 2)
 
 
-def test_worker_refuses_what_its_engine_refuses_and_goes_on() -> None:
-    with worked(1) as (engine, _):
+def test_worker_continues_after_its_engine_refused_a_call() -> None:
+    with with_workers(1) as (engine, _):
         carts = tuple(engine.add(a_cart(), on_ground(5.0 * x)) for x in range(8))
         strange = msgspec.structs.replace(a_cart(), links=an_arm("planar").links)
         strange = msgspec.structs.replace(strange, joints=an_arm("planar").joints, drive=None)
@@ -129,9 +129,9 @@ def test_worker_refuses_what_its_engine_refuses_and_goes_on() -> None:
         )
 
 
-def test_worker_that_does_not_get_on_is_not_waited_for_while_bodies_are_made() -> None:
+def test_adding_bodies_does_not_wait_for_a_stopped_worker() -> None:
     model = a_cart()
-    with worked(1) as (engine, cells):
+    with with_workers(1) as (engine, cells):
         bodies = [engine.add(model, on_ground(5.0 * x)) for x in range(4)]
         engine.step()
         (worker,) = cells.process_ids
@@ -149,9 +149,9 @@ def test_worker_that_does_not_get_on_is_not_waited_for_while_bodies_are_made() -
         assert engine.read(bodies).base[:, 0] == pytest.approx([5.0 * x for x in range(40)])
 
 
-def test_overlaps_that_are_asked_for_soon_are_those_that_are_there() -> None:
+def test_async_overlaps_are_those_of_the_call() -> None:
     model = a_cart()
-    with worked(1) as (engine, _):
+    with with_workers(1) as (engine, _):
         bodies = [engine.add(model, on_ground(0.05 * x, 5.0 * (x // 2))) for x in range(8)]
         soon = [engine.find_overlaps_async(body) for body in bodies]
 
@@ -174,7 +174,7 @@ def test_workers_start_before_the_second_cell_is_needed() -> None:
         engine.close()
 
 
-def test_cells_are_shared_out_as_before_once_others_have_ended() -> None:
+def test_cells_are_shared_evenly_again_after_others_ended() -> None:
     cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=1)
     try:
         first = [cells.make() for _ in range(4)]

@@ -1,4 +1,4 @@
-"""Worlds in cells: nobody passes through anybody, and nobody can tell that there are cells."""
+"""A celled engine gives the contacts and results of one engine."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,13 +15,13 @@ from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSett
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
 
-LONELY = CellSettings(alone=1, most=1, period_steps=3)
+SINGLE_BODIES = CellSettings(alone=1, most=1, period_steps=3)
 """Each body has a cell of its own unless it may touch another."""
 PERIOD = 3
 
 
 class CountedCells(InProcessCellExecutor):
-    """Cells, counted."""
+    """Counts the cells of each step."""
 
     def __init__(self, make: Callable[[], Engine]) -> None:
         super().__init__(make)
@@ -33,8 +33,8 @@ class CountedCells(InProcessCellExecutor):
 
 
 @contextmanager
-def clustered(
-    settings: CellSettings = LONELY, config: EngineConfig | None = None
+def celled(
+    settings: CellSettings = SINGLE_BODIES, config: EngineConfig | None = None
 ) -> Iterator[tuple[CelledEngine, CountedCells]]:
     chosen = config or EngineConfig(STEP_NS)
     cells = CountedCells(partial(PyBulletEngine, chosen, awake=2))
@@ -51,7 +51,7 @@ def nearest(places: FloatArray) -> float:
 
 
 def closest_while_driving(engine: Engine, starts: list[FloatArray], steps: int) -> list[float]:
-    """Drive carts straight ahead; find how near two came to each other at each control period."""
+    """Drive carts straight ahead; list the least distance of two at each control period."""
     model = a_cart()
     bodies = tuple(engine.add(model, start) for start in starts)
     found = []
@@ -71,7 +71,7 @@ def head_on() -> list[FloatArray]:
 
 
 def a_ring(count: int, radius_m: float) -> list[FloatArray]:
-    """Carts that all look at the centre."""
+    """Place carts around the centre, facing it."""
     turns = np.arange(count) * 2.0 * np.pi / count
     return [
         on_ground(r * np.cos(turn), r * np.sin(turn), turn + np.pi)
@@ -84,12 +84,12 @@ def a_ring(count: int, radius_m: float) -> list[FloatArray]:
     [(head_on(), 600, 1), (a_ring(50, 1.7), 600, 4)],
     ids=["head-on", "pile"],
 )
-def test_clusters_let_nobody_pass_through_anybody(
+def test_carts_do_not_pass_through_each_other(
     starts: list[FloatArray], steps: int, most: int
 ) -> None:
     with running(PyBulletEngine) as one:
         in_one = closest_while_driving(one, starts, steps)
-    with clustered(CellSettings(alone=most, most=most, period_steps=PERIOD)) as (engine, cells):
+    with celled(CellSettings(alone=most, most=most, period_steps=PERIOD)) as (engine, cells):
         in_many = closest_while_driving(engine, starts, steps)
 
     assert min(in_one) < 0.35
@@ -98,8 +98,8 @@ def test_clusters_let_nobody_pass_through_anybody(
     assert cells.stepped[-1] < max(cells.stepped)
 
 
-def test_clusters_keep_the_order_of_carts_that_meet() -> None:
-    with clustered() as (engine, _):
+def test_carts_that_meet_keep_their_order() -> None:
+    with celled() as (engine, _):
         closest_while_driving(engine, head_on(), 1200)
 
         x = engine.read(range(8)).base[:, 0]
@@ -107,7 +107,7 @@ def test_clusters_keep_the_order_of_carts_that_meet() -> None:
     assert (x[0::2] < x[1::2]).all()
 
 
-def test_clusters_let_a_thrown_box_hit_what_stands_in_its_way() -> None:
+def test_thrown_box_hits_a_box_of_another_cell() -> None:
     def thrown(engine: Engine) -> FloatArray:
         target = engine.add(a_box(), a_state((5.0, 0.0, 0.1)))
         engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
@@ -116,25 +116,25 @@ def test_clusters_let_a_thrown_box_hit_what_stands_in_its_way() -> None:
         advance(engine, 240)
         return np.asarray(engine.read([target]).base[0])
 
-    with running(PyBulletEngine) as one, clustered() as (many, _):
+    with running(PyBulletEngine) as one, celled() as (many, _):
         assert thrown(one)[0] > 5.2
         assert thrown(many)[0] == pytest.approx(thrown(one)[0], rel=0.2)
 
 
-def test_clusters_let_a_kicked_box_hit_what_stands_in_its_way() -> None:
-    with clustered() as (engine, _):
+def test_pushed_box_hits_a_box_of_another_cell() -> None:
+    with celled() as (engine, _):
         target = engine.add(a_box(), a_state((1.5, 0.0, 0.1)))
-        kicked = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
+        pushed = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
         advance(engine, 30)
 
-        engine.apply_link_wrench(kicked, 0, np.array([6000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+        engine.apply_link_wrench(pushed, 0, np.array([6000.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
         advance(engine, 120)
 
         assert engine.read([target]).base[0, 0] > 1.6
 
 
-def test_clusters_stop_a_cart_at_a_wall_in_whatever_cell() -> None:
-    with clustered() as (engine, cells):
+def test_wall_stops_carts_of_all_cells() -> None:
+    with celled() as (engine, cells):
         carts = tuple(engine.add(a_cart(), on_ground(0.0, 5.0 * i)) for i in range(4))
         engine.add(a_box(side_m=1.0, is_static=True), a_state((1.0, 0.0, 0.5)))
         wall = engine.add(a_box(side_m=1.0, is_static=True), a_state((1.0, 10.0, 0.5)))
@@ -152,8 +152,8 @@ def test_clusters_stop_a_cart_at_a_wall_in_whatever_cell() -> None:
     assert freed[2] > 1.0
 
 
-def test_clusters_carry_joints_and_targets_along_when_a_cart_moves_house() -> None:
-    with running(PyBulletEngine) as one, clustered() as (many, cells):
+def test_joints_and_targets_move_with_a_cart_to_another_cell() -> None:
+    with running(PyBulletEngine) as one, celled() as (many, cells):
         rows = []
         for engine in (one, many):
             pair = tuple(engine.add(a_cart(), on_ground(0.0, y)) for y in (0.0, 0.55))
@@ -167,7 +167,7 @@ def test_clusters_carry_joints_and_targets_along_when_a_cart_moves_house() -> No
         assert found == pytest.approx(expected, abs=2e-3)
 
 
-def test_clusters_of_few_give_the_bits_of_one_world() -> None:
+def test_one_cell_gives_the_bits_of_one_engine() -> None:
     def driven(engine: Engine) -> bytes:
         bodies = tuple(engine.add(a_box_bot(), box_bot_at(0.2 * i)) for i in range(6))
         draws = np.random.default_rng(1)
@@ -180,13 +180,13 @@ def test_clusters_of_few_give_the_bits_of_one_world() -> None:
         reading = engine.read(left)
         return reading.base.tobytes() + reading.joint_positions.tobytes()
 
-    with running(PyBulletEngine) as one, clustered(CellSettings()) as (many, cells):
+    with running(PyBulletEngine) as one, celled(CellSettings()) as (many, cells):
         assert driven(many) == driven(one)
 
     assert not cells.stepped
 
 
-def a_crowd(engine: Engine) -> bytes:
+def drive_crowd(engine: Engine) -> bytes:
     draws, model = np.random.default_rng(7), a_cart()
     places = draws.uniform(-2.0, 2.0, (20, 2))
     bodies = tuple(engine.add(model, on_ground(x, y)) for x, y in places.tolist())
@@ -199,27 +199,27 @@ def a_crowd(engine: Engine) -> bytes:
     return reading.base.tobytes() + reading.joint_positions.tobytes()
 
 
-def test_clusters_give_the_same_bits_when_everything_is_done_again() -> None:
+def test_same_calls_give_the_same_bits() -> None:
     settings = CellSettings(alone=4, most=4, period_steps=3)
-    with clustered(settings) as (first, _), clustered(settings) as (second, _):
-        expected = a_crowd(first)
+    with celled(settings) as (first, _), celled(settings) as (second, _):
+        expected = drive_crowd(first)
 
-        assert a_crowd(second) == expected
+        assert drive_crowd(second) == expected
 
         first.forget_removed()
-        assert a_crowd(first) == expected
+        assert drive_crowd(first) == expected
 
 
-def test_clusters_keep_a_body_gone_bad_from_the_others() -> None:
-    with clustered() as (engine, _):
+def test_diverged_body_does_not_affect_other_cells() -> None:
+    with celled() as (engine, _):
         bodies = tuple(engine.add(a_cart(), on_ground(5.0 * i)) for i in range(3))
         advance(engine, 10)
         engine.set_base_state(bodies[1], np.full(13, np.nan))
 
-        is_well = [engine.step() for _ in range(20)]
+        succeeded = [engine.step() for _ in range(20)]
 
         base = engine.read(bodies).base
-        assert not all(is_well)
+        assert not all(succeeded)
         assert np.isfinite(base[[0, 2]]).all()
         engine.remove(bodies[1])
         engine.command((bodies[0],), np.array([4.0, 4.0]))
@@ -227,8 +227,8 @@ def test_clusters_keep_a_body_gone_bad_from_the_others() -> None:
         assert engine.read((bodies[0],)).base[0, 0] == pytest.approx(0.2, abs=0.03)
 
 
-def test_clusters_name_who_overlaps_in_another_cell() -> None:
-    with clustered() as (engine, _):
+def test_overlaps_across_cells_are_found() -> None:
+    with celled() as (engine, _):
         apart = [engine.add(a_box(), a_state((5.0 * i, 0.0, 0.1))) for i in range(3)]
         wall = engine.add(a_box(is_static=True), a_state((20.0, 0.0, 0.1)))
         advance(engine, 3)

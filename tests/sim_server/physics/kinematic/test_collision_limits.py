@@ -1,4 +1,4 @@
-"""Discs that stop before each other and before edges, whatever they want."""
+"""Discs stop before each other and before edges."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -32,7 +32,7 @@ def all_pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def nearest(start: FloatArray, way: FloatArray, pairs: tuple[np.ndarray, np.ndarray]) -> FloatArray:
-    """The least distance of pairs on their ways, by looking often."""
+    """Sample the least distance of pairs on their ways."""
     one, other = pairs
     apart, closing = start[one] - start[other], way[one] - way[other]
     times = np.linspace(0.0, 1.0, 101)[:, None, None]
@@ -41,9 +41,7 @@ def nearest(start: FloatArray, way: FloatArray, pairs: tuple[np.ndarray, np.ndar
 
 @settings(max_examples=60, deadline=None)
 @given(start=places, way=ways, radius=radii)
-def test_no_two_discs_come_nearer_than_they_may(
-    start: FloatArray, way: FloatArray, radius: FloatArray
-) -> None:
+def test_discs_keep_their_distance(start: FloatArray, way: FloatArray, radius: FloatArray) -> None:
     pairs = all_pairs(MANY)
 
     shares = limit_by_other_discs(some_moves(start, way, radius), *pairs, np.ones(MANY))
@@ -57,7 +55,7 @@ def test_no_two_discs_come_nearer_than_they_may(
 
 @settings(max_examples=60, deadline=None)
 @given(start=places, way=ways, radius=radii)
-def test_who_has_nobody_near_goes_all_the_way(
+def test_disc_without_neighbours_is_not_limited(
     start: FloatArray, way: FloatArray, radius: FloatArray
 ) -> None:
     pairs = all_pairs(MANY)
@@ -71,7 +69,7 @@ def test_who_has_nobody_near_goes_all_the_way(
     assert (shares[alone] == 1.0).all()
 
 
-def test_leader_goes_on_when_its_follower_runs_into_it() -> None:
+def test_follower_does_not_stop_its_leader() -> None:
     moves = some_moves(
         np.array([[0.0, 0.0], [0.21, 0.0]]), np.array([[0.5, 0.0], [0.1, 0.0]]), np.full(2, 0.1)
     )
@@ -82,7 +80,7 @@ def test_leader_goes_on_when_its_follower_runs_into_it() -> None:
     assert 0.0 < shares[0] < 0.3
 
 
-def test_discs_that_overlap_may_part_and_come_no_nearer() -> None:
+def test_overlapping_discs_may_separate_only() -> None:
     start = np.array([[0.0, 0.0], [0.1, 0.0]])
 
     parting = some_moves(start, np.array([[-0.1, 0.0], [0.0, 0.0]]), np.full(2, 0.1))
@@ -100,7 +98,7 @@ def test_discs_that_overlap_may_part_and_come_no_nearer() -> None:
     radius=radii,
     ends=arrays(np.float64, (5, 4), elements=st.floats(-3.0, 3.0)),
 )
-def test_no_disc_goes_through_an_edge(
+def test_disc_does_not_pass_through_an_edge(
     start: FloatArray, way: FloatArray, radius: FloatArray, ends: FloatArray
 ) -> None:
     disc, edge = (part.ravel() for part in np.meshgrid(np.arange(MANY), np.arange(5)))
@@ -115,7 +113,7 @@ def test_no_disc_goes_through_an_edge(
         assert (apart >= np.minimum(before, radius[disc]) - 1e-6).all()
 
 
-def test_disc_goes_along_a_wall_that_it_touches() -> None:
+def test_disc_may_slide_along_a_wall() -> None:
     moves = some_moves(np.array([[0.0, 0.101]]), np.array([[1.0, 0.0]]), np.array([0.1]))
 
     shares = limit_by_edges(moves, np.array([0]), np.array([[-5.0, 0.0, 5.0, 0.0]]), np.zeros(1))

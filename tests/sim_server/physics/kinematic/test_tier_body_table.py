@@ -1,4 +1,4 @@
-"""Sequences of bodies, parted by tier."""
+"""Sequences of bodies are split by tier, and the index maps are cached."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def three_rows() -> TierBodyTable:
     return rows
 
 
-def test_sequence_is_parted_and_every_number_has_its_place() -> None:
+def test_split_covers_all_joints_and_targets() -> None:
     found = split_by_tier(three_rows(), np.array([2, 0, 1]))
 
     assert found.bodies == (9, 7)
@@ -39,7 +39,7 @@ def test_sequence_is_parted_and_every_number_has_its_place() -> None:
     assert found.held_targets.tolist() == [0, 1, 2, 3, 4]
 
 
-def test_mapping_is_made_once_and_anew_after_a_change() -> None:
+def test_index_map_is_cached_until_a_change() -> None:
     rows = three_rows()
     mappings, bodies = TierIndexMapCache(rows), (0, 1)
     first = mappings.get(bodies)
@@ -51,7 +51,7 @@ def test_mapping_is_made_once_and_anew_after_a_change() -> None:
     assert mappings.get(bodies).bodies == (3, 7)
 
 
-def test_mapping_of_a_list_is_never_an_old_one() -> None:
+def test_index_map_of_a_list_is_not_cached() -> None:
     mappings, bodies = TierIndexMapCache(three_rows()), [0]
     mappings.get(bodies)
 
@@ -60,7 +60,7 @@ def test_mapping_of_a_list_is_never_an_old_one() -> None:
     assert mappings.get(bodies).bodies == (7,)
 
 
-def test_sequences_that_nobody_asks_for_are_forgotten() -> None:
+def test_unused_index_maps_are_dropped() -> None:
     mappings = TierIndexMapCache(three_rows())
     for number in range(50):
         mappings.get((0, 1, number % 3))

@@ -1,4 +1,4 @@
-"""Robots that change tiers by themselves: in time, evenly, and back again."""
+"""Auto robots switch to full dynamics before contact, smoothly, and back."""
 
 import math
 from itertools import pairwise
@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from tests.models import a_box, a_box_bot, a_state, box_bot_at
-from tests.sim_server.physics.kinematic.flat import DT_S, places, steps, two_tiers, with_dynamics
+from tests.sim_server.physics.kinematic.tiered_worlds import (
+    DT_S,
+    places,
+    steps,
+    two_tiers,
+    with_dynamics,
+)
 from zensim.proto.messages.model_messages import Dynamics
 
 EITHER: tuple[Dynamics, ...] = ("auto", "full")
@@ -16,7 +22,7 @@ SPEED = 15.0
 AHEAD = SPEED * 0.035
 
 
-def test_robot_alone_is_kinematic_and_so_is_who_stands_beside_another() -> None:
+def test_robot_without_moving_neighbours_is_kinematic() -> None:
     with two_tiers() as engine:
         alone = engine.add(a_box_bot(), box_bot_at())
         pair = [engine.add(a_box_bot(), box_bot_at(5.0, y)) for y in (0.0, 0.15)]
@@ -27,7 +33,7 @@ def test_robot_alone_is_kinematic_and_so_is_who_stands_beside_another() -> None:
         assert [engine.tier_of(body) for body in (alone, *pair)] == ["kinematic"] * 3
 
 
-def test_robots_are_full_before_they_touch_and_push_each_other_as_full_ones_do() -> None:
+def test_robots_are_full_before_contact_and_push_each_other() -> None:
     found = []
     for default in EITHER:
         with two_tiers(default) as engine:
@@ -43,7 +49,7 @@ def test_robots_are_full_before_they_touch_and_push_each_other_as_full_ones_do()
     assert np.diff(found[0][:, 0]) == pytest.approx(np.diff(found[1][:, 0]), abs=0.02)
 
 
-def test_robot_passes_another_without_a_jump_and_is_kinematic_again() -> None:
+def test_robot_passes_another_smoothly_and_is_kinematic_again() -> None:
     with two_tiers() as engine:
         body = engine.add(a_box_bot(), box_bot_at())
         engine.add(a_box_bot(), box_bot_at(2.0, 0.195))
@@ -82,7 +88,7 @@ def test_wrench_makes_a_robot_full_until_it_has_settled() -> None:
         assert engine.tier_of(body) == "kinematic"
 
 
-def test_robot_that_falls_is_full_until_it_stands() -> None:
+def test_falling_robot_is_full_until_it_stands() -> None:
     with two_tiers() as engine:
         body = engine.add(a_box_bot(), a_state((0.0, 0.0, 0.5)))
 
@@ -93,7 +99,7 @@ def test_robot_that_falls_is_full_until_it_stands() -> None:
         assert engine.read((body,)).base[0, 2] == pytest.approx(0.06, abs=0.002)
 
 
-def test_box_that_falls_on_a_robot_meets_a_full_one() -> None:
+def test_robot_under_a_falling_box_is_full() -> None:
     with two_tiers() as engine:
         body = engine.add(a_box_bot(), box_bot_at())
         box = engine.add(a_box(), a_state((0.0, 0.0, 1.0)))
@@ -104,7 +110,7 @@ def test_box_that_falls_on_a_robot_meets_a_full_one() -> None:
         assert engine.read((box,)).base[0, 2] > 0.15
 
 
-def test_robot_that_turns_too_fast_for_its_grip_is_full() -> None:
+def test_robot_beyond_its_lateral_grip_is_full() -> None:
     with two_tiers() as engine:
         body = engine.add(a_box_bot(), box_bot_at())
         engine.command((body,), np.array([40.0, 75.0]))
@@ -114,7 +120,7 @@ def test_robot_that_turns_too_fast_for_its_grip_is_full() -> None:
         assert engine.tier_of(body) == "full"
 
 
-def test_removed_and_rested_robots_leave_nothing_behind() -> None:
+def test_removed_and_reset_robots_leave_no_bodies() -> None:
     with two_tiers() as engine:
         first, second = (engine.add(a_box_bot(), box_bot_at(x)) for x in (0.0, 0.3))
         engine.command((first,), np.full(2, SPEED))
@@ -130,7 +136,7 @@ def test_removed_and_rested_robots_leave_nothing_behind() -> None:
         assert engine.add(a_box_bot(), box_bot_at(1.0)) == second
 
 
-def a_meeting() -> bytes:
+def drive_meeting() -> bytes:
     with two_tiers() as engine:
         bodies = tuple(
             engine.add(a_box_bot(), box_bot_at(0.4 * (i % 5), 0.4 * (i // 5), 1.3 * i))
@@ -145,11 +151,11 @@ def a_meeting() -> bytes:
         return reading.base.tobytes() + reading.joint_positions.tobytes()
 
 
-def test_two_tiers_give_the_same_bits_when_everything_is_done_again() -> None:
-    assert a_meeting() == a_meeting()
+def test_same_calls_give_the_same_bits() -> None:
+    assert drive_meeting() == drive_meeting()
 
 
-def test_each_robot_has_the_dynamics_that_it_asks_for() -> None:
+def test_each_robot_has_its_own_dynamics() -> None:
     with two_tiers("full") as engine:
         bodies = [
             engine.add(with_dynamics(a_box_bot(), asked), box_bot_at(float(x)))
@@ -166,7 +172,7 @@ def test_each_robot_has_the_dynamics_that_it_asks_for() -> None:
         assert list(engine.find_overlaps(bodies[2])) == []
 
 
-def test_overlaps_are_told_between_tiers() -> None:
+def test_overlaps_across_tiers_are_found() -> None:
     with two_tiers("full") as engine:
         box = engine.add(a_box(), a_state((0.0, 0.0, 0.1)))
         near = engine.add(with_dynamics(a_box_bot(), "auto"), box_bot_at(0.1))

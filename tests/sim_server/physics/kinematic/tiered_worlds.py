@@ -1,4 +1,4 @@
-"""Two tiers for tests, and what is asked of them again and again."""
+"""Tiered engines for tests, and common queries on them."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -21,7 +21,7 @@ DT_S = 0.01
 
 @contextmanager
 def two_tiers(default: Dynamics = "auto", *, step_ns: int = STEP_NS) -> Iterator[TieredEngine]:
-    """Two tiers over Bullet, closed afterwards."""
+    """Make a tiered engine over PyBullet; it is closed at the end."""
     config = EngineConfig(step_ns)
     engine = TieredEngine(PyBulletEngine(config), config, default)
     try:
@@ -44,7 +44,7 @@ def steps(engine: TieredEngine, count: int) -> None:
 
 
 def places(engine: TieredEngine, bodies: list[int]) -> FloatArray:
-    """Where bodies are: (n, 2)."""
+    """Read the positions (n, 2) of bodies."""
     return np.asarray(engine.read(tuple(bodies)).base[:, :2])
 
 
