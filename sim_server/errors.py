@@ -6,8 +6,8 @@ from zensim.proto.messages.result_messages import ResultCode, SpawnCode
 class SimError(Exception):
     """A request is refused; the dispatcher makes a Result of it.
 
-    `slug` names the fault for programs, such as `urdf.cycle`, and begins the message, whose rest
-    is for people; docs/refusals.md lists all slugs. Empty where the result's code says it all.
+    `slug` identifies the error for programs, such as `urdf.cycle`, and starts the message;
+    docs/refusals.md lists all slugs. Empty where the result code is sufficient.
     """
 
     code: int = ResultCode.OPERATION_FAILED

@@ -142,7 +142,7 @@ class WorldLoading:
         self.current.model, self.current.resource = model, resource
 
     def _pin_meshes(self, model: WorldModel) -> None:
-        """Keep the meshes of a world: its models are made again by a reset."""
+        """Pin the meshes of a world: a reset builds its models again."""
         for name in {mesh for placed in model.models for mesh in list_meshes(placed.model)}:
             self.descriptions.store.pin_stored(name)
 

@@ -64,7 +64,7 @@ class StepGoals:
         return bool(self._goals) and self._goals[0].remaining > 0
 
     def add(self, steps: int, goal_id: str = "") -> StepGoal:
-        """Ask for steps behind those asked for before."""
+        """Append a goal to the queue."""
         goal = StepGoal(steps, goal_id)
         self._goals.append(goal)
         if goal_id:
@@ -109,7 +109,7 @@ class StepGoals:
             self._end(goal, "aborted")
 
     def due_progress(self, now_ns: int) -> Iterator[StepsProgress]:
-        """Make the progress messages due at a wall time: ended goals at once, the first at 10 Hz."""
+        """Make the progress messages due at a wall time: at 10 Hz, and when a goal ends."""
         ended, self._ended = self._ended, []
         yield from (goal.progress for goal in ended if goal.goal_id)
         first = self._goals[0] if self._goals else None

@@ -67,9 +67,11 @@ class Ros2Call:
     def reply(self, payload: bytes, encoding: str, key: str = "") -> None:
         """See `ServiceCall`; the attachment identifies the request for the ROS client."""
         del key
-        answer = self._form.encode_response(payload, encoding)
-        back = b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
-        self._call.reply(answer, CDR_ENCODING_NAME, attachment=back)
+        response = self._form.encode_response(payload, encoding)
+        attachment = (
+            b"" if self._attachment is None else write_attachment(_stamp_now(self._attachment))
+        )
+        self._call.reply(response, CDR_ENCODING_NAME, attachment=attachment)
 
     def drop(self) -> None:
         """See `ServiceCall`."""

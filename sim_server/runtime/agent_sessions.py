@@ -136,12 +136,12 @@ class AgentSessions:
     def _miss(self, late: tuple[str, ...]) -> None:
         settings, step = self._lockstep.settings, self._world.clock.steps
         for agent in late:
-            text = f"agent '{agent}' did not answer step {step} within {settings.timeout_s:g} s"
+            text = f"agent '{agent}' did not reply to step {step} within {settings.timeout_s:g} s"
             LOG.warning("missed agent=%s step=%d on_miss=%s", agent, step, settings.on_miss)
             event = Event("missed", "", agent, step, self._world.clock.epoch, text)
             self._publisher.publish(EVENTS, event)
         if settings.on_miss == "fail":
-            self._abort_and_pause(f"{text}; see that it runs, and go on")
+            self._abort_and_pause(f"{text}; check that it runs, then play again")
         else:
             self._pacing.step_goals.note_late(late)
 

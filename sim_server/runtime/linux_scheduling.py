@@ -11,8 +11,8 @@ TIME_SLICE_NS = 100_000
 SCHED_ATTR = struct.Struct("=IIQiIQQQ")
 """`struct sched_attr`: size, policy, flags, niceness, priority, time slice [ns], 0, 0."""
 RESET_ON_FORK = 1
-SYSCALLS = {"x86_64": (314, 315), "aarch64": (274, 275)}
-"""Numbers of sched_setattr and sched_getattr, by machine."""
+SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}
+"""System call number of sched_setattr, by machine."""
 
 
 def request_short_time_slice() -> bool:
@@ -32,23 +32,11 @@ def request_short_time_slice() -> bool:
         0,
         0,
     )
-    return _call_kernel(0, setting, 0) == 0
-
-
-def read_time_slice_ns() -> int:
-    """Read the time slice of the calling thread; 0 if the kernel does not report it."""
-    room = ctypes.create_string_buffer(SCHED_ATTR.size)
-    if not _has_default_policy() or _call_kernel(1, room, SCHED_ATTR.size, 0) != 0:
-        return 0
-    return int(SCHED_ATTR.unpack(room.raw)[5])
+    number = SCHED_SETATTR[platform.machine()]
+    return int(ctypes.CDLL(None).syscall(number, 0, setting, 0)) == 0
 
 
 def _has_default_policy() -> bool:
-    if sys.platform != "linux" or platform.machine() not in SYSCALLS:
+    if sys.platform != "linux" or platform.machine() not in SCHED_SETATTR:
         return False
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
-
-
-def _call_kernel(which: int, *arguments: object) -> int:
-    number = SYSCALLS[platform.machine()][which]
-    return int(ctypes.CDLL(None).syscall(number, 0, *arguments))

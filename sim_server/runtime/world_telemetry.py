@@ -47,33 +47,33 @@ def make_link_states(world: World) -> LinkStates:
     for entity in world.entities:
         start[entity.name] = len(names)
         names.extend(entity.name + SCOPE_SEPARATOR + link.name for link in entity.model.links)
-    for alike in _group_by_model(world.entities):
-        first = np.array([start[entity.name] for entity in alike])
-        states = _compute_link_states(world, alike)
-        for number, link in enumerate(alike[0].model.links):
+    for entities in _group_by_model(world.entities):
+        first = np.array([start[entity.name] for entity in entities])
+        states = _compute_link_states(world, entities)
+        for number, link in enumerate(entities[0].model.links):
             rows[first + number] = states[link.name]
     return LinkStates(tuple(names), *_to_poses_and_twists(rows))
 
 
 def _group_by_model(entities: Iterable[Entity]) -> list[list[Entity]]:
-    # By identity: entities that were spawned alike share one model, and hashing one is slow.
+    # By identity: entities of one description share a model, and hashing models is slow.
     groups: dict[int, list[Entity]] = {}
     for entity in entities:
         groups.setdefault(id(entity.model), []).append(entity)
     return list(groups.values())
 
 
-def _compute_link_states(world: World, alike: Sequence[Entity]) -> dict[str, FloatArray]:
-    reading, roster = world.states(), world.entities.index
-    rows = [roster.row[entity.name] for entity in alike]
+def _compute_link_states(world: World, entities: Sequence[Entity]) -> dict[str, FloatArray]:
+    states, roster = world.states(), world.entities.index
+    rows = [roster.row[entity.name] for entity in entities]
     first = roster.joint_start[rows]
-    joints = first[:, None] + np.arange(len(alike[0].model.joints), dtype=np.intp)
+    joints = first[:, None] + np.arange(len(entities[0].model.joints), dtype=np.intp)
     return compute_link_states(
         # Merged links are not published, and cost as much as others.
-        msgspec.structs.replace(alike[0].model, frames=()),
-        reading.base[rows],
-        reading.joint_positions[joints],
-        reading.joint_velocities[joints],
+        msgspec.structs.replace(entities[0].model, frames=()),
+        states.base[rows],
+        states.joint_positions[joints],
+        states.joint_velocities[joints],
     )
 
 
@@ -123,7 +123,7 @@ class WorldTelemetry:
             return
         if self._limiters[CLOCK].is_due(now_ns):
             yield CLOCK
-        # A reading of all bodies is made for agents at the next control step anyway.
+        # All bodies are read for agents at the next control step anyway.
         if world.clock.state == State.PLAYING and not world.is_control_step:
             return
         for topic in (MODEL_STATES, LINK_STATES):

@@ -28,22 +28,25 @@ def split_evenly(total: int, limits: Sequence[int]) -> tuple[int, ...]:
 
 
 def find_robots_to_move(
-    pool: str, limits: Mapping[str, int], held: Mapping[str, Sequence[str]], free: Sequence[str]
+    pool: str,
+    limits: Mapping[str, int],
+    claims_of: Mapping[str, Sequence[str]],
+    free: Sequence[str],
 ) -> tuple[str, ...]:
     """Choose the robots that a pool gets: free ones first, then the surplus of other pools.
 
     Args:
         pool: One of `limits`.
         limits: Most robots of each pool, in the order of their first request.
-        held: Robots of each pool, in the order of claiming; a pool without robots may be missing.
+        claims_of: Robots of each pool, in the order of claiming; a pool without robots may be missing.
         free: Robots without a claim.
     """
-    total = len(free) + sum(len(held.get(one, ())) for one in limits)
+    total = len(free) + sum(len(claims_of.get(one, ())) for one in limits)
     quotas = dict(zip(limits, split_evenly(total, tuple(limits.values())), strict=True))
-    missing = max(0, quotas[pool] - len(held.get(pool, ())))
+    missing = max(0, quotas[pool] - len(claims_of.get(pool, ())))
     moved = list(free[:missing])
     for other, quota in quotas.items():
-        claimed = held.get(other, ())
+        claimed = claims_of.get(other, ())
         # The newest claims move: a robot stays with its pool for long.
         spare = max(0, min(len(claimed) - quota, missing - len(moved)))
         moved += claimed[len(claimed) - spare :]
@@ -108,12 +111,12 @@ def _find_share(world: World, limits: Mapping[str, int], agent: str) -> tuple[En
         for entity in world.entities
         if entity.model.drive is not None and not world.divergence_guard.is_frozen(entity.name)
     }
-    held = {
+    claims_of = {
         pool: [name for name, _ in world.claims.list_claims(pool) if name in robots]
         for pool in limits
     }
     free = [name for name in robots if not world.claims.agent_of(name)]
-    return tuple(robots[name] for name in find_robots_to_move(agent, limits, held, free))
+    return tuple(robots[name] for name in find_robots_to_move(agent, limits, claims_of, free))
 
 
 def _fit_in_reply(moved: tuple[Entity, ...]) -> tuple[str, ...]:

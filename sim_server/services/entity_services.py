@@ -118,7 +118,7 @@ def get_entity_state(
 ) -> entity_messages.GetEntityStateResponse:
     """Return pose and twist of an entity; accelerations are 0, as they are not computed.
 
-    In the world's frame it is where agents were told that it is, at their last control step.
+    In the world frame this is the state of the last control step, as published to agents.
     """
     if request.reference_frame in WORLD_FRAMES:
         row, time_ns = world.reported_state(request.entity)
@@ -139,11 +139,11 @@ def get_entities_states(
     view = _FrameView(world, request.reference_frame)
     base, row = world.states().base, world.entities.index.row
 
-    def answer(names: tuple[str, ...]) -> entity_messages.GetEntitiesStatesResponse:
+    def respond(names: tuple[str, ...]) -> entity_messages.GetEntitiesStatesResponse:
         states = view.states(base[[row[name] for name in names]]) if names else []
         return entity_messages.GetEntitiesStatesResponse(entities=names, states=tuple(states))
 
-    return filter_entities(world, store, pacing, request.filters, answer)
+    return filter_entities(world, store, pacing, request.filters, respond)
 
 
 class _FrameView:

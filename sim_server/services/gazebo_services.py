@@ -181,14 +181,14 @@ def get_joint_properties(
     joint = target.joint
     if joint.kind == "fixed":
         return gazebo_messages.GetJointPropertiesReport(type=JointType.FIXED, success=True)
-    reading = world.states()
-    place = world.entities.index.joints_of(target.entity.name).start + target.number
+    states = world.states()
+    index = world.entities.index.joints_of(target.entity.name).start + target.number
     is_limited = joint.kind in LIMITED_JOINTS
     return gazebo_messages.GetJointPropertiesReport(
         type=JOINT_TYPES[joint.kind],
         damping=(joint.damping,),
-        position=(float(reading.joint_positions[place]),),
-        rate=(float(reading.joint_velocities[place]),),
+        position=(float(states.joint_positions[index]),),
+        rate=(float(states.joint_velocities[index]),),
         success=True,
         lower=(joint.lower,) if is_limited else (),
         upper=(joint.upper,) if is_limited else (),

@@ -55,7 +55,7 @@ def make_entry(
     handler: "Callable[[Unpack[Parts], Request], Response | DeferredResponse[Response]]",
     *features: Feature,
 ) -> ServiceEntry:
-    """Pair a service with its handler, whose parameters are parts of the server and the request."""
+    """Pair a service with its handler: a function of parts of the server and the request."""
     *parts, _request, _response = get_type_hints(handler).values()
     return ServiceEntry(service, handler, tuple(parts), features)
 
@@ -226,8 +226,8 @@ def make_refusal(name: str, code: int, message: str) -> msgspec.Struct:
     response = service.response if service else DeleteEntityResponse
     if "result" not in response.__struct_fields__:
         response = DeleteEntityResponse
-    told = {"status_message": message} if "status_message" in response.__struct_fields__ else {}
-    return response(result=Result(int(code), message), **told)
+    status = {"status_message": message} if "status_message" in response.__struct_fields__ else {}
+    return response(result=Result(int(code), message), **status)
 
 
 NO_WORLD_HINTS = {

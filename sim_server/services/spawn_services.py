@@ -352,9 +352,9 @@ class _AtomicSpawns(_SpawnBatch):
         for order in self._orders[len(self._staged) :]:
             if not self._is_ready_to_spawn(order):
                 break
-            made = stage_model(self._spawning, order, *self._model(order))
-            self._staged.append(made)
-            self._results.append(SpawnResult(Result(), made.entity.name))
+            staged = stage_model(self._spawning, order, *self._model(order))
+            self._staged.append(staged)
+            self._results.append(SpawnResult(Result(), staged.entity.name))
             if self._spawning.pacing.now_ns() >= end_ns:
                 break
         return len(self._staged) == len(self._orders)
@@ -400,7 +400,7 @@ def get_spawnables(
         for name in list_builtin_models()
     ]
 
-    def answer() -> spawn_messages.GetSpawnablesResponse:
+    def respond() -> spawn_messages.GetSpawnablesResponse:
         found = tuple(_make_spawnable(descriptions, order) for order in orders)
         return spawn_messages.GetSpawnablesResponse(spawnables=found)
 
@@ -409,9 +409,9 @@ def get_spawnables(
         return sum(descriptions.provider.is_parsed(order) for order in orders) == len(orders)
 
     return (
-        answer()
+        respond()
         if is_read()
-        else DeferredResponse(lambda: descriptions.has_new and is_read(), answer)
+        else DeferredResponse(lambda: descriptions.has_new and is_read(), respond)
     )
 
 
