@@ -367,7 +367,7 @@ class PyBulletEngine(Engine):
             self._twists[body] = targets[actuation.twist : actuation.twist + 3]
 
     def _set_rolling_resistance(self, body: int, *, is_held: bool) -> None:
-        """Enable rolling friction of the wheels of a body that stands; disable it when it drives."""
+        """Enable rolling friction of the wheels while a body stands, disable it when it drives."""
         if is_held == (body in self._resisting):
             return
         (self._resisting.add if is_held else self._resisting.remove)(body)

@@ -1,1 +1,1 @@
-"""The MuJoCo engine: precompiled models with slots, so that robots are added and removed without recompiling."""
+"""The MuJoCo engine: compiled models have slots, so that bodies are added without recompiling."""

@@ -1,4 +1,4 @@
-"""Cache of compiled models, shared by the engines of a process; larger ones are compiled ahead on a thread."""
+"""Cache of compiled models, shared in a process; larger ones are compiled ahead on a thread."""
 
 from collections import OrderedDict
 from collections.abc import Callable

@@ -17,7 +17,7 @@ SHEET_THICKNESS_M = 0.01
 MIN_THICKNESS_SHARE = 1e-4
 """Least thickness of a hull, as a share of its extent."""
 CONVEXITY_TOLERANCE = 1e-3
-"""Distance of a corner in front of a face up to which a mesh is convex, as a share of its extent."""
+"""Largest distance of a corner in front of a face of a convex mesh, as a share of its extent."""
 MAX_CONVEXITY_FACES = 2000
 """Number of faces up to which convexity is tested."""
 
@@ -90,7 +90,11 @@ def _find_components(corners: HullPoints) -> list[HullPoints]:
 
 
 @cache
-def load_convex_pieces(folder: str, shape: Shape, is_static: bool) -> tuple[HullPoints, ...]:  # noqa: FBT001
+def load_convex_pieces(
+    folder: str,
+    shape: Shape,
+    is_static: bool,  # noqa: FBT001
+) -> tuple[HullPoints, ...]:
     """Load the mesh of a shape, scaled, as convex pieces."""
     corners = read_corners(Path(folder, f"{shape.mesh}.stl").read_bytes()) * np.array(shape.size)
     return tuple(split_into_convex_pieces(corners, is_static=is_static))

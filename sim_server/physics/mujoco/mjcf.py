@@ -91,7 +91,8 @@ def _write_meshes(
             for points in pieces(shape, archetype.is_static):
                 names[key].append(name := f"m{len(texts)}")
                 texts.append(
-                    f'<mesh name="{name}" inertia="convex" vertex="{_join_numbers(points.ravel())}"/>'
+                    f'<mesh name="{name}" inertia="convex" '
+                    f'vertex="{_join_numbers(points.ravel())}"/>'
                 )
     return texts, names
 

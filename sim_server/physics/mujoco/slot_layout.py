@@ -1,4 +1,4 @@
-"""Archetypes (blueprints without a name), their slots in a compiled model, and the indexes of a slot."""
+"""Archetypes (blueprints without a name), and indexes of their slots in a compiled model."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field

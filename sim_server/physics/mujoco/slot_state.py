@@ -94,7 +94,7 @@ class MjDataArrays(Protocol):
 def activate_slot(
     model: MjModelArrays, data: MjDataArrays, full: MjModelArrays, address: SlotAddress
 ) -> None:
-    """Enable collisions, gravity, friction and equalities of a slot, as in the compiled model `full`."""
+    """Enable collisions, gravity, friction and equalities of a slot, as in the model `full`."""
     geometries, bodies = address.geometries, address.bodies
     model.geom_contype[geometries] = full.geom_contype[geometries]
     model.geom_conaffinity[geometries] = full.geom_conaffinity[geometries]
