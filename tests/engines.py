@@ -187,7 +187,7 @@ class Celled:
 
     def __call__(self, config: EngineConfig) -> Engine:
         cells = InProcessCellExecutor(lambda: self._make(config))
-        return CelledEngine(config, cells, CellSettings(alone=1, most=2))
+        return CelledEngine(config, cells, CellSettings(single_cell_bodies=1, cell_bodies=2))
 
 
 class TieredFull(TieredEngine):

@@ -84,12 +84,14 @@ def create_world_engine(
     workers = choice.workers
     if workers is None:
         workers = 0 if releases_lock else _count_usable_cores() - 1
-    alone = MAX_SINGLE_CELL_BODIES_PARALLEL if workers or threads > 1 else MAX_SINGLE_CELL_BODIES
+    single_cell = (
+        MAX_SINGLE_CELL_BODIES_PARALLEL if workers or threads > 1 else MAX_SINGLE_CELL_BODIES
+    )
     settings = CellSettings(
-        alone=alone if choice.clusters == "auto" else MAX_CELL_BODIES[name],
-        most=MAX_CELL_BODIES[name],
+        single_cell_bodies=single_cell if choice.clusters == "auto" else MAX_CELL_BODIES[name],
+        cell_bodies=MAX_CELL_BODIES[name],
         period_steps=period_steps,
-        largest=MAX_CELL_BODIES_LARGE_WORLD[name],
+        large_cell_bodies=MAX_CELL_BODIES_LARGE_WORLD[name],
     )
     cell = CellConfig(name, config)
     return CelledEngine(config, _make_cell_executor(cell, threads, workers), settings)

@@ -7,7 +7,7 @@ import numpy as np
 from zensim.proto.forward_kinematics import compute_link_poses, compute_link_states
 from zensim.proto.messages.model_messages import Joint, Link
 from zensim.proto.messages.result_messages import ResultCode
-from zensim.proto.se3 import IDENTITY_POSE, FloatArray, compose, conjugate, multiply, rotate
+from zensim.proto.se3 import IDENTITY_POSE, FloatArray, compose, invert, rotate
 from zensim.sim_server.errors import RequestRefused, SimError
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.pose_conversion import WORLD_FRAMES, rotate_twist
@@ -86,16 +86,9 @@ def twist_to_world(world: World, frame_id: str, twist: FloatArray) -> FloatArray
 
 def states_to_frame(frame: FloatArray, rows: FloatArray) -> FloatArray:
     """Express state rows (n, 13) of the world in a frame (7,); ignores motion of the frame."""
-    to_frame = conjugate(frame[3:])
-    return np.concatenate(
-        [
-            rotate(to_frame, rows[:, :3] - frame[:3]),
-            multiply(np.broadcast_to(to_frame, (len(rows), 4)), rows[:, 3:7]),
-            rotate(to_frame, rows[:, 7:10]),
-            rotate(to_frame, rows[:, 10:13]),
-        ],
-        axis=1,
-    )
+    to_frame = invert(frame)
+    linear, angular = (rotate(to_frame[3:], rows[:, at : at + 3]) for at in (7, 10))
+    return np.concatenate([compose(to_frame, rows[:, :7]), linear, angular], axis=1)
 
 
 def _list_candidates(world: World, frame_id: str) -> list[tuple[Entity, str]]:

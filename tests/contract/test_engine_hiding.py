@@ -24,7 +24,7 @@ def tiered() -> TieredEngine:
 
 
 def celled(*, most: int) -> CelledEngine:
-    settings = CellSettings(alone=most, most=most, period_steps=1)
+    settings = CellSettings(single_cell_bodies=most, cell_bodies=most, period_steps=1)
     return CelledEngine(
         CONFIG, InProcessCellExecutor(lambda: PyBulletEngine(CONFIG, awake=2)), settings
     )
@@ -33,11 +33,13 @@ def celled(*, most: int) -> CelledEngine:
 def remote() -> CelledEngine:
     config = CellConfig("pybullet", CONFIG)
     cells = WorkerCellExecutor(config.make, config, workers=1)
-    return CelledEngine(CONFIG, cells, CellSettings(alone=1, most=1, period_steps=1))
+    return CelledEngine(
+        CONFIG, cells, CellSettings(single_cell_bodies=1, cell_bodies=1, period_steps=1)
+    )
 
 
 def celled_mujoco(*, most: int) -> CelledEngine:
-    settings = CellSettings(alone=most, most=most, period_steps=1)
+    settings = CellSettings(single_cell_bodies=most, cell_bodies=most, period_steps=1)
     return CelledEngine(
         CONFIG, InProcessCellExecutor(lambda: MujocoEngine(CONFIG), threads=2), settings
     )

@@ -19,18 +19,18 @@ class CellCapacity:
     """Maximum numbers of bodies.
 
     Attributes:
-        most: Of a cell; a group that cannot be split may exceed it.
-        at_once: That an overfull cell gives away in one regrouping.
-        largest: Of a cell of a large world; fewer cells take less memory.
+        cell_bodies: Of a cell; a group that cannot be split may exceed it.
+        moved_bodies: That an overfull cell gives away in one regrouping.
+        large_cell_bodies: Of a cell of a large world; fewer cells take less memory.
     """
 
-    most: int
-    at_once: int
-    largest: int = 0
+    cell_bodies: int
+    moved_bodies: int
+    large_cell_bodies: int = 0
 
     def max_bodies(self, count: int) -> int:
         """Find the maximum bodies of a cell in a world of `count` bodies."""
-        return max(self.most, min(self.largest, count // LARGE_WORLD_CELLS))
+        return max(self.cell_bodies, min(self.large_cell_bodies, count // LARGE_WORLD_CELLS))
 
     def fill_limit(self, count: int) -> int:
         """Find the number of bodies up to which a cell receives groups."""
@@ -72,13 +72,13 @@ def _merge_groups(cells: IntArray, groups: IntArray) -> IntArray:
 def _offload_groups(
     cell: int, cells: IntArray, groups: IntArray, places: FloatArray, capacity: CellCapacity
 ) -> None:
-    """Move groups from one end of an overfull cell to others, up to `at_once` bodies."""
+    """Move groups from one end of an overfull cell to others, up to `moved_bodies`."""
     held = np.flatnonzero(cells == cell)
     left, moved = len(held), 0
     for members in _groups_from_far_end(held, groups, places):
         if (
             left <= capacity.fill_limit(len(cells))
-            or moved >= capacity.at_once
+            or moved >= capacity.moved_bodies
             or len(members) == len(held)
         ):
             return

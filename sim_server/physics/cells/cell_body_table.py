@@ -247,7 +247,7 @@ class CellIndexMap:
         targets: Indices of their targets in the table.
         starts: Starts in `targets`, of bodies with targets.
         driven: Numbers of those bodies.
-        alone: (n,) their numbers in cell 0, valid while it is the only cell.
+        in_single_cell: (n,) their numbers in cell 0, valid while it is the only cell.
     """
 
     rows: IntArray
@@ -260,7 +260,7 @@ class CellIndexMap:
     targets: IntArray
     starts: IntArray
     driven: IntArray
-    alone: tuple[int, ...]
+    in_single_cell: tuple[int, ...]
 
     def select(self, states: BodyStates) -> BodyStates:
         """Select their states from the states of the order."""

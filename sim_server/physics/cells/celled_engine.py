@@ -37,9 +37,11 @@ WORKER_START_RATIO = 0.8
 class CellMap:
     """Engines by number of their cell, and the bodies in them; cell 0 always exists."""
 
-    def __init__(self, cells: CellExecutor, alone: int, capacity: CellCapacity) -> None:
+    def __init__(
+        self, cells: CellExecutor, single_cell_bodies: int, capacity: CellCapacity
+    ) -> None:
         self._cells = cells
-        self._alone = alone
+        self._single_cell_bodies = single_cell_bodies
         self._capacity = capacity
         self.members = CellBodyTable()
         self._accepted: Model | None = None
@@ -48,7 +50,7 @@ class CellMap:
     @property
     def is_single_cell(self) -> bool:
         """Whether one cell is enough."""
-        return len(self.engines) == 1 and self.members.moving_count <= self._alone
+        return len(self.engines) == 1 and self.members.moving_count <= self._single_cell_bodies
 
     def prepare(self, model: Model) -> bool:
         """See `Engine.prepare`; remote engines skip a model that another engine has accepted."""
@@ -66,7 +68,7 @@ class CellMap:
             self.members.by_number[number].copies = copies
             self.record_static(number)
             return number
-        if self.members.moving_count > self._alone * WORKER_START_RATIO:
+        if self.members.moving_count > self._single_cell_bodies * WORKER_START_RATIO:
             self._cells.start()
         cell = self._find_nearest_cell(base)
         inner = self._find_accepting_engine(cell, model).add(model, base)
@@ -203,7 +205,7 @@ class CellMap:
 
     def _find_nearest_cell(self, base: FloatArray) -> int:
         """Find the cell with free capacity whose body is nearest; else the emptiest cell."""
-        if len(self.engines) == 1 and self.members.moving_count < self._alone:
+        if len(self.engines) == 1 and self.members.moving_count < self._single_cell_bodies:
             return 0
         moving = self.members.moving
         cells = self.members.cell[moving]
@@ -249,18 +251,18 @@ class CellSettings:
     """How a world is divided into cells.
 
     Attributes:
-        alone: Up to so many moving bodies stay in one cell.
-        most: Maximum bodies of a cell, once there are several.
+        single_cell_bodies: Up to so many moving bodies stay in one cell.
+        cell_bodies: Maximum bodies of a cell, once there are several.
         period_steps: Least steps between two regroupings.
-        at_once: Maximum bodies that leave an overfull cell in one regrouping.
-        largest: Maximum bodies of a cell of a large world; see `CellCapacity`.
+        moved_bodies: Maximum bodies that leave an overfull cell in one regrouping.
+        large_cell_bodies: Maximum bodies of a cell of a large world; see `CellCapacity`.
     """
 
-    alone: int = 150
-    most: int = 64
+    single_cell_bodies: int = 150
+    cell_bodies: int = 64
     period_steps: int = 1
-    at_once: int = 8
-    largest: int = 0
+    moved_bodies: int = 8
+    large_cell_bodies: int = 0
 
 
 class CelledEngine(Engine):
@@ -269,14 +271,16 @@ class CelledEngine(Engine):
     def __init__(self, config: EngineConfig, cells: CellExecutor, settings: CellSettings) -> None:
         self._cells = cells
         self._settings = settings
-        self._capacity = CellCapacity(settings.most, settings.at_once, settings.largest)
+        self._capacity = CellCapacity(
+            settings.cell_bodies, settings.moved_bodies, settings.large_cell_bodies
+        )
         self._dt_s = config.step_ns * 1e-9
         self._ahead_s = settings.period_steps * LOOKAHEAD_PERIODS[0] * self._dt_s
         self._speed_margin_mps = (
             SPEED_MARGIN_MPS + float(np.linalg.norm(config.gravity)) * self._ahead_s
         )
         self._measure = ReachCache(config.mesh_folder)
-        self._cell_map = CellMap(cells, settings.alone, self._capacity)
+        self._cell_map = CellMap(cells, settings.single_cell_bodies, self._capacity)
         self.capabilities = replace(self._cell_map.engines[0].capabilities, sleeps=False)
         self._members = self._cell_map.members
         self._loads: list[QueuedLoad] = []
@@ -344,7 +348,7 @@ class CelledEngine(Engine):
         if not self._members.concealed.isdisjoint(bodies):
             return self._cell_map.read_each(bodies)
         if self._cell_map.is_single_cell:
-            return self._cell_map.engines[0].read(self._index_map(bodies).alone)
+            return self._cell_map.engines[0].read(self._index_map(bodies).in_single_cell)
         return self._index_map(bodies).select(self._read_moving())
 
     def set_base_state(self, body: int, base: FloatArray) -> None:
@@ -376,7 +380,7 @@ class CelledEngine(Engine):
         members.targets[index_map.targets] = targets
         members.is_commanded[index_map.driven] = True
         if self._cell_map.is_single_cell:
-            self._cell_map.engines[0].command(index_map.alone, targets)
+            self._cell_map.engines[0].command(index_map.in_single_cell, targets)
             return
         members.is_due[index_map.driven] = self._has_new_targets = True
         speeds = np.abs(targets) * members.levers[index_map.targets]

@@ -77,8 +77,7 @@ def has_reached_targets(
 
 
 def _velocity_along_heading(base: FloatArray) -> tuple[float, float]:
-    x, y, z, w = base[3:7].tolist()
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    yaw = float(to_yaw(base[3:7]))
     vx, vy = base[7:9].tolist()
     return vx * np.cos(yaw) + vy * np.sin(yaw), vy * np.cos(yaw) - vx * np.sin(yaw)
 

@@ -14,7 +14,7 @@ from zensim.sim_server.physics.cells.cell_assignment import (
 from zensim.sim_server.physics.engine import FloatArray
 from zensim.sim_server.scene.broad_phase import IntArray
 
-CAPACITY = CellCapacity(most=4, at_once=100)
+CAPACITY = CellCapacity(cell_bodies=4, moved_bodies=100)
 
 
 def along_a_line(count: int) -> np.ndarray:
@@ -42,7 +42,7 @@ def test_assignment_moves_the_far_end_of_an_overfull_cell_to_a_new_one() -> None
 
 
 def test_assignment_moves_at_most_the_given_number_at_once() -> None:
-    found = assign([0] * 6, [0, 1, 2, 3, 4, 5], CellCapacity(most=4, at_once=1))
+    found = assign([0] * 6, [0, 1, 2, 3, 4, 5], CellCapacity(cell_bodies=4, moved_bodies=1))
 
     assert found.tolist() == [0, 0, 0, 0, 0, 1]
 
@@ -67,11 +67,11 @@ def test_assignment_never_splits_a_group(bodies: list[tuple[int, int]]) -> None:
     for group in range(int(groups.max()) + 1):
         assert len(set(found[groups == group].tolist())) == 1
     counts, sizes = np.bincount(found), np.bincount(groups)
-    assert counts.max() <= max(CAPACITY.most, sizes.max())
+    assert counts.max() <= max(CAPACITY.cell_bodies, sizes.max())
 
 
 def test_capacity_grows_with_the_world_up_to_its_limit() -> None:
-    capacity = CellCapacity(most=100, at_once=1, largest=250)
+    capacity = CellCapacity(cell_bodies=100, moved_bodies=1, large_cell_bodies=250)
 
     assert [capacity.max_bodies(count) for count in (0, 400, 500, 900, 1000, 9000)] == [
         *(100, 100, 125),

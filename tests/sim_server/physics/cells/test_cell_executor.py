@@ -19,7 +19,7 @@ from zensim.sim_server.physics.engine import Engine, EngineRefused
 from zensim.sim_server.physics.engine_config import EngineConfig
 from zensim.sim_server.physics.engine_factory import CellConfig
 
-SETTINGS = CellSettings(alone=2, most=3, period_steps=3)
+SETTINGS = CellSettings(single_cell_bodies=2, cell_bodies=3, period_steps=3)
 ORDERS = CellConfig("pybullet", EngineConfig(STEP_NS))
 
 
@@ -161,7 +161,7 @@ def test_async_overlaps_are_those_of_the_call() -> None:
 
 def test_workers_start_before_the_second_cell_is_needed() -> None:
     cells = WorkerCellExecutor(ORDERS.make, ORDERS, workers=1)
-    engine = CelledEngine(ORDERS.config, cells, CellSettings(alone=10, most=10))
+    engine = CelledEngine(ORDERS.config, cells, CellSettings(single_cell_bodies=10, cell_bodies=10))
     try:
         for x in range(9):
             engine.add(a_cart(), on_ground(5.0 * x))

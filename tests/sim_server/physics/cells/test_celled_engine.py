@@ -15,7 +15,7 @@ from zensim.sim_server.physics.cells.celled_engine import CelledEngine, CellSett
 from zensim.sim_server.physics.engine import Engine, FloatArray
 from zensim.sim_server.physics.engine_config import EngineConfig
 
-SINGLE_BODIES = CellSettings(alone=1, most=1, period_steps=3)
+SINGLE_BODIES = CellSettings(single_cell_bodies=1, cell_bodies=1, period_steps=3)
 """Each body has a cell of its own unless it may touch another."""
 PERIOD = 3
 
@@ -89,7 +89,10 @@ def test_carts_do_not_pass_through_each_other(
 ) -> None:
     with running(PyBulletEngine) as one:
         in_one = closest_while_driving(one, starts, steps)
-    with celled(CellSettings(alone=most, most=most, period_steps=PERIOD)) as (engine, cells):
+    with celled(CellSettings(single_cell_bodies=most, cell_bodies=most, period_steps=PERIOD)) as (
+        engine,
+        cells,
+    ):
         in_many = closest_while_driving(engine, starts, steps)
 
     assert min(in_one) < 0.35
@@ -200,7 +203,7 @@ def drive_crowd(engine: Engine) -> bytes:
 
 
 def test_same_calls_give_the_same_bits() -> None:
-    settings = CellSettings(alone=4, most=4, period_steps=3)
+    settings = CellSettings(single_cell_bodies=4, cell_bodies=4, period_steps=3)
     with celled(settings) as (first, _), celled(settings) as (second, _):
         expected = drive_crowd(first)
 

@@ -101,7 +101,9 @@ def run_random_calls(seed: int) -> bytes:
     config = EngineConfig(STEP_NS)
     cells = InProcessCellExecutor(partial(PyBulletEngine, config, awake=1))
     engine = CelledEngine(
-        config, cells, CellSettings(alone=2, most=seed + 1, period_steps=3, at_once=2)
+        config,
+        cells,
+        CellSettings(single_cell_bodies=2, cell_bodies=seed + 1, period_steps=3, moved_bodies=2),
     )
     calls = RandomCalls(engine, seed)
     often = (calls.add, calls.add, calls.add, calls.remove, calls.set_base_state, calls.set_at_rest)
