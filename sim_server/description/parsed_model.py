@@ -86,7 +86,7 @@ def _check_names(parts: ParsedModel) -> None:
         ("link", [link.name for link in parts.links]),
         ("joint", [joint.name for joint in parts.joints]),
     ):
-        repeated = _find_repeated(names)
+        repeated = find_repeated(names)
         if repeated:
             raise ModelError(
                 f"{what} names {quote_names(repeated)} are used more than once; make them unique",
@@ -109,7 +109,7 @@ def _check_ends(joints: Iterable[Joint], links: dict[str, Link]) -> None:
 
 
 def _check_single_parents(joints: Iterable[Joint]) -> None:
-    repeated = _find_repeated([joint.child for joint in joints])
+    repeated = find_repeated([joint.child for joint in joints])
     if repeated:
         raise ModelError(
             f"links {quote_names(repeated)} are the child of several joints; use one joint each",
@@ -143,7 +143,8 @@ def _depth_first(root: str, joints: Sequence[Joint]) -> list[Joint]:
     return ordered
 
 
-def _find_repeated(names: Iterable[str]) -> list[str]:
+def find_repeated(names: Iterable[str]) -> list[str]:
+    """Find the names that occur more than once, in order."""
     return [name for name, count in Counter(names).items() if count > 1]
 
 

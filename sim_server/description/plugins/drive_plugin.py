@@ -33,7 +33,7 @@ class UnusableDrive(ValueError):
 
 
 @dataclass(frozen=True)
-class Parameter:
+class DriveParameter:
     """A tag that sets one field of a drive; the field's value so far is the default."""
 
     tag: str
@@ -71,7 +71,7 @@ class DrivePlugin(Generic[DriveT]):
     drive_type: type[DriveT]
     summarize: Callable[[DriveT], str]
     make: Callable[[PluginTags, LumpedModel], DriveT] | None = None
-    parameters: tuple[Parameter, ...] = ()
+    parameters: tuple[DriveParameter, ...] = ()
     complete: Callable[[DriveT, PluginTags, LumpedModel], DriveT] | None = None
     find_faults: Callable[[DriveT, LumpedModel], Sequence[str]] | None = None
     aliases: Mapping[str, str] = field(default_factory=dict)
@@ -175,19 +175,19 @@ TEXT, NUMBER, LENGTH, FLAG = PluginTags.text, PluginTags.number, PluginTags.leng
 EXTENSION_TAGS = ("command_topic", "odometry_topic")
 """Tags that Gazebo Classic does not have."""
 ROS_PARAMETERS = (
-    Parameter("update_rate", NUMBER, "update_rate_hz"),
-    Parameter("odometry_source", _read_odometry_source),
-    Parameter("odometry_frame", read_frame),
-    Parameter("robot_base_frame", read_frame),
-    Parameter("publish_odom", FLAG),
-    Parameter("publish_odom_tf", FLAG),
-    Parameter("publish_wheel_tf", FLAG),
-    Parameter("covariance_x", NUMBER),
-    Parameter("covariance_y", NUMBER),
-    Parameter("covariance_yaw", NUMBER),
-    Parameter("command_topic", _read_command_topic),
-    Parameter("odometry_topic", _read_odometry_topic),
-    Parameter("ros", lambda tags, *_: tags.ros()),
+    DriveParameter("update_rate", NUMBER, "update_rate_hz"),
+    DriveParameter("odometry_source", _read_odometry_source),
+    DriveParameter("odometry_frame", read_frame),
+    DriveParameter("robot_base_frame", read_frame),
+    DriveParameter("publish_odom", FLAG),
+    DriveParameter("publish_odom_tf", FLAG),
+    DriveParameter("publish_wheel_tf", FLAG),
+    DriveParameter("covariance_x", NUMBER),
+    DriveParameter("covariance_y", NUMBER),
+    DriveParameter("covariance_yaw", NUMBER),
+    DriveParameter("command_topic", _read_command_topic),
+    DriveParameter("odometry_topic", _read_odometry_topic),
+    DriveParameter("ros", lambda tags, *_: tags.ros()),
 )
 """Of the gazebo_ros plug-ins."""
 ROS_ALIASES = {
@@ -215,12 +215,12 @@ ROS_UNUSED = {
 GZ_ODOMETRY_RATE_HZ = 50.0
 GZ_PARAMETERS = (
     # Gazebo Sim's documentation has one spelling of the rate, its code the other.
-    Parameter("odom_publisher_frequency", NUMBER, "odometry_rate_hz"),
-    Parameter("odom_publish_frequency", NUMBER, "odometry_rate_hz"),
-    Parameter("frame_id", read_frame, "odometry_frame"),
-    Parameter("child_frame_id", read_frame, "robot_base_frame"),
-    Parameter("topic", _read_command_topic, "command_topic"),
-    Parameter("odom_topic", _read_odometry_topic, "odometry_topic"),
+    DriveParameter("odom_publisher_frequency", NUMBER, "odometry_rate_hz"),
+    DriveParameter("odom_publish_frequency", NUMBER, "odometry_rate_hz"),
+    DriveParameter("frame_id", read_frame, "odometry_frame"),
+    DriveParameter("child_frame_id", read_frame, "robot_base_frame"),
+    DriveParameter("topic", _read_command_topic, "command_topic"),
+    DriveParameter("odom_topic", _read_odometry_topic, "odometry_topic"),
 )
 """Of Gazebo Sim's systems."""
 

@@ -12,8 +12,8 @@ from zensim.sim_server.description.plugins.drive_plugin import (
     ROS_ALIASES,
     ROS_PARAMETERS,
     ROS_UNUSED,
+    DriveParameter,
     DrivePlugin,
-    Parameter,
     find_base_link,
 )
 
@@ -51,7 +51,7 @@ PLUGINS = (
         drive_type=PlanarMove,
         summarize=_summarize,
         make=lambda *_: PlanarMove(odometry_rate_hz=DEFAULT_ODOMETRY_RATE_HZ),
-        parameters=(*ROS_PARAMETERS, Parameter("publish_rate", NUMBER, "odometry_rate_hz")),
+        parameters=(*ROS_PARAMETERS, DriveParameter("publish_rate", NUMBER, "odometry_rate_hz")),
         aliases=ROS_ALIASES
         | {"odometryRate": "publish_rate", "publishOdometryTf": "publish_odom_tf"},
         unused=ROS_UNUSED

@@ -11,7 +11,6 @@ An element of the zensim namespace sets the dynamics of a model:
 
 from __future__ import annotations
 
-from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, get_args
@@ -30,6 +29,7 @@ from zensim.sim_server.description.parsed_model import (
     ParsedModel,
     check_links,
     check_moving_parts,
+    find_repeated,
     normalize_axes,
     order_as_tree,
 )
@@ -152,8 +152,7 @@ def flatten_model(model: Element, report: ParseReport) -> FlattenedModel:
 
 
 def _check_unique(what: str, names: list[str]) -> None:
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
+    if repeated := find_repeated(names):
         raise ModelError(
             f"{what} names {quote_names(repeated)} are used more than once; make them unique",
             slug="sdf.duplicate_link" if what == "link" else "sdf.duplicate_joint",

@@ -32,7 +32,7 @@ from zensim.proto.messages.standard_messages import Point, Pose, Quaternion, Vec
 from zensim.proto.messages.world_messages import DOWNWARD, Light, LightKind, Scene
 from zensim.sim_server.description.link_surfaces import read_rgba
 from zensim.sim_server.description.meshes.mesh_lookup import HasMesh, MeshPolicy, no_meshes
-from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK
+from zensim.sim_server.description.parsed_model import MODEL_FRAME, WORLD_LINK, find_repeated
 from zensim.sim_server.description.report import ParseReport
 from zensim.sim_server.description.sdf.sdf_frames import PoseGraph
 from zensim.sim_server.description.sdf.sdf_includes import (
@@ -322,7 +322,7 @@ def _add_frames(world: Element, draft: _WorldDraft) -> None:
             slug="sdf.size",
         )
     names = [read_name(model, "model") for model in models]
-    if repeated := sorted({name for name in names if names.count(name) > 1}):
+    if repeated := find_repeated(names):
         raise ModelError(
             f"model names {quote_names(repeated)} are used more than once; make them unique",
             slug="sdf.duplicate_name",
