@@ -1,11 +1,14 @@
 """Contact, rolling friction, self-collision and solver parameters as Bullet's arguments."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from itertools import combinations
-from typing import Final, TypedDict
+from typing import Any
 
 from zensim.proto.messages.model_messages import ZERO, Link, Model
 from zensim.sim_server.physics.blueprint import MIN_DAMPING_STEPS, Blueprint, RigidPart
+
+BulletArguments = dict[str, Any]
+"""Keyword arguments of a function of pybullet."""
 
 SOLVER_ITERATIONS = 20
 """Limit. 10 take 0.87 of the time, but a stopped box_bot rocks; 50 take 1.5."""
@@ -17,17 +20,7 @@ Bullet's default 1e-7 takes 1.1 of the time; 1e-5 takes 0.85, with ten times the
 """
 
 
-class SolverArguments(TypedDict):
-    """Arguments of setPhysicsEngineParameter."""
-
-    numSolverIterations: int
-    solverResidualThreshold: float
-    minimumSolverIslandSize: int
-    enableConeFriction: int
-    enableFileCaching: int
-
-
-SOLVER_ARGUMENTS: Final[SolverArguments] = {
+SOLVER_ARGUMENTS: BulletArguments = {
     "numSolverIterations": SOLVER_ITERATIONS,
     "solverResidualThreshold": SOLVER_RESIDUAL_THRESHOLD,
     # Islands are solved separately, so that each stops when it has converged.
@@ -73,29 +66,11 @@ In exchange, fast bodies penetrate by what they move in a step.
 """
 
 
-class DynamicsArguments(TypedDict, total=False):
-    """Arguments of changeDynamics."""
-
-    lateralFriction: float
-    spinningFriction: float
-    rollingFriction: float
-    restitution: float
-    contactProcessingThreshold: float
-    contactStiffness: float
-    contactDamping: float
-    anisotropicFriction: tuple[float, float, float]
-    linearDamping: float
-    angularDamping: float
-    localInertiaDiagonal: Sequence[float]
-    jointLowerLimit: float
-    jointUpperLimit: float
-
-
-def make_contact_arguments(part: RigidPart, dt_s: float, *, is_static: bool) -> DynamicsArguments:
-    """Make the contact arguments of a part."""
+def make_contact_arguments(part: RigidPart, dt_s: float, *, is_static: bool) -> BulletArguments:
+    """Make the contact arguments of changeDynamics of a part."""
     contact = part.contact
     friction = limit_static_body_friction(part.friction) if is_static else part.friction
-    arguments = DynamicsArguments(
+    arguments = BulletArguments(
         lateralFriction=friction,
         spinningFriction=0.0,
         rollingFriction=0.0,

@@ -1,7 +1,7 @@
 """Bullet multibodies from blueprints: shapes, links, dynamics, joint damping and gears."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from zensim.sim_server.physics.blueprint import (
     make_shape_key,
 )
 from zensim.sim_server.physics.bullet.bullet_contact import (
-    DynamicsArguments,
+    BulletArguments,
     make_contact_arguments,
 )
 from zensim.sim_server.physics.engine import MIN_INERTIA, MIN_MASS_KG, FloatArray
@@ -83,24 +83,10 @@ def limit_joint_dampings(
 COLLISION_SHAPE_KINDS = ("box", "sphere", "cylinder", "capsule", "mesh")
 
 
-class CollisionShapeArguments(TypedDict):
-    """Arguments of createCollisionShapeArray."""
-
-    shapeTypes: Sequence[int]
-    halfExtents: Sequence[Sequence[float]]
-    radii: Sequence[float]
-    lengths: Sequence[float]
-    fileNames: Sequence[str]
-    meshScales: Sequence[Sequence[float]]
-    flags: Sequence[int]
-    collisionFramePositions: Sequence[Sequence[float]]
-    collisionFrameOrientations: Sequence[Sequence[float]]
-
-
 def make_collision_shape_arguments(
     shapes: Sequence[Shape], *, folder: str, kinds: Mapping[str, int], mesh_flag: int
-) -> CollisionShapeArguments:
-    """Make the arguments for a compound of shapes.
+) -> BulletArguments:
+    """Make the arguments of createCollisionShapeArray.
 
     Args:
         shapes: Of one part.
@@ -108,7 +94,7 @@ def make_collision_shape_arguments(
         kinds: Bullet's number for each kind of shape.
         mesh_flag: Bullet's flag for meshes.
     """
-    return CollisionShapeArguments(
+    return BulletArguments(
         shapeTypes=[kinds[s.kind] for s in shapes],
         halfExtents=[[extent / 2 for extent in s.size] for s in shapes],
         radii=[s.size[0] for s in shapes],
@@ -121,28 +107,6 @@ def make_collision_shape_arguments(
     )
 
 
-class MultiBodyArguments(TypedDict):
-    """Arguments of createMultiBody."""
-
-    baseMass: float
-    baseCollisionShapeIndex: int
-    baseVisualShapeIndex: int
-    basePosition: Sequence[float]
-    baseOrientation: Sequence[float]
-    baseInertialFramePosition: Sequence[float]
-    baseInertialFrameOrientation: Sequence[float]
-    linkMasses: Sequence[float]
-    linkCollisionShapeIndices: Sequence[int]
-    linkVisualShapeIndices: Sequence[int]
-    linkPositions: Sequence[Sequence[float]]
-    linkOrientations: Sequence[Sequence[float]]
-    linkInertialFramePositions: Sequence[Sequence[float]]
-    linkInertialFrameOrientations: Sequence[Sequence[float]]
-    linkParentIndices: Sequence[int]
-    linkJointTypes: Sequence[int]
-    linkJointAxis: Sequence[Sequence[float]]
-
-
 def make_multibody_arguments(
     blueprint: Blueprint,
     base: FloatArray,
@@ -150,8 +114,8 @@ def make_multibody_arguments(
     shapes: Sequence[int],
     visual: int,
     kinds: Mapping[str, int],
-) -> MultiBodyArguments:
-    """Make the arguments for a body.
+) -> BulletArguments:
+    """Make the arguments of createMultiBody.
 
     Args:
         blueprint: Of the body.
@@ -161,7 +125,7 @@ def make_multibody_arguments(
         kinds: Bullet's number for each kind of joint.
     """
     root, *rest = blueprint.parts
-    return MultiBodyArguments(
+    return BulletArguments(
         baseMass=0.0 if blueprint.is_static else max(root.mass_kg, MIN_MASS_KG),
         baseCollisionShapeIndex=shapes[0],
         baseVisualShapeIndex=visual,
@@ -185,10 +149,10 @@ def make_multibody_arguments(
 
 def make_dynamics_arguments(
     blueprint: Blueprint, dt_s: float
-) -> Iterator[tuple[int, DynamicsArguments]]:
-    """Make the dynamics arguments of each part; parts are numbered from -1, the root."""
+) -> Iterator[tuple[int, BulletArguments]]:
+    """Make the arguments of changeDynamics of each part; parts are numbered from -1, the root."""
     # Damping is of the whole body; passing it for a link overwrites the root's friction.
-    yield -1, DynamicsArguments(linearDamping=0.0, angularDamping=0.0)
+    yield -1, BulletArguments(linearDamping=0.0, angularDamping=0.0)
     for number, part in enumerate(blueprint.parts, start=-1):
         arguments = make_contact_arguments(part, dt_s, is_static=blueprint.is_static)
         if part.joint is not None or (part.parent < 0 and not blueprint.is_static):
@@ -214,7 +178,7 @@ class CollisionShapeCache:
         """Make an empty cache.
 
         Args:
-            make: Creates a shape from `CollisionShapeArguments`.
+            make: Creates a shape from arguments of createCollisionShapeArray.
             folder: Of `<Shape.mesh>.stl`.
             kinds: The engine's number for each kind of shape.
             concave: The flag for concave meshes, which only static bodies may have.
