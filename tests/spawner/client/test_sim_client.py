@@ -1,4 +1,4 @@
-"""SimClient against the server's own handlers, over a network in memory."""
+"""SimClient with the handlers of the server, on a bus in memory."""
 
 from typing import cast
 
@@ -17,8 +17,8 @@ from zensim.sim_server.runtime.loop_channels import BusInbox, BusWorldPublisher
 from zensim.spawner.client.sim_client import SimClient
 
 
-class Served:
-    """A client of a world, whose server turns while the client waits."""
+class ServedWorld:
+    """A client and a server; the server runs while the client waits."""
 
     def __init__(self, *names: str) -> None:
         self.bus = MemoryBus()
@@ -36,7 +36,7 @@ class Served:
 
 
 def test_client_spawns_and_deletes() -> None:
-    served = Served("r0")
+    served = ServedWorld("r0")
 
     report = served.client.spawn(SpawnEntityOrder("r1", entity_resource=Resource("box_bot")))
     served.client.delete("r0")
@@ -46,8 +46,8 @@ def test_client_spawns_and_deletes() -> None:
     assert served.client.entities() == ("r1",)
 
 
-def test_client_raises_what_the_server_refused() -> None:
-    served = Served("r0")
+def test_refusal_is_raised() -> None:
+    served = ServedWorld("r0")
 
     with pytest.raises(ServiceError, match="'r9'") as error:
         served.client.delete("r9")
@@ -55,8 +55,8 @@ def test_client_raises_what_the_server_refused() -> None:
     assert (error.value.service, error.value.code) == ("delete_entity", ResultCode.NOT_FOUND)
 
 
-def test_client_puts_an_entity_where_it_tells_it_to_be() -> None:
-    served = Served("r0")
+def test_entity_state_is_set() -> None:
+    served = ServedWorld("r0")
     served.world.clock.pause()
     state = EntityState(pose=Pose(Point(1.0, 2.0, 3.0)), twist=Twist(Vector3(0.5)))
 
@@ -67,8 +67,8 @@ def test_client_puts_an_entity_where_it_tells_it_to_be() -> None:
     assert found.twist.linear.x == 0.5
 
 
-def test_client_tells_models_and_who_drives_them() -> None:
-    served = Served("r0", "r1")
+def test_models_have_agents() -> None:
+    served = ServedWorld("r0", "r1")
     served.world.claim("a", ("r1",), "stop")
 
     models = served.client.models()
@@ -77,8 +77,8 @@ def test_client_tells_models_and_who_drives_them() -> None:
     assert served.client.entity_model("r1").agent == "a"
 
 
-def test_client_pauses_steps_and_plays() -> None:
-    served = Served()
+def test_simulation_is_paused_stepped_and_played() -> None:
+    served = ServedWorld()
     served.client.set_simulation_state(State.PAUSED)
     before = served.client.info().steps
 
@@ -90,8 +90,8 @@ def test_client_pauses_steps_and_plays() -> None:
     assert served.client.simulation_state() == State.PLAYING
 
 
-def test_client_resets() -> None:
-    served = Served("r0")
+def test_simulation_is_reset() -> None:
+    served = ServedWorld("r0")
 
     served.client.reset(ResetScope.STATE)
     kept = served.client.entities()
@@ -100,13 +100,13 @@ def test_client_resets() -> None:
     assert (kept, served.client.entities()) == (("r0",), ())
 
 
-def test_client_tells_features() -> None:
-    features = Served().client.features()
+def test_features_are_returned() -> None:
+    features = ServedWorld().client.features()
 
     assert Feature.SPAWNING in features.features
 
 
-def test_client_waits_no_longer_than_it_was_told_for_a_server() -> None:
+def test_waiting_for_a_server_has_a_timeout() -> None:
     waits: list[int] = []
     client = SimClient(cast("Bus", MemoryBus()))
 
@@ -116,16 +116,16 @@ def test_client_waits_no_longer_than_it_was_told_for_a_server() -> None:
     assert waits == []
 
 
-def test_client_finds_the_server_as_soon_as_it_is_there() -> None:
-    served = Served("r0")
+def test_waiting_for_a_server_ends_when_it_starts() -> None:
+    served = ServedWorld("r0")
 
     info = served.client.wait_for_server(0.0)
 
     assert (info.world, info.entities) == ("default", 1)
 
 
-def test_client_asks_its_own_world_only() -> None:
-    served = Served()
+def test_client_calls_its_own_world_only() -> None:
+    served = ServedWorld()
     other = SimClient(cast("Bus", served.bus), "other")
 
     with pytest.raises(NoServer, match="sim/other/info"):

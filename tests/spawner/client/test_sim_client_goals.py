@@ -1,4 +1,4 @@
-"""Goals as a caller sees them, against a server whose loop turns while the caller waits."""
+"""Step goals of SimClient; the loop of the server runs while the client waits."""
 
 from typing import TYPE_CHECKING, cast
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from zensim.sim_server.world.simulated_world import World
 
 
-class Served:
-    """A paused world, whose server turns while somebody waits for it."""
+class ServedGoals:
+    """A paused world; the server runs while the client waits."""
 
     def __init__(self) -> None:
         self.bus = MemoryBus()
@@ -47,8 +47,8 @@ class Served:
         )
 
 
-def test_goal_tells_its_progress_and_its_end_before_it_returns() -> None:
-    served, seen = Served(), list[StepsProgress]()
+def test_goal_reports_its_progress_before_it_returns() -> None:
+    served, seen = ServedGoals(), list[StepsProgress]()
 
     answer = served.reach(20, seen.append)
 
@@ -57,8 +57,8 @@ def test_goal_tells_its_progress_and_its_end_before_it_returns() -> None:
     assert seen[-1] == StepsProgress("g", 20, 0, "succeeded")
 
 
-def test_goal_tells_of_no_other_goal() -> None:
-    served, seen = Served(), list[StepsProgress]()
+def test_goal_ignores_progress_of_other_goals() -> None:
+    served, seen = ServedGoals(), list[StepsProgress]()
     served.client.simulate_steps(3, goal_id="other")
 
     served.reach(3, seen.append)
@@ -66,8 +66,8 @@ def test_goal_tells_of_no_other_goal() -> None:
     assert {one.goal_id for one in seen} == {"g"}
 
 
-def test_goal_ignores_bytes_that_are_no_progress() -> None:
-    served, seen = Served(), list[StepsProgress]()
+def test_goal_ignores_malformed_progress() -> None:
+    served, seen = ServedGoals(), list[StepsProgress]()
     served.bus.pumps.append(
         lambda: served.bus.put("sim/default/simulate_steps_feedback", b"garbage")
     )
@@ -77,15 +77,15 @@ def test_goal_ignores_bytes_that_are_no_progress() -> None:
     assert seen[-1].status == "succeeded"
 
 
-def test_goal_that_is_refused_says_so() -> None:
-    served = Served()
+def test_refused_goal_raises() -> None:
+    served = ServedGoals()
 
     with pytest.raises(ServiceError, match="steps=0"):
         served.reach(0, lambda _: None)
 
 
-def test_client_counts_the_steps_to_a_time() -> None:
-    served = Served()
+def test_steps_until_counts_steps() -> None:
+    served = ServedGoals()
     served.client.step(24)
 
     steps = [served.client.steps_until(round(time_s * 1e9)) for time_s in (0.0, 0.1, 0.2, 0.201)]
@@ -93,8 +93,8 @@ def test_client_counts_the_steps_to_a_time() -> None:
     assert steps == [-24, 0, 24, 25]
 
 
-def test_client_runs_to_a_time_and_cancels_what_is_not_there() -> None:
-    served = Served()
+def test_run_to_and_cancel_without_goals() -> None:
+    served = ServedGoals()
 
     reached = served.client.run_to(100_000_000)
 
@@ -102,8 +102,8 @@ def test_client_runs_to_a_time_and_cancels_what_is_not_there() -> None:
     assert served.client.cancel_steps() == ()
 
 
-def test_client_sets_the_speed() -> None:
-    served = Served()
+def test_speed_is_set() -> None:
+    served = ServedGoals()
 
     served.client.set_speed(2.5)
 
