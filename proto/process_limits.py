@@ -8,8 +8,7 @@ import time
 from collections.abc import Mapping
 from math import ceil
 from pathlib import Path
-
-import msgspec
+from typing import NamedTuple
 
 if sys.platform != "win32":
     import resource
@@ -19,7 +18,7 @@ PARENT_PID_VARIABLE = "ZENSIM_PARENT"
 PR_SET_PDEATHSIG = 1
 
 
-class ResourceLimits(msgspec.Struct, frozen=True):
+class ResourceLimits(NamedTuple):
     """Limits of a process that handles untrusted input; there is never a core dump."""
 
     extra_memory_bytes: int

@@ -17,7 +17,7 @@ from zensim.deploy.cli import VERBS, build
 from zensim.proto.exit_codes import ExitCode
 
 RUNNER = CliRunner()
-HEAVY = ("pybullet", "viser", "yourdfpy", "lxml", "zenoh", "numpy")
+HEAVY = ("pybullet", "viser", "yourdfpy", "lxml", "zenoh", "numpy", "msgspec")
 
 
 def find_heavy_imports(code: str) -> set[str]:
