@@ -22,7 +22,7 @@ from benchmarks.ten_robots import (
     observed,
     stats_of,
 )
-from tests.integration.journals import kept_in, kill_hard
+from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import START_S, free_endpoint, joined, running
 from zensim.spawner.client.sim_client import SimClient
 
@@ -78,7 +78,7 @@ def _sync_ms(path: Path) -> float:
 
 def _starts(folder: Path, *, is_short: bool) -> Iterator[Figure]:
     endpoint, count = free_endpoint(), KEPT_WHEN_SHORT if is_short else KEPT
-    with kept_in(folder, endpoint) as server:
+    with serving_with_journal(folder, endpoint) as server:
         for number in range(count):
             server.client.spawn(an_order(number))
         kill_hard(server)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from benchmarks.figures import Asked, Figure
-from tests.integration.journals import kept_in, kill_hard
+from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import command_line, end, eventually, free_endpoint, zensim
 
 COPIES, COPIES_WHEN_SHORT = 200, 2
@@ -57,7 +57,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _fill(folder: Path) -> None:
-    with kept_in(folder, free_endpoint()) as server:
+    with serving_with_journal(folder, free_endpoint()) as server:
         server.zensim("fleet", "box_bot", "--count", str(ROBOTS))
         for i in range(ROBOTS):
             if i % 4 == 0:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 
 from benchmarks.figures import Asked, Figure
-from tests.integration.repeated import Said, drive, locked_fleet
+from tests.integration.repeatable_run import Said, drive, run_lockstep_fleet
 
 RUNS, RUNS_WHEN_SHORT = 10, 2
 ROBOTS, ROBOTS_WHEN_SHORT = 20, 3
@@ -35,7 +35,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _run(robots: int, steps: int) -> Said:
-    with locked_fleet(robots) as server:
+    with run_lockstep_fleet(robots) as server:
         said = drive(server, robots, steps)
     sys.stderr.write(f"{said.hash}\n")
     return said

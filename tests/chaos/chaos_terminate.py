@@ -15,7 +15,7 @@ import psutil
 
 from benchmarks.figures import Asked, Figure
 from tests.chaos.recovery import ROBOTS_WHEN_SHORT, crew
-from tests.integration.bare_page import a_camera, bare_page
+from tests.integration.page_client import connect_page, encode_camera
 from tests.integration.processes import (
     END_S,
     START_S,
@@ -71,8 +71,8 @@ def _round() -> dict[str, tuple[float, int]]:
         waiting = stack.enter_context(running("agent", "r9", "--name", "patient", *there))
         view = stack.enter_context(running("view", *there, "--port", "0"))
         assert view.stdout is not None
-        page = stack.enter_context(bare_page(view.stdout.readline().split()[1]))
-        page.send(a_camera())
+        page = stack.enter_context(connect_page(view.stdout.readline().split()[1]))
+        page.send(encode_camera())
         page.recv(timeout=END_S)
         eventually(lambda: "patient" in _agents(bus), START_S, "joining")
         found.drive_s()

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def kept_in(
+def serving_with_journal(
     folder: Path, endpoint: str, *arguments: str, prefix: Sequence[str] = ()
 ) -> Iterator[Server]:
     """Run a server on a journal until the block is over."""

@@ -99,7 +99,7 @@ def yaw(odom: Odometry) -> float:
 
 
 @dataclass(frozen=True)
-class Course:
+class DriveResult:
     """What a robot did while it was driven: displacement in its own start frame, turn summed up."""
 
     forward_m: float
@@ -109,28 +109,28 @@ class Course:
 
 def drive_for(
     client: SimClient, robots: Sequence[Robot], *, linear: float, angular: float, sim_s: float
-) -> list[Course]:
+) -> list[DriveResult]:
     """Drive robots all at once for some simulation time, then let them stop.
 
     Time goes on between two commands and stands at each, so that a busy machine changes nothing.
     """
-    with on_demand(client):
-        _go_on(client, SEND_EVERY_S)
+    with pausing(client):
+        _advance_time(client, SEND_EVERY_S)
         starts = [found.newest() for found in robots]
         turns = [found.turned_rad for found in robots]
         for twist, duration_s in (((linear, angular), sim_s), ((0.0, 0.0), STOP_S)):
             for _ in range(round(duration_s / SEND_EVERY_S)):
                 for found in robots:
                     found.command(*twist)
-                _go_on(client, SEND_EVERY_S)
+                _advance_time(client, SEND_EVERY_S)
         return [
-            _course(start, found.newest(), found.turned_rad - turn)
+            _make_result(start, found.newest(), found.turned_rad - turn)
             for start, found, turn in zip(starts, robots, turns, strict=True)
         ]
 
 
 @contextmanager
-def on_demand(client: SimClient) -> Iterator[None]:
+def pausing(client: SimClient) -> Iterator[None]:
     """Let time stand but for what is asked for; afterwards it runs again if it did before."""
     is_playing = client.simulation_state() == State.PLAYING
     if is_playing:
@@ -140,7 +140,7 @@ def on_demand(client: SimClient) -> Iterator[None]:
         client.set_simulation_state(State.PLAYING)
 
 
-def _go_on(client: SimClient, sim_s: float) -> None:
+def _advance_time(client: SimClient, sim_s: float) -> None:
     client.run_to(round((client.info().sim_time_s + sim_s) * NANOSECONDS))
 
 
@@ -148,10 +148,10 @@ def _turn(before: float, after: float) -> float:
     return (after - before + math.pi) % (2.0 * math.pi) - math.pi
 
 
-def _course(start: Odometry, finish: Odometry, turned: float) -> Course:
+def _make_result(start: Odometry, finish: Odometry, turned: float) -> DriveResult:
     (x0, y0), (x1, y1), heading = place(start), place(finish), yaw(start)
     dx, dy = x1 - x0, y1 - y0
-    return Course(
+    return DriveResult(
         dx * math.cos(heading) + dy * math.sin(heading),
         dy * math.cos(heading) - dx * math.sin(heading),
         turned,

@@ -72,7 +72,7 @@ class Told:
         return f"{self.owner.domain}{self.name}/{dds}/{self.type_hash}"
 
 
-def graph_of(tokens: Iterable[str]) -> list[Told]:
+def parse_endpoints(tokens: Iterable[str]) -> list[Told]:
     """Read all tokens of a network, and check what rmw_zenoh needs of them together.
 
     Raises:

@@ -46,7 +46,7 @@ class Announced:
     is_latched: bool
 
 
-def heard_of(sample: zenoh.Sample) -> Heard:
+def to_received_sample(sample: zenoh.Sample) -> Heard:
     attachment = sample.attachment.to_bytes() if sample.attachment else b""
     return Heard(str(sample.key_expr), sample.payload.to_bytes(), attachment)
 

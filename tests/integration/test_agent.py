@@ -53,7 +53,7 @@ def status_after(process: "subprocess.Popen[str]", number: signal.Signals) -> in
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_agent_ends_well_when_it_is_told_to(server: Server, number: signal.Signals) -> None:
+def test_agent_exits_with_0_when_terminated(server: Server, number: signal.Signals) -> None:
     with driven(server, "r1") as agents:
         name = agent_of(server, "r1")
 
@@ -63,14 +63,14 @@ def test_agent_ends_well_when_it_is_told_to(server: Server, number: signal.Signa
         eventually(lambda: not agent_of(server, "r1"), 2.0, "releasing the entity")
 
 
-def test_agent_ends_while_it_waits_for_its_entity(server: Server) -> None:
+def test_agent_exits_while_it_waits_for_its_entity(server: Server) -> None:
     with running("agent", "r9", "--name", "patient", "--connect", server.endpoint) as waiting:
         eventually(lambda: "patient" in agents_up(server.bus), 10.0, "joining")
 
         assert status_after(waiting, signal.SIGTERM) == 0
 
 
-def test_agent_ends_while_it_waits_for_a_server() -> None:
+def test_agent_exits_while_it_waits_for_a_server() -> None:
     with running("agent", "r1", "--connect", free_endpoint()) as waiting:
         eventually(lambda: psutil.Process(waiting.pid).num_threads() > 1, 10.0, "joining")
 
@@ -78,7 +78,7 @@ def test_agent_ends_while_it_waits_for_a_server() -> None:
         assert status_after(waiting, signal.SIGINT) in (ExitCode.INTERRUPTED, -signal.SIGINT)
 
 
-def test_agent_names_the_entity_that_never_came(server: Server) -> None:
+def test_agent_names_the_missing_entity_after_its_timeout(server: Server) -> None:
     done = server.zensim("agent", "r9", "--wait", "0.3")
 
     last = done.stderr.splitlines()[-1]
@@ -87,7 +87,7 @@ def test_agent_names_the_entity_that_never_came(server: Server) -> None:
     assert "'r9'" in last
 
 
-def test_agent_leaves_an_entity_to_the_agent_that_drives_it(server: Server) -> None:
+def test_agent_is_refused_an_entity_with_another_agent(server: Server) -> None:
     with driven(server, "r2"):
         done = server.zensim("agent", "r2", "--wait", "0.3")
 
@@ -95,7 +95,7 @@ def test_agent_leaves_an_entity_to_the_agent_that_drives_it(server: Server) -> N
     assert "ALREADY_CLAIMED (101)" in done.stderr.splitlines()[-1]
 
 
-def test_agent_drives_an_entity_again_when_it_was_deleted_and_spawned(server: Server) -> None:
+def test_agent_claims_an_entity_again_after_deletion_and_spawn(server: Server) -> None:
     with driven(server, "r3"):
         server.zensim("delete", "r3")
         eventually(lambda: server.bus.get("r3/odom") == [], 5.0, "falling silent")
@@ -106,7 +106,7 @@ def test_agent_drives_an_entity_again_when_it_was_deleted_and_spawned(server: Se
         eventually(lambda: server.bus.get("r3/odom") != [], 5.0, "odometry")
 
 
-def test_agent_answers_late_comers_and_stays_small(server: Server) -> None:
+def test_agent_publishes_to_late_joiners_within_its_memory_limit(server: Server) -> None:
     kinds: dict[str, type[msgspec.Struct]] = {
         "r4/odom": Odometry,
         "r4/tf": TFMessage,
@@ -128,7 +128,7 @@ def test_agent_answers_late_comers_and_stays_small(server: Server) -> None:
     assert memory_bytes < MAX_MEMORY_BYTES
 
 
-def test_agent_outlives_its_server_and_may_be_there_before_it() -> None:
+def test_agent_survives_its_server_and_may_start_before_it() -> None:
     endpoint = free_endpoint()
     with running("agent", "r1", "--connect", endpoint) as agent:
         for _ in range(2):

@@ -47,7 +47,7 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(autouse=True)
-def keeps_stepping(server: Server) -> Iterator[None]:
+def advancing(server: Server) -> Iterator[None]:
     yield
     before = server.steps()
     eventually(lambda: server.steps() > before + 24, 5.0, "stepping")
@@ -97,7 +97,7 @@ def _refusal_type(service: str) -> type[msgspec.Struct]:
     return known if "result" in known.__struct_fields__ else DeleteEntityResponse
 
 
-def says_no(answer: dict[str, Any]) -> bool:
+def is_refused(answer: dict[str, Any]) -> bool:
     """Whether an answer refuses, by a result or as gazebo_msgs do; one without fields cannot."""
     if "success" in answer:
         return answer["success"] is False
@@ -116,15 +116,15 @@ def at(**numbers: float) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("service", sorted(SERVICES))
-def test_service_answers_garbage_with_a_refusal(session: zenoh.Session, service: str) -> None:
+def test_service_refuses_malformed_payloads(session: zenoh.Session, service: str) -> None:
     for payload in GARBAGE:
         for encoding in ("", "application/json", "application/cdr", "application/msgpack"):
             answer = ask(session, service, payload, encoding)
 
-            assert says_no(answer), (payload, encoding)
+            assert is_refused(answer), (payload, encoding)
 
 
-def test_service_names_what_is_wrong_when_json_is_malformed(session: zenoh.Session) -> None:
+def test_service_names_the_error_when_json_is_malformed(session: zenoh.Session) -> None:
     answer = ask(session, "spawn_entity", b'{"name": 3}', "application/json")
 
     assert answer["result"]["result"] == 4
@@ -206,13 +206,15 @@ def test_description_is_refused_when_it_is_too_large(
     assert "xml.size: " in done.stderr
 
 
-def test_server_goes_on_when_a_message_exceeds_the_limit(session: zenoh.Session) -> None:
+def test_server_keeps_running_when_a_message_exceeds_the_limit(session: zenoh.Session) -> None:
     replies = session.get("sim/default/spawn_entity", payload=b"{" * (17 << 20), timeout=1.0)
 
     assert not [reply for reply in replies if reply.ok]
 
 
-def test_agent_goes_on_when_cmd_vel_is_garbage(server: Server, session: zenoh.Session) -> None:
+def test_agent_keeps_running_when_cmd_vel_is_malformed(
+    server: Server, session: zenoh.Session
+) -> None:
     server.zensim("spawn", "box_bot", "--name", "r7", "-x", "20")
     with driven(server, "r7"):
         driver = robot(server.bus, "r7")
@@ -228,7 +230,7 @@ def _has_moved(driver: Robot, start: float) -> bool:
     return driver.now().pose.pose.position.x > start + 0.1
 
 
-def test_drive_batches_of_garbage_are_dropped_and_counted(session: zenoh.Session) -> None:
+def test_malformed_drive_batches_are_dropped_and_counted(session: zenoh.Session) -> None:
     for payload in GARBAGE:
         session.put("sim/default/drive/nobody/command", payload)
 
@@ -239,7 +241,7 @@ def test_drive_batches_of_garbage_are_dropped_and_counted(session: zenoh.Session
     eventually(dropped, 5.0, "counting")
 
 
-def test_command_says_so_when_no_server_is_there() -> None:
+def test_command_fails_when_no_server_is_running() -> None:
     endpoint = free_endpoint()
 
     for command in (
@@ -265,7 +267,7 @@ def test_second_server_is_refused_when_the_port_is_taken(server: Server) -> None
     assert done.stderr.count("\n") == 1
 
 
-def test_second_server_is_refused_when_the_world_has_one(server: Server) -> None:
+def test_second_server_of_a_world_is_refused(server: Server) -> None:
     done = zensim("serve", "--connect", server.endpoint)
 
     assert done.returncode == 1

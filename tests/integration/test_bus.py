@@ -41,7 +41,7 @@ def client(router: Bus) -> Iterator[Bus]:
         yield bus
 
 
-class Answering(threading.Thread):
+class ReplyThread(threading.Thread):
     """Answers every request with one reply, as a server's loop does."""
 
     def __init__(self, bus: Bus, reply: bytes, encoding: str) -> None:
@@ -51,7 +51,7 @@ class Answering(threading.Thread):
         self._reply = (reply, encoding)
         self._done = threading.Event()
 
-    def __enter__(self) -> "Answering":
+    def __enter__(self) -> "ReplyThread":
         self.start()
         return self
 
@@ -66,9 +66,9 @@ class Answering(threading.Thread):
                 call.reply(*self._reply)
 
 
-def answering(bus: Bus, response: Info | DeleteEntityResponse) -> Answering:
+def replying(bus: Bus, response: Info | DeleteEntityResponse) -> ReplyThread:
     form = Format.MSGPACK
-    return Answering(bus, encode(response, form), make_encoding(response, form))
+    return ReplyThread(bus, encode(response, form), make_encoding(response, form))
 
 
 def test_samples_arrive_in_order_when_the_subscription_is_deep(router: Bus, client: Bus) -> None:
@@ -106,7 +106,7 @@ def test_newest_sample_is_kept_when_the_subscription_is_latest(router: Bus, clie
     assert latest.newest() is None
 
 
-def test_publisher_knows_whether_anybody_listens_through_changes_and_loss_of_the_router(
+def test_publisher_tracks_matching_subscribers_across_changes_and_loss_of_the_router(
     router: Bus, client: Bus
 ) -> None:
     publisher = client.advertise("r1/odom", "")
@@ -131,33 +131,33 @@ def test_publisher_knows_whether_anybody_listens_through_changes_and_loss_of_the
 
 
 def test_call_returns_the_typed_response(router: Bus, client: Bus) -> None:
-    with answering(router, Info(world="w", steps=7)):
+    with replying(router, Info(world="w", steps=7)):
         info = client.call(INFO, InfoRequest(), world="default")
 
     assert (info.world, info.steps) == ("w", 7)
 
 
-def test_call_raises_the_servers_code_when_it_is_refused(router: Bus, client: Bus) -> None:
+def test_call_raises_the_code_of_the_server_when_refused(router: Bus, client: Bus) -> None:
     refusal = DeleteEntityResponse(Result(ResultCode.NOT_FOUND, "entity 'x' does not exist"))
-    with answering(router, refusal), pytest.raises(ServiceError, match="NOT_FOUND") as caught:
+    with replying(router, refusal), pytest.raises(ServiceError, match="NOT_FOUND") as caught:
         client.call(DELETE_ENTITY, DeleteEntityRequest("x"), world="default")
 
     assert caught.value.code == ResultCode.NOT_FOUND
 
 
 def test_call_carries_its_request_id(router: Bus, client: Bus) -> None:
-    with answering(router, Info()) as server:
+    with replying(router, Info()) as server:
         client.call(INFO, InfoRequest(), world="default", request_id="again")
 
     assert server.seen == [b"again"]
 
 
-def test_call_raises_when_nobody_serves(client: Bus) -> None:
+def test_call_raises_when_no_server_is_present(client: Bus) -> None:
     with pytest.raises(NoServer, match="zensim serve"):
         client.call(INFO, InfoRequest(), world="default")
 
 
-def test_many_requests_are_taken_a_part_at_a_time(router: Bus) -> None:
+def test_many_requests_are_taken_in_batches(router: Bus) -> None:
     calls = router.serve(keys.services("default"))
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
@@ -175,7 +175,7 @@ def test_many_requests_are_taken_a_part_at_a_time(router: Bus) -> None:
     assert [name for batch in batches for name in batch] == [f"s{i}" for i in range(100)]
 
 
-def test_call_times_out_when_a_server_never_answers(router: Bus, client: Bus) -> None:
+def test_call_times_out_when_the_server_never_replies(router: Bus, client: Bus) -> None:
     calls = router.serve(keys.services("default"))
 
     with pytest.raises(TimeoutError, match=r"0\.2 s"):
@@ -185,21 +185,21 @@ def test_call_times_out_when_a_server_never_answers(router: Bus, client: Bus) ->
         call.drop()
 
 
-def test_call_is_refused_unsent_when_it_exceeds_the_limit(router: Bus) -> None:
+def test_call_is_refused_before_sending_when_it_exceeds_the_limit(router: Bus) -> None:
     config = BusConfig(connect=(router.endpoint,), max_message_bytes=1000)
     with open_bus(config) as client, pytest.raises(ServiceError, match="at most 1000"):
         client.call(DELETE_ENTITY, DeleteEntityRequest("x" * 2000), world="default")
 
 
-def test_calls_are_all_answered_while_others_come_and_go(router: Bus, client: Bus) -> None:
+def test_all_calls_get_replies_while_sessions_open_and_close(router: Bus, client: Bus) -> None:
     done = threading.Event()
 
-    def come_and_go() -> None:
+    def open_and_close_sessions() -> None:
         while not done.is_set():
             open_bus(BusConfig(connect=(router.endpoint,))).close()
 
-    visitor = threading.Thread(target=come_and_go)
-    with answering(router, Info()):
+    visitor = threading.Thread(target=open_and_close_sessions)
+    with replying(router, Info()):
         visitor.start()
         try:
             for _ in range(1000):
@@ -209,7 +209,7 @@ def test_calls_are_all_answered_while_others_come_and_go(router: Bus, client: Bu
             visitor.join()
 
 
-def test_token_is_seen_to_come_and_go(router: Bus, client: Bus) -> None:
+def test_token_changes_are_observed(router: Bus, client: Bus) -> None:
     watch = router.watch_tokens("alive/*")
     token = client.token("alive/a")
 
@@ -219,7 +219,7 @@ def test_token_is_seen_to_come_and_go(router: Bus, client: Bus) -> None:
     assert eventually(lambda: watch.take() or None, 5.0, "going") == [("alive/a", False)]
 
 
-def test_all_answers_are_collected_when_many_reply(router: Bus, client: Bus) -> None:
+def test_all_replies_are_collected_when_many_reply(router: Bus, client: Bus) -> None:
     keys_served = [f"many/k{number}" for number in range(50)]
     queues = [router.serve(key) for key in keys_served]
     done = threading.Event()
@@ -240,14 +240,14 @@ def test_all_answers_are_collected_when_many_reply(router: Bus, client: Bus) -> 
     assert sorted(sample.payload.decode() for sample in found) == sorted(keys_served)
 
 
-def test_open_says_so_when_nobody_listens() -> None:
+def test_open_fails_when_no_router_listens() -> None:
     config = BusConfig(connect=(free_endpoint(),), open_timeout_s=0.2)
 
     with pytest.raises(Unreachable, match="tcp/127"):
         open_bus(config)
 
 
-def test_open_says_so_when_the_endpoint_is_taken(router: Bus) -> None:
+def test_open_fails_when_the_endpoint_is_taken(router: Bus) -> None:
     with pytest.raises(EndpointTaken, match="taken"):
         open_bus(BusConfig(mode="router", listen=(router.endpoint,)))
 

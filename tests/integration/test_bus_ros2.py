@@ -43,7 +43,7 @@ def one_call(queue: BusQueryQueue) -> BusQuery:
     return found[0]
 
 
-def test_attachment_travels_with_its_sample(router: Bus) -> None:
+def test_attachment_is_transmitted_with_its_sample(router: Bus) -> None:
     heard = router.subscribe("r1/odom", depth=10)
     with router.open_session() as beside:
         publisher = beside.advertise("r1/odom", "")
@@ -62,12 +62,12 @@ def test_attachment_travels_with_its_sample(router: Bus) -> None:
     assert [sample.attachment for sample in samples] == [ATTACHMENT, b""]
 
 
-def test_session_beside_has_an_id_of_its_own(router: Bus) -> None:
+def test_opened_session_has_its_own_id(router: Bus) -> None:
     with router.open_session() as beside, beside.open_session() as another:
         assert len({router.zid, beside.zid, another.zid}) == 3
 
 
-def test_late_joiner_takes_values_of_one_stamp_for_one_on_the_key_it_hears(
+def test_late_joiner_receives_one_value_per_timestamp_on_its_key(
     router: Bus, stranger: zenoh.Session
 ) -> None:
     queue = router.serve(f"0/**/tf_static/*/*/@adv/pub/{router.zid}/1/_")
@@ -97,7 +97,7 @@ def test_late_joiner_takes_values_of_one_stamp_for_one_on_the_key_it_hears(
     assert got[0].attachment.to_bytes() == ATTACHMENT
 
 
-def test_reply_on_a_key_that_nobody_wants_is_left_out(router: Bus, stranger: zenoh.Session) -> None:
+def test_reply_on_an_unrequested_key_is_omitted(router: Bus, stranger: zenoh.Session) -> None:
     queue = router.serve("a")
     replies = stranger.get("a", zenoh.handlers.FifoChannel(4), timeout=5.0)
 

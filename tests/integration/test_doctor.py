@@ -35,52 +35,54 @@ DENY_QUERIES = {
 }
 
 
-def examined(endpoint: str, *arguments: str) -> tuple[ExitCode, list[dict[str, str]]]:
+def run_doctor(endpoint: str, *arguments: str) -> tuple[ExitCode, list[dict[str, str]]]:
     """Run the doctor, and read its findings."""
     done = zensim("doctor", "--json", "--connect", endpoint, *arguments)
     assert done.stderr == ""
     return ExitCode(done.returncode), json.loads(done.stdout)
 
 
-def wrong(endpoint: str, *arguments: str) -> tuple[ExitCode, str, str]:
-    """Run the doctor where something is wrong; that is always the last finding."""
-    status, found = examined(endpoint, *arguments)
-    assert [one["mark"] for one in found].count("wrong") == 1
-    assert found[-1]["mark"] == "wrong"
+def run_failing_doctor(endpoint: str, *arguments: str) -> tuple[ExitCode, str, str]:
+    """Run the doctor where something is run_failing_doctor; that is always the last finding."""
+    status, found = run_doctor(endpoint, *arguments)
+    assert [one["mark"] for one in found].count("run_failing_doctor") == 1
+    assert found[-1]["mark"] == "run_failing_doctor"
     assert found[-1]["advice"]
     return status, found[-1]["what"], found[-1]["found"]
 
 
 def advice_of(server: Server, what: str) -> str:
-    status, found = examined(server.endpoint)
+    status, found = run_doctor(server.endpoint)
     assert status is ExitCode.OK
     return next(one["advice"] for one in found if one["what"] == what)
 
 
-def test_doctor_finds_that_nobody_listens() -> None:
-    status, what, _ = wrong(free_endpoint())
+def test_doctor_reports_a_missing_router() -> None:
+    status, what, _ = run_failing_doctor(free_endpoint())
 
     assert (status, what) == (ExitCode.UNREACHABLE, "endpoint")
 
 
-def test_doctor_finds_a_listener_that_is_no_router() -> None:
+def test_doctor_reports_a_listener_other_than_a_router() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
-        status, what, _ = wrong(f"tcp/127.0.0.1:{other.getsockname()[1]}")
+        status, what, _ = run_failing_doctor(f"tcp/127.0.0.1:{other.getsockname()[1]}")
 
     assert (status, what) == (ExitCode.UNREACHABLE, "session")
 
 
-def test_doctor_finds_a_router_without_a_server_and_with_another_world() -> None:
+def test_doctor_reports_a_router_without_a_server_and_with_another_world() -> None:
     endpoint = free_endpoint()
     with running("router", "--listen", endpoint), joined(endpoint):
-        status, what, _ = wrong(endpoint)
+        status, what, _ = run_failing_doctor(endpoint)
         assert (status, what) == (ExitCode.UNREACHABLE, "server")
 
         with running("serve", "--connect", endpoint, "--world-name", "other"):
-            eventually(lambda: "'other'" in wrong(endpoint)[2], 20.0, "serving another world")
+            eventually(
+                lambda: "'other'" in run_failing_doctor(endpoint)[2], 20.0, "serving another world"
+            )
 
 
-def test_doctor_finds_that_asking_is_denied() -> None:
+def test_doctor_reports_denied_queries() -> None:
     endpoint = free_endpoint()
     settings = json.loads(zensim("router", "--listen", endpoint, "--print-config").stdout)
     settings["access_control"] = DENY_QUERIES
@@ -88,10 +90,12 @@ def test_doctor_finds_that_asking_is_denied() -> None:
         zenoh.open(zenoh.Config.from_json5(json.dumps(settings))),
         running("serve", "--connect", endpoint),
     ):
-        eventually(lambda: "denied" in wrong(endpoint)[2], 20.0, "serving behind the control")
+        eventually(
+            lambda: "denied" in run_failing_doctor(endpoint)[2], 20.0, "serving behind the control"
+        )
 
 
-def test_doctor_finds_what_keeps_robots_from_moving_and_a_server_that_is_stopped() -> None:
+def test_doctor_reports_causes_of_immobile_robots_and_a_suspended_server() -> None:
     with serving("--paused") as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
 
@@ -102,7 +106,7 @@ def test_doctor_finds_what_keeps_robots_from_moving_and_a_server_that_is_stopped
 
         kill(server.process.pid, signal.SIGSTOP)
         try:
-            status, what, _ = wrong(server.endpoint)
+            status, what, _ = run_failing_doctor(server.endpoint)
         finally:
             kill(server.process.pid, signal.SIGCONT)
         assert (status, what) == (ExitCode.UNREACHABLE, "session")

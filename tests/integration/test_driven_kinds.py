@@ -10,7 +10,7 @@ STRAFE = Twist(Vector3(0.0, 0.3))
 CURVE = Twist(Vector3(0.3), Vector3(z=0.4))
 
 
-def test_robots_of_two_drives_hear_twists_over_the_network() -> None:
+def test_robots_of_two_drives_receive_twists_over_the_network() -> None:
     with serving() as server:
         for name, y in (("omni_bot", "0"), ("car_bot", "3")):
             where = ("-x", "0", "-y", y, "-z", HEIGHT_M)

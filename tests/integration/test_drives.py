@@ -7,8 +7,8 @@ from contextlib import ExitStack
 import msgspec
 import pytest
 
-from tests.course import Track
 from tests.models import TRACK_M, WHEEL_RADIUS_M, a_cart, a_state
+from tests.robot_track import Track
 from zensim.proto.messages.model_messages import Model, Origin, Shape
 from zensim.proto.se3 import from_rpy
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -40,7 +40,7 @@ def start() -> Iterator[StartTrack]:
 
 
 @pytest.mark.parametrize("name", HEIGHTS)
-def test_robot_goes_where_it_is_told_and_stops(start: StartTrack, name: str) -> None:
+def test_robot_follows_its_command_and_stops(start: StartTrack, name: str) -> None:
     track = start(name, heading=0.7)
     track.drive(2.0, x=0.3)
 
@@ -52,7 +52,7 @@ def test_robot_goes_where_it_is_told_and_stops(start: StartTrack, name: str) -> 
     assert abs(stopped.row[7:]).max() < 0.02
 
 
-def test_omni_bot_goes_sideways_and_turns_at_once(start: StartTrack) -> None:
+def test_omni_bot_moves_sideways_while_it_turns(start: StartTrack) -> None:
     track = start("omni_bot")
 
     sideways = track.drive(5.0, y=0.4)
@@ -90,7 +90,7 @@ def test_car_bot_drives_the_circle_of_its_steering_angle(start: StartTrack, stee
     )
 
 
-def test_car_bot_steers_no_further_than_it_can(start: StartTrack) -> None:
+def test_car_bot_steers_within_its_limit(start: StartTrack) -> None:
     track = start("car_bot")
     track.drive(2.0, x=0.4, yaw=3.0)
 
@@ -121,7 +121,7 @@ def a_cart_on_cylinders(width_m: float) -> Model:
 
 
 @pytest.mark.parametrize("width_m", [0.001, 0.04])
-def test_robot_on_cylinders_goes_two_metres_and_turns_ten_radians(
+def test_robot_on_cylinders_drives_two_metres_and_turns_ten_radians(
     start: StartTrack, width_m: float
 ) -> None:
     track = start(a_cart_on_cylinders(width_m), WHEEL_RADIUS_M)
@@ -135,7 +135,7 @@ def test_robot_on_cylinders_goes_two_metres_and_turns_ten_radians(
     assert math.hypot(turned.ahead_m, turned.left_m) < 0.01
 
 
-def test_box_bot_legacy_goes_2_8_times_as_fast_as_it_is_told(start: StartTrack) -> None:
+def test_box_bot_legacy_drives_2_8_times_as_fast_as_commanded(start: StartTrack) -> None:
     track = start("box_bot_legacy", 0.01)
     track.drive(3.0, x=0.2)
 

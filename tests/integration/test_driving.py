@@ -28,7 +28,7 @@ def ten(server: Server) -> list[Robot]:
     return [robot(server.bus, name) for name in TEN]
 
 
-def test_ten_robots_go_two_metres_when_driven_at_0_2_for_ten_seconds(
+def test_ten_robots_drive_two_metres_at_0_2_for_ten_seconds(
     server: Server, ten: list[Robot]
 ) -> None:
     courses = drive_for(server.client, ten, linear=0.2, angular=0.0, sim_s=10.0)
@@ -45,7 +45,7 @@ def test_ten_robots_turn_ten_radians_when_turned_at_one_for_ten_seconds(
     assert [course.turned_rad for course in courses] == pytest.approx([10.0] * 10, rel=0.02)
 
 
-def test_robots_stop_each_other_when_driven_head_on(server: Server, ten: list[Robot]) -> None:
+def test_robots_block_each_other_when_driven_head_on(server: Server, ten: list[Robot]) -> None:
     left, right = ten[0], ten[1]
     _face(server, "box_bot0", x=100.0, heading=0.0)
     _face(server, "box_bot1", x=101.0, heading=math.pi)

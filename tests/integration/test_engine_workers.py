@@ -24,7 +24,7 @@ def server() -> Iterator[Server]:
         yield found
 
 
-def workers_of(server: Server) -> list[psutil.Process]:
+def worker_pids(server: Server) -> list[psutil.Process]:
     return [
         child
         for child in psutil.Process(server.process.pid).children()
@@ -32,7 +32,7 @@ def workers_of(server: Server) -> list[psutil.Process]:
     ]
 
 
-def test_robots_drive_in_whatever_process_they_are_until_the_server_is_stopped(
+def test_robots_drive_in_each_process_until_the_server_is_stopped(
     server: Server,
 ) -> None:
     names = ("box_bot0", f"box_bot{FLEET - 1}")
@@ -50,22 +50,22 @@ def test_robots_drive_in_whatever_process_they_are_until_the_server_is_stopped(
 
         eventually(all_moved, 30.0, "driving")
 
-    (worker,) = workers_of(server)
+    (worker,) = worker_pids(server)
     server.process.send_signal(signal.SIGINT)
     assert server.process.wait(END_S) == 0
     assert not worker.is_running()
 
 
-def test_worker_dies_with_a_server_that_is_killed(server: Server) -> None:
-    (worker,) = workers_of(server)
+def test_worker_exits_when_its_server_is_killed(server: Server) -> None:
+    (worker,) = worker_pids(server)
 
     os.kill(server.process.pid, signal.SIGKILL)
 
     eventually(lambda: not worker.is_running(), 5.0, "the end of the worker")
 
 
-def test_server_ends_with_a_worker_that_is_killed(server: Server) -> None:
-    (worker,) = workers_of(server)
+def test_server_exits_when_a_worker_is_killed(server: Server) -> None:
+    (worker,) = worker_pids(server)
 
     worker.kill()
 

@@ -19,12 +19,12 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
         yield found
 
 
-def test_server_has_mujoco_where_pybullet_is_not_installed(server: Server) -> None:
+def test_server_uses_mujoco_when_pybullet_is_not_installed(server: Server) -> None:
     assert server.client.info().engine == "mujoco"
     assert "on mujoco" in server.zensim("doctor").stdout
 
 
-def test_robots_drive_on_mujoco_as_they_are_told(server: Server) -> None:
+def test_robots_follow_their_commands_on_mujoco(server: Server) -> None:
     spawned = server.zensim("fleet", "box_bot", "--count", "2", "--spacing", "2")
     assert spawned.returncode == 0, spawned.stderr
 
@@ -39,7 +39,7 @@ def test_robots_drive_on_mujoco_as_they_are_told(server: Server) -> None:
 
 
 @pytest.mark.parametrize(("engine", "other"), [("pybullet", "mujoco"), ("mujoco", "pybullet")])
-def test_server_says_what_would_work_when_its_engine_is_not_installed(
+def test_server_names_installed_engines_when_its_engine_is_missing(
     engine: str, other: str, tmp_path: Path
 ) -> None:
     asked = ("serve", "--engine", engine, "--listen", free_endpoint())
@@ -51,13 +51,13 @@ def test_server_says_what_would_work_when_its_engine_is_not_installed(
     assert f"{engine} is not installed; use --engine {other}, which is, or pip install" in line
 
 
-def test_server_refuses_an_engine_that_there_is_not() -> None:
+def test_server_refuses_an_unknown_engine() -> None:
     done = zensim("serve", "--engine", "dart", "--listen", free_endpoint())
 
     assert done.returncode == ExitCode.USAGE
     assert "--engine 'dart' is unknown; use pybullet or mujoco" in done.stderr
 
 
-def test_server_has_pybullet_when_both_are_installed() -> None:
+def test_server_uses_pybullet_when_both_are_installed() -> None:
     with serving() as found:
         assert found.client.info().engine == "pybullet"

@@ -16,7 +16,7 @@ P3D = """<gazebo><plugin name="truth" filename="libgazebo_ros_p3d.so">
 <gaussian_noise>0.01</gaussian_noise></plugin></gazebo></robot>"""
 
 
-def test_ground_truth_goes_where_the_robot_goes(tmp_path: Path) -> None:
+def test_ground_truth_follows_the_robot(tmp_path: Path) -> None:
     file = tmp_path / "seen.urdf"
     file.write_text(read_builtin_model("box_bot").replace("</robot>", P3D), encoding="utf-8")
     with serving() as server:

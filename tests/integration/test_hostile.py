@@ -46,7 +46,7 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(autouse=True)
-def keeps_stepping(server: Server) -> Iterator[None]:
+def advancing(server: Server) -> Iterator[None]:
     before = server.steps()
     yield
     eventually(lambda: server.steps() > before, 5.0, "stepping")
@@ -55,7 +55,9 @@ def keeps_stepping(server: Server) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: ascii(case.name))
-def test_server_answers_a_hostile_description_and_steps_on(server: Server, case: Case) -> None:
+def test_server_replies_to_a_hostile_description_and_keeps_stepping(
+    server: Server, case: Case
+) -> None:
     order = SpawnEntityOrder("hostile", entity_resource=Resource(resource_string=case.text))
 
     answer = answer_to(server, order)
@@ -79,7 +81,7 @@ def answer_to(server: Server, order: SpawnEntityOrder) -> str:
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_server_refuses_a_bomb_and_steps_on(server: Server, name: str) -> None:
+def test_server_refuses_an_expansion_bomb_and_keeps_stepping(server: Server, name: str) -> None:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
     config.insert_json5("connect/endpoints", f'["{server.endpoint}"]')

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from tests.integration.journals import kept_in, kill_hard, last_line
+from tests.integration.journals import kill_hard, last_line, serving_with_journal
 from tests.integration.processes import (
     END_S,
     Server,
@@ -38,9 +38,9 @@ def an_order(name: str) -> SpawnEntityOrder:
     return SpawnEntityOrder(name, entity_resource=Resource("box_bot"))
 
 
-def test_killed_server_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_killed_server_is_restored(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         for name in ("r0", "r1", "r2"):
             server.client.spawn(an_order(name))
         server.client.delete("r1")
@@ -50,7 +50,7 @@ def test_killed_server_goes_on_where_it_was(tmp_path: Path) -> None:
         before = server.client.info()
         kill_hard(server)
 
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         after = server.client.info()
         found = server.client.entity_state("r2").pose.position
 
@@ -61,13 +61,13 @@ def test_killed_server_goes_on_where_it_was(tmp_path: Path) -> None:
         assert 0.0 <= before.sim_time_s - after.sim_time_s <= 0.5
 
 
-def test_agent_drives_on_after_the_server_was_killed(tmp_path: Path) -> None:
+def test_agent_resumes_driving_after_the_server_was_killed(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         server.client.spawn(an_order("r0"))
         with driven(server, "r0"):
             kill_hard(server)
-            with kept_in(tmp_path, endpoint) as again:
+            with serving_with_journal(tmp_path, endpoint) as again:
                 wait_for_agents(again, ["r0"])
                 driver = robot(again.bus, "r0")
 
@@ -78,22 +78,22 @@ def test_agent_drives_on_after_the_server_was_killed(tmp_path: Path) -> None:
                 eventually(is_moving, 20.0, "moving again")
 
 
-def test_retry_after_a_restart_gets_its_answer_and_no_second_robot(tmp_path: Path) -> None:
+def test_retry_after_a_restart_gets_the_cached_response_and_no_second_robot(tmp_path: Path) -> None:
     endpoint = free_endpoint()
     order = SpawnEntityOrder("r0", allow_renaming=True, entity_resource=Resource("box_bot"))
 
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         first = server.bus.call(SPAWN_ENTITY, order, world="default", request_id="once")
         kill_hard(server)
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         again = server.bus.call(SPAWN_ENTITY, order, world="default", request_id="once")
 
         assert again == first
         assert server.client.entities() == ("r0",)
 
 
-def test_ended_server_leaves_a_closed_journal(tmp_path: Path) -> None:
-    with kept_in(tmp_path, free_endpoint()) as server:
+def test_terminated_server_closes_its_journal(tmp_path: Path) -> None:
+    with serving_with_journal(tmp_path, free_endpoint()) as server:
         server.client.spawn(an_order("r0"))
         server.process.send_signal(signal.SIGTERM)
 
@@ -103,8 +103,8 @@ def test_ended_server_leaves_a_closed_journal(tmp_path: Path) -> None:
     assert (verified.returncode, verified.stdout.count("\n")) == (0, 1)
 
 
-def test_journal_is_shown_and_exported_beside_its_server(tmp_path: Path) -> None:
-    with kept_in(tmp_path, free_endpoint()) as server:
+def test_journal_is_shown_and_exported_while_its_server_runs(tmp_path: Path) -> None:
+    with serving_with_journal(tmp_path, free_endpoint()) as server:
         server.zensim("spawn", "box_bot", "--name", "r0", "-x", "2")
 
         shown = zensim("journal", "show", str(tmp_path))
@@ -118,7 +118,7 @@ def test_journal_is_shown_and_exported_beside_its_server(tmp_path: Path) -> None
 
 
 def test_second_server_is_refused_in_one_line(tmp_path: Path) -> None:
-    with kept_in(tmp_path, free_endpoint()):
+    with serving_with_journal(tmp_path, free_endpoint()):
         second = zensim("serve", "--listen", free_endpoint(), "--journal", str(tmp_path))
 
         assert second.returncode == 1
@@ -137,7 +137,7 @@ def test_second_server_is_refused_in_one_line(tmp_path: Path) -> None:
 def test_journal_of_another_world_is_refused(
     tmp_path: Path, arguments: tuple[str, ...], said: str
 ) -> None:
-    with kept_in(tmp_path, free_endpoint()):
+    with serving_with_journal(tmp_path, free_endpoint()):
         pass
 
     done = zensim("serve", "--listen", free_endpoint(), "--journal", str(tmp_path), *arguments)
@@ -147,7 +147,7 @@ def test_journal_of_another_world_is_refused(
 
 
 def test_damaged_journal_is_refused_in_one_line(tmp_path: Path) -> None:
-    with kept_in(tmp_path, free_endpoint()) as server:
+    with serving_with_journal(tmp_path, free_endpoint()) as server:
         server.client.spawn(an_order("r0"))
         server.process.send_signal(signal.SIGTERM)
         server.process.wait(END_S)
@@ -164,11 +164,13 @@ def test_damaged_journal_is_refused_in_one_line(tmp_path: Path) -> None:
         assert done.stderr.count("\n") == 1
 
 
-def test_reply_leaves_after_the_disk_has_it(tmp_path: Path) -> None:
+def test_reply_is_sent_after_fsync(tmp_path: Path) -> None:
     log, names = tmp_path / "calls", [f"marked{i}" for i in range(5)]
     # -D: the server stays a child of this process, and strace ends with it.
     tracing = ("strace", "-D", "-f", "-qq", "-yy", "-s", "65536", "-e", f"trace={TRACED}")
-    with kept_in(tmp_path / "j", free_endpoint(), prefix=(*tracing, "-o", str(log))) as server:
+    with serving_with_journal(
+        tmp_path / "j", free_endpoint(), prefix=(*tracing, "-o", str(log))
+    ) as server:
         for name in names:
             server.bus.call(SPAWN_ENTITY, an_order(name), world="default", timeout_s=20.0)
     lines = log.read_text(errors="replace").splitlines()
@@ -184,18 +186,20 @@ def first(lines: list[str], start: int, *texts: str) -> int:
     return next(i for i in range(start, len(lines)) if all(text in lines[i] for text in texts))
 
 
-def test_loaded_world_and_meshes_are_there_after_a_kill(tmp_path: Path) -> None:
+def test_loaded_world_and_meshes_are_restored_after_a_kill(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    with kept_in(tmp_path / "j", endpoint) as server:
+    with serving_with_journal(tmp_path / "j", endpoint) as server:
         server.bus.call(
             LOAD_WORLD, LoadWorldRequest(Resource("walls")), world="default", timeout_s=20.0
         )
-        spawned = server.zensim("spawn", str(a_meshed_robot(tmp_path)), "--name", "m0", "-z", "0.5")
+        spawned = server.zensim(
+            "spawn", str(write_mesh_robot(tmp_path)), "--name", "m0", "-z", "0.5"
+        )
         assert spawned.returncode == 0, spawned.stderr
         before = server.client.models()
         kill_hard(server)
 
-    with kept_in(tmp_path / "j", endpoint) as server:
+    with serving_with_journal(tmp_path / "j", endpoint) as server:
         current = server.bus.call(GET_CURRENT_WORLD, GetCurrentWorldRequest(), world="default")
         after = server.client.models()
 
@@ -205,7 +209,7 @@ def test_loaded_world_and_meshes_are_there_after_a_kill(tmp_path: Path) -> None:
         assert server.client.entity_state("m0").pose.position.z == pytest.approx(0.5, abs=0.01)
 
 
-def a_meshed_robot(folder: Path) -> Path:
+def write_mesh_robot(folder: Path) -> Path:
     """Write a robot that is a cube of 1 m by its mesh, placed on the ground."""
     trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "cube.stl")
     mesh = '<geometry><mesh filename="cube.stl"/></geometry>'
@@ -232,8 +236,11 @@ def small_disk(folder: Path) -> Iterator[Path]:
 
 
 @pytest.mark.root
-def test_full_disk_refuses_spawns_and_lets_robots_go_on(tmp_path: Path) -> None:
-    with small_disk(tmp_path / "disk") as disk, kept_in(disk / "j", free_endpoint()) as server:
+def test_full_disk_refuses_spawns_while_robots_keep_driving(tmp_path: Path) -> None:
+    with (
+        small_disk(tmp_path / "disk") as disk,
+        serving_with_journal(disk / "j", free_endpoint()) as server,
+    ):
         server.client.spawn(an_order("r0"))
         ballast = disk / "ballast"
         fill_up(ballast)
@@ -248,7 +255,7 @@ def test_full_disk_refuses_spawns_and_lets_robots_go_on(tmp_path: Path) -> None:
         server.client.spawn(an_order("after"))
         assert server.client.entities() == (*kept, "after")
         kill_hard(server)
-        with kept_in(disk / "j", free_endpoint()) as again:
+        with serving_with_journal(disk / "j", free_endpoint()) as again:
             assert again.client.entities() == (*kept, "after")
 
 

@@ -30,7 +30,7 @@ def speed(server: Server, name: str) -> float:
     return abs(twist.linear.x) + abs(twist.linear.y)
 
 
-def test_robot_stops_and_is_taken_over_when_its_agent_is_killed() -> None:
+def test_robot_stops_and_can_be_claimed_when_its_agent_is_killed() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
         with driven(server, "r1") as agents:
@@ -51,7 +51,7 @@ def test_robot_stops_and_is_taken_over_when_its_agent_is_killed() -> None:
             eventually(is_moving, 10.0, "moving again")
 
 
-def test_server_goes_on_when_a_spawner_is_killed_mid_call() -> None:
+def test_server_keeps_running_when_a_spawner_is_killed_during_a_call() -> None:
     with serving() as server:
         for delay_s in (0.15, 0.2, 0.25, 0.3, 0.35, 0.4):
             spawn = subprocess.Popen(
@@ -71,7 +71,7 @@ def test_server_goes_on_when_a_spawner_is_killed_mid_call() -> None:
         assert server.zensim("spawn", "box_bot", "-n", "after").returncode == 0
 
 
-def test_agent_claims_again_when_its_entity_comes_back() -> None:
+def test_agent_claims_again_when_its_entity_is_spawned_again() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
         with driven(server, "r1"):
@@ -98,7 +98,7 @@ def test_second_agent_is_refused_when_a_robot_is_driven() -> None:
             assert agent_of(server, "r1") == first
 
 
-def test_server_ends_cleanly_when_interrupted() -> None:
+def test_server_exits_cleanly_when_interrupted() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         with serving() as server:
             server.process.send_signal(number)
@@ -106,7 +106,7 @@ def test_server_ends_cleanly_when_interrupted() -> None:
             assert server.process.wait(END_S) == 0
 
 
-def test_up_brings_ten_robots_and_leaves_nothing_when_interrupted() -> None:
+def test_up_starts_ten_robots_and_leaves_no_process_when_interrupted() -> None:
     with running("up", "--json", "--no-viewer", "--listen", "tcp/127.0.0.1:0") as up:
         assert up.stdout is not None
         ready = up.stdout.readline()
@@ -120,7 +120,7 @@ def test_up_brings_ten_robots_and_leaves_nothing_when_interrupted() -> None:
         assert '"real_time_factor"' in up.stdout.readline()
 
 
-def test_up_takes_everything_down_when_it_is_killed() -> None:
+def test_up_ends_all_its_processes_when_killed() -> None:
     with running(
         "up", "--json", "--no-viewer", "--robots", "2", "--listen", "tcp/127.0.0.1:0"
     ) as up:
@@ -132,7 +132,7 @@ def test_up_takes_everything_down_when_it_is_killed() -> None:
         eventually(lambda: not any(process.is_running() for process in family), 5.0, "ending")
 
 
-def test_up_starts_an_agent_again_when_it_died() -> None:
+def test_up_restarts_an_agent_that_died() -> None:
     with running(
         "up", "--json", "--no-viewer", "--robots", "1", "--listen", "tcp/127.0.0.1:0"
     ) as up:
@@ -150,7 +150,7 @@ def test_up_starts_an_agent_again_when_it_died() -> None:
         eventually(lambda: len(psutil.Process(up.pid).children()) == 2, 10.0, "coming back")
 
 
-def test_up_ends_by_itself_when_its_duration_is_over() -> None:
+def test_up_exits_when_its_duration_is_over() -> None:
     done = zensim(
         *("up", "--json", "--no-viewer", "--robots", "1", "--duration", "0.5"),
         *("--listen", "tcp/127.0.0.1:0"),

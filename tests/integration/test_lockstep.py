@@ -10,7 +10,7 @@ from ipaddress import IPv4Address, IPv4Network
 import pytest
 
 from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.repeated import Said, drive, locked_fleet
+from tests.integration.repeatable_run import Said, drive, run_lockstep_fleet
 from zensim.proto.bus import with_free_port
 from zensim.proto.codec.message_codec import decode
 from zensim.proto.messages.simulation_messages import State
@@ -29,12 +29,14 @@ TEST_NETWORK = IPv4Network("198.18.0.0/15")
 
 
 def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ()) -> Said:
-    with locked_fleet(ROBOTS, processes=processes, endpoint=endpoint, prefix=prefix) as server:
+    with run_lockstep_fleet(
+        ROBOTS, processes=processes, endpoint=endpoint, prefix=prefix
+    ) as server:
         return drive(server, ROBOTS, STEPS)
 
 
 def run_pooled() -> Said:
-    with locked_fleet(ROBOTS, is_pooled=True) as server:
+    with run_lockstep_fleet(ROBOTS, is_pooled=True) as server:
         return drive(server, ROBOTS, STEPS)
 
 
@@ -47,9 +49,9 @@ def said() -> Said:
 
 
 @contextmanager
-def another_host() -> Iterator[tuple[str, tuple[str, ...]]]:
+def make_remote_host() -> Iterator[tuple[str, tuple[str, ...]]]:
     """Make a host that is joined to this one by a cable: our address, and how to run there."""
-    tag, (ours, theirs) = f"zl{os.getpid()}", ends_of_a_cable(os.getpid())
+    tag, (ours, theirs) = f"zl{os.getpid()}", find_free_addresses(os.getpid())
     with ExitStack() as stack:
         _ip("netns", "add", tag)
         stack.callback(_ip, "netns", "del", tag)
@@ -61,7 +63,7 @@ def another_host() -> Iterator[tuple[str, tuple[str, ...]]]:
         yield str(ours), ("ip", "netns", "exec", tag)
 
 
-def ends_of_a_cable(number: int) -> tuple[IPv4Address, IPv4Address]:
+def find_free_addresses(number: int) -> tuple[IPv4Address, IPv4Address]:
     """Find two addresses that other runs on this machine do not use, where no real host is."""
     first = TEST_NETWORK.network_address + number % (TEST_NETWORK.num_addresses // 4) * 4
     return first + 1, first + 2
@@ -84,7 +86,7 @@ def test_same_requests_give_the_same_bytes_when_a_pool_drives_all(said: Said) ->
 
 @pytest.mark.root
 def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host(said: Said) -> None:
-    with another_host() as (address, prefix):
+    with make_remote_host() as (address, prefix):
         endpoint = with_free_port(f"tcp/{address}:0")
 
         assert run(endpoint=endpoint, prefix=prefix) == said
@@ -123,7 +125,7 @@ def awaits_only(server: Server, stem: str) -> bool:
 
 
 @pytest.mark.parametrize("on_miss", ["wait", "hold"])
-def test_agents_that_come_die_and_come_back_do_not_stop_the_run(on_miss: str) -> None:
+def test_run_continues_while_agents_join_die_and_return(on_miss: str) -> None:
     with locked(on_miss, "r1", "r2") as server:
         assert goes_on(server)
         with driven(server, "r1"):
@@ -140,7 +142,7 @@ def test_agents_that_come_die_and_come_back_do_not_stop_the_run(on_miss: str) ->
         assert server.client.info().state == "playing"
 
 
-def test_waiting_server_stands_for_a_stopped_agent_until_its_lease_is_over() -> None:
+def test_waiting_server_blocks_for_a_suspended_agent_until_its_lease_expires() -> None:
     with locked("wait", "r1", "r2") as server, driven(server, "r1", "r2") as agents:
         agents["r1"].send_signal(signal.SIGSTOP)
 
@@ -163,7 +165,7 @@ def test_holding_server_counts_what_a_stopped_agent_misses() -> None:
         agents["r1"].send_signal(signal.SIGCONT)
 
 
-def test_failing_server_pauses_and_plays_on_when_told_to() -> None:
+def test_failing_server_pauses_and_plays_on_request() -> None:
     with locked("fail", "r1", timeout_s=0.3) as server, driven(server, "r1") as agents:
         events = server.bus.subscribe("sim/default/events", 256)
         agents["r1"].send_signal(signal.SIGSTOP)

@@ -73,7 +73,7 @@ def height(server: Server, name: str) -> float:
     return server.client.entity_state(name).pose.position.z
 
 
-def test_robot_stands_in_the_hole_of_a_static_mesh(server: Server) -> None:
+def test_robot_rests_in_the_hole_of_a_static_mesh(server: Server) -> None:
     assert server.zensim("spawn", "box_bot", "-n", "inside", "--strict").returncode == 0
 
     server.client.step(STEPS)
@@ -81,13 +81,13 @@ def test_robot_stands_in_the_hole_of_a_static_mesh(server: Server) -> None:
     assert height(server, "inside") == pytest.approx(0.06, abs=0.005)
 
 
-def test_moving_mesh_of_a_world_falls_and_lies(server: Server) -> None:
+def test_dynamic_mesh_of_a_world_falls_and_rests(server: Server) -> None:
     server.client.step(STEPS)
 
     assert height(server, "tile") == pytest.approx(0.05, abs=0.005)
 
 
-def test_drawn_mesh_of_a_world_is_there_to_be_fetched(server: Server) -> None:
+def test_visual_mesh_of_a_world_can_be_fetched(server: Server) -> None:
     (model,) = server.client.models(("ring",)).models
     mesh = model.links[0].visuals[0].mesh
 
@@ -96,7 +96,7 @@ def test_drawn_mesh_of_a_world_is_there_to_be_fetched(server: Server) -> None:
     assert len(answer.data) == answer.total == 84 + 50 * len(RING.faces)
 
 
-def test_robot_of_a_mesh_is_put_on_its_lowest_corner(server: Server, folder: Path) -> None:
+def test_robot_of_a_mesh_is_placed_on_its_lowest_corner(server: Server, folder: Path) -> None:
     wish = ("spawn", str(folder / "wedge.urdf"), "-n", "wedge", "-x", "-3")
 
     done = server.zensim(*wish, "--strict")
@@ -105,7 +105,7 @@ def test_robot_of_a_mesh_is_put_on_its_lowest_corner(server: Server, folder: Pat
     assert height(server, "wedge") == pytest.approx(0.5)
 
 
-def test_light_of_a_world_is_told_with_its_models(server: Server) -> None:
+def test_light_of_a_world_is_returned_with_its_models(server: Server) -> None:
     assert server.client.models().scene.background == (0.1, 0.8, 0.1, 1.0)
 
 
@@ -124,7 +124,7 @@ def test_page_draws_the_meshes_and_the_sky_of_a_world(server: Server) -> None:
         assert tab.complaints == []
 
 
-def test_up_finds_the_models_of_its_world_and_keeps_its_pace(folder: Path) -> None:
+def test_up_finds_the_models_of_its_world_and_runs_in_real_time(folder: Path) -> None:
     pace = "<physics type='ode'><real_time_factor>0.5</real_time_factor></physics></world>"
     (folder / "slow.world").write_text(WORLD.replace("</world>", pace))
     wish = ("up", "--robots", "0", "--no-viewer", "--listen", "tcp/127.0.0.1:0", "--strict")

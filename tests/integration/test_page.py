@@ -9,7 +9,12 @@ import msgspec
 import pytest
 from websockets.sync.client import ClientConnection
 
-from tests.integration.bare_page import a_camera, a_click, a_wish_to_share, bare_page
+from tests.integration.page_client import (
+    connect_page,
+    encode_camera,
+    encode_click,
+    encode_share_request,
+)
 from tests.integration.processes import eventually
 from tests.spawner.page.builders import make_models_by_name, make_robot, make_snapshot, make_wall
 from zensim.spawner.page.http_server import CannotListen, PortTaken
@@ -34,9 +39,9 @@ def page() -> Iterator[ViewerPage]:
 
 @pytest.fixture
 def visitor(page: ViewerPage) -> Iterator[ClientConnection]:
-    with closing(bare_page(url_of(page))) as connection:
-        connection.send(a_camera())
-        attend_until(page, is_watched=True)
+    with closing(connect_page(url_of(page))) as connection:
+        connection.send(encode_camera())
+        wait_until(page, is_watched=True)
         yield connection
 
 
@@ -44,7 +49,7 @@ def url_of(page: ViewerPage) -> str:
     return f"http://127.0.0.1:{page.port}"
 
 
-def attend_until(page: ViewerPage, *, is_watched: bool) -> None:
+def wait_until(page: ViewerPage, *, is_watched: bool) -> None:
     def look() -> bool:
         page.wait_for_input(0.01)
         return page.is_watched == is_watched
@@ -52,7 +57,7 @@ def attend_until(page: ViewerPage, *, is_watched: bool) -> None:
     eventually(look, 5.0, f"is_watched == {is_watched}")
 
 
-def attend_until_followed(page: ViewerPage, *names: str) -> None:
+def wait_until_followed(page: ViewerPage, *names: str) -> None:
     def look() -> bool:
         page.wait_for_input(0.01)
         return page.followed == set(names)
@@ -72,23 +77,23 @@ def names_of(page: ViewerPage) -> object:
         return msgspec.json.decode(answer.read())
 
 
-def test_page_is_watched_while_somebody_has_it_open(page: ViewerPage) -> None:
+def test_page_is_watched_while_a_client_has_it_open(page: ViewerPage) -> None:
     assert not page.is_watched
 
-    with closing(bare_page(url_of(page))) as connection:
-        connection.send(a_camera())
-        attend_until(page, is_watched=True)
+    with closing(connect_page(url_of(page))) as connection:
+        connection.send(encode_camera())
+        wait_until(page, is_watched=True)
 
-    attend_until(page, is_watched=False)
+    wait_until(page, is_watched=False)
 
 
-def test_page_tells_names_by_batch(page: ViewerPage) -> None:
+def test_page_sends_names_by_batch(page: ViewerPage) -> None:
     page.show(*a_scene("r1", "w1", "r2"), STATUS, {})
 
     assert names_of(page) == {"/robots/0": ["r1", "r2"], "/robots/1": ["w1"]}
 
 
-def test_page_forgets_who_is_gone(page: ViewerPage) -> None:
+def test_page_removes_deleted_entities(page: ViewerPage) -> None:
     page.show(*a_scene("r1", "w1", "r2"), STATUS, {})
 
     page.show(*a_scene("r2"), STATUS, {})
@@ -97,19 +102,19 @@ def test_page_forgets_who_is_gone(page: ViewerPage) -> None:
 
 
 @pytest.mark.usefixtures("visitor")
-def test_page_follows_nobody_until_a_robot_is_clicked(page: ViewerPage) -> None:
+def test_page_follows_no_robot_before_a_click(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
 
     assert page.followed == frozenset()
 
 
-def test_page_follows_the_clicked_robot_until_it_is_gone(
+def test_page_follows_the_clicked_robot_until_it_is_deleted(
     page: ViewerPage, visitor: ClientConnection
 ) -> None:
     page.show(*a_scene("r1", "r2"), STATUS, {})
 
-    visitor.send(a_click("/robots/0/0/0", 1))
-    attend_until_followed(page, "r2")
+    visitor.send(encode_click("/robots/0/0/0", 1))
+    wait_until_followed(page, "r2")
     page.show(*a_scene("r1", "r2"), STATUS, {"r2": LastCommand(0.1, 0.2, age_s=0.0)})
     assert page.followed == {"r2"}
 
@@ -120,41 +125,41 @@ def test_page_follows_the_clicked_robot_until_it_is_gone(
     eventually(is_left, 5.0, "leaving")
 
 
-def test_page_follows_nobody_when_the_click_hits_none(
+def test_page_follows_no_robot_when_the_click_hits_none(
     page: ViewerPage, visitor: ClientConnection
 ) -> None:
     page.show(*a_scene("r1"), STATUS, {})
 
-    visitor.send(a_click("/robots/0/0/0", 7))
-    visitor.send(a_click("/robots/0/0/0", 0))
+    visitor.send(encode_click("/robots/0/0/0", 7))
+    visitor.send(encode_click("/robots/0/0/0", 0))
 
-    attend_until_followed(page, "r1")
+    wait_until_followed(page, "r1")
 
 
-def test_page_goes_on_when_a_follower_closes_it(page: ViewerPage) -> None:
+def test_page_keeps_working_when_a_following_client_disconnects(page: ViewerPage) -> None:
     page.show(*a_scene("r1"), STATUS, {})
-    with closing(bare_page(url_of(page))) as connection:
-        connection.send(a_camera())
-        attend_until(page, is_watched=True)
-        connection.send(a_click("/robots/0/0/0", 0))
-        attend_until_followed(page, "r1")
+    with closing(connect_page(url_of(page))) as connection:
+        connection.send(encode_camera())
+        wait_until(page, is_watched=True)
+        connection.send(encode_click("/robots/0/0/0", 0))
+        wait_until_followed(page, "r1")
 
     page.warn("still here")
     page.move_cameras()
     page.show_disconnected()
-    attend_until(page, is_watched=False)
+    wait_until(page, is_watched=False)
 
     assert page.followed == frozenset()
 
 
-def test_page_is_not_shared_when_somebody_asks_for_it(
+def test_page_refuses_share_requests(
     page: ViewerPage, visitor: ClientConnection, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    visitor.send(a_wish_to_share())
-    visitor.send(a_click("/robots/0/0/0", 0))
+    visitor.send(encode_share_request())
+    visitor.send(encode_click("/robots/0/0/0", 0))
     page.show(*a_scene("r1"), STATUS, {})
-    visitor.send(a_click("/robots/0/0/0", 0))
-    attend_until_followed(page, "r1")
+    visitor.send(encode_click("/robots/0/0/0", 0))
+    wait_until_followed(page, "r1")
 
     assert capfd.readouterr() == ("", "")
 
@@ -168,7 +173,7 @@ def test_page_may_fetch_from_its_own_server_only(page: ViewerPage) -> None:
     assert b"<title>zensim</title>" in body
 
 
-def test_page_is_the_same_when_it_is_sent_packed(page: ViewerPage) -> None:
+def test_page_is_identical_when_sent_compressed(page: ViewerPage) -> None:
     request = urllib.request.Request(url_of(page), headers={"Accept-Encoding": "gzip"})
 
     with urllib.request.urlopen(request) as packed:
@@ -192,7 +197,7 @@ def test_page_is_not_served_when_its_port_is_taken(page: ViewerPage) -> None:
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no.such.host.invalid"])
-def test_page_is_not_served_when_the_address_is_not_ours(host: str) -> None:
+def test_page_is_not_served_on_a_foreign_address(host: str) -> None:
     with pytest.raises(CannotListen, match=host):
         ViewerPage(host, 0)
 

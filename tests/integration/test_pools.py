@@ -78,7 +78,7 @@ def test_pools_share_robots_evenly_as_robots_and_pools_come_and_go() -> None:
         wait_for_shares(server, 2, 1)
 
 
-def test_robots_of_a_killed_pool_stop_at_once_and_go_to_the_other() -> None:
+def test_robots_of_a_killed_pool_stop_and_move_to_the_other() -> None:
     with serving() as server, pools(server, "p", "q") as processes:
         spawn(server)
         wait_for_shares(server, 4, 3)
@@ -102,7 +102,7 @@ def test_robots_of_a_killed_pool_stop_at_once_and_go_to_the_other() -> None:
         eventually(all_move, SOON_S, "moving again")
 
 
-def test_pool_leaves_a_robot_to_the_agent_that_names_it() -> None:
+def test_pool_releases_a_robot_to_the_agent_that_names_it() -> None:
     with (
         serving() as server,
         running("agent", "box_bot3", "--name", "own", "--connect", server.endpoint),
@@ -126,7 +126,7 @@ def test_pool_drives_no_more_than_its_limit() -> None:
             wait_for_shares(server, ROBOTS - 2, 2)
 
 
-def test_late_comers_hear_of_the_robots_of_every_pool() -> None:
+def test_late_joiners_discover_the_robots_of_every_pool() -> None:
     with serving() as server, pools(server, "p", "q"):
         spawn(server)
         wait_for_shares(server, 4, 3)
@@ -152,7 +152,7 @@ def _are_told(server: Server, every: list[str]) -> bool:
     return sorted(sample.key for sample in server.bus.get(f"*/{topic}")) == every
 
 
-def test_pool_tells_odometry_at_the_rate_it_is_given() -> None:
+def test_pool_publishes_odometry_at_the_given_rate() -> None:
     rates = ("--odom-hz", "20", "--tf-hz", "10")
     with (
         serving("--rtf", "0", "--lockstep") as server,
@@ -178,7 +178,7 @@ def _seconds(odom: Odometry) -> float:
     return odom.header.stamp.sec + odom.header.stamp.nanosec * 1e-9
 
 
-def test_pool_goes_on_in_lockstep_when_another_comes_and_dies() -> None:
+def test_pool_continues_in_lockstep_when_another_joins_and_dies() -> None:
     options = ("--lockstep", "--on-miss", "wait", "--rtf", "0")
     with serving(*options) as server, pools(server, "p"):
         spawn(server)
@@ -193,7 +193,7 @@ def test_pool_goes_on_in_lockstep_when_another_comes_and_dies() -> None:
         eventually(lambda: server.steps() > before + 30, SOON_S, "time")
 
 
-def test_pools_come_back_to_a_server_that_was_started_again() -> None:
+def test_pools_rejoin_a_restarted_server() -> None:
     with serving() as first, pools(first, "p") as processes:
         endpoint = first.endpoint
         spawn(first)
@@ -206,7 +206,7 @@ def test_pools_come_back_to_a_server_that_was_started_again() -> None:
         assert processes["p"].poll() is None
 
 
-def test_up_pooled_brings_all_robots_and_starts_a_dead_pool_again() -> None:
+def test_up_pooled_starts_all_robots_and_restarts_a_dead_pool() -> None:
     options = ("--agents", "pooled", "--robots", str(ROBOTS), "--odom-hz", "20")
     with running(*("up", "--json", "--no-viewer", "--listen", "tcp/127.0.0.1:0", *options)) as up:
         ready = read_json_line(up)

@@ -12,9 +12,9 @@ import pytest
 import zenoh
 
 from tests.integration.processes import Server, eventually, serving
-from tests.integration.ros_asking import Ask, Do, asking, observing, replies, session_of
-from tests.integration.ros_rules import check_bytes, check_topic, heard_of
-from tests.integration.ros_watching import SIGHT_S, TRANSIENT_LOCAL, publishers_of, subscribed
+from tests.integration.ros_client_process import Ask, Do, asking, observing, replies, session_of
+from tests.integration.ros_rules import check_bytes, check_topic, to_received_sample
+from tests.integration.ros_subscriptions import SIGHT_S, TRANSIENT_LOCAL, publishers_of, subscribed
 from tests.proto.ros_hashes import hash_of_message, hash_of_service
 from tests.proto.ros_oracle import HUMBLE
 from zensim.proto.messages.simulation_messages import State
@@ -80,7 +80,7 @@ def told_of(heard: list[dict[str, list[dict[str, object]]]], number: int) -> lis
     return [one for at, one in enumerate(all_told) if at == 0 or one != all_told[at - 1]]
 
 
-def test_goal_is_accepted_tells_of_its_progress_and_ends(server: Server, do: Do) -> None:
+def test_goal_is_accepted_reports_progress_and_succeeds(server: Server, do: Do) -> None:
     ask = asking(do)
     do("listen", topic=FEEDBACK, kind=f"{STEPS}_FeedbackMessage", qos="")
     do("listen", topic=STATUS, kind=STATUSES, qos=TRANSIENT_LOCAL)
@@ -100,13 +100,11 @@ def test_goal_is_accepted_tells_of_its_progress_and_ends(server: Server, do: Do)
     assert (last["completed_steps"], last["remaining_steps"]) == (30, 0)
 
 
-def test_feedback_keeps_to_the_rules_and_has_the_bytes_that_rosbags_writes(
-    server: Server, do: Do
-) -> None:
+def test_feedback_follows_rmw_rules_and_matches_rosbags_bytes(server: Server, do: Do) -> None:
     with session_of(server) as session:
         channel = session.declare_subscriber(f"0{FEEDBACK}/*/*", zenoh.handlers.FifoChannel(64))
         send(asking(do), 5, 20)
-        came = [heard_of(channel.recv())]
+        came = [to_received_sample(channel.recv())]
         channel.undeclare()
         told = publishers_of(session, FEEDBACK)
 
@@ -115,7 +113,7 @@ def test_feedback_keeps_to_the_rules_and_has_the_bytes_that_rosbags_writes(
     check_bytes(publisher.ros_type, came[0].payload)
 
 
-def test_canceled_goal_is_named_and_ends_so(do: Do) -> None:
+def test_canceled_goal_is_listed_and_ends_canceled(do: Do) -> None:
     ask = asking(do)
     send(ask, 2, ENDLESS)
 
@@ -129,7 +127,7 @@ def test_canceled_goal_is_named_and_ends_so(do: Do) -> None:
     assert ended["status"] == CANCELED
 
 
-def test_goal_that_nobody_sent_is_unknown(do: Do) -> None:
+def test_unsent_goal_is_unknown(do: Do) -> None:
     ask = asking(do)
 
     assert cancel(ask, 99)["return_code"] == REJECTED_AS_UNKNOWN
@@ -150,7 +148,7 @@ def statuses_of(sample: zenoh.Sample, number: int) -> list[int]:
     return [one.status for one in listed if one.goal_info.goal_id.uuid[0] == number]
 
 
-def test_subscriber_of_rmws_kind_hears_each_change_of_a_status(server: Server, do: Do) -> None:
+def test_rmw_subscriber_receives_each_status_change(server: Server, do: Do) -> None:
     key = f"0{STATUS}/action_msgs::msg::dds_::GoalStatusArray_/{hash_of_message(STATUSES)}"
     came: list[list[int]] = []
 
@@ -164,7 +162,7 @@ def test_subscriber_of_rmws_kind_hears_each_change_of_a_status(server: Server, d
         joiner.undeclare()
 
 
-def test_bridge_sends_a_goal_on_bare_keys_and_knows_of_the_action(server: Server) -> None:
+def test_bridge_sends_a_goal_on_plain_keys_and_discovers_the_action(server: Server) -> None:
     name = f"{STEPS}_SendGoal"
     uuid = HUMBLE.types["unique_identifier_msgs/msg/UUID"](np.arange(60, 76, dtype=np.uint8))
     goal = HUMBLE.types[f"{STEPS}_Goal"](5)

@@ -16,10 +16,10 @@ import zenoh
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import free_endpoint
-from tests.integration.ros_asking import observing, replies, session_of
-from tests.integration.ros_grammar import NoToken, check_hash, graph_of
-from tests.integration.ros_rules import BrokenRule, Heard, check_topic, heard_of
-from tests.integration.ros_watching import tokens
+from tests.integration.ros_client_process import observing, replies, session_of
+from tests.integration.ros_grammar import NoToken, check_hash, parse_endpoints
+from tests.integration.ros_rules import BrokenRule, Heard, check_topic, to_received_sample
+from tests.integration.ros_subscriptions import tokens
 from tests.proto.ros_hashes import hash_of_message
 from zensim.proto.bus import Bus, BusConfig, BusPublisher, open_bus
 from zensim.proto.codec.message_codec import Format, encode
@@ -89,7 +89,7 @@ FOUND = {
     "hash in tokens": {"by the rules"},
     "qos string": {"by the rules"},
 }
-"""What of `complaints` is not fine then."""
+"""What of `find_complaints` is not fine then."""
 
 
 class BrokenPublisher:
@@ -180,7 +180,7 @@ def telling(ways: Ways) -> Iterator[Bus]:
             side.close()
 
 
-def complaints(router: Bus) -> set[str]:
+def find_complaints(router: Bus) -> set[str]:
     """Look from outside at the odometry of a robot and at a service."""
     with observing(router, 0) as do, session_of(router) as session:
         told = tokens(session, "@ros2_lv/**")
@@ -198,14 +198,14 @@ def complaints(router: Bus) -> set[str]:
 
 def samples_of(session: zenoh.Session) -> list[Heard]:
     channel = session.declare_subscriber("0/r1/odom/*/*", zenoh.handlers.FifoChannel(64))
-    came = [heard_of(channel.recv()) for _ in range(3)]
+    came = [to_received_sample(channel.recv()) for _ in range(3)]
     channel.undeclare()
     return came
 
 
 def are_kept(told: list[str], came: list[Heard]) -> bool:
     try:
-        for one in graph_of(told):
+        for one in parse_endpoints(told):
             check_hash(one, has_hashes=True)
         check_topic([one for one in told if "/MP/" in one and "%odom" in one], came)
     except (BrokenRule, NoToken):
@@ -219,12 +219,12 @@ def is_signed(answers: list[zenoh.Sample]) -> bool:
     return [(one[:8], one[16:]) for one in attached] == [(ASKED[:8], ASKED[16:])]
 
 
-def test_nobody_complains_of_what_is_not_broken() -> None:
+def test_unbroken_network_has_no_complaints() -> None:
     with telling(FINE) as router:
-        assert complaints(router) == set()
+        assert find_complaints(router) == set()
 
 
 @pytest.mark.parametrize("what", BROKEN)
-def test_what_is_broken_is_found_from_outside(what: str) -> None:
+def test_each_fault_is_found_by_an_independent_client(what: str) -> None:
     with telling(BROKEN[what]) as router:
-        assert complaints(router) == FOUND[what]
+        assert find_complaints(router) == FOUND[what]

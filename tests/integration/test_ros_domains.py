@@ -8,9 +8,9 @@ import pytest
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import START_S, Server, eventually, running, serving
-from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
-from tests.integration.ros_grammar import graph_of
-from tests.integration.ros_watching import SIGHT_S, tokens
+from tests.integration.ros_client_process import Do, asking, observing, result_of, session_of
+from tests.integration.ros_grammar import parse_endpoints
+from tests.integration.ros_subscriptions import SIGHT_S, tokens
 from zensim.proto.messages.result_messages import ResultCode
 from zensim.spawner.client.sim_client import SimClient
 
@@ -94,13 +94,13 @@ def test_frames_are_those_of_the_domain(do: Do, domain: int) -> None:
 
 def test_tokens_are_of_one_domain_each(network: Network) -> None:
     with session_of(network.server) as session:
-        graph = graph_of(tokens(session, "@ros2_lv/**"))
+        graph = parse_endpoints(tokens(session, "@ros2_lv/**"))
 
     agents = {(one.owner.domain, one.owner.name) for one in graph}
     assert agents == {(0, "/zensim"), (0, "/a1/agent"), (7, "/zensim"), (7, "/b1/agent")}
 
 
-def test_command_of_another_domain_moves_nobody(network: Network) -> None:
+def test_command_in_another_domain_moves_no_robot(network: Network) -> None:
     before = network.other.entity_state("b1").pose.position.x
 
     def has_moved() -> bool:

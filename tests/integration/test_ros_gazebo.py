@@ -12,8 +12,8 @@ import pytest
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.ros_asking import Ask, Do, asking, observing, replies
-from tests.integration.ros_watching import SIGHT_S
+from tests.integration.ros_client_process import Ask, Do, asking, observing, replies
+from tests.integration.ros_subscriptions import SIGHT_S
 from tests.proto.ros_hashes import hash_of_service
 from tests.proto.ros_oracle import HUMBLE
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -51,7 +51,7 @@ def spawned(ask: Ask, name: str, type_hash: str = ros.OF_HUMBLE, **fields: objec
     return ask("/spawn_entity", SPAWN, type_hash, name=name, **fields)
 
 
-def test_service_is_there_for_a_script_that_waits_for_it(do: Do) -> None:
+def test_service_is_available_to_a_waiting_script(do: Do) -> None:
     listed = do("services")
 
     assert {SPAWN, DELETE} <= {*listed["/spawn_entity"], *listed["/delete_entity"]}
@@ -59,7 +59,7 @@ def test_service_is_there_for_a_script_that_waits_for_it(do: Do) -> None:
 
 
 @pytest.mark.parametrize("orientation", [{}, {"w": 1.0}], ids=["all zero", "by default"])
-def test_script_of_the_tutorial_spawns_robots_in_a_row(
+def test_tutorial_script_spawns_robots_in_a_row(
     server: Server, do: Do, orientation: dict[str, float]
 ) -> None:
     names = [f"box_bot{number}" for number in range(3)]
@@ -81,7 +81,9 @@ def test_script_of_the_tutorial_spawns_robots_in_a_row(
     assert [one and one["success"] for one in gone] == [True] * 3
 
 
-def test_robot_of_the_script_tells_tf_and_odometry_in_its_namespace(server: Server, do: Do) -> None:
+def test_robot_of_the_script_publishes_tf_and_odometry_in_its_namespace(
+    server: Server, do: Do
+) -> None:
     name = "box_bot7"
     xml = description_by_the_script(name)
     pose = {"position": {"y": 4.0, "z": 0.01}, "orientation": {"w": 1.0}}
@@ -120,7 +122,7 @@ def test_spawn_entity_py_spawns_waits_unpauses_and_deletes(server: Server, do: D
     assert gone["success"]
 
 
-def test_second_of_a_name_is_refused_in_words(do: Do) -> None:
+def test_duplicate_name_is_refused_with_a_message(do: Do) -> None:
     ask = asking(do)
     spawned(ask, "twin", xml=read_builtin_model("box_bot"), initial_pose=FORWARD)
 
@@ -131,7 +133,7 @@ def test_second_of_a_name_is_refused_in_words(do: Do) -> None:
     assert "twin" in again["status_message"]
 
 
-def test_distribution_with_hashes_asks_by_the_hash(do: Do) -> None:
+def test_distribution_with_hashes_calls_by_hash(do: Do) -> None:
     told = spawned(
         asking(do),
         "hashed",
@@ -146,7 +148,7 @@ def test_distribution_with_hashes_asks_by_the_hash(do: Do) -> None:
     assert gone["success"]
 
 
-def test_bridge_spawns_and_deletes_on_bare_keys(server: Server) -> None:
+def test_bridge_spawns_and_deletes_on_plain_keys(server: Server) -> None:
     types = HUMBLE.types
     pose = types["geometry_msgs/msg/Pose"](
         types["geometry_msgs/msg/Point"](8.0, 0.0, 0.06),

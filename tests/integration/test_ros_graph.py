@@ -20,10 +20,10 @@ from tests.integration.processes import (
     serving,
     wait_for_agents,
 )
-from tests.integration.ros_asking import replies, session_of
-from tests.integration.ros_grammar import HUMBLES, NoToken, Told, check_hash, graph_of
+from tests.integration.ros_client_process import replies, session_of
+from tests.integration.ros_grammar import HUMBLES, NoToken, Told, check_hash, parse_endpoints
 from tests.integration.ros_rules import check_bytes, check_topic
-from tests.integration.ros_watching import SIGHT_S, captured, publishers_of, tokens
+from tests.integration.ros_subscriptions import SIGHT_S, captured, publishers_of, tokens
 from tests.integration.test_ground_truth import P3D
 from tests.proto.ros_oracle import HUMBLE, message_name
 from zensim.sim_server.description.builtin_models import read_builtin_model
@@ -94,10 +94,10 @@ def session(server: Server) -> Iterator[zenoh.Session]:
 
 @pytest.fixture(scope="module")
 def graph(session: zenoh.Session) -> list[Told]:
-    return graph_of(tokens(session, "@ros2_lv/**"))
+    return parse_endpoints(tokens(session, "@ros2_lv/**"))
 
 
-def test_each_token_is_read_by_the_grammar_and_fits_the_others(graph: list[Told]) -> None:
+def test_each_token_matches_the_grammar_and_the_other_tokens(graph: list[Told]) -> None:
     nodes = {one.owner.name for one in graph}
     pools = {name for name in nodes if re.fullmatch(r"/zensim_pool_[0-9a-f]{8}_1", name)}
 
@@ -106,14 +106,14 @@ def test_each_token_is_read_by_the_grammar_and_fits_the_others(graph: list[Told]
     assert {one.owner.domain for one in graph} == {0}
 
 
-def test_each_hash_is_what_another_implementation_finds(
+def test_each_hash_matches_an_independent_implementation(
     graph: list[Told], distribution: str
 ) -> None:
     for one in graph:
         check_hash(one, has_hashes=distribution != "humble")
 
 
-def test_what_is_published_is_just_what_is_documented(graph: list[Told]) -> None:
+def test_published_topics_are_the_documented_ones(graph: list[Told]) -> None:
     published = [one for one in graph if one.kind == "MP"]
 
     assert {one.name: one.ros_type for one in published} == PUBLISHED
@@ -122,7 +122,7 @@ def test_what_is_published_is_just_what_is_documented(graph: list[Told]) -> None
         assert one.qos == (TRANSIENT_LOCAL_1 if is_latched else RELIABLE_10), one
 
 
-def test_robots_hear_commands_of_both_types(graph: list[Told]) -> None:
+def test_robots_subscribe_to_commands_of_both_types(graph: list[Told]) -> None:
     heard = {(one.name, one.ros_type) for one in graph if one.kind == "MS"}
 
     kinds = ("geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped")
@@ -130,7 +130,7 @@ def test_robots_hear_commands_of_both_types(graph: list[Told]) -> None:
 
 
 @pytest.mark.parametrize("topic", [topic for topic in PUBLISHED if topic != SILENT])
-def test_each_topic_keeps_to_the_rules_and_has_the_bytes_that_rosbags_writes(
+def test_each_topic_follows_rmw_rules_and_matches_rosbags_bytes(
     session: zenoh.Session, distribution: str, topic: str
 ) -> None:
     came = captured(session, topic)
@@ -140,9 +140,7 @@ def test_each_topic_keeps_to_the_rules_and_has_the_bytes_that_rosbags_writes(
         check_bytes(PUBLISHED[topic], heard.payload)
 
 
-def test_each_service_answers_what_it_cannot_read_with_a_response(
-    server: Server, graph: list[Told]
-) -> None:
+def test_each_service_replies_to_unreadable_requests(server: Server, graph: list[Told]) -> None:
     served = [one for one in graph if one.kind == "SS"]
     assert len({one.key for one in served}) == len(served) > 30
 
@@ -191,14 +189,14 @@ def test_grammar_finds_a_broken_token(
 ) -> None:
     told = tokens(session, "@ros2_lv/0/*/*/*/*/*/%team%r1/**")
     old = old.replace("RIHS01_3", HUMBLES) if distribution == "humble" else old
-    assert graph_of(told)
+    assert parse_endpoints(told)
 
     with pytest.raises(NoToken):
-        graph_of([token.replace(old, new) for token in told])
+        parse_endpoints([token.replace(old, new) for token in told])
 
 
 def test_grammar_misses_the_node_of_an_endpoint(session: zenoh.Session) -> None:
     told = tokens(session, "@ros2_lv/0/*/*/*/*/*/%r2/**")
 
     with pytest.raises(NoToken, match="node"):
-        graph_of([token for token in told if "/NN/" not in token])
+        parse_endpoints([token for token in told if "/NN/" not in token])

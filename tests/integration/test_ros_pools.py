@@ -7,16 +7,16 @@ import pytest
 import zenoh
 
 from tests.integration.processes import Server, eventually, running, serving, wait_for_agents
-from tests.integration.ros_asking import session_of
+from tests.integration.ros_client_process import session_of
 from tests.integration.ros_rules import check_bytes, check_topic
-from tests.integration.ros_watching import (
+from tests.integration.ros_subscriptions import (
     LATCHED,
     SIGHT_S,
     TYPES,
     captured,
-    joined_late,
     place_of,
     publishers_of,
+    read_late_joining,
     tokens,
 )
 from tests.proto.ros_oracle import HUMBLE
@@ -48,7 +48,7 @@ def session(server: Server) -> Iterator[zenoh.Session]:
 
 
 @pytest.mark.parametrize("topic", OF_POOL)
-def test_topic_of_a_pool_keeps_to_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
+def test_topic_of_a_pool_follows_the_rules_of_rmw(session: zenoh.Session, topic: str) -> None:
     came = captured(session, topic)
 
     publishers = check_topic(publishers_of(session, topic), came)
@@ -58,8 +58,8 @@ def test_topic_of_a_pool_keeps_to_the_rules_of_rmw(session: zenoh.Session, topic
         check_bytes(TYPES[topic], heard.payload)
 
 
-def test_late_joiner_of_a_pool_hears_its_own_robot_only(session: zenoh.Session) -> None:
-    came = joined_late(session, "/r2/tf_static", 1)
+def test_late_joiner_of_a_pool_receives_its_own_robot_only(session: zenoh.Session) -> None:
+    came = read_late_joining(session, "/r2/tf_static", 1)
 
     assert [heard.key.split("/")[1] for heard in came] == ["r2"]
 
@@ -68,13 +68,17 @@ def test_late_joiner_of_a_pool_hears_its_own_robot_only(session: zenoh.Session) 
 def test_frames_that_all_robots_share_begin_with_their_names(
     session: zenoh.Session, topic: str, told: str
 ) -> None:
-    came = joined_late(session, topic, 3)[:3] if topic in LATCHED else captured(session, topic, 9)
+    came = (
+        read_late_joining(session, topic, 3)[:3]
+        if topic in LATCHED
+        else captured(session, topic, 9)
+    )
 
     roots = {root for heard in came for root in roots_of(heard.payload) if root.endswith(told)}
     assert roots == {f"{name}/{told}" for name in ROBOTS}
 
 
-def test_frames_of_all_robots_come_in_one_message(session: zenoh.Session) -> None:
+def test_frames_of_all_robots_are_in_one_message(session: zenoh.Session) -> None:
     (heard,) = captured(session, "/tf", 1)
 
     assert {f"{name}/odom" for name in ROBOTS} <= roots_of(heard.payload)
@@ -101,7 +105,7 @@ def test_robot_of_a_pool_is_driven(
     assert place_of(server, "r3") == pytest.approx(before[2], abs=0.01)
 
 
-def test_tokens_go_with_a_robot_of_a_pool(server: Server, session: zenoh.Session) -> None:
+def test_tokens_are_removed_with_a_robot_of_a_pool(server: Server, session: zenoh.Session) -> None:
     server.zensim("delete", "r1")
 
     eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r1/**"), SIGHT_S, "leaving")

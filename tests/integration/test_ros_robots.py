@@ -17,8 +17,8 @@ from tests.integration.processes import (
     serving,
     wait_for_agents,
 )
-from tests.integration.ros_asking import Do, observing, result_of, ros_client, session_of
-from tests.integration.ros_watching import (
+from tests.integration.ros_client_process import Do, observing, result_of, ros_client, session_of
+from tests.integration.ros_subscriptions import (
     SIGHT_S,
     TF,
     TRANSIENT_LOCAL,
@@ -100,13 +100,13 @@ def test_topics_are_listed_with_their_types(do: Do) -> None:
 
 
 @pytest.mark.parametrize("topic", HEARD)
-def test_messages_are_heard(do: Do, topic: str) -> None:
+def test_messages_are_received(do: Do, topic: str) -> None:
     kind = TYPES[topic.replace("/r2/", "/r1/")]
 
     assert len(do("hear", topic=topic, kind=kind, count=3, within_s=SIGHT_S, qos="")) == 3
 
 
-def test_late_joiner_hears_the_fixed_transforms_of_all_robots(do: Do) -> None:
+def test_late_joiner_receives_the_static_transforms_of_all_robots(do: Do) -> None:
     given = {"kind": TF, "within_s": SIGHT_S, "qos": TRANSIENT_LOCAL}
 
     shared = do("hear", topic="/tf_static", count=2, **given)
@@ -131,7 +131,7 @@ def test_robot_is_driven_alone(do: Do, server: Server, kind: str) -> None:
     assert place_of(server, "r1") == pytest.approx(other, abs=0.02)
 
 
-def test_who_listened_before_the_robot_was_there_hears_what_is_latched(
+def test_early_subscriber_receives_latched_messages(
     do: Do, server: Server, installation: Installation
 ) -> None:
     kinds = {"/r3/tf_static": TF, "/r3/robot_description": "std_msgs/msg/String"}

@@ -8,7 +8,7 @@ import pytest
 
 from tests.integration import ros_interfaces as ros
 from tests.integration.processes import Server, serving
-from tests.integration.ros_asking import Ask, replies, result_of, ros_client
+from tests.integration.ros_client_process import Ask, replies, result_of, ros_client
 from tests.proto.ros_oracle import rewritten_by_ros
 from zensim.proto.codec.message_codec import Format, decode, encode
 from zensim.proto.messages.result_messages import ResultCode
@@ -74,7 +74,7 @@ def test_ros_client_spawns_lists_and_deletes_in_each_version(
         assert listed(ask) == []
 
 
-def test_ros_client_is_told_by_a_code_what_cannot_be_done(ask: Ask) -> None:
+def test_ros_client_receives_a_code_when_refused(ask: Ask) -> None:
     answer = ask("/delete_entity", DELETE, ros.DELETE_HASH, entity="nobody")
 
     assert result_of(answer) == ResultCode.NOT_FOUND
@@ -137,7 +137,7 @@ def test_state_of_version_1_is_set_and_read_back(ask: Ask) -> None:
     assert found == pytest.approx(9.0, abs=0.01)
 
 
-def test_reply_has_the_number_and_the_name_of_who_asked_and_its_own_time(server: Server) -> None:
+def test_reply_has_sequence_number_and_gid_of_the_request_and_its_own_time(server: Server) -> None:
     asked = write_attachment(Attachment(41, 7, GID))
     payload = encode(DeleteEntityRequest("nobody"), Format.CDR)
     before_ns = time.time_ns()
@@ -164,7 +164,7 @@ def test_malformed_request_gets_a_response_with_a_code(server: Server) -> None:
     assert "malformed" in answer.result.error_message
 
 
-def test_service_with_another_hash_answers_nobody(server: Server) -> None:
+def test_service_with_another_hash_does_not_reply(server: Server) -> None:
     other = DELETE_KEY[:-4] + "0000"
 
     found = replies(
@@ -177,7 +177,7 @@ def test_service_with_another_hash_answers_nobody(server: Server) -> None:
     assert found == []
 
 
-def test_other_domain_hears_nothing_of_this_one(server: Server) -> None:
+def test_other_domain_receives_no_messages(server: Server) -> None:
     found = replies(
         server,
         DELETE_KEY.replace("0/", "7/", 1),
@@ -188,7 +188,7 @@ def test_other_domain_hears_nothing_of_this_one(server: Server) -> None:
     assert found == []
 
 
-def test_bridge_asks_on_bare_keys_in_either_version(server: Server, ask: Ask) -> None:
+def test_bridge_calls_on_plain_keys_in_either_version(server: Server, ask: Ask) -> None:
     ask(
         "/spawn_entity",
         SPAWN,
@@ -207,7 +207,7 @@ def test_bridge_asks_on_bare_keys_in_either_version(server: Server, ask: Ask) ->
     assert of_gazebo.payload.to_bytes()[4] == 0, "success is the first byte"
 
 
-def test_server_without_a_domain_answers_no_ros() -> None:
+def test_server_without_a_domain_has_no_ros_services() -> None:
     with serving("--ros-domain", "off") as server:
         found = replies(
             server,

@@ -8,17 +8,17 @@ import pytest
 import zenoh
 
 from tests.integration.processes import Server, driven, eventually, serving
-from tests.integration.ros_asking import Do, asking, observing, result_of, session_of
+from tests.integration.ros_client_process import Do, asking, observing, result_of, session_of
 from tests.integration.ros_interfaces import SPAWN_V2_HASH
 from tests.integration.ros_rules import BrokenRule, Heard, check_bytes, check_topic
-from tests.integration.ros_watching import (
+from tests.integration.ros_subscriptions import (
     LATCHED,
     ODOMETRY,
     SIGHT_S,
     TYPES,
     captured,
-    joined_late,
     publishers_of,
+    read_late_joining,
     tokens,
 )
 from zensim.proto.messages.result_messages import SpawnCode
@@ -69,12 +69,12 @@ def test_each_robot_is_a_node(ask: Do, session: zenoh.Session) -> None:
 
 
 @pytest.mark.parametrize("topic", LATCHED)
-def test_late_joiner_of_rmws_kind_hears_the_last_value_once(
+def test_late_rmw_subscriber_receives_the_last_value_once(
     session: zenoh.Session, topic: str
 ) -> None:
     count = 2 if topic == "/tf_static" else 1
 
-    came = joined_late(session, topic, count)
+    came = read_late_joining(session, topic, count)
 
     assert len(came) == count
     assert all(
@@ -128,7 +128,7 @@ def test_rules_find_a_lost_message_and_foreign_bytes(session: zenoh.Session) -> 
         check_bytes(ODOMETRY, came[0].payload + b"\0")
 
 
-def test_other_domain_sees_nothing(server: Server) -> None:
+def test_other_domain_lists_no_endpoints(server: Server) -> None:
     with observing(server, 7) as ask:
         assert (ask("topics"), ask("services")) == ({}, {})
         assert (
@@ -136,7 +136,7 @@ def test_other_domain_sees_nothing(server: Server) -> None:
         )
 
 
-def test_tokens_go_with_the_agent_and_with_the_robot(
+def test_tokens_are_removed_with_the_agent_and_with_the_robot(
     server: Server, session: zenoh.Session
 ) -> None:
     server.zensim("spawn", "box_bot", "-n", "r3", "-y", "3")
@@ -150,7 +150,7 @@ def test_tokens_go_with_the_agent_and_with_the_robot(
         eventually(lambda: not tokens(session, "@ros2_lv/0/*/*/*/*/*/%r3/**"), SIGHT_S, "leaving")
 
 
-def test_bridge_is_told_of_routes(server: Server) -> None:
+def test_bridge_discovers_routes(server: Server) -> None:
     routes = server.bus.list_tokens("@/*/@ros2_lv/**")
 
     told = {"/".join(route.split("/")[3:6]) for route in routes}
@@ -187,7 +187,7 @@ def test_namespace_that_ros_refuses_is_refused_at_the_spawn(server: Server, name
         ({"name": "ok", "entity_namespace": "a-b"}, SpawnCode.NAMESPACE_INVALID, "name.namespace"),
     ],
 )
-def test_client_of_ros_is_told_by_code_and_slug_which_names_are_refused(
+def test_ros_client_receives_code_and_slug_for_refused_names(
     ask: Do, fields: dict[str, str], code: SpawnCode, slug: str
 ) -> None:
     resource = {"entity_resource": {"uri": "box_bot"}}

@@ -20,8 +20,8 @@ from tests.integration.processes import (
     wait_for_agents,
 )
 from tests.integration.robots import drive_for, robot
-from tests.integration.ros_asking import session_of
-from tests.integration.ros_watching import SIGHT_S, TF, key_of, publishers_of, subscribed
+from tests.integration.ros_client_process import session_of
+from tests.integration.ros_subscriptions import SIGHT_S, TF, key_of, publishers_of, subscribed
 from tests.proto.ros_oracle import HUMBLE
 from zensim.sim_server.description.builtin_models import read_builtin_model
 
@@ -108,9 +108,7 @@ def test_each_frame_has_one_parent_and_all_are_in_one_tree(listener: Listener) -
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_robot_is_where_the_simulation_has_it(
-    server: Server, listener: Listener, name: str
-) -> None:
+def test_transforms_match_simulated_poses(server: Server, listener: Listener, name: str) -> None:
     truth = server.client.entity_state(name).pose.position
 
     _, (x, y, _) = listener.pose_in_root(f"{name}/base_link")

@@ -29,7 +29,7 @@ def moves(server: Server, name: str) -> None:
     eventually(lambda: speed(server, name) < MOVING_M_S / 5, BACK_S, f"stopping {name}")
 
 
-def test_router_may_come_last_and_may_die() -> None:
+def test_router_may_start_last_and_may_restart() -> None:
     endpoint = free_endpoint()
     connect = ("--connect", endpoint)
     with (

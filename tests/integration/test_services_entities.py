@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.features import PROOFS
+from tests.feature_checks import FEATURE_CHECKS
 from tests.integration.processes import Server, agent_of, driven, eventually, serving
 from tests.integration.robots import robot
 from zensim.proto import keys
@@ -65,14 +65,14 @@ def spawned_in(events: BusSubscription, found: list[Event]) -> list[Event]:
     return found
 
 
-@pytest.mark.parametrize("feature", PROOFS, ids=lambda feature: feature.name)
+@pytest.mark.parametrize("feature", FEATURE_CHECKS, ids=lambda feature: feature.name)
 def test_announced_feature_works_over_the_network(server: Server, feature: Feature) -> None:
     assert feature in server.client.features().features
 
-    PROOFS[feature](server.client)
+    FEATURE_CHECKS[feature](server.client)
 
 
-def test_a_fleet_comes_between_two_steps(server: Server) -> None:
+def test_batch_is_spawned_between_two_steps(server: Server) -> None:
     events, found = server.bus.subscribe(EVENTS.key("default"), 1000), list[Event]()
     names = [f"r{i}" for i in range(20)]
 
@@ -83,7 +83,7 @@ def test_a_fleet_comes_between_two_steps(server: Server) -> None:
     assert len({event.step for event in found}) == 1
 
 
-def test_nobody_comes_when_one_of_a_fleet_cannot(server: Server) -> None:
+def test_batch_is_not_spawned_when_one_entity_fails(server: Server) -> None:
     server.client.spawn_all(a_fleet("r0"))
 
     answer = server.client.spawn_all(a_fleet("a", "r0", "b"))
@@ -106,7 +106,7 @@ def test_filters_are_applied_together(server: Server) -> None:
 
 
 @pytest.mark.parametrize("pattern", ["^(a+)+$", "|".join(f"a{{{i}}}b" for i in range(100))])
-def test_steps_go_on_under_a_hostile_filter(server: Server, pattern: str) -> None:
+def test_stepping_continues_under_a_hostile_filter(server: Server, pattern: str) -> None:
     client = server.client
     client.spawn_all(a_fleet(*("a" * 60 + f"{i:03}" for i in range(50))))
     before = server.steps()
@@ -138,7 +138,7 @@ def test_a_robot_is_spawned_in_the_frame_of_a_link_of_another(server: Server) ->
     assert (place.x, place.y, place.z) == pytest.approx((0.0, 0.0, 1.0))
 
 
-def test_deleting_leaves_others_claimed_and_where_they_are(server: Server) -> None:
+def test_deleting_keeps_claims_and_poses_of_others(server: Server) -> None:
     client = server.client
     client.spawn_all(a_fleet("r0", "r1", "r2"))
     with driven(server, "r1"):
@@ -159,7 +159,7 @@ def test_deleting_leaves_others_claimed_and_where_they_are(server: Server) -> No
         assert odom.now().child_frame_id
 
 
-def test_json_of_a_stranger_is_answered_in_kind(server: Server) -> None:
+def test_json_request_gets_a_json_reply(server: Server) -> None:
     server.client.spawn_all(a_fleet("r0", "r1"))
     asked = {"filters": {"filter": "1$"}, "reference_frame": "r0"}
 

@@ -26,7 +26,7 @@ def spawned(server: Server, *names: str) -> GazeboClient:
     return GazeboClient(server.bus)
 
 
-def test_robot_is_pushed_for_as_long_as_was_asked() -> None:
+def test_robot_is_pushed_for_the_requested_duration() -> None:
     with serving() as server:
         gazebo = spawned(server, "r1", "r2")
         gazebo.pause_physics()
@@ -67,7 +67,7 @@ def test_wheel_is_turned_until_it_is_cleared_and_the_world_is_reset() -> None:
         assert server.client.entities() == ("r1",)
 
 
-def test_states_are_told_on_topics_and_by_request() -> None:
+def test_states_are_published_and_returned() -> None:
     with serving() as server:
         gazebo = spawned(server, "r1", "r2")
         models = server.bus.subscribe(MODEL_STATES.key("default"), 4)
@@ -87,7 +87,7 @@ def test_states_are_told_on_topics_and_by_request() -> None:
         assert seen.reference_frame == "r1"
 
 
-def test_link_is_weighed_and_refusals_are_precise() -> None:
+def test_link_mass_is_returned_and_refusals_are_precise() -> None:
     with serving() as server:
         gazebo = spawned(server, "r1")
         found = gazebo.link_properties("r1::base_link")

@@ -43,7 +43,7 @@ def drives(server: Server, name: str) -> None:
     eventually(is_moving, 10.0, "moving")
 
 
-def test_world_is_replaced_under_a_driving_robot_whose_agent_waits_and_comes_back() -> None:
+def test_agent_waits_and_claims_again_when_its_world_is_replaced() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
         with driven(server, "r1"):
@@ -66,7 +66,7 @@ def test_world_is_replaced_under_a_driving_robot_whose_agent_waits_and_comes_bac
             drives(server, "r1")
 
 
-def test_world_goes_on_when_another_cannot_be_loaded() -> None:
+def test_world_keeps_running_when_another_cannot_be_loaded() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
         hostile = "<!DOCTYPE a [<!ENTITY b 'c'>]><sdf/>"
@@ -124,7 +124,7 @@ def test_server_without_a_world_refuses_what_needs_one() -> None:
         assert server.zensim("spawn", "box_bot", "--name", "r1").returncode == 0
 
 
-def test_stopped_server_is_at_its_start_and_plays_again() -> None:
+def test_stopped_world_is_reset_and_plays_again() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
         server.client.set_simulation_state(State.STOPPED)
@@ -138,7 +138,7 @@ def test_stopped_server_is_at_its_start_and_plays_again() -> None:
         eventually(lambda: server.steps() > 0, 5.0, "playing")
 
 
-def test_server_quits_after_its_answer() -> None:
+def test_server_quits_after_its_reply() -> None:
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
 
@@ -147,7 +147,7 @@ def test_server_quits_after_its_answer() -> None:
         assert server.process.wait(END_S) == 0
 
 
-def test_loaded_world_comes_back_from_the_journal_and_so_does_none(tmp_path: Path) -> None:
+def test_loaded_and_unloaded_worlds_are_restored_from_the_journal(tmp_path: Path) -> None:
     kept = ("--journal", str(tmp_path / "journal"))
     with serving(*kept) as server:
         server.client.load_world("walls")

@@ -91,32 +91,32 @@ def mass_of(server: Server, name: str) -> float:
     return server.client.models((name,)).models[0].mass_kg
 
 
-def test_spawn_prints_what_became_of_each_plug_in(server: Server) -> None:
+def test_spawn_prints_the_result_for_each_plug_in(server: Server) -> None:
     lines = spawned(server, "box_bot", "--name", "r1").splitlines()
 
     assert lines[0] == "spawned r1 under r1/"
     assert any(line.startswith("applied") and "separation 0.11 m" in line for line in lines)
 
 
-def test_dry_run_says_what_it_would_do_and_does_nothing(server: Server) -> None:
+def test_dry_run_prints_its_plan_without_effect(server: Server) -> None:
     would = spawned(server, "box_bot", "--name", "r1", "--dry-run")
 
     assert would.startswith("would spawn r1 under r1/\n")
     assert server.client.entities() == ()
 
 
-def test_dry_run_fails_as_the_spawn_would(server: Server) -> None:
+def test_dry_run_fails_like_the_spawn(server: Server) -> None:
     spawned(server, "box_bot", "--name", "r1")
 
     assert "name.taken" in refused(server, "box_bot", "--name", "r1", "--dry-run")
 
 
-def test_strict_refuses_what_is_suspicious(server: Server) -> None:
+def test_strict_refuses_warnings(server: Server) -> None:
     assert "report.suspicious" in refused(server, "box_bot", "-z", "0", "--strict")
     assert "below ground" in spawned(server, "box_bot", "-z", "0")
 
 
-def test_snap_to_ground_wins_over_a_height(server: Server) -> None:
+def test_snap_to_ground_overrides_a_height(server: Server) -> None:
     spawned(server, "box_bot", "--name", "r1", "-z", "3", "--snap-to-ground")
 
     assert server.client.entity_state("r1").pose.position.z == pytest.approx(0.06, abs=0.01)
@@ -164,7 +164,7 @@ def test_description_is_read_from_standard_input(server: Server, source: str, te
     ],
     ids=["cdr", "json", "text"],
 )
-def test_description_is_read_from_a_key_that_keeps_it(
+def test_description_is_read_from_a_queryable(
     server: Server, payload: bytes, encoding: str
 ) -> None:
     queue = server.bus.serve("lab/robot_description")
@@ -179,7 +179,7 @@ def test_description_is_read_from_a_key_that_keeps_it(
     assert mass_of(server, "t1") == pytest.approx(2.0)
 
 
-def test_description_is_read_from_a_key_that_is_put(server: Server) -> None:
+def test_description_is_read_from_a_publication(server: Server) -> None:
     with running(
         "spawn", "-topic", "/lab/description", "-entity", "t1", "--connect", server.endpoint
     ) as process:
@@ -193,7 +193,7 @@ def test_description_is_read_from_a_key_that_is_put(server: Server) -> None:
     assert mass_of(server, "t1") == pytest.approx(2.0)
 
 
-def test_waiting_for_a_topic_or_an_entity_ends(server: Server) -> None:
+def test_waiting_for_a_topic_or_an_entity_times_out(server: Server) -> None:
     for option in (("-topic", "nothing/there"), ("box_bot", "-wait", "nobody")):
         assert "TIMEOUT (5)" in refused(server, *option, "-timeout", "0.3")
 
@@ -230,14 +230,14 @@ def test_unpause_plays_the_world(server: Server) -> None:
     ],
     ids=str,
 )
-def test_option_that_cannot_be_is_refused_in_one_line(
+def test_invalid_option_is_refused_in_one_line(
     server: Server, arguments: tuple[str, ...], value: str
 ) -> None:
     assert value in refused(server, *arguments)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_bonded_entity_goes_with_its_command(server: Server, number: signal.Signals) -> None:
+def test_bonded_entity_is_deleted_with_its_command(server: Server, number: signal.Signals) -> None:
     arguments = ("spawn", "box_bot", "-entity", "b1", "-b", "--json", "--connect", server.endpoint)
     with running(*arguments) as process:
         assert read_json_line(process)["entity_name"] == "b1"
@@ -247,7 +247,7 @@ def test_bonded_entity_goes_with_its_command(server: Server, number: signal.Sign
         eventually(lambda: server.client.entities() == (), 10.0, "going")
 
 
-def test_bond_ends_when_the_entity_has_gone(server: Server) -> None:
+def test_bond_ends_when_the_entity_was_deleted(server: Server) -> None:
     arguments = ("spawn", "box_bot", "-entity", "b1", "--bond", "--json")
     with running(*arguments, "--connect", server.endpoint) as process:
         read_json_line(process)
@@ -270,7 +270,7 @@ def test_meshes_are_sent_once(server: Server, tmp_path: Path) -> None:
     assert [shape.kind for shape in shapes] == ["mesh"]
 
 
-def test_second_spawn_sends_nothing(server: Server, tmp_path: Path) -> None:
+def test_second_spawn_sends_no_meshes(server: Server, tmp_path: Path) -> None:
     file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of(BASE, DRAWN))
     digests = tuple(ref.sha256 for ref in read_payload(str(file)).bundle.refs)
@@ -300,7 +300,7 @@ def test_sdf_is_spawned_with_the_models_that_it_includes(server: Server, tmp_pat
     assert mass_of(server, "s1") == pytest.approx(4.0)
 
 
-def test_missing_visual_is_one_warning(server: Server, tmp_path: Path) -> None:
+def test_missing_visual_gives_one_warning(server: Server, tmp_path: Path) -> None:
     file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of(BASE, "package://my_robot/meshes/gone.stl"))
 
@@ -309,7 +309,7 @@ def test_missing_visual_is_one_warning(server: Server, tmp_path: Path) -> None:
     assert len([one for one in report if "gone.stl" in one["subject"] + one["reason"]]) == 1
 
 
-def test_missing_collision_is_refused_unless_it_may_be(server: Server, tmp_path: Path) -> None:
+def test_missing_collision_is_refused_unless_allowed(server: Server, tmp_path: Path) -> None:
     file = make_package(tmp_path) / "urdf" / "r.urdf"
     file.write_text(robot_of("package://my_robot/meshes/gone.stl", DRAWN))
 
@@ -318,7 +318,7 @@ def test_missing_collision_is_refused_unless_it_may_be(server: Server, tmp_path:
     assert server.client.entities() == ("m1",)
 
 
-def test_package_to_model_finds_meshes_all_the_same(server: Server, tmp_path: Path) -> None:
+def test_package_to_model_finds_meshes(server: Server, tmp_path: Path) -> None:
     file = tmp_path / "r.urdf"
     file.write_text(robot_of(BASE))
     make_package(tmp_path / "models")

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration.journals import kept_in, kill_hard
+from tests.integration.journals import kill_hard, serving_with_journal
 from tests.integration.processes import Server, driven, eventually, free_endpoint, serving
 from tests.integration.robots import robot
 from zensim.proto.messages.entity_messages import GetEntityInfoRequest
@@ -34,20 +34,20 @@ def tier_of(server: Server, name: str) -> str:
     return server.bus.call(GET_ENTITY_INFO, GetEntityInfoRequest(name), world="default").dynamics
 
 
-def test_entities_move_as_they_ask_and_a_killed_server_remembers(tmp_path: Path) -> None:
+def test_requested_dynamics_apply_and_are_restored_after_a_kill(tmp_path: Path) -> None:
     endpoint = free_endpoint()
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         for x, dynamics in enumerate(("", "kinematic", "auto")):
             server.client.spawn(an_order(f"r{x}", float(x), dynamics))  # type: ignore[arg-type]
         assert [tier_of(server, f"r{x}") for x in range(3)] == ["full", "kinematic", "kinematic"]
         kill_hard(server)
 
-    with kept_in(tmp_path, endpoint) as server:
+    with serving_with_journal(tmp_path, endpoint) as server:
         eventually(lambda: tier_of(server, "r2") == "kinematic", 10.0, "settling")
         assert [tier_of(server, f"r{x}") for x in range(2)] == ["full", "kinematic"]
 
 
-def test_what_has_no_drive_is_refused_in_one_line() -> None:
+def test_entity_without_drive_is_refused_in_one_line() -> None:
     order = SpawnEntityOrder(
         "crate", entity_resource=Resource(resource_string=CRATE), dynamics="kinematic"
     )
@@ -58,7 +58,7 @@ def test_what_has_no_drive_is_refused_in_one_line() -> None:
         assert server.client.entities() == ()
 
 
-def test_robot_becomes_full_before_it_meets_another_and_its_agent_sees_no_jump() -> None:
+def test_robot_switches_to_full_dynamics_before_contact_without_odometry_jump() -> None:
     with serving("--dynamics", "auto") as server:
         server.client.spawn(an_order("r0", 0.0, ""))
         server.client.spawn(an_order("r1", 0.6, ""))

@@ -52,7 +52,7 @@ def test_robot_in_a_paused_world_has_odometry(scene: tuple[Server, Robot]) -> No
     assert eventually(lambda: server.bus.get("r1/odom") or None, SOON_S, "odometry")
 
 
-def test_outputs_of_the_last_step_are_out_when_steps_are_answered(
+def test_outputs_of_the_last_step_are_published_before_the_reply(
     scene: tuple[Server, Robot],
 ) -> None:
     server, found = scene
@@ -76,7 +76,7 @@ def test_robot_moves_as_commanded_when_time_is_on_demand(scene: tuple[Server, Ro
     assert ((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5 == pytest.approx(0.4, abs=0.02)
 
 
-def test_goal_tells_its_progress_and_ends(scene: tuple[Server, Robot]) -> None:
+def test_goal_reports_progress_and_succeeds(scene: tuple[Server, Robot]) -> None:
     server, _ = scene
     seen: list[StepsProgress] = []
 
@@ -101,7 +101,7 @@ def _canceled(server: Server) -> tuple[str, ...]:
     return server.client.cancel_steps()
 
 
-def test_goal_is_canceled_when_its_caller_gives_up(scene: tuple[Server, Robot]) -> None:
+def test_goal_is_canceled_when_its_caller_cancels(scene: tuple[Server, Robot]) -> None:
     server, _ = scene
 
     def give_up(_: StepsProgress) -> None:
@@ -115,7 +115,7 @@ def test_goal_is_canceled_when_its_caller_gives_up(scene: tuple[Server, Robot]) 
     assert server.steps() == steps + 1
 
 
-def test_goal_goes_on_when_its_caller_times_out_and_is_joined_by_a_retry(
+def test_goal_continues_when_its_caller_times_out_and_accepts_a_retry(
     scene: tuple[Server, Robot],
 ) -> None:
     server, _ = scene
@@ -129,7 +129,7 @@ def test_goal_goes_on_when_its_caller_times_out_and_is_joined_by_a_retry(
     assert server.steps() == before + 1200
 
 
-def test_time_runs_to_where_it_is_told_to(scene: tuple[Server, Robot]) -> None:
+def test_time_runs_to_the_requested_time(scene: tuple[Server, Robot]) -> None:
     server, _ = scene
     now_ns = round(server.client.info().sim_time_s * NANOSECONDS)
 
@@ -158,7 +158,7 @@ def test_time_runs_at_the_speed_that_is_set(scene: tuple[Server, Robot], factor:
 
 
 @pytest.mark.parametrize("scope", [0, 1, 2, 3, 4, 5, 6, 7, 255])
-def test_odometry_goes_on_in_a_new_epoch_after_a_reset(
+def test_odometry_continues_in_a_new_epoch_after_a_reset(
     scene: tuple[Server, Robot], scope: int
 ) -> None:
     server, found = scene
@@ -191,7 +191,7 @@ def _spawn_again(server: Server) -> None:
     eventually(lambda: agent_of(server, "r1"), SOON_S, "claiming")
 
 
-def test_stopped_server_makes_up_for_nothing_and_its_clock_never_goes_back(
+def test_suspended_server_does_not_catch_up_and_its_clock_is_monotonic(
     scene: tuple[Server, Robot],
 ) -> None:
     server, _ = scene

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 
-from tests.integration.bare_page import a_camera, bare_page
 from tests.integration.chromium import HEIGHT, WIDTH, Tab, opened
+from tests.integration.page_client import connect_page, encode_camera
 from tests.integration.processes import END_S, Server, eventually, running, serving, zensim
 from zensim.proto.codec.message_codec import Format, encode, make_encoding
 from zensim.proto.messages.standard_messages import Twist, Vector3
@@ -113,7 +113,7 @@ def test_page_has_one_batch_for_each_kind_of_link_and_colour(shown: Shown) -> No
 
 
 @pytest.mark.browser
-def test_page_asks_nobody_but_its_server(shown: Shown) -> None:
+def test_page_requests_only_from_its_server(shown: Shown) -> None:
     loaded = shown.tab.evaluate("performance.getEntriesByType('resource').map(r => r.name)")
 
     assert shown.tab.complaints == []
@@ -166,7 +166,7 @@ def test_camera_follows_a_robot_when_it_is_clicked(shown: Shown) -> None:
 
 
 @pytest.mark.browser
-def test_names_appear_above_all_robots_when_asked_for(shown: Shown) -> None:
+def test_names_appear_above_all_robots_when_enabled(shown: Shown) -> None:
     label = "[...document.querySelectorAll('label')].find(l => l.innerText === 'Names')"
     labels = f"{NODES}.filter(path => path.startsWith('/names/')).length"
 
@@ -195,7 +195,7 @@ def test_buttons_pause_step_reset_and_play(shown: Shown) -> None:
 
 
 @pytest.mark.browser
-def test_page_recovers_when_the_server_ends_and_another_comes() -> None:
+def test_page_recovers_when_the_server_is_replaced() -> None:
     with serving() as first:
         endpoint = first.endpoint
         first.zensim("spawn", "box_bot")
@@ -212,13 +212,13 @@ def test_page_recovers_when_the_server_ends_and_another_comes() -> None:
                 tab.until(f"{BATCHES}.every(([path, count]) => count === 3)")
 
 
-def test_snapshots_are_asked_for_while_a_page_is_open_only() -> None:
+def test_snapshots_are_requested_only_while_a_page_is_open() -> None:
     with serving() as server, viewing(server.endpoint) as (url, _):
         snapshot = server.bus.advertise(SNAPSHOT.key("default"), Format.MSGPACK.value)
         assert not snapshot.is_matched
 
-        with bare_page(url) as page:
-            page.send(a_camera())
+        with connect_page(url) as page:
+            page.send(encode_camera())
             eventually(lambda: snapshot.is_matched, 5.0, "asking")
 
         eventually(lambda: not snapshot.is_matched, 5.0, "asking no more")
@@ -227,9 +227,9 @@ def test_snapshots_are_asked_for_while_a_page_is_open_only() -> None:
 def test_page_of_another_site_is_refused(server: Server) -> None:
     with viewing(server.endpoint) as (url, _):
         with pytest.raises(InvalidStatus, match="403"):
-            bare_page(url, "http://evil.example")
+            connect_page(url, "http://evil.example")
 
-        bare_page(url).close()
+        connect_page(url).close()
 
 
 def test_view_fails_in_one_line_when_its_port_is_taken(server: Server) -> None:
@@ -245,10 +245,10 @@ def test_view_fails_in_one_line_when_its_port_is_taken(server: Server) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_view_that_is_looked_at_ends_when_told_to(server: Server, number: signal.Signals) -> None:
+def test_view_with_a_client_exits_when_terminated(server: Server, number: signal.Signals) -> None:
     with viewing(server.endpoint) as (url, process):
-        with bare_page(url) as page:
-            page.send(a_camera())
+        with connect_page(url) as page:
+            page.send(encode_camera())
             page.recv(timeout=5.0)
             process.send_signal(number)
 

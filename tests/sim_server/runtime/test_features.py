@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, cast
 import pytest
 
 from tests.fakes import MemoryBus
-from tests.features import PROOFS
+from tests.feature_checks import FEATURE_CHECKS
 from tests.sim_server.fakes import WallTime, a_world, make_parts
 from zensim.proto.messages.simulation_messages import Feature
 from zensim.proto.service_catalog import SERVICES
@@ -37,9 +37,9 @@ def test_each_service_is_offered_once() -> None:
 
 
 def test_every_feature_is_announced_and_shown() -> None:
-    assert set(FEATURES) == set(PROOFS) == set(Feature)
+    assert set(FEATURES) == set(FEATURE_CHECKS) == set(Feature)
 
 
 @pytest.mark.parametrize("feature", FEATURES, ids=lambda feature: feature.name)
 def test_announced_feature_works(feature: Feature) -> None:
-    PROOFS[feature](a_client())
+    FEATURE_CHECKS[feature](a_client())

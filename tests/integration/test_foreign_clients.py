@@ -56,7 +56,7 @@ def two_hosts() -> Iterator[tuple[list[str], list[str], str]]:
 
 
 @pytest.mark.root
-def test_robot_is_driven_from_another_host() -> None:
+def test_robot_is_driven_from_a_remote_host() -> None:
     with two_hosts() as (here, there, address):
         endpoint = f"tcp/{address}:7447"
         joined = ("--connect", endpoint)

@@ -13,7 +13,7 @@ TRIES = 5
 SOON_S = 20.0
 
 
-def test_robot_moves_before_its_agent_is_told_again_when_it_is_commanded_in_between() -> None:
+def test_robot_moves_before_the_next_drive_state_when_commanded_between_states() -> None:
     with serving("--control-hz", "1") as server:
         assert server.zensim("fleet", "box_bot", "--count", "1").returncode == 0
         with driven(server, NAME, options=("--cmd-vel-timeout", "0")):

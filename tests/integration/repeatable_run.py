@@ -58,7 +58,7 @@ class Said:
 
 
 @contextmanager
-def locked_fleet(
+def run_lockstep_fleet(
     robots: int,
     *,
     processes: int = 0,

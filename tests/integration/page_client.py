@@ -10,13 +10,13 @@ from zensim.spawner.page.scene_setup import FOV_RAD, START_CAMERA
 PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 
-def bare_page(url: str, origin: str = "") -> ClientConnection:
+def connect_page(url: str, origin: str = "") -> ClientConnection:
     """Connect as a page does that came from `origin`, else from the server itself."""
     address = url.replace("http", "ws")
     return connect(address, subprotocols=[PROTOCOL], origin=Origin(origin or url), max_size=None)
 
 
-def a_camera() -> bytes:
+def encode_camera() -> bytes:
     """Encode the first thing that a page sends: where its camera is."""
     return _encoded(
         "ViewerCameraMessage",
@@ -32,7 +32,7 @@ def a_camera() -> bytes:
     )
 
 
-def a_click(path: str, instance: int) -> bytes:
+def encode_click(path: str, instance: int) -> bytes:
     """Encode a click on one instance of a scene node."""
     return _encoded(
         "SceneNodeClickMessage",
@@ -46,7 +46,7 @@ def a_click(path: str, instance: int) -> bytes:
     )
 
 
-def a_wish_to_share() -> bytes:
+def encode_share_request() -> bytes:
     """Encode the wish for a public address."""
     return _encoded("ShareUrlRequest")
 

@@ -31,7 +31,7 @@ def mismatched() -> str:
     return f'<robot name="mismatched">{links}{joints}</robot>'
 
 
-def test_robot_that_goes_bad_is_frozen_and_the_others_drive_on(tmp_path: Path) -> None:
+def test_diverged_robot_is_frozen_while_others_drive(tmp_path: Path) -> None:
     file = tmp_path / "mismatched.urdf"
     file.write_text(mismatched(), encoding="utf-8")
     with serving() as server:

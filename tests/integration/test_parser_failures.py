@@ -35,18 +35,18 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(autouse=True)
-def steps_and_spawns_afterwards(server: Server) -> Iterator[None]:
-    before = reader_of(server).pid
+def assert_steps_and_spawns(server: Server) -> Iterator[None]:
+    before = find_parser(server).pid
     yield
     steps = server.steps()
     assert answer_to(server, an_order("next")) == ""
     eventually(lambda: server.steps() > steps, 5.0, "stepping")
     assert server.process.poll() is None
     assert server.client.entities() == ()
-    assert not psutil.pid_exists(before) or reader_of(server).pid == before
+    assert not psutil.pid_exists(before) or find_parser(server).pid == before
 
 
-def reader_of(server: Server) -> psutil.Process:
+def find_parser(server: Server) -> psutil.Process:
     """Find the process that reads for a server."""
     (reader,) = [
         child
@@ -73,7 +73,7 @@ def answer_to(server: Server, order: SpawnEntityOrder) -> str:
 
 def answer_when(server: Server, name: str, act: Callable[[psutil.Process], None]) -> str:
     """Spawn with a reader that stands still, act on it once it has the request, and wait."""
-    reader = reader_of(server)
+    reader = find_parser(server)
     reader.suspend()
     with ThreadPoolExecutor(1) as pool:
         answer = pool.submit(answer_to, server, an_order(name))
@@ -93,7 +93,7 @@ def unread_bytes(process_id: int) -> int:
         os.close(pipe)
 
 
-def test_spawn_is_refused_and_the_next_works_when_the_reader_hangs(server: Server) -> None:
+def test_spawn_is_refused_and_the_next_succeeds_when_the_parser_hangs(server: Server) -> None:
     before = server.steps()
 
     answer = answer_when(server, "hung", lambda _: None)
@@ -102,14 +102,14 @@ def test_spawn_is_refused_and_the_next_works_when_the_reader_hangs(server: Serve
     assert server.steps() > before
 
 
-def test_spawn_is_refused_and_the_next_works_when_the_reader_is_killed(server: Server) -> None:
+def test_spawn_is_refused_and_the_next_succeeds_when_the_parser_is_killed(server: Server) -> None:
     answer = answer_when(server, "killed", lambda reader: reader.send_signal(signal.SIGKILL))
 
     assert answer.startswith("reader.crashed: ")
 
 
-def test_spawn_works_when_the_reader_was_killed_before(server: Server) -> None:
-    reader = reader_of(server)
+def test_spawn_succeeds_after_the_parser_was_killed(server: Server) -> None:
+    reader = find_parser(server)
     reader.kill()
     eventually(lambda: not psutil.pid_exists(reader.pid), 10.0, "noticing")
 
@@ -122,7 +122,7 @@ def glb_of(text: bytes) -> bytes:
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
 
 
-def test_spawn_is_refused_and_the_next_works_when_a_mesh_takes_too_much_memory(
+def test_spawn_is_refused_and_the_next_succeeds_when_a_mesh_exceeds_memory(
     server: Server, tmp_path: Path
 ) -> None:
     tmp_path.joinpath("large.glb").write_bytes(glb_of(EXTRAS))
@@ -134,9 +134,9 @@ def test_spawn_is_refused_and_the_next_works_when_a_mesh_takes_too_much_memory(
     send_files(server.client, cargo.bundle)
     order = add_payload(cargo, SpawnEntityOrder("large"), "")
 
-    reader, answer = reader_of(server), answer_to(server, order)
+    reader, answer = find_parser(server), answer_to(server, order)
     while answer == SLOW:  # as it says: where others have the cores, try again
-        reader, answer = reader_of(server), answer_to(server, order)
+        reader, answer = find_parser(server), answer_to(server, order)
 
     assert answer.startswith("reader.memory: ")
-    assert reader_of(server) == reader
+    assert find_parser(server) == reader

@@ -210,7 +210,7 @@ def world_tags(client: SimClient) -> None:
     assert [world for world in named if tag in world.tags] == list(found)
 
 
-PROOFS: dict[Feature, Callable[[SimClient], None]] = {
+FEATURE_CHECKS: dict[Feature, Callable[[SimClient], None]] = {
     Feature.SPAWNING: spawning,
     Feature.DELETING: deleting,
     Feature.NAMED_POSES: named_poses,

@@ -20,7 +20,7 @@ CONTROL_STEPS = 3
 
 
 @dataclass(frozen=True)
-class Course:
+class TrackResult:
     """What a robot did while it was driven.
 
     Attributes:
@@ -52,7 +52,9 @@ class Track:
     def close(self) -> None:
         self._engine.close()
 
-    def drive(self, seconds: float, *, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Course:
+    def drive(
+        self, seconds: float, *, x: float = 0.0, y: float = 0.0, yaw: float = 0.0
+    ) -> TrackResult:
         """Command one twist for some simulation time."""
         twist = Twist(Vector3(x, y), Vector3(0.0, 0.0, yaw))
         start = before = self._row()
@@ -66,7 +68,7 @@ class Track:
             before = row
         heading = float(to_yaw(start[3:7]))
         dx, dy = (before - start)[:2].tolist()
-        return Course(
+        return TrackResult(
             dx * math.cos(heading) + dy * math.sin(heading),
             dy * math.cos(heading) - dx * math.sin(heading),
             length,

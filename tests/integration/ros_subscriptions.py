@@ -7,7 +7,7 @@ import zenoh.ext
 
 from tests.integration.processes import Server, eventually
 from tests.integration.ros_interfaces import OF_HUMBLE
-from tests.integration.ros_rules import Heard, announced, heard_of
+from tests.integration.ros_rules import Heard, announced, to_received_sample
 
 ODOMETRY, TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 TYPES = {
@@ -53,11 +53,11 @@ def key_of(token: str) -> str:
     return announced(token, has_hashes=OF_HUMBLE not in token).key
 
 
-def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
+def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
     """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
     key = key_of(publishers_of(session, topic)[0])
     came: list[Heard] = []
-    joiner = subscribed(session, key, lambda sample: came.append(heard_of(sample)))
+    joiner = subscribed(session, key, lambda sample: came.append(to_received_sample(sample)))
     eventually(lambda: len(came) >= count, SIGHT_S, f"late joining of {topic}")
     joiner.undeclare()
     return came
@@ -65,11 +65,11 @@ def joined_late(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
 
 def captured(session: zenoh.Session, topic: str, count: int = 3) -> list[Heard]:
     if topic in LATCHED or topic.endswith(("/tf_static", "/robot_description", "/status")):
-        return joined_late(session, topic, 1)
+        return read_late_joining(session, topic, 1)
     key = key_of(publishers_of(session, topic)[0])
     channel = zenoh.handlers.FifoChannel(4096)
     subscriber = session.declare_subscriber(key, channel)
-    came = [heard_of(subscriber.recv()) for _ in range(count)]
+    came = [to_received_sample(subscriber.recv()) for _ in range(count)]
     subscriber.undeclare()
     return came
 
