@@ -1,1 +1,1 @@
-"""Tests, laid out as the code is; contract, integration, chaos and benchmark go across it."""
+"""Tests in the layout of the code; contract, integration, chaos and benchmarks span packages."""

@@ -1,13 +1,13 @@
-"""How property tests run, as often as a commit can bear or as `make fuzz` asks; and Ctrl-C."""
+"""Profiles of property tests for commits and `make fuzz`; handling of Ctrl-C."""
 
 import signal
 
 from hypothesis import settings
 
-# A shell in the background ignores Ctrl-C, and so would every process that a test starts.
+# Background shells ignore SIGINT, and child processes would inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Cores are shared where tests run: how long one example takes says nothing.
+# Tests run on shared cores: the time of one example is not meaningful.
 settings.register_profile("commit", deadline=None)
 settings.register_profile("fuzz", deadline=None, max_examples=5000)
 settings.load_profile("commit")

@@ -1,4 +1,4 @@
-"""Engines for tests: an ideal one, and all for which the contract holds."""
+"""Engines for tests: an ideal one, and all that fulfil the contract."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence

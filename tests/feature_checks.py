@@ -1,4 +1,4 @@
-"""What each announced feature does, shown through a client: of fakes, or of a real server."""
+"""Checks of each announced feature through a client, of fakes or of a real server."""
 
 import math
 from collections.abc import Callable
@@ -244,4 +244,4 @@ FEATURE_CHECKS: dict[Feature, Callable[[SimClient], None]] = {
     Feature.AVAILABLE_WORLDS: available_worlds,
     Feature.SPAWNING_ENTITIES: spawning_many,
 }
-"""Each begins in a world that plays, without entities of its own."""
+"""Each check requires a playing world without entities."""

@@ -1,4 +1,4 @@
-"""Small models for tests, built without any description."""
+"""Small models for tests, built without a description."""
 
 import math
 
@@ -54,7 +54,7 @@ def a_lopsided_box(name: str = "lopsided") -> Model:
 
 
 def an_arm(kind: JointKind, *, damping: float = 0.0, friction: float = 0.0) -> Model:
-    """A fixed post with one link that hangs from it and is not driven; limits -0.5 to 0.5."""
+    """A fixed post with one suspended, passive link; joint limits -0.5 to 0.5."""
     joint = Joint(
         "swing",
         kind,
@@ -72,7 +72,7 @@ def an_arm(kind: JointKind, *, damping: float = 0.0, friction: float = 0.0) -> M
 
 
 def a_cart(name: str = "cart") -> Model:
-    """A two-wheeler whose joints come right before left, against the order of its drive."""
+    """A two-wheeled robot whose joints are in reverse order of its drive."""
     wheel = Link("", a_body(0.2, 2.5e-4), (Shape("sphere", (WHEEL_RADIUS_M, 0.0, 0.0)),))
     caster = Shape(
         "sphere",
@@ -109,7 +109,7 @@ def _axle(side: str, y: float) -> Joint:
 
 
 def on_ground(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
-    """Where a cart stands on its wheels."""
+    """Make the state of a cart at rest on its wheels."""
     return a_state((x, y, WHEEL_RADIUS_M), turn=(0.0, 0.0, yaw))
 
 
@@ -118,7 +118,7 @@ def a_box_bot() -> Model:
 
 
 def box_bot_at(x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> FloatArray:
-    """Where a box_bot stands on its wheels."""
+    """Make the state of a box_bot at rest on its wheels."""
     return a_state((x, y, 0.06), turn=(0.0, 0.0, yaw))
 
 
@@ -134,14 +134,14 @@ def assert_same_state(found: FloatArray, expected: FloatArray) -> None:
 
 
 def a_puck(name: str = "puck") -> Model:
-    """A slab that a planar twist moves; its centre of mass is not its root."""
+    """A slab with a planar drive and an offset centre of mass."""
     slab = Shape("box", (0.3, 0.2, 0.1), Origin((0.05, 0.0, 0.05)))
     inertial = Inertial(3.0, (0.05, 0.02, 0.04), (0.02, 0.0, 0.0, 0.03, 0.0, 0.04))
     return Model(name, (Link("base", inertial, (slab,)),), drive=PlanarMove())
 
 
 def a_fork(*, effort: float = 5.0) -> Model:
-    """A fixed post whose one arm is steered: its drive's wheels stand beside it."""
+    """A fixed post with a steered joint and three wheel joints."""
     names = ("wheel", "left", "right", "steering")
     links = (Link("post", a_body()), *(Link(name, a_body(0.5)) for name in names))
     joints = tuple(

@@ -1,4 +1,4 @@
-"""Robots driven in one process: real physics, real drives, no network."""
+"""Robots driven in one process, with real physics and without a network."""
 
 import math
 from dataclasses import dataclass
@@ -21,15 +21,15 @@ CONTROL_STEPS = 3
 
 @dataclass(frozen=True)
 class TrackResult:
-    """What a robot did while it was driven.
+    """Motion of a robot during a command.
 
     Attributes:
         ahead_m: Displacement along the heading at the start.
-        left_m: To the left of it.
-        length_m: Of the way.
-        turned_rad: Summed up.
-        motion: As odometry tells it at the end.
-        row: State at the end.
+        left_m: Displacement to the left of that heading.
+        length_m: Length of the path.
+        turned_rad: Accumulated turn.
+        motion: Final odometry.
+        row: Final state row.
     """
 
     ahead_m: float
@@ -41,7 +41,7 @@ class TrackResult:
 
 
 class Track:
-    """One robot on a plane, and its drive."""
+    """One robot on a plane, with its base controller."""
 
     def __init__(self, model: Model, start: FloatArray) -> None:
         self._engine = PyBulletEngine(EngineConfig(STEP_NS))

@@ -1,1 +1,1 @@
-"""Faults on purpose: each chaos_*.py kills, stops or starves something and prints its figures."""
+"""Fault injection: each chaos_*.py kills, suspends or damages something and prints figures."""

@@ -32,9 +32,9 @@ causes those of that section alone. *n* is the number of samples.
 
 
 def suffer(name: str, *, is_short: bool) -> Section:
-    """Cause one family of faults, and tell what came of it.
+    """Inject one family of faults, and return its section.
 
-    The short form does not judge what other programs on the machine can break.
+    The short form ignores limits that depend on the load of the machine.
     """
     module = import_module(f"tests.chaos.chaos_{name}")
     rows: list[Figure] = list(module.rows(is_short=is_short))

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 ROUNDS, ROUNDS_WHEN_SHORT = 100, 3
 TIMEOUT_S = 0.5
-"""After which a robot without commands stands still, also when nobody is killed."""
+"""Timeout after which a robot without commands stops anyway."""
 MARGIN_S = 0.05
 MOVING_M_S, STANDING_M_S = 0.1, 0.01
 SEED = 11
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Kill agents of a robot that drives."""
+    """Kill agents of a driving robot."""
     phase = random.Random(SEED)
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
@@ -47,7 +47,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def speed_of(server: Server, name: str) -> float:
-    """How fast an entity moves in the plane [m/s]."""
+    """Get the planar speed of an entity [m/s]."""
     linear = server.client.entity_state(name).twist.linear
     return float((linear.x**2 + linear.y**2) ** 0.5)
 

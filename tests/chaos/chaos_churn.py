@@ -17,7 +17,7 @@ MEGABYTE = 1e6
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Spawn and delete, and weigh the server."""
+    """Spawn and delete, and measure the memory of the server."""
     rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
     with serving() as server:
         _churn(server, 1)

@@ -85,7 +85,7 @@ def _suffer(whole: Path, scratch: Path, damage: Damage, copies: int) -> tuple[in
 
 
 def _is_kept(path: Path) -> bool:
-    """Whether a file outlives the power: not what is shared in memory."""
+    """Whether a file is persistent; shared memory is not."""
     return not path.name.endswith("-shm")
 
 

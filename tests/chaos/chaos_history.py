@@ -30,20 +30,20 @@ OPERATIONS, OPERATIONS_WHEN_SHORT = 1000, 150
 NAMES = tuple(f"n{i}" for i in range(8))
 KINDS: tuple[Kind, ...] = ("spawn", "delete", "look")
 LIFE_S, LIFE_WHEN_SHORT_S = (1.0, 5.0), (0.2, 0.4)
-"""From the first answer to the kill."""
+"""Time from the first reply to the kill."""
 KILLS, KILLS_WHEN_SHORT = sys.maxsize, 2
 SEED = 31
 
 
 class Fate(NamedTuple):
-    """How long a server lives, from and to, and how often it is killed at most."""
+    """Range of a server's lifetime, and maximum number of kills."""
 
     life_s: tuple[float, float]
     kills: int
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Let clients and faults loose, then look for what cannot have happened."""
+    """Run clients and faults, then check that the histories are linearizable."""
     clients = CLIENTS_WHEN_SHORT if is_short else CLIENTS
     operations = OPERATIONS_WHEN_SHORT if is_short else OPERATIONS
     life_s = LIFE_WHEN_SHORT_S if is_short else LIFE_S
@@ -88,7 +88,7 @@ def _loose(
 
 
 def _kill_until(server: Mortal, endpoint: str, fate: Fate, is_over: Callable[[], bool]) -> int:
-    """Kill the server again and again, each time some time after it has answered."""
+    """Kill the server repeatedly, each time some time after its first reply."""
     moment, kills = random.Random(SEED), 0
     while kills < fate.kills and not is_over():
         _wait(moment.uniform(*fate.life_s), is_over)

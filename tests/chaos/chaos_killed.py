@@ -36,18 +36,18 @@ POLL_S = 0.002
 
 @dataclass
 class Churn:
-    """A client that spawns and deletes, and remembers what it was told."""
+    """A client that spawns and deletes, and records the replies."""
 
     bus: Bus
     standing: set[str] = field(default_factory=set)
-    """Acknowledged spawns that were not asked to go."""
+    """Acknowledged spawns without a delete request."""
     gone: set[str] = field(default_factory=set)
     """Acknowledged deletes."""
     stop: threading.Event = field(default_factory=threading.Event)
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     def run(self) -> None:
-        """Go on until told to stop."""
+        """Run until stopped."""
         number = 0
         while not self.stop.wait(EVERY_S):
             number += 1
@@ -56,7 +56,7 @@ class Churn:
                 self._delete(f"c{number}")
 
     def acknowledged(self) -> tuple[set[str], set[str]]:
-        """What stands and what is gone, by all that was answered until now."""
+        """Get the existing and deleted entities by all replies so far."""
         with self.lock:
             return set(self.standing), set(self.gone)
 
@@ -76,7 +76,7 @@ class Churn:
 
 @dataclass
 class Toll:
-    """What the kills cost."""
+    """Losses and durations of the kills."""
 
     lost: int = 0
     undone: int = 0
@@ -173,9 +173,9 @@ def _first_list(bus: Bus) -> tuple[str, ...]:
 def _compare(
     names: tuple[str, ...], before: tuple[set[str], set[str]], churn: Churn, toll: Toll
 ) -> None:
-    """Compare a list with what was acknowledged before it was asked for."""
+    """Compare a list with what was acknowledged before its request."""
     standing, gone = before
-    # What has been asked to go since may be there or not.
+    # Entities with a later delete request may exist or not.
     toll.lost += len((standing & churn.acknowledged()[0]) - set(names))
     toll.undone += len(gone & set(names))
 

@@ -17,7 +17,7 @@ STEPS, STEPS_WHEN_SHORT = 10_000, 480
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Make the runs, and count their hashes."""
+    """Run repeatedly, and count distinct hashes."""
     robots = ROBOTS_WHEN_SHORT if is_short else ROBOTS
     steps = STEPS_WHEN_SHORT if is_short else STEPS
     runs = [_run(robots, steps) for _ in range(RUNS_WHEN_SHORT if is_short else RUNS)]

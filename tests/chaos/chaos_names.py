@@ -21,7 +21,7 @@ ROUNDS, ROUNDS_WHEN_SHORT = 10, 2
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Ask for one name many times at once."""
+    """Spawn one name many times simultaneously."""
     clients = CLIENTS_WHEN_SHORT if is_short else CLIENTS
     rounds = ROUNDS_WHEN_SHORT if is_short else ROUNDS
     with serving() as server:

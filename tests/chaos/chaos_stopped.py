@@ -19,7 +19,7 @@ NOMINAL_STEPS = 240
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Stop the server and let it go on."""
+    """Suspend the server and resume it."""
     back, rates = [], []
     with (
         serving() as server,

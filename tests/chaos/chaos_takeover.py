@@ -16,11 +16,11 @@ from tests.integration.robots import Robot, robot
 ROUNDS, ROUNDS_WHEN_SHORT = 50, 2
 CALM_S = 0.3
 WATCHED_S = 0.5
-"""Simulation time for which the robot is watched after the first agent woke."""
+"""Simulation time of observation after the first agent resumed."""
 
 
 def rows(*, is_short: bool) -> Iterator[Figure]:
-    """Stop, replace and wake agents."""
+    """Suspend, replace and resume agents."""
     strayed, intruded, returned = [], [], []
     with serving() as server:
         server.zensim("spawn", "box_bot", "--name", "r1")
@@ -79,7 +79,7 @@ def _drive(server: Server, driver: Robot) -> None:
 
 
 def _stand(server: Server) -> None:
-    """Wait until the robot has stood for a while: it rocks when it stops."""
+    """Wait until the robot is at rest; it rocks when it stops."""
     since_s = server.client.info().sim_time_s
 
     def is_calm() -> bool:

@@ -59,7 +59,7 @@ def rows(*, is_short: bool) -> Iterator[Figure]:
 
 
 def _round() -> dict[str, tuple[float, int]]:
-    """End all programs; tell of each how long it took [s], and how many faults it made."""
+    """End all programs; return the time [s] and the number of faults of each."""
     endpoint = free_endpoint()
     there = ("--connect", endpoint)
     with ExitStack() as stack:

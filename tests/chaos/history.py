@@ -1,7 +1,7 @@
-"""Whether what clients saw of one name could have happened one thing after another.
+"""Linearizability checker of client histories of one name.
 
-A name is there or it is not. An operation takes effect at one moment between its asking and its
-answer; the checker follows every order that real time allows, answer by answer (Lowe, "Testing for
+A name exists or not. An operation takes effect at one moment between its request and its
+reply; the checker follows every order that real time allows, reply by reply (Lowe, "Testing for
 linearizability", 2017: just-in-time linearization).
 """
 
@@ -11,11 +11,11 @@ from typing import Literal, NamedTuple
 Kind = Literal["spawn", "delete", "look"]
 Answer = Literal["done", "taken", "missing", "there"]
 Order = tuple[bool, frozenset[int]]
-"""Whether the name is there, and which of the open operations have had their effect."""
+"""Whether the name exists, and which open operations have taken effect."""
 
 
 class Operation(NamedTuple):
-    """What one client asked of a name, and what it was told."""
+    """One request of a client for a name, and its reply."""
 
     kind: Kind
     asked_s: float
@@ -24,7 +24,7 @@ class Operation(NamedTuple):
 
 
 def effect(kind: Kind, answer: Answer, *, is_there: bool) -> bool | None:
-    """Whether the name is there after an operation; None when it could not be answered so."""
+    """Whether the name exists after an operation; None if its reply is impossible."""
     match kind, answer, is_there:
         case ("spawn", "done", False) | ("spawn", "taken", True) | ("look", "there", True):
             return True
@@ -34,11 +34,11 @@ def effect(kind: Kind, answer: Answer, *, is_there: bool) -> bool | None:
 
 
 def first_fault(operations: Iterable[Operation], *, is_there: bool = False) -> Operation | None:
-    """Find the first answer that no order explains; None when the history is linearizable.
+    """Find the first reply that no order explains; None if the history is linearizable.
 
     Args:
-        operations: All that was asked of one name, all answered, in any order.
-        is_there: Whether the name was there at the beginning.
+        operations: All completed operations on one name, in any order.
+        is_there: Whether the name existed initially.
     """
     known = list(operations)
     moments = sorted(
@@ -61,7 +61,7 @@ def first_fault(operations: Iterable[Operation], *, is_there: bool = False) -> O
 
 
 def _all_orders(orders: set[Order], open_: set[int], known: list[Operation]) -> set[Order]:
-    """Let any of the open operations have their effects, in any order."""
+    """Apply any of the open operations, in any order."""
     found, fresh = set(orders), list(orders)
     while fresh:
         there, had = fresh.pop()

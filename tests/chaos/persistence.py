@@ -1,4 +1,4 @@
-"""A server with a journal that is killed and started again, and clients that do not give up."""
+"""A server with a journal that is killed and restarted, and clients that retry."""
 
 import signal
 import time
@@ -22,11 +22,11 @@ POLL_S = 0.01
 def ask(
     bus: Bus, service: Service[Request, Response], request: Request, request_id: str
 ) -> Response:
-    """Call a service until it answers, always under the same id.
+    """Call a service until it replies, always with the same request id.
 
     Raises:
         ServiceError: The server refused.
-        TimeoutError: It never answered.
+        TimeoutError: No reply within the timeout.
     """
     deadline_s = time.monotonic() + PATIENCE_S
     while True:
@@ -40,7 +40,7 @@ def ask(
 
 
 class Mortal:
-    """A server that joins a router of its own and keeps a journal."""
+    """A server with a journal, connected to a separate router."""
 
     def __init__(self, endpoint: str, folder: Path) -> None:
         self._arguments = ("serve", "--connect", endpoint, "--journal", str(folder))
@@ -48,17 +48,17 @@ class Mortal:
         self.process = self._start()
 
     def die(self) -> None:
-        """Be killed."""
+        """Kill the server."""
         kill(self.process.pid, signal.SIGKILL)
         self.process.wait()
         self._stack.close()
 
     def rise(self) -> None:
-        """Be started again."""
+        """Restart the server."""
         self.process = self._start()
 
     def close(self) -> None:
-        """End for good."""
+        """End the server."""
         self._stack.close()
 
     def _start(self) -> "subprocess.Popen[str]":
@@ -67,7 +67,7 @@ class Mortal:
 
 @contextmanager
 def mortal(folder: Path) -> Iterator[tuple[Mortal, str]]:
-    """Run a router, and a server that may be killed; give it and the endpoint."""
+    """Run a router and a server that may be killed; yield the server and the endpoint."""
     endpoint = free_endpoint()
     with running("router", "--listen", endpoint) as router, joined(endpoint, router):
         server = Mortal(endpoint, folder)

@@ -1,4 +1,4 @@
-"""Ten robots that drive, and how long they take to drive again after a fault."""
+"""Ten driving robots, and their recovery time after a fault."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -21,15 +21,15 @@ BACK_S = 30.0
 
 @dataclass
 class Clock:
-    """The simulation clock as it is told, watched for steps back."""
+    """The published simulation clock, checked for steps back."""
 
     last: tuple[int, int] = (0, 0)
     steps_back: int = 0
     told: list[tuple[float, int]] = field(default_factory=list)
-    """Wall time [s] and step of what was told since the list was cleared."""
+    """Wall time [s] and step of messages since the list was cleared."""
 
     def note(self, now_s: float, epoch: int, step: int) -> None:
-        """Take in what was told."""
+        """Record the received messages."""
         self.steps_back += (epoch, step) < self.last
         self.last = (epoch, step)
         self.told.append((now_s, step))
@@ -37,7 +37,7 @@ class Clock:
 
 @dataclass
 class Crew:
-    """Robots with an agent each, seen from a session that must come back too."""
+    """Robots with one agent each, observed by a session that must also reconnect."""
 
     bus: Bus
     client: SimClient
@@ -47,7 +47,7 @@ class Crew:
     read_clock: Callable[[], None]
 
     def drive_s(self) -> float:
-        """Command all robots until each has moved; tell how long the last one took [s]."""
+        """Command all robots until each has moved; return the time of the last one [s]."""
         begin_s = time.monotonic()
         for found in self.robots:
             found.read()
@@ -56,7 +56,7 @@ class Crew:
 
         def all_moved() -> bool:
             self.read_clock()
-            # Every robot gets its command, also when another has not moved yet.
+            # Command every robot, even if another has not moved yet.
             return sum(self._has_moved(found, starts) for found in self.robots) == len(self.robots)
 
         eventually(all_moved, BACK_S, "driving again")
@@ -74,7 +74,7 @@ class Crew:
 
 @contextmanager
 def crew(endpoint: str, count: int) -> Iterator[Crew]:
-    """Spawn robots at a server that is there, and run an agent for each."""
+    """Spawn robots on a running server, and run an agent for each."""
     joined = ("--connect", endpoint)
     names = [f"box_bot{i}" for i in range(count)]
     with ExitStack() as stack:

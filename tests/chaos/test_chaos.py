@@ -1,4 +1,4 @@
-"""Each family of faults, in its short form: every limit holds."""
+"""Each family of faults meets its limits in the short form."""
 
 import pytest
 

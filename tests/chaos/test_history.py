@@ -1,4 +1,4 @@
-"""The checker of histories: it finds what cannot have happened, and nothing else."""
+"""The history checker finds impossible histories, and no others."""
 
 import random
 
@@ -16,7 +16,7 @@ def op(kind: str, asked_s: float, answered_s: float, answer: str) -> Operation:
     [
         [],
         [op("spawn", 0, 1, "done"), op("look", 2, 3, "there"), op("delete", 4, 5, "done")],
-        # The look overlaps the spawn: it may be on either side of it.
+        # The lookup overlaps the spawn: either order is possible.
         [op("spawn", 0, 5, "done"), op("look", 1, 2, "missing"), op("look", 3, 4, "there")],
         [op("spawn", 0, 5, "done"), op("spawn", 0, 5, "taken"), op("spawn", 1, 4, "taken")],
         [op("spawn", 0, 9, "done"), op("delete", 0, 9, "done"), op("spawn", 0, 9, "done")],
@@ -31,14 +31,14 @@ def test_history_is_explained(operations: list[Operation]) -> None:
     [
         # Acknowledged, then lost.
         ([op("spawn", 0, 1, "done"), op("look", 2, 3, "missing")], 1),
-        # Deleted, then there again.
+        # Deleted, then existing again.
         (
             [op("spawn", 0, 1, "done"), op("delete", 2, 3, "done"), op("look", 4, 5, "there")],
             2,
         ),
         # Two owners of one name.
         ([op("spawn", 0, 5, "done"), op("spawn", 1, 6, "done")], 1),
-        # Seen by one, and not by another that asked after the first was told.
+        # Seen by one client, and missed by a later request of another.
         (
             [op("look", 1, 2, "there"), op("look", 3, 4, "missing"), op("spawn", 0, 5, "done")],
             1,

@@ -1,1 +1,1 @@
-"""Inputs that no robot needs: each is made by a script, and has the slug of its refusal."""
+"""Hostile inputs: each is generated, and has the slug of its refusal."""

@@ -1,4 +1,4 @@
-"""One hostile input, and pieces to make them of."""
+"""A hostile input, and XML parts to build it from."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ NO_NUMBERS = {
     "expression": "1+1",
     "two_points": "1.2.3",
 }
-"""Texts that are no finite number."""
+"""Texts that are not finite numbers."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Case:
     """A hostile description.
 
     Attributes:
-        slug: Of the refusal; empty when the input is odd but must be read.
+        slug: Slug of the refusal; empty if the input must be accepted.
     """
 
     name: str
@@ -58,10 +58,10 @@ def solid(inside: str, part: str = "collision", origin: str = "") -> str:
 
 
 def pair(inside: str = "", kind: str = "continuous") -> str:
-    """Two links and a joint with something inside."""
+    """Make two links and a joint with additional content."""
     return robot(link("a"), link("b"), joint("j", "a", "b", kind, inside))
 
 
 def alone(inside: str) -> str:
-    """One link with something inside."""
+    """Make one link with additional content."""
     return robot(link("a", inside))

@@ -1,4 +1,4 @@
-"""Parts that are missing or foreign, meshes from elsewhere, plug-ins with odd numbers."""
+"""Missing or unknown parts, missing meshes, plug-ins with unusual numbers."""
 
 from collections.abc import Iterator
 
@@ -28,11 +28,11 @@ ELSEWHERE = (
     "./././a.stl",
     "a" * 250 + ".stl",
 )
-"""Where no mesh of a robot is."""
+"""Locations without meshes."""
 
 
 def contents() -> Iterator[Case]:
-    """Make robots of parts that are missing, foreign or elsewhere."""
+    """Make robots with missing, unknown or external parts."""
     for i, uri in enumerate(ELSEWHERE):
         yield Case(f"mesh_{i}", alone(solid(f'<mesh filename="{uri}"/>')), "mesh.missing")
         seen = alone(BODY + solid(f'<mesh filename="{uri}"/>', "visual"))

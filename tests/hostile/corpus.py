@@ -8,5 +8,5 @@ from tests.hostile.trees import trees
 
 
 def corpus() -> tuple[Case, ...]:
-    """Make every case; some have several megabytes."""
+    """Make all cases; some have several megabytes."""
     return (*documents(), *trees(), *numbers(), *contents())

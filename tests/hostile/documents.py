@@ -1,4 +1,4 @@
-"""XML that attacks its reader: entities, includes, depth, size, garbage."""
+"""XML that attacks its parser: entities, includes, depth, size, malformed text."""
 
 from collections.abc import Iterator
 
@@ -9,7 +9,7 @@ MIB = 1 << 20
 
 
 def documents() -> Iterator[Case]:
-    """Make documents that are refused before anybody asks what they describe."""
+    """Make documents that are refused by the XML parser."""
     yield from _doctypes()
     yield from _broken()
     yield from _large()
@@ -105,7 +105,7 @@ def _large() -> Iterator[Case]:
         yield Case(f"depth_{depth}", "<robot>" * depth + "</robot>" * depth, "xml.depth")
     deep = "<a>" * 100 + "</a>" * 100
     yield Case("depth_in_a_gazebo_block", robot(f"<gazebo>{deep}</gazebo>"), "xml.depth")
-    # The parser's own limit comes first.
+    # The parser's own limit applies first.
     yield Case("depth_10000", "<robot>" * 10_000 + "</robot>" * 10_000, "xml.syntax")
 
 

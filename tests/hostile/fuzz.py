@@ -1,4 +1,4 @@
-"""Readers of strangers' bytes, fed with damaged ones as fast as they read: `make fuzz`."""
+"""Fuzzer of all parsers of untrusted bytes: `make fuzz`."""
 
 import argparse
 import random
@@ -35,7 +35,7 @@ RUNS = 100_000
 SHARES = {"urdf": 0.3, "sdf": 0.3, "bundle": 0.2, "requests": 0.2}
 LONGEST_SEED = 3_000
 PLAIN = 0.5
-"""Share of runs that damage anything anywhere."""
+"""Share of runs with damage at any place."""
 VALUE = re.compile(r"""(?:=["']|>)([^"'<>]*)(?=["'<])""")
 VALUES = (
     *("nan", "inf", "-1", "0", "1e308", "1e-320", "", " ", "0 0 0", "1 1 1 1", "0x10", "1_0", "٣"),
@@ -44,14 +44,14 @@ VALUES = (
 )
 MESHES = ("stl", "obj", "dae", "glb")
 Read = Callable[[random.Random], str]
-"""Reads something damaged: the slug of its refusal, or `read`."""
+"""Parses damaged input; returns the slug of its refusal, or `read`."""
 
 
 def fuzz(reader: str, *, runs: int, seed: int) -> Counter[str]:
-    """Run one reader; anything but a reading or a refusal is raised, with the run's own seed.
+    """Run one parser; other exceptions than refusals are raised with the seed of the run.
 
     Returns:
-        How often it read, and how often it refused for what.
+        Number of runs by outcome: `read` or the slug of a refusal.
     """
     found: Counter[str] = Counter()
     with_reader = READERS[reader]()
@@ -75,7 +75,7 @@ def _sdf() -> Read:
 
 
 def _bent(text: str, chance: random.Random) -> str:
-    """Damage a text, or, as often, other values only, so that it is well-formed as before."""
+    """Damage a text anywhere, or only its values, so that it remains well-formed."""
     if chance.random() < PLAIN:
         return damaged(text, chance)
     for _ in range(chance.randint(1, 4)):
@@ -191,7 +191,7 @@ READERS: dict[str, Callable[[], Read]] = {
 
 
 def main() -> None:
-    """Run every reader its share of the runs, and say how fast and with what result."""
+    """Run every parser for its share of the runs; print rates and outcomes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--seed", type=int, default=0)

@@ -1,4 +1,4 @@
-"""Large mesh files that are refused, each for its own reason."""
+"""Large mesh files, each with another reason for refusal."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class BadMesh:
 
 
 def bad_meshes() -> Iterator[BadMesh]:
-    """Make some of each format."""
+    """Make mesh files of each format."""
     rng = np.random.default_rng(SEED)
     noise = rng.bytes(BYTES)
     corners = np.full((BYTES // 50, 3, 3), np.nan)

@@ -1,4 +1,4 @@
-"""Numbers that are none, that nothing can have, or that there are too many of."""
+"""Malformed, impossible, and too many numbers."""
 
 from collections.abc import Callable, Iterator
 
@@ -18,11 +18,11 @@ PLACES: dict[str, Callable[[str], str]] = {
     "damping": lambda n: pair(f'<dynamics damping="{n}"/>'),
     "multiplier": lambda n: pair(f'<mimic joint="k" multiplier="{n}"/>'),
 }
-"""A robot with one number in one place."""
+"""Template of a robot with one number to fill in."""
 
 
 def numbers() -> Iterator[Case]:
-    """Make robots with one number that cannot be."""
+    """Make robots with one invalid number."""
     for place, robot_with in PLACES.items():
         for name, text in NO_NUMBERS.items():
             yield Case(f"{place}_{name}", robot_with(text), "urdf.number")

@@ -1,4 +1,4 @@
-"""Robots in SDF that no robot is: the same attacks, in the other format."""
+"""Hostile robots in SDF."""
 
 from collections.abc import Iterator
 

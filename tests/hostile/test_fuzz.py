@@ -1,4 +1,4 @@
-"""Random robots, and random damage to real ones: they are read or refused, and nothing else."""
+"""Random robots, and randomly damaged real ones, are parsed or refused."""
 
 import math
 import random

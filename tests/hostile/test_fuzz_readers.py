@@ -1,4 +1,4 @@
-"""Every reader of strangers' bytes, for a moment; `make fuzz` does it a thousand times as long."""
+"""A short fuzz run of every parser; `make fuzz` runs a thousand times as long."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""SDF robots: each hostile one is refused with its slug; damage is read or refused."""
+"""Hostile SDF robots are refused with their slugs; damaged ones are parsed or refused."""
 
 import random
 

@@ -1,4 +1,4 @@
-"""Each hostile description is read or refused with its slug, in a line, in time, and alone."""
+"""Hostile descriptions are parsed or refused with a slug, in one line and in time."""
 
 import socket
 import time

@@ -1,4 +1,4 @@
-"""Links and joints that make no tree, and names that are none."""
+"""Links and joints that are not a tree, and invalid names."""
 
 from collections.abc import Iterator
 
@@ -8,7 +8,7 @@ THREE = link("a") + link("b") + link("c")
 
 
 def trees() -> Iterator[Case]:
-    """Make robots whose links and joints do not fit together."""
+    """Make robots with inconsistent links and joints."""
     yield from _cycles()
     yield from _ends()
     yield from _names()

@@ -68,7 +68,7 @@ class Tab:
         self._session = session
         self._number = 0
         self.complaints: list[str] = []
-        """What the page wrote to its console as an error, its policy's refusals among it."""
+        """Console errors of the page, including content policy violations."""
 
     def call(self, method: str, **parameters: object) -> dict[str, Any]:
         """Call a method of the protocol and return its result."""
@@ -86,7 +86,7 @@ class Tab:
             self._note(message)
 
     def open(self, url: str) -> None:
-        """Go to a viewer's page, drawn at full resolution however slow this machine is."""
+        """Open a viewer page at full resolution, also on slow machines."""
         self.call("Log.enable")
         self.call("Runtime.enable")
         size = {"width": WIDTH, "height": HEIGHT, "deviceScaleFactor": 1, "mobile": False}
@@ -96,7 +96,7 @@ class Tab:
             raise ConnectionError(f"{url}: {gone['errorText']}; is the page served there?")
 
     def evaluate(self, expression: str) -> Any:  # noqa: ANN401  it is JSON
-        """Return what an expression, or the promise that it is, comes to."""
+        """Return the value of an expression; awaits a promise."""
         done = self.call(
             "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
         )
@@ -109,11 +109,11 @@ class Tab:
         return self.evaluate(UNTIL % (within_s, expression))
 
     def point(self, x: float, y: float) -> None:
-        """Move the pointer there."""
+        """Move the pointer to a position."""
         self._mouse("mouseMoved", x, y)
 
     def click(self, x: float, y: float) -> None:
-        """Press and release the left button there."""
+        """Click the left button at a position."""
         self.point(x, y)
         self._mouse("mousePressed", x, y, button="left", clickCount=1)
         self._mouse("mouseReleased", x, y, button="left", clickCount=1)
@@ -146,7 +146,7 @@ class Tab:
 
 
 class Chromium:
-    """A browser of its own; close it."""
+    """A separate browser process; close it after use."""
 
     def __init__(self) -> None:
         program = next((found for name in NAMES if (found := shutil.which(name))), None)
@@ -182,7 +182,7 @@ class Chromium:
         return Tab(self._connection, session["sessionId"])
 
     def close(self) -> None:
-        """End the browser and forget its profile."""
+        """End the browser and delete its profile."""
         self._connection.close()
         self._process.terminate()
         self._process.wait(timeout=10.0)
@@ -201,7 +201,7 @@ class Chromium:
 
 @contextmanager
 def opened(url: str) -> Iterator[Tab]:
-    """Show one viewer's page in a browser of its own."""
+    """Open a viewer page in a separate browser."""
     with Chromium() as browser:
         tab = browser.tab()
         tab.open(url)

@@ -1,4 +1,4 @@
-"""Servers with a journal, started again and again in one place."""
+"""Servers with a journal, restarted in one folder."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def serving_with_journal(
     folder: Path, endpoint: str, *arguments: str, prefix: Sequence[str] = ()
 ) -> Iterator[Server]:
-    """Run a server on a journal until the block is over."""
+    """Run a server with a journal until the block ends."""
     command = ("serve", "--listen", endpoint, "--journal", str(folder), *arguments)
     with running(*command, prefix=prefix) as process, joined(endpoint, process) as bus:
         client = SimClient(bus, timeout_s=START_S)
@@ -25,7 +25,7 @@ def serving_with_journal(
 
 
 def kill_hard(server: Server) -> None:
-    """End a server as a power cut would, but for the disk's own cache."""
+    """Kill a server with SIGKILL."""
     server.process.kill()
     server.process.wait()
 

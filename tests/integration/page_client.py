@@ -1,4 +1,4 @@
-"""What a page says to its server, without a browser."""
+"""Messages from a viewer page to its server, without a browser."""
 
 import msgspec
 import viser
@@ -11,13 +11,13 @@ PROTOCOL = Subprotocol(f"viser-v{viser.__version__}")
 
 
 def connect_page(url: str, origin: str = "") -> ClientConnection:
-    """Connect as a page does that came from `origin`, else from the server itself."""
+    """Connect like a page from `origin`, which defaults to the server."""
     address = url.replace("http", "ws")
     return connect(address, subprotocols=[PROTOCOL], origin=Origin(origin or url), max_size=None)
 
 
 def encode_camera() -> bytes:
-    """Encode the first thing that a page sends: where its camera is."""
+    """Encode the camera message, the first that a page sends."""
     return _encoded(
         "ViewerCameraMessage",
         wxyz=(1.0, 0.0, 0.0, 0.0),
@@ -47,7 +47,7 @@ def encode_click(path: str, instance: int) -> bytes:
 
 
 def encode_share_request() -> bytes:
-    """Encode the wish for a public address."""
+    """Encode a request for a public address."""
     return _encoded("ShareUrlRequest")
 
 

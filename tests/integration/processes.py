@@ -1,4 +1,4 @@
-"""Real zensim processes on ephemeral ports, each ended by its id on every path."""
+"""zensim processes on ephemeral ports, each ended by its process id."""
 
 import json
 import os
@@ -26,13 +26,13 @@ POLL_S = 0.005
 SHORT = ("delete", "fleet", "list", "play", "spawn")
 START_S = 120.0
 END_S = 60.0
-"""Until a process that was told to end is taken to hang; how quick it is, benchmarks measure."""
+"""Timeout after SIGTERM; benchmarks measure the actual time."""
 LEAST_PATIENCE_S = 60.0
-"""Other programs may have the cores: what should happen at once may take this long."""
+"""Minimum timeout, because other programs may occupy the cores."""
 
 
 def eventually(ask: Callable[[], T | None], within_s: float, what: str = "it") -> T:
-    """Ask until the answer is neither None nor False; fail when it never is."""
+    """Call a function until it returns neither None nor False; fail after a timeout."""
     within_s = max(within_s, LEAST_PATIENCE_S)
     deadline = time.monotonic() + within_s
     while True:
@@ -44,19 +44,19 @@ def eventually(ask: Callable[[], T | None], within_s: float, what: str = "it") -
 
 
 def free_endpoint() -> str:
-    """Find an endpoint on loopback that nobody has."""
+    """Find an unused endpoint on loopback."""
     return with_free_port("tcp/127.0.0.1:0")
 
 
 def command_line(arguments: Sequence[str], prefix: Sequence[str] = ()) -> list[str]:
-    """Say how `zensim ARGUMENTS` is run."""
+    """Make the command line of `zensim ARGUMENTS`."""
     return [*prefix, sys.executable, "-m", "zensim", *arguments]
 
 
 def zensim(
     *arguments: str, timeout_s: float = START_S, prefix: Sequence[str] = ()
 ) -> "subprocess.CompletedProcess[str]":
-    """Run a command to its end."""
+    """Run a command and wait for its exit."""
     return subprocess.run(
         command_line(arguments, prefix),
         capture_output=True,
@@ -68,7 +68,7 @@ def zensim(
 
 
 def here(*arguments: str) -> "subprocess.CompletedProcess[str]":
-    """Run a command to its end in this process; a fault of its own is raised."""
+    """Run a command in this process; its unexpected exceptions are raised."""
     result = CliRunner().invoke(build(arguments[0]), arguments, prog_name="zensim")
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -78,7 +78,7 @@ def here(*arguments: str) -> "subprocess.CompletedProcess[str]":
 
 
 def without(library: str, folder: Path) -> tuple[str, ...]:
-    """Say what a command begins with in whose processes a library is not installed."""
+    """Make a command prefix under which a library cannot be imported."""
     block = f"import sys\nsys.modules[{library!r}] = None\n"
     (folder / "sitecustomize.py").write_text(block)
     path = os.pathsep.join((str(folder), str(ROOT)))
@@ -87,7 +87,7 @@ def without(library: str, folder: Path) -> tuple[str, ...]:
 
 @contextmanager
 def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess.Popen[str]"]:
-    """Run a command in the background; it and what it started are gone afterwards."""
+    """Run a command in the background; end it and its descendants afterwards."""
     process = subprocess.Popen(
         command_line(arguments, prefix),
         stdin=subprocess.DEVNULL,
@@ -104,7 +104,7 @@ def running(*arguments: str, prefix: Sequence[str] = ()) -> Iterator["subprocess
 
 
 def end(process: "subprocess.Popen[str]") -> None:
-    """End a process and all that it started."""
+    """End a process and its descendants."""
     family = [process.pid, *children(process.pid)]
     if process.poll() is None:
         process.send_signal(signal.SIGTERM)
@@ -122,7 +122,7 @@ def end(process: "subprocess.Popen[str]") -> None:
 
 
 def children(pid: int) -> list[int]:
-    """List what a process has started, all generations."""
+    """List the process ids of all descendants."""
     try:
         return [child.pid for child in psutil.Process(pid).children(recursive=True)]
     except psutil.NoSuchProcess:
@@ -130,7 +130,7 @@ def children(pid: int) -> list[int]:
 
 
 def kill(pid: int, number: signal.Signals) -> None:
-    """Send a signal; a process that has gone is fine."""
+    """Send a signal; ignores processes that have exited."""
     try:
         os.kill(pid, number)
     except ProcessLookupError:
@@ -157,18 +157,18 @@ class Server:
     client: SimClient
 
     def zensim(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
-        """Run a command against this server, a short one in this process: no start to wait for."""
+        """Run a command against this server; short ones run in this process."""
         run = here if arguments[0] in SHORT else zensim
         return run(*arguments, "--connect", self.endpoint)
 
     def steps(self) -> int:
-        """Ask how many steps it has made."""
+        """Get the number of completed steps."""
         return self.client.info().steps
 
 
 @contextmanager
 def serving(*arguments: str, prefix: Sequence[str] = (), endpoint: str = "") -> Iterator[Server]:
-    """Run a server until the test is over."""
+    """Run a server until the block ends."""
     endpoint = endpoint or free_endpoint()
     with (
         running("serve", "--listen", endpoint, *arguments, prefix=prefix) as process,
@@ -181,7 +181,7 @@ def serving(*arguments: str, prefix: Sequence[str] = (), endpoint: str = "") -> 
 
 @contextmanager
 def joined(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Iterator[Bus]:
-    """Join an endpoint as soon as somebody listens there."""
+    """Connect to an endpoint as soon as a router listens on it."""
 
     def attempt() -> Bus | None:
         if process is not None:
@@ -199,7 +199,7 @@ def joined(endpoint: str, process: "subprocess.Popen[str] | None" = None) -> Ite
 def driven(
     server: Server, *names: str, options: Sequence[str] = ()
 ) -> Iterator[dict[str, "subprocess.Popen[str]"]]:
-    """Run an agent for each of these entities, and return when all are claimed."""
+    """Run an agent for each entity; enter the block when all are claimed."""
     with ExitStack() as stack:
         agents = {
             name: stack.enter_context(
@@ -212,12 +212,12 @@ def driven(
 
 
 def wait_for_agents(server: Server, names: Sequence[str]) -> None:
-    """Wait until each of these entities is driven."""
+    """Wait until each entity is claimed."""
     eventually(lambda: all(agent_of(server, name) for name in names), START_S, "claiming")
 
 
 def agent_of(server: Server, name: str) -> str:
-    """Ask who drives an entity."""
+    """Get the agent of an entity; empty if there is none."""
     try:
         return server.client.entity_model(name).agent
     except NoServer:

@@ -1,4 +1,4 @@
-"""The same drive from the start, again and again: what robots said, as a hash."""
+"""Repeatable runs in lockstep, and hashes of the published odometry."""
 
 import random
 import struct
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 
 SEED = 7
 CHUNK = 240
-"""Steps that one set of commands holds for."""
+"""Steps per set of commands."""
 SPACING_M = "0.4"
-"""So near that robots bump into each other: contacts are where engines differ first."""
+"""Close enough for collisions: contacts are most sensitive to differences."""
 DEPTH = 200_000
 LOCKSTEP = ("--paused", "--lockstep", "--on-miss", "wait", "--seed", str(SEED))
 
 
 @dataclass(frozen=True)
 class Said:
-    """What came of one drive.
+    """Result of one run.
 
     Attributes:
         odoms: Odometry messages of each robot.
-        digests: Of the bytes of all odometry of each robot, in the order of coming.
-        state: Of the last snapshot.
+        digests: Hash of the odometry bytes of each robot, in order of arrival.
+        state: Hash of the last snapshot.
     """
 
     odoms: dict[str, int]
@@ -50,7 +50,7 @@ class Said:
 
     @property
     def hash(self) -> str:
-        """One for all."""
+        """Hash of all digests."""
         whole = sha256(self.state.encode())
         for name in sorted(self.digests):
             whole.update(f"{name}={self.digests[name]}".encode())
@@ -66,14 +66,14 @@ def run_lockstep_fleet(
     prefix: Sequence[str] = (),
     is_pooled: bool = False,
 ) -> Iterator[Server]:
-    """Run a paused world in lockstep, with robots and the agents that drive them.
+    """Run a paused world in lockstep, with robots and their agents.
 
     Args:
         robots: How many.
-        processes: Agents that share the robots; 0 = one for each robot.
-        endpoint: Where the server listens; on loopback unless given.
-        prefix: How to run something where the agents are.
-        is_pooled: One pool drives all, instead.
+        processes: Number of agents; 0 = one per robot.
+        endpoint: Endpoint of the server; defaults to loopback.
+        prefix: Command prefix of the agents.
+        is_pooled: Use one pool for all robots.
     """
     names = [f"box_bot{i}" for i in range(robots)]
     with serving(*LOCKSTEP, endpoint=endpoint) as server, ExitStack() as stack:
@@ -90,10 +90,10 @@ def run_lockstep_fleet(
 
 
 def drive(server: Server, robots: int, steps: int) -> Said:
-    """Drive all robots, each in its own way, and keep what they said."""
+    """Drive all robots with different commands; hash their odometry."""
     odom = server.bus.subscribe(ODOM.key("*"), DEPTH)
     fleet = [robot(server.bus, f"box_bot{i}") for i in range(robots)]
-    # An agent that answers has heard of the listener before, and has told of where it stands.
+    # An agent that replies has matched the subscriber and published the initial pose.
     eventually(lambda: len(server.bus.get(ODOM.key("*"))) == robots, START_S, "odometry")
     odom.take()
     heard = _Heard(odom)
@@ -106,7 +106,7 @@ def drive(server: Server, robots: int, steps: int) -> Said:
 
 
 def state_hash(bus: Bus) -> str:
-    """Hash where every entity and every joint is, and when."""
+    """Hash epoch, step, time, and the states of all entities and joints."""
     (sample,) = bus.get("sim/default/snapshot")
     now = decode(Snapshot, sample.payload, sample.encoding)
     whole = struct.pack("<3Q", now.epoch, now.step, now.time_ns) + now.base + now.joint_positions
@@ -119,7 +119,7 @@ def _command(fleet: list[Robot], draws: random.Random) -> None:
 
 
 class _Heard:
-    """Hashes messages as they come."""
+    """Hashes messages on arrival."""
 
     def __init__(self, odom: BusSubscription) -> None:
         self.counts: dict[str, int] = {}

@@ -1,4 +1,4 @@
-"""Driving robots over the network, and reading where they went."""
+"""Robots commanded over the network, and their odometry."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -20,7 +20,7 @@ from zensim.proto.topic_catalog import CMD_VEL, ODOM
 from zensim.spawner.client.sim_client import SimClient
 
 SEND_EVERY_S = 0.1
-"""Simulation time between two commands; the agent stops a robot after 0.5 s without."""
+"""Simulation time between two commands; agents stop a robot after 0.5 s without one."""
 STOP_S = 1.0
 """Simulation time in which a robot comes to rest."""
 
@@ -34,11 +34,11 @@ class Robot:
     cmd_vel: BusPublisher
     last: Odometry | None = None
     turned_rad: float = 0.0
-    """Turn summed up over all odometry that was read."""
+    """Accumulated turn over all received odometry."""
     _heading: float | None = None
 
     def read(self) -> list[Odometry]:
-        """Take the odometry that has come."""
+        """Take the received odometry."""
         samples = self.odom.take()
         found = [decode(Odometry, sample.payload, sample.encoding) for sample in samples]
         for odom in found:
@@ -49,12 +49,12 @@ class Robot:
         return found
 
     def command(self, linear: float, angular: float = 0.0) -> None:
-        """Send one velocity command."""
+        """Publish one velocity command."""
         twist = Twist(Vector3(x=linear), Vector3(z=angular))
         self.cmd_vel.send(encode(twist, Format.CDR))
 
     def newest(self) -> Odometry:
-        """Take the odometry that has come, and tell the last of it."""
+        """Take the received odometry and return the newest."""
         self.read()
         assert self.last is not None, f"no odometry of {self.namespace}"
         return self.last
@@ -71,7 +71,7 @@ class Robot:
 
 
 def robot(bus: Bus, namespace: str) -> Robot:
-    """Subscribe to a robot and get ready to drive it."""
+    """Subscribe to a robot's odometry and create a publisher of its commands."""
     found = Robot(
         namespace,
         bus.subscribe(ODOM.key(namespace), 100_000),
@@ -82,7 +82,7 @@ def robot(bus: Bus, namespace: str) -> Robot:
 
 
 def stamp_s(odom: Odometry) -> float:
-    """Simulation time of an odometry."""
+    """Get the simulation time of an odometry message."""
     return ns_from_time(odom.header.stamp) * 1e-9
 
 
@@ -100,7 +100,7 @@ def yaw(odom: Odometry) -> float:
 
 @dataclass(frozen=True)
 class DriveResult:
-    """What a robot did while it was driven: displacement in its own start frame, turn summed up."""
+    """Displacement in the initial base frame, and accumulated turn."""
 
     forward_m: float
     sideways_m: float
@@ -110,9 +110,9 @@ class DriveResult:
 def drive_for(
     client: SimClient, robots: Sequence[Robot], *, linear: float, angular: float, sim_s: float
 ) -> list[DriveResult]:
-    """Drive robots all at once for some simulation time, then let them stop.
+    """Drive robots simultaneously for some simulation time, then stop them.
 
-    Time goes on between two commands and stands at each, so that a busy machine changes nothing.
+    Time is paused at each command, so that load of the machine has no effect.
     """
     with pausing(client):
         _advance_time(client, SEND_EVERY_S)
@@ -131,7 +131,7 @@ def drive_for(
 
 @contextmanager
 def pausing(client: SimClient) -> Iterator[None]:
-    """Let time stand but for what is asked for; afterwards it runs again if it did before."""
+    """Pause the world inside the block; restore playing afterwards."""
     is_playing = client.simulation_state() == State.PLAYING
     if is_playing:
         client.set_simulation_state(State.PAUSED)

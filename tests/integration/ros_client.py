@@ -1,4 +1,4 @@
-"""A client of services that knows nothing of ours: zenoh-ros2-sdk."""
+"""An independent service client: zenoh-ros2-sdk."""
 
 from typing import Any, TypeAlias
 
@@ -12,11 +12,11 @@ from tests.proto.ros_oracle import HUMBLE
 
 HOST = "127.0.0.1"
 OfRos: TypeAlias = Any
-"""Values and descriptions of types that are known only while it runs."""
+"""Values and descriptions of types known only at run time."""
 
 
 class Client:
-    """One session of the kit."""
+    """One session of the SDK."""
 
     def __init__(self, port: int, domain: int) -> None:
         self._port, self._domain = port, domain
@@ -32,7 +32,7 @@ class Client:
         fields: dict[str, OfRos],
         within_s: float = 10.0,
     ) -> object:
-        """Call a service; None when nobody answered in time."""
+        """Call a service; None without a reply in time."""
         request, response = INTERFACES[kind].replace(";", "\n").split("---")
         client = ROS2ServiceClient(
             name,
@@ -56,7 +56,7 @@ class Client:
         return None if answer is None else self._plain(answer, client.response_store_type)
 
     def close(self) -> None:
-        """End the session."""
+        """Close the session."""
         self._session.close()
 
     def _fields(self, kind: str) -> list[tuple[str, OfRos]]:

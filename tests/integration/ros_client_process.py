@@ -1,4 +1,4 @@
-"""Asking as ROS 2 does: by an independent client in a process of its own, and by raw bytes."""
+"""Calls of ROS 2 services: by an independent client in a separate process, and by raw bytes."""
 
 import json
 import subprocess
@@ -17,21 +17,21 @@ Do = Callable[..., Any]
 
 
 class Router(Protocol):
-    """What the network of a test is joined at."""
+    """The endpoint of a test network."""
 
     @property
     def endpoint(self) -> str:
-        """Where it listens."""
+        """Endpoint that it listens on."""
 
 
 @contextmanager
 def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
-    """Run the independent client, and tell it what to do.
+    """Run the independent client, and yield a function that calls its methods.
 
     Args:
-        server: Whose network it joins.
-        domain: Of ROS 2.
-        type_hash: What stands for the hash of every topic's type; empty for the true ones.
+        server: Network to connect to.
+        domain: ROS 2 domain.
+        type_hash: Replacement of all type hashes; empty for the actual ones.
     """
     port = server.endpoint.rsplit(":", 1)[1]
     arguments = (port, str(domain), *([type_hash] if type_hash else []))
@@ -59,13 +59,13 @@ def observing(server: Router, domain: int, type_hash: str = "") -> Iterator[Do]:
 
 @contextmanager
 def ros_client(server: Router, domain: int = 0) -> Iterator[Ask]:
-    """Run the independent client, and ask it to call."""
+    """Run the independent client, and yield a function that calls services."""
     with observing(server, domain) as do:
         yield asking(do)
 
 
 def asking(do: Do) -> Ask:
-    """Let the client call services."""
+    """Make a function that calls services with the client."""
 
     def ask(name: str, kind: str, type_hash: str, /, **fields: object) -> dict[str, object] | None:
         answer: dict[str, object] | None = do(
@@ -89,7 +89,7 @@ def session_of(server: Router) -> Iterator[zenoh.Session]:
 def replies(
     server: Router, key: str, payload: bytes, attachment: bytes | None
 ) -> list[zenoh.Sample]:
-    """Ask as rmw_zenoh does: every queryable that is complete, and no answer is merged."""
+    """Query like rmw_zenoh: all complete queryables, without consolidation."""
     with session_of(server) as session:
         found = session.get(
             key,

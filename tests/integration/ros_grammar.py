@@ -1,9 +1,9 @@
-"""The tokens of rmw_zenoh by their grammar, written from its design and not from our code.
+"""Grammar of rmw_zenoh's liveliness tokens, written from its design, not from our code.
 
 node      @ros2_lv/DOMAIN/ZID/NODE/NODE/NN/ENCLAVE/NAMESPACE/NAME
 endpoint  @ros2_lv/DOMAIN/ZID/NODE/ENTITY/KIND/ENCLAVE/NAMESPACE/NAME/TOPIC/TYPE/HASH/QOS
 
-Names have % for /; a name of ROS is words of letters, digits and _ that begin with no digit.
+Names use % for /; ROS names consist of letters, digits and _, and do not begin with a digit.
 """
 
 import re
@@ -23,7 +23,7 @@ ENDPOINT = re.compile(
 )
 HUMBLES = "TypeHashNotSupported"
 LONGEST = 247
-"""Characters of a topic with its namespace."""
+"""Maximum number of characters of a topic with its namespace."""
 VERSION_1 = {
     "simulation_interfaces/srv/SpawnEntity": "RIHS01_"
     "d4c086345d4194a5fc4c9ae45095736ca4062b5cdac4d06a42dec93d683e03cf",
@@ -34,11 +34,11 @@ VERSION_1 = {
     "simulation_interfaces/srv/GetSpawnables": "RIHS01_"
     "3bc0266bf8236058ff589c44512e013afe4f295427c39d44cff363d1c956bf36",
 }
-"""Published hashes of what simulation_interfaces 1.x has in another form than 2.1."""
+"""Published hashes of types that differ between simulation_interfaces 1.x and 2.1."""
 
 
 class NoToken(AssertionError):
-    """rmw_zenoh would not read it."""
+    """A token that rmw_zenoh would reject."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +62,21 @@ class Told:
     ros_type: str
     type_hash: str
     qos: str
-    """Its reliability, durability, history and depth, as they are written."""
+    """Reliability, durability, history and depth, as in the token."""
 
     @property
     def key(self) -> str:
-        """Where its data goes."""
+        """Key of its data."""
         package, kind, name = self.ros_type.split("/")
         dds = f"{package}::{kind}::dds_::{name}_"
         return f"{self.owner.domain}{self.name}/{dds}/{self.type_hash}"
 
 
 def parse_endpoints(tokens: Iterable[str]) -> list[Told]:
-    """Read all tokens of a network, and check what rmw_zenoh needs of them together.
+    """Parse all tokens of a network, and check their consistency.
 
     Raises:
-        NoToken: One does not parse, or does not fit the others.
+        NoToken: A token is malformed or inconsistent with others.
     """
     owners: set[Owner] = set()
     endpoints = []
@@ -99,10 +99,10 @@ def parse_endpoints(tokens: Iterable[str]) -> list[Told]:
 
 
 def check_hash(told: Told, *, has_hashes: bool) -> None:
-    """Compare a hash with that of another implementation, or with the published ones.
+    """Compare a type hash with an independent implementation or the published value.
 
     Raises:
-        NoToken: It is another.
+        NoToken: The hashes differ.
     """
     find = hash_of_message if told.kind in ("MP", "MS") else hash_of_service
     known = {find(told.ros_type), VERSION_1.get(told.ros_type)} if has_hashes else {HUMBLES}

@@ -1,11 +1,11 @@
-"""Interfaces as their packages define them, fields parted by semicolons, halves by dashes.
+"""Interface definitions; fields are separated by semicolons, requests and responses by dashes.
 
 Source: simulation_interfaces 1.x and 2.1, gazebo_msgs, std_srvs, action_msgs. Hashes are the
-published ones. Of the action, goal, result and feedback stand in place of the types that hold them.
+published ones. For the action, goal, result and feedback replace their wrapper types.
 """
 
 SPAWN_V1 = "simulation_interfaces/srv/SpawnEntity@1"
-"""A type of the same name in two versions: what follows @ is ours."""
+"""Two versions share this type name; the suffix after @ is local."""
 INTERFACES = {
     SPAWN_V1: "string name; bool allow_renaming; string uri; string resource_string;"
     " string entity_namespace; geometry_msgs/PoseStamped initial_pose"

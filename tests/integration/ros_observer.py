@@ -1,6 +1,6 @@
-"""What zenoh-ros2-sdk, which knows nothing of ours, sees, hears and says; told by lines of JSON.
+"""Independent ROS 2 client (zenoh-ros2-sdk), controlled by lines of JSON.
 
-`python -m tests.integration.ros_observer PORT DOMAIN [HASH]` answers each line with a line.
+`python -m tests.integration.ros_observer PORT DOMAIN [HASH]` replies to each line with a line.
 """
 
 import json
@@ -23,19 +23,19 @@ from tests.proto.ros_oracle import HUMBLE
 LOOK_S = 2.0
 POLL_S = 0.01
 OfRos: TypeAlias = Any
-"""Values of types that are known only while it runs."""
+"""Values of types known only at run time."""
 
 
 class Observer(Client):
-    """One session of the kit, for topics."""
+    """One session of the SDK, for topics."""
 
     def __init__(self, port: int, domain: int, type_hash: str = "") -> None:
         """Join.
 
         Args:
-            port: Of the router, on this host.
-            domain: Of ROS 2.
-            type_hash: Of all types, where a distribution has no hashes.
+            port: Port of the router on this host.
+            domain: ROS 2 domain.
+            type_hash: Hash of all types, for distributions without hashes.
         """
         super().__init__(port, domain)
         self._type_hash = type_hash
@@ -53,12 +53,12 @@ class Observer(Client):
         return dict(get_service_names_and_types(**self._at, timeout=LOOK_S))
 
     def publishers(self, topic: str) -> list[dict[str, str]]:
-        """List who publishes a topic, as `ros2 topic info -v`."""
+        """List the publishers of a topic, as `ros2 topic info -v`."""
         found = get_topic_info(topic, **self._at, timeout=LOOK_S, verbose=True)
         return [vars(one) for one in found.publishers] if found else []
 
     def hear(self, topic: str, kind: str, count: int, within_s: float, qos: str) -> list[object]:
-        """Subscribe, and take the first messages that differ, up to a number of them."""
+        """Subscribe, and return the first `count` distinct messages."""
         came: list[object] = []
         heard: dict[str, object] = {}
         subscriber = ROS2Subscriber(topic, kind, came.append, **self._declared(kind, qos))
@@ -72,7 +72,7 @@ class Observer(Client):
         return [*heard.values()][:count]
 
     def listen(self, topic: str, kind: str, qos: str) -> None:
-        """Subscribe, and go on listening."""
+        """Subscribe permanently."""
         heard = self._heard.setdefault(topic, [])
         self._listeners[topic] = ROS2Subscriber(
             topic,
@@ -82,7 +82,7 @@ class Observer(Client):
         )
 
     def heard(self, topic: str) -> list[object]:
-        """List all that came since `listen`, oldest first."""
+        """List the messages received since `listen`, oldest first."""
         return list(self._heard[topic])
 
     def tell(self, topic: str, kind: str, fields: OfRos) -> None:
@@ -106,7 +106,7 @@ class Observer(Client):
 
 
 def main() -> None:
-    """Do what the lines say."""
+    """Execute the lines of standard input."""
     observer = Observer(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:])
     try:
         for line in sys.stdin:

@@ -1,7 +1,7 @@
-"""What rmw_zenoh asks of a publisher, judged by an implementation that is not ours.
+"""Rules of rmw_zenoh for publishers, checked with an independent implementation.
 
-A sample whose attachment is wrong is dropped by it; a token that does not parse is no endpoint;
-data come on the key that the endpoint's name, type and hash make.
+rmw_zenoh drops samples with an invalid attachment, and ignores malformed tokens;
+the key of data consists of the endpoint's name, type and hash.
 """
 
 import struct
@@ -23,12 +23,12 @@ TOKEN_PARTS = 13
 
 
 class BrokenRule(AssertionError):
-    """rmw_zenoh would not take it."""
+    """A message or token that rmw_zenoh would reject."""
 
 
 @dataclass(frozen=True)
 class Heard:
-    """One sample, as it came."""
+    """A received sample."""
 
     key: str
     payload: bytes
@@ -37,7 +37,7 @@ class Heard:
 
 @dataclass(frozen=True)
 class Announced:
-    """A publisher, as its token tells it."""
+    """A publisher, described by its token."""
 
     node: str
     name: str
@@ -52,7 +52,7 @@ def to_received_sample(sample: zenoh.Sample) -> Heard:
 
 
 def announced(token: str, *, has_hashes: bool = True) -> Announced:
-    """Read the token of a publisher; in humble types have no hashes."""
+    """Parse the token of a publisher; humble has no type hashes."""
     parts = token.split("/")
     if len(parts) != TOKEN_PARTS or parts[0] != ADMIN_SPACE or parts[5] != "MP":
         raise BrokenRule(f"no token of a publisher: {token}")
@@ -75,10 +75,10 @@ def announced(token: str, *, has_hashes: bool = True) -> Announced:
 def check_topic(
     tokens: list[str], samples: list[Heard], *, has_hashes: bool = True
 ) -> list[Announced]:
-    """Judge one topic: who announced it, and what came on its key.
+    """Check the publishers of a topic, and the samples on its key.
 
     Raises:
-        BrokenRule: Nobody announced the key, or a sample would be dropped.
+        BrokenRule: The key has no publisher, or a sample would be dropped.
     """
     publishers = [announced(token, has_hashes=has_hashes) for token in tokens]
     keys = {publisher.key for publisher in publishers}
@@ -102,16 +102,16 @@ def check_topic(
 
 
 def gid_of(token: str) -> bytes:
-    """Find what `ros2 topic info -v` shows: XXH3 of the token, its low half first."""
+    """Compute the gid shown by `ros2 topic info -v`: XXH3 of the token, low half first."""
     number = xxhash.xxh3_128_intdigest(token.encode())
     return struct.pack("<QQ", number & (1 << 64) - 1, number >> 64)
 
 
 def check_bytes(ros_type: str, payload: bytes) -> None:
-    """Let rosbags read a message, and write it again as it was.
+    """Check that rosbags decodes a message and encodes it to the same bytes.
 
     Raises:
-        BrokenRule: It writes other bytes.
+        BrokenRule: The bytes differ.
     """
     message = HUMBLE.deserialize_cdr(payload, ros_type)
     if bytes(HUMBLE.serialize_cdr(message, ros_type)) != payload:

@@ -1,4 +1,4 @@
-"""Watching as rmw_zenoh does: tokens, and subscriptions that join late."""
+"""Tokens and late-joining subscriptions, like rmw_zenoh."""
 
 from collections.abc import Callable
 
@@ -37,7 +37,7 @@ def publishers_of(session: zenoh.Session, topic: str) -> list[str]:
 def subscribed(
     session: zenoh.Session, key: str, hear: Callable[[zenoh.Sample], object]
 ) -> "zenoh.ext.AdvancedSubscriber[None]":
-    """Subscribe as rmw_zenoh does to a transient_local topic."""
+    """Subscribe to a transient_local topic like rmw_zenoh."""
     return zenoh.ext.declare_advanced_subscriber(
         session,
         key,
@@ -49,12 +49,12 @@ def subscribed(
 
 
 def key_of(token: str) -> str:
-    """Find where the data of a publisher goes, of any distribution."""
+    """Find the data key of a publisher of any distribution."""
     return announced(token, has_hashes=OF_HUMBLE not in token).key
 
 
 def read_late_joining(session: zenoh.Session, topic: str, count: int) -> list[Heard]:
-    """Subscribe as rmw_zenoh does to a transient_local topic, and wait for what was before."""
+    """Subscribe to a transient_local topic like rmw_zenoh, and wait for earlier samples."""
     key = key_of(publishers_of(session, topic)[0])
     came: list[Heard] = []
     joiner = subscribed(session, key, lambda sample: came.append(to_received_sample(sample)))

@@ -1,4 +1,4 @@
-"""`python -m tests.integration.screenshot URL FILE.png` takes a picture of a viewer's page."""
+"""`python -m tests.integration.screenshot URL FILE.png` saves a screenshot of a viewer page."""
 
 import sys
 from pathlib import Path
@@ -12,11 +12,11 @@ style.textContent = ".mantine-Notifications-root { display: none }";
 document.head.append(style);
 """
 SETTLED = "new Promise(done => setTimeout(done, 2500))"
-"""The first frames are drawn before shaders are compiled and cameras have come to rest."""
+"""The first frames precede shader compilation and the final camera pose."""
 
 
 def screenshot(url: str) -> bytes:
-    """Take a picture of the page, once there are robots in it."""
+    """Take a screenshot of the page as soon as it shows robots."""
     with opened(url) as tab:
         tab.until(ROBOTS)
         tab.evaluate(SOFTWARE_NOTE)

@@ -1,4 +1,4 @@
-"""An agent's life among real processes: what it waits for, what it survives, how it ends."""
+"""Life cycle of an agent process: waiting, recovery, exit."""
 
 import signal
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ MAX_MEMORY_BYTES = 70 * 1024 * 1024
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
-    """One server for all; each test has entities of its own."""
+    """Run one server for all tests; each test has its own entities."""
     with serving() as server:
         for name in ("r1", "r2", "r3", "r4"):
             server.zensim("spawn", "box_bot", "-n", name, "-y", name[1:])
@@ -74,7 +74,7 @@ def test_agent_exits_while_it_waits_for_a_server() -> None:
     with running("agent", "r1", "--connect", free_endpoint()) as waiting:
         eventually(lambda: psutil.Process(waiting.pid).num_threads() > 1, 10.0, "joining")
 
-        # The second where the interpreter itself has not begun to listen.
+        # The second during the start of the interpreter.
         assert status_after(waiting, signal.SIGINT) in (ExitCode.INTERRUPTED, -signal.SIGINT)
 
 

@@ -1,4 +1,4 @@
-"""Whatever reaches the server or an agent: one line with a code, and the world goes on."""
+"""Invalid input to the server or an agent: a code in one line, and the world keeps running."""
 
 import json
 import math
@@ -71,7 +71,7 @@ SPEECHLESS = {
     "clear_link_wrenches",
     "clear_joint_efforts",
 }
-"""Their ROS types have no field to answer with."""
+"""Services whose ROS types have no result field."""
 
 
 def ask(session: zenoh.Session, service: str, payload: bytes, encoding: str = "") -> dict[str, Any]:
@@ -98,7 +98,7 @@ def _refusal_type(service: str) -> type[msgspec.Struct]:
 
 
 def is_refused(answer: dict[str, Any]) -> bool:
-    """Whether an answer refuses, by a result or as gazebo_msgs do; one without fields cannot."""
+    """Whether a response is a refusal, by its result or by the fields of gazebo_msgs."""
     if "success" in answer:
         return answer["success"] is False
     return not answer or answer["result"]["result"] != ResultCode.OK

@@ -1,4 +1,4 @@
-"""The bus on real sessions over loopback."""
+"""The bus with real sessions over loopback."""
 
 import threading
 from collections.abc import Iterator
@@ -42,7 +42,7 @@ def client(router: Bus) -> Iterator[Bus]:
 
 
 class ReplyThread(threading.Thread):
-    """Answers every request with one reply, as a server's loop does."""
+    """Replies to every request once, like the loop of a server."""
 
     def __init__(self, bus: Bus, reply: bytes, encoding: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What ROS 2 needs of the bus: attachments, stamped replies on other keys, sessions beside."""
+"""Bus features for ROS 2: attachments, timestamped replies on other keys, additional sessions."""
 
 from collections.abc import Iterator
 from typing import TYPE_CHECKING

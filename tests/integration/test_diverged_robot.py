@@ -1,4 +1,4 @@
-"""A robot that no solver can carry is frozen in a real server; the others drive on."""
+"""A robot that diverges is frozen in a real server; others keep driving."""
 
 import math
 import struct
@@ -19,7 +19,7 @@ MASSES = (("1e-4", "1e-8"), ("1e12", "1e12"), ("1e-4", "1e-8"))
 
 
 def mismatched() -> str:
-    """1e16 between neighbouring masses, geared by 1e6."""
+    """Adjacent masses differ by 1e16, with a gear ratio of 1e6."""
     links = "".join(
         LINK.format(name=f"l{n}", x=0.3 if n else 0.0, mass=mass, moment=moment)
         for n, (mass, moment) in enumerate(MASSES)

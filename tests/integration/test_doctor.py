@@ -1,4 +1,4 @@
-"""`zensim doctor` on networks that are broken in every way it tells apart."""
+"""`zensim doctor` on networks with each fault that it distinguishes."""
 
 import json
 import signal
@@ -36,14 +36,14 @@ DENY_QUERIES = {
 
 
 def run_doctor(endpoint: str, *arguments: str) -> tuple[ExitCode, list[dict[str, str]]]:
-    """Run the doctor, and read its findings."""
+    """Run the doctor and parse its findings."""
     done = zensim("doctor", "--json", "--connect", endpoint, *arguments)
     assert done.stderr == ""
     return ExitCode(done.returncode), json.loads(done.stdout)
 
 
 def run_failing_doctor(endpoint: str, *arguments: str) -> tuple[ExitCode, str, str]:
-    """Run the doctor where something is run_failing_doctor; that is always the last finding."""
+    """Run the doctor on a faulty network; the fault is the last finding."""
     status, found = run_doctor(endpoint, *arguments)
     assert [one["mark"] for one in found].count("run_failing_doctor") == 1
     assert found[-1]["mark"] == "run_failing_doctor"

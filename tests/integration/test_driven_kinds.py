@@ -1,4 +1,4 @@
-"""Robots of other drives hear twists over the network as box_bots do."""
+"""Robots of other drives receive twists over the network."""
 
 from tests.integration.processes import driven, serving
 from tests.integration.robots import Robot, place, robot, stamp_s, yaw

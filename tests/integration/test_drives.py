@@ -1,4 +1,4 @@
-"""Every kind of drive moves its robot as it should, from twist to physics to odometry."""
+"""Each drive follows its command, from twist through physics to odometry."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -69,7 +69,7 @@ def test_omni_bot_moves_sideways_while_it_turns(start: StartTrack) -> None:
 def test_skid_bot_turns_on_the_spot(start: StartTrack, turn: float) -> None:
     course = start("skid_bot").drive(10.0, yaw=turn)
 
-    # It skids: how much less than told depends on the ground, as in Gazebo.
+    # It skids: the lost turn depends on friction, as in Gazebo.
     assert 5.0 < course.turned_rad * turn < 10.0
     assert math.hypot(course.ahead_m, course.left_m) < 0.1
 

@@ -1,4 +1,4 @@
-"""Robots driven through the network go where they are told."""
+"""Robots follow commands over the network."""
 
 import math
 from collections.abc import Iterator

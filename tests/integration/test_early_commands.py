@@ -21,7 +21,7 @@ def test_robot_moves_before_the_next_drive_state_when_commanded_between_states()
 
             waits = [_waited_ns(server, found, 0.2 * (-1) ** i) for i in range(TRIES)]
 
-            # The first state tells of the claim; one that the machine holds up says nothing.
+            # The first state follows the claim; a state delayed by load is no evidence.
             assert min(waits[1:]) < PERIOD_NS
 
 

@@ -1,4 +1,4 @@
-"""A server whose world is stepped by several processes: they come and go together."""
+"""A server with worker processes: they start and exit together."""
 
 import os
 import signal

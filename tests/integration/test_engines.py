@@ -1,4 +1,4 @@
-"""A server has the engine that it is told to have, or the one whose library is there."""
+"""A server uses the requested engine, or an installed one by default."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +14,7 @@ TWO = ("box_bot0", "box_bot1")
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """A server that is told nothing, where PyBullet is not installed."""
+    """A server with default options where PyBullet is not installed."""
     with serving(prefix=without("pybullet", tmp_path_factory.mktemp("bare"))) as found:
         yield found
 

@@ -1,4 +1,4 @@
-"""Programs with none of our code, and other hosts."""
+"""Clients without zensim code, and remote hosts."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def _ip(*arguments: str) -> None:
 
 @contextmanager
 def two_hosts() -> Iterator[tuple[list[str], list[str], str]]:
-    """Make two hosts joined by a cable: how to run on each, and the address of the first."""
+    """Make two linked network namespaces; return their command prefixes and the first address."""
     tag = f"zs{os.getpid()}"
     here, there = f"{tag}a", f"{tag}b"
     with ExitStack() as stack:

@@ -1,4 +1,4 @@
-"""A robot's p3d plug-in is carried out by its agent, over a real network."""
+"""The agent publishes the ground truth of a p3d plug-in over a real network."""
 
 from pathlib import Path
 

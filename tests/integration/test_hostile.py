@@ -1,4 +1,4 @@
-"""Hostile descriptions at a live server: each has its answer, and the world goes on meanwhile."""
+"""Hostile descriptions sent to a live server: each gets a reply while the world keeps running."""
 
 from collections.abc import Iterator
 
@@ -15,7 +15,7 @@ from zensim.proto.messages.spawn_messages import Resource, SpawnEntityOrder
 
 EVERY = 6
 CASES = [case for case in corpus() if case.slug != "xml.encoding"][::EVERY]
-"""Lone surrogates cannot be sent at all."""
+"""Lone surrogates cannot be encoded."""
 GOOD = SpawnEntityOrder("good", entity_resource=Resource(uri="box_bot"))
 DEEP = 100_000
 MANY = b"\xff\xff\xff\xff"
@@ -40,7 +40,7 @@ BOMBS = {
 @pytest.fixture(scope="module")
 def server() -> Iterator[Server]:
     with serving() as found:
-        # The reader needs a while to start where cores are shared.
+        # The parser process starts slowly on shared cores.
         eventually(lambda: answer_to(found, GOOD) == "", 60.0, "a first spawn")
         yield found
 
@@ -71,7 +71,7 @@ def test_server_replies_to_a_hostile_description_and_keeps_stepping(
 
 
 def answer_to(server: Server, order: SpawnEntityOrder) -> str:
-    """Spawn, delete again, and tell the message of the refusal; empty when there was none."""
+    """Spawn and delete; return the message of the refusal, empty if accepted."""
     try:
         report = server.client.spawn(order)
     except ServiceError as refusal:

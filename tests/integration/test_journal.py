@@ -1,4 +1,4 @@
-"""Journals of real servers: killed, ended, starved of disk, and looked at."""
+"""Journals of real servers: killed, terminated, out of disk, and inspected."""
 
 import json
 import signal
@@ -182,7 +182,7 @@ def test_reply_is_sent_after_fsync(tmp_path: Path) -> None:
 
 
 def first(lines: list[str], start: int, *texts: str) -> int:
-    """Find the first line from a start on that holds all of these texts."""
+    """Find the first line at or after a start that contains all texts."""
     return next(i for i in range(start, len(lines)) if all(text in lines[i] for text in texts))
 
 
@@ -210,7 +210,7 @@ def test_loaded_world_and_meshes_are_restored_after_a_kill(tmp_path: Path) -> No
 
 
 def write_mesh_robot(folder: Path) -> Path:
-    """Write a robot that is a cube of 1 m by its mesh, placed on the ground."""
+    """Write a robot with a cube mesh of 1 m on the ground."""
     trimesh.creation.box((1.0, 1.0, 1.0)).export(folder / "cube.stl")
     mesh = '<geometry><mesh filename="cube.stl"/></geometry>'
     inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
@@ -224,7 +224,7 @@ def write_mesh_robot(folder: Path) -> Path:
 
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Path]:
-    """Mount a disk that is soon full."""
+    """Mount a small file system."""
     folder.mkdir()
     subprocess.run(
         ["mount", "-t", "tmpfs", "-o", f"size={SMALL_BYTES}", "tmpfs", str(folder)], check=True
@@ -266,7 +266,7 @@ def fill_up(ballast: Path) -> None:
 
 
 def spawned_until_refused(server: Server) -> ServiceError:
-    """Spawn until there is no room any more."""
+    """Spawn until the disk is full."""
     with pytest.raises(ServiceError) as caught:
         spawn_many(server, 200)
     return caught.value

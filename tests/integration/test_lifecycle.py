@@ -1,4 +1,4 @@
-"""Agents that die, spawners that die, servers that are stopped."""
+"""Killed agents, killed spawners, terminated servers."""
 
 import signal
 import subprocess
@@ -115,7 +115,7 @@ def test_up_starts_ten_robots_and_leaves_no_process_when_interrupted() -> None:
 
         assert up.wait(END_S) == 0
         assert '"robots":10' in ready
-        assert len(family) == 12  # ten agents, the server, and its reader
+        assert len(family) == 12  # ten agents, the server, and its parser process
         assert not [process for process in family if process.is_running()]
         assert '"real_time_factor"' in up.stdout.readline()
 

@@ -1,4 +1,4 @@
-"""Lockstep with agents in other processes: the same run twice, and agents that come and go."""
+"""Lockstep with agents in other processes: repeatable runs, and agents that join and leave."""
 
 import os
 import signal
@@ -25,7 +25,7 @@ PERIOD = 3
 SOON_S = 20.0
 BOX_BOT = Resource("box_bot")
 TEST_NETWORK = IPv4Network("198.18.0.0/15")
-"""Kept for measuring network devices, RFC 2544."""
+"""Address range reserved for benchmarks, RFC 2544."""
 
 
 def run(*, processes: int = 0, endpoint: str = "", prefix: tuple[str, ...] = ()) -> Said:
@@ -42,7 +42,7 @@ def run_pooled() -> Said:
 
 @pytest.fixture(scope="module")
 def said() -> Said:
-    """Let an agent for each robot drive it."""
+    """Drive each robot by a separate agent."""
     found = run()
     assert set(found.odoms.values()) == {STEPS // PERIOD}
     return found
@@ -50,7 +50,7 @@ def said() -> Said:
 
 @contextmanager
 def make_remote_host() -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Make a host that is joined to this one by a cable: our address, and how to run there."""
+    """Make a network namespace linked to this one; return our address and a command prefix."""
     tag, (ours, theirs) = f"zl{os.getpid()}", find_free_addresses(os.getpid())
     with ExitStack() as stack:
         _ip("netns", "add", tag)
@@ -64,7 +64,7 @@ def make_remote_host() -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def find_free_addresses(number: int) -> tuple[IPv4Address, IPv4Address]:
-    """Find two addresses that other runs on this machine do not use, where no real host is."""
+    """Find two unused addresses in the reserved range."""
     first = TEST_NETWORK.network_address + number % (TEST_NETWORK.num_addresses // 4) * 4
     return first + 1, first + 2
 
@@ -94,7 +94,7 @@ def test_same_requests_give_the_same_bytes_when_the_agents_are_on_another_host(s
 
 @contextmanager
 def locked(on_miss: str, *names: str, timeout_s: float = 0.5) -> Iterator[Server]:
-    """Run a world in lockstep with standing robots."""
+    """Run a world in lockstep with robots at rest."""
     options = ("--lockstep", "--on-miss", on_miss, "--lockstep-timeout", str(timeout_s))
     with serving(*options, "--rtf", "0") as server:
         for number, name in enumerate(names):
@@ -108,7 +108,7 @@ def locked(on_miss: str, *names: str, timeout_s: float = 0.5) -> Iterator[Server
 
 
 def goes_on(server: Server) -> bool:
-    """Whether time passes: some control periods in a row."""
+    """Whether time passes for several control periods."""
     before = server.steps()
     eventually(lambda: server.steps() > before + 10 * PERIOD, SOON_S, "time")
     return True

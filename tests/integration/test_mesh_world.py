@@ -1,4 +1,4 @@
-"""Worlds and robots of meshes, in a real server: what is hollow is hollow, and nothing sinks."""
+"""Worlds and robots with meshes in a real server: concave shapes and resting contacts."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,7 +26,7 @@ from zensim.spawner.client.sim_client import SimClient
 STEPS = 400
 LEAST_PX = 2000
 PATIENCE_S = 50.0
-"""A page that is drawn without a graphics card takes its time."""
+"""Software rendering is slow."""
 RING = trimesh.creation.annulus(r_min=0.4, r_max=0.6, height=0.3)
 WEDGE = trimesh.convex.convex_hull(
     np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)] + [[0.0, 0.0, -0.5]])
@@ -50,7 +50,7 @@ ROBOT = """<robot name="wedge"><link name="base"><inertial><mass value="1"/>
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make a world with a ring from the path and a tile beside it, and a robot."""
+    """Make a world with a ring from the search path, a tile in its folder, and a robot."""
     made = tmp_path_factory.mktemp("world")
     (made / "models" / "ring" / "meshes").mkdir(parents=True)
     (made / "models" / "ring" / "model.sdf").write_text(RING_SDF)

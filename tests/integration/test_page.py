@@ -1,4 +1,4 @@
-"""The page on a real port, without a browser."""
+"""The viewer page on a real port, without a browser."""
 
 import urllib.request
 from collections.abc import Iterator
@@ -66,7 +66,7 @@ def wait_until_followed(page: ViewerPage, *names: str) -> None:
 
 
 def a_scene(*names: str) -> tuple[RenderedFleet, RenderedFrame]:
-    """Robots, and walls for names that begin with w."""
+    """Make a scene of robots, and of walls for names that begin with w."""
     kinds = {name: make_wall() if name.startswith("w") else make_robot(name) for name in names}
     fleet = make_fleet(names, make_models_by_name(kinds))
     return fleet, make_frame(fleet, make_snapshot(*names, joints=fleet.joints))

@@ -1,4 +1,4 @@
-"""A server whose reader hangs, dies or runs out of memory: one refusal, and the world goes on."""
+"""A server whose parser process hangs, dies or exceeds memory: one refusal, and the world runs."""
 
 import array
 import fcntl
@@ -25,7 +25,7 @@ from zensim.spawner.spawn.spawn_client import add_payload, make_payload, send_fi
 STDIN = 0
 SLOW = f"reader.timeout: {TIMEOUT_MESSAGE}"
 EXTRAS = b'{"asset":{"version":"2.0"},"extras":[' + b"[]," * (20 << 20) + b"[]]} "
-"""Of a GLB file of 63 MB: a list for every three bytes, where anything may stand."""
+"""JSON of a GLB file of 63 MB: nested lists that need far more memory than the file."""
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def assert_steps_and_spawns(server: Server) -> Iterator[None]:
 
 
 def find_parser(server: Server) -> psutil.Process:
-    """Find the process that reads for a server."""
+    """Find the parser process of a server."""
     (reader,) = [
         child
         for child in psutil.Process(server.process.pid).children()
@@ -62,7 +62,7 @@ def an_order(name: str) -> SpawnEntityOrder:
 
 
 def answer_to(server: Server, order: SpawnEntityOrder) -> str:
-    """Spawn, delete again, and tell the message of the refusal; empty when there was none."""
+    """Spawn and delete; return the message of the refusal, empty if accepted."""
     try:
         report = server.client.spawn(order)
     except ServiceError as refusal:
@@ -72,7 +72,7 @@ def answer_to(server: Server, order: SpawnEntityOrder) -> str:
 
 
 def answer_when(server: Server, name: str, act: Callable[[psutil.Process], None]) -> str:
-    """Spawn with a reader that stands still, act on it once it has the request, and wait."""
+    """Spawn with a suspended parser process, act on it when it has the request, and wait."""
     reader = find_parser(server)
     reader.suspend()
     with ThreadPoolExecutor(1) as pool:
@@ -83,7 +83,7 @@ def answer_when(server: Server, name: str, act: Callable[[psutil.Process], None]
 
 
 def unread_bytes(process_id: int) -> int:
-    """Ask how much a process has not read yet of its standard input."""
+    """Count the unread bytes of a process's standard input."""
     pipe = os.open(f"/proc/{process_id}/fd/{STDIN}", os.O_RDONLY | os.O_NONBLOCK)
     try:
         count = array.array("i", [0])
@@ -117,7 +117,7 @@ def test_spawn_succeeds_after_the_parser_was_killed(server: Server) -> None:
 
 
 def glb_of(text: bytes) -> bytes:
-    """Write a GLB file without any numbers."""
+    """Write a GLB file without vertices."""
     text += b" " * (-len(text) % 4)
     return struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text), len(text), b"JSON") + text
 
@@ -135,7 +135,7 @@ def test_spawn_is_refused_and_the_next_succeeds_when_a_mesh_exceeds_memory(
     order = add_payload(cargo, SpawnEntityOrder("large"), "")
 
     reader, answer = find_parser(server), answer_to(server, order)
-    while answer == SLOW:  # as it says: where others have the cores, try again
+    while answer == SLOW:  # as the message says: on a busy machine, retry
         reader, answer = find_parser(server), answer_to(server, order)
 
     assert answer.startswith("reader.memory: ")

@@ -1,4 +1,4 @@
-"""Pools among real processes: shares, deaths, takeovers, late comers."""
+"""Pools of agents in real processes: shares, failures, takeovers, late joiners."""
 
 import signal
 from collections import Counter
@@ -50,7 +50,7 @@ def spawn(server: Server) -> None:
 
 
 def shares(server: Server) -> list[int]:
-    """Say how many robots each agent drives, the largest share first."""
+    """Count the robots of each agent, in descending order."""
     driven = Counter(agent_of(server, name) for name in server.client.entities())
     del driven[""]
     return sorted(driven.values(), reverse=True)

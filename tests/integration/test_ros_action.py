@@ -1,7 +1,7 @@
-"""The action /simulate_steps as an independent client drives it, by the rules of rcl_action.
+"""The action /simulate_steps, called by an independent client by the rules of rcl_action.
 
-The rules: a goal's id is the client's; three services and two topics stand under `_action/`; the
-status topic is latched, and told at each change; a canceled goal is named in the answer.
+The rules: the client chooses the goal id; three services and two topics are under `_action/`; the
+status topic is latched and published at each change; a cancel reply lists canceled goals.
 """
 
 from collections.abc import Iterator
@@ -70,7 +70,7 @@ def cancel(ask: Ask, number: int) -> dict[str, object]:
 
 
 def told_of(heard: list[dict[str, list[dict[str, object]]]], number: int) -> list[object]:
-    """Find what the status topic told of one goal, without repetitions."""
+    """List the statuses of one goal, without repetitions."""
     all_told = [
         one["status"]
         for message in heard

@@ -1,7 +1,7 @@
-"""Negative controls: one thing broken on the way out, and who looks from outside finds just that.
+"""Negative controls: an independent client finds each injected fault, and no other.
 
-What runs is the code that users run, on a network that breaks one thing; who judges is an
-independent client, or the rules of rmw_zenoh by that client's readers where it is lenient itself.
+Production code runs on a bus with one fault. An independent client checks the result, or the
+rules of rmw_zenoh where that client is lenient.
 """
 
 import struct
@@ -42,7 +42,7 @@ EVERY_S = 0.02
 
 @dataclass(frozen=True)
 class Ways:
-    """How what is on the network differs from what was meant."""
+    """One fault: functions that alter attachments, tokens and keys."""
 
     attachment: Callable[[bytes], bytes] = bytes
     token: Callable[[str], str] = str
@@ -89,11 +89,11 @@ FOUND = {
     "hash in tokens": {"by the rules"},
     "qos string": {"by the rules"},
 }
-"""What of `find_complaints` is not fine then."""
+"""Checks of `find_complaints` that fail for each fault."""
 
 
 class BrokenPublisher:
-    """Puts what it is given, but for the attachment."""
+    """Publishes payloads with an altered attachment."""
 
     def __init__(self, publisher: BusPublisher, ways: Ways) -> None:
         self._publisher, self._ways = publisher, ways
@@ -106,7 +106,7 @@ class BrokenPublisher:
 
 
 class BrokenCall:
-    """A request whose answer has another attachment."""
+    """A request whose reply has an altered attachment."""
 
     def __init__(self, call: Any, ways: Ways) -> None:  # noqa: ANN401
         self._call, self._ways = call, ways
@@ -119,7 +119,7 @@ class BrokenCall:
 
 
 class BrokenQueue:
-    """Requests that are answered wrongly."""
+    """A queue of broken calls."""
 
     def __init__(self, queue: Any, ways: Ways) -> None:  # noqa: ANN401
         self._queue, self._ways = queue, ways
@@ -132,7 +132,7 @@ class BrokenQueue:
 
 
 class BrokenBus:
-    """A bus on which something goes wrong."""
+    """A bus with a fault."""
 
     def __init__(self, bus: Bus, ways: Ways) -> None:
         self._bus, self._ways = bus, ways
@@ -154,7 +154,7 @@ class BrokenBus:
 
 @contextmanager
 def telling(ways: Ways) -> Iterator[Bus]:
-    """Tell odometry and answer services, on a network with its ways."""
+    """Publish odometry and reply to services, on a network with a fault."""
     with open_bus(BusConfig(mode="router", listen=(free_endpoint(),))) as router:
         bus = cast("Bus", BrokenBus(router, ways))
         side, is_over = start_server_node(bus, RosSettings()), threading.Event()
@@ -181,7 +181,7 @@ def telling(ways: Ways) -> Iterator[Bus]:
 
 
 def find_complaints(router: Bus) -> set[str]:
-    """Look from outside at the odometry of a robot and at a service."""
+    """Check the odometry of a robot and a service; return the names of failed checks."""
     with observing(router, 0) as do, session_of(router) as session:
         told = tokens(session, "@ros2_lv/**")
         asked = {"name": "/delete_entity", "kind": DELETE, "type_hash": ros.DELETE_HASH}
@@ -214,7 +214,7 @@ def are_kept(told: list[str], came: list[Heard]) -> bool:
 
 
 def is_signed(answers: list[zenoh.Sample]) -> bool:
-    """Check that the reply has the number and the gid of who asked."""
+    """Check that the reply has the sequence number and gid of the request."""
     attached = [one.attachment.to_bytes() if one.attachment else b"" for one in answers]
     return [(one[:8], one[16:]) for one in attached] == [(ASKED[:8], ASKED[16:])]
 

@@ -1,4 +1,4 @@
-"""Two domains on one network: neither lists, hears, asks or drives what is in the other."""
+"""Two ROS domains on one network: isolated topics, services and commands."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -18,12 +18,12 @@ GET_ENTITIES = "simulation_interfaces/srv/GetEntities"
 SPAWN = "simulation_interfaces/srv/SpawnEntity"
 AT_ORIGIN = {"pose": {"position": {"z": 0.06}, "orientation": {"w": 1.0}}}
 DOMAINS = {0: "a1", 7: "b1"}
-"""And the robot in each."""
+"""Domain ids, and the robot in each domain."""
 
 
 @dataclass(frozen=True)
 class Network:
-    """A server in domain 0 that is the router, and another world in domain 7 that has joined it."""
+    """A server in domain 0, which is the router, and another world in domain 7."""
 
     server: Server
     other: SimClient

@@ -1,7 +1,7 @@
-"""Programs written for Gazebo Classic, call for call: the tutorial's script, and spawn_entity.py.
+"""Calls of programs for Gazebo Classic: the tutorial's script, and spawn_entity.py.
 
-Each call has the fields that those programs fill in, by an independent client and on the bare keys
-of a bridge; types without hashes are humble's, which has gazebo_msgs.
+Each call has the fields of those programs, by an independent client and on the plain keys
+of a bridge; types have no hashes, as in humble.
 """
 
 import xml.etree.ElementTree as ET
@@ -37,7 +37,7 @@ def do(server: Server) -> Iterator[Do]:
 
 
 def description_by_the_script(namespace: str) -> str:
-    """Change the robot as the tutorial's script does: a namespace, and tf within it."""
+    """Edit the robot like the tutorial's script: a namespace, and tf in it."""
     root = ET.fromstring(read_builtin_model("box_bot_legacy"))
     plugins = {plugin.get("name"): plugin for plugin in root.iter("plugin")}
     block = plugins["differential_drive_controller"].find("ros")

@@ -1,6 +1,6 @@
-"""All that a network of ours says of itself to ROS 2: each token, topic and service, none left out.
+"""All ROS 2 tokens, topics and services of a network.
 
-What is looped over is what is on the wire, so that a new topic or service is judged by itself.
+The tests iterate over the network's endpoints, so that new ones are covered automatically.
 """
 
 import re
@@ -53,7 +53,7 @@ PUBLISHED = {
 LATCHED = ("tf_static", "robot_description", "status")
 RELIABLE_10, TRANSIENT_LOCAL_1 = "::,10", ":1:,1"
 SILENT = f"{ACTION}/feedback"
-"""Tells of goals only; see `test_ros_action`."""
+"""Published for goals only; see `test_ros_action`."""
 GID = bytes(range(16))
 SEQUENCE, HEADER = 41, b"\x00\x01"
 
@@ -65,7 +65,7 @@ def distribution(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def server(distribution: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """Run a robot with an agent of its own, which has ground truth, and two of a pool."""
+    """Run a robot with a single agent and ground truth, and two robots in a pool."""
     file = tmp_path_factory.mktemp("robot") / "seen.urdf"
     ros = ("--ros-distro", distribution)
     with serving("--ros-domain", "0", *ros) as found:

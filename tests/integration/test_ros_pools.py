@@ -1,4 +1,4 @@
-"""Robots of a pool as ROS 2 has them: by rmw_zenoh's rules, and by driving them."""
+"""ROS 2 topics of a pool's robots: rmw_zenoh's rules, and commands."""
 
 from collections.abc import Iterator
 from typing import Any

@@ -1,6 +1,6 @@
-"""Robots as a client of ROS 2 that is not ours lists, hears and drives them.
+"""Robots listed, subscribed to and driven by an independent ROS 2 client.
 
-With agents of their own and in a pool, for distributions with hashes and for humble without.
+With single agents and a pool, for distributions with type hashes and for humble without.
 """
 
 from collections.abc import Iterator
@@ -39,7 +39,7 @@ HEARD = ("/r1/odom", "/r2/tf", "/tf", "/r1/joint_states", "/clock")
 
 
 class Installation:
-    """A server and what drives its robots."""
+    """A server and its agents."""
 
     def __init__(self, agents: str, distribution: str) -> None:
         self.is_pooled = agents == "pool"
@@ -47,12 +47,12 @@ class Installation:
         self.type_hash = ros.OF_HUMBLE if distribution == "humble" else ""
 
     def hash_of(self, published: str) -> str:
-        """Find how a service is asked for."""
+        """Find the type hash of a service."""
         return self.type_hash or published
 
     @contextmanager
     def driving(self, server: Server, *names: str) -> Iterator[None]:
-        """Let some robots be driven; a pool drives all there are by itself."""
+        """Run agents for some robots; a pool claims all robots."""
         with ExitStack() as stack:
             if not self.is_pooled:
                 stack.enter_context(driven(server, *names, options=self.options))
@@ -173,7 +173,7 @@ def test_robot_is_spawned_listed_and_deleted(
     published: str,
     resource: dict[str, object],
 ) -> None:
-    # Humble has 1.x only; who asks by 2.1 has hashes.
+    # Humble has 1.x only; clients of 2.1 have hashes.
     type_hash = installation.hash_of(published) if kind == ros.SPAWN_V1 else published
 
     with ros_client(server) as ask:

@@ -1,4 +1,4 @@
-"""Services as ROS 2 calls them: by an independent client, and by bytes as rmw_zenoh sends them."""
+"""ROS 2 services, called by an independent client and by the bytes of rmw_zenoh."""
 
 import json
 import time

@@ -1,4 +1,4 @@
-"""Robots as ROS 2 sees, hears and drives them: an independent client, and rmw_zenoh's rules."""
+"""ROS 2 topics of robots: an independent client, and rmw_zenoh's rules."""
 
 import re
 from collections.abc import Callable, Iterator
@@ -29,7 +29,7 @@ QOS = "K?:[01]:[01]:[01],[0-9]+(?::typehash=RIHS01_[0-9a-f]{64};)?"
 ROUTE = re.compile(
     f"@/[0-9a-f]+/@ros2_lv(?:/(?:M[PS]/{NAME}/{TYPE}/{QOS}|[SA][SC]/{NAME}/{TYPE}))?"
 )
-"""Tokens of zenoh-bridge-ros2dds, from its sources: § for slashes, qualities in DDS's numbers."""
+"""Tokens of zenoh-bridge-ros2dds, from its source: § for slashes, QoS as DDS numbers."""
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,6 @@
-"""Transforms as RViz takes them: from the frame `world` all robots are one tree, each in place.
+"""Transforms as used by RViz: one tree of all robots below the frame `world`.
 
-The listener is written here, from what tf2 does: parents by child, poses multiplied on the way up.
+The listener follows tf2: parents by child, poses multiplied up to the root.
 """
 
 import math
@@ -26,7 +26,7 @@ from tests.proto.ros_oracle import HUMBLE
 from zensim.sim_server.description.builtin_models import read_builtin_model
 
 ROBOTS = ("r1", "r2", "r3")
-"""r3 counts its wheels' turns; it begins turned by a right angle."""
+"""r3 uses wheel encoders; its initial yaw is 90 degrees."""
 Flat = tuple[float, float, float]
 """x, y [m] and yaw [rad] in the parent."""
 
@@ -58,7 +58,7 @@ def server(
 
 
 class Listener:
-    """Keeps the newest transform to each child, and who its parents were."""
+    """Keeps the newest transform and all parents of each child frame."""
 
     def __init__(self) -> None:
         self.parents: dict[str, set[str]] = {}
@@ -73,7 +73,7 @@ class Listener:
             self.newest[edge.child_frame_id] = (moved.x, moved.y, yaw)
 
     def pose_in_root(self, frame: str) -> tuple[str, Flat]:
-        """Go up to the root, and find the pose there."""
+        """Find the pose of a frame in the root frame."""
         x, y, yaw = 0.0, 0.0, 0.0
         while frame in self.newest:
             at_x, at_y, turned = self.newest[frame]
@@ -113,6 +113,6 @@ def test_transforms_match_simulated_poses(server: Server, listener: Listener, na
 
     _, (x, y, _) = listener.pose_in_root(f"{name}/base_link")
 
-    # Encoders drift, a little: wheels slip at the start and in turns.
+    # Encoder odometry drifts: wheels slip at the start and in turns.
     assert (x, y) == pytest.approx((truth.x, truth.y), abs=0.05)
     assert math.hypot(x - 1.0, y - ROBOTS.index(name)) > 0.2

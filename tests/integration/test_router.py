@@ -1,4 +1,4 @@
-"""A router of its own: programs come in any order, and come back by themselves when it has died."""
+"""A separate router: programs start in any order, and reconnect after its restart."""
 
 from tests.integration.processes import (
     START_S,
@@ -18,7 +18,7 @@ BACK_S = 20.0
 
 
 def moves(server: Server, name: str) -> None:
-    """Drive a robot until the world sees it move, then until it stands."""
+    """Drive a robot until it moves, then until it stops."""
     driver = robot(server.bus, name)
 
     def is_moving() -> bool:

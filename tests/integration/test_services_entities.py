@@ -1,4 +1,4 @@
-"""The entities' side of simulation_interfaces on a real server, over the network."""
+"""Entity services of simulation_interfaces on a real server, over the network."""
 
 import json
 from collections.abc import Iterator

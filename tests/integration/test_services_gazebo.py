@@ -1,4 +1,4 @@
-"""Gazebo's names over the network, on a real robot in real physics."""
+"""Gazebo services over the network, on a robot in PyBullet."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Worlds and states over the network: loaded, unloaded, stopped and quit under running robots."""
+"""Worlds and states over the network: load, unload, stop and quit with running robots."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the options of `zensim spawn` do, on a real server."""
+"""Options of `zensim spawn` on a real server."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Dynamics that entities ask for, on a real server: told, changed in time, and kept on the disk."""
+"""Dynamics requested by entities on a real server: reported, switched, and kept in the journal."""
 
 from pathlib import Path
 

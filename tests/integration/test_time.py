@@ -1,4 +1,4 @@
-"""Time with real agents: on demand, by goals, to a time, at a speed, and back by a reset."""
+"""Time control with real agents: steps, goals, run-to-time, speed, and reset."""
 
 import signal
 import time
@@ -33,7 +33,7 @@ def scene() -> Iterator[tuple[Server, Robot]]:
 
 @pytest.fixture(autouse=True)
 def stands(scene: tuple[Server, Robot]) -> Iterator[None]:
-    """Leave time standing, at any speed."""
+    """Pause the world; restore its speed afterwards."""
     yield
     server, _ = scene
     if server.client.simulation_state() != State.PAUSED:
@@ -41,7 +41,7 @@ def stands(scene: tuple[Server, Robot]) -> Iterator[None]:
 
 
 def last_stamp_s(found: Robot) -> float:
-    """Stamp of the newest odometry that is here already."""
+    """Get the stamp of the newest received odometry."""
     heard = found.read()
     return stamp_s(heard[-1]) if heard else -1.0
 
@@ -152,7 +152,7 @@ def test_time_runs_at_the_speed_that_is_set(scene: tuple[Server, Robot], factor:
 
     passed_s = server.client.info().sim_time_s - before_s
     assert server.client.info().target_real_time_factor == factor
-    # Upwards exactly; a busy machine may be slower.
+    # The upper bound is exact; a busy machine may be slower.
     assert 0.0 < passed_s <= factor * (time.monotonic() - begin_s) + 0.1
     server.client.set_speed(1.0)
 

@@ -1,4 +1,4 @@
-"""The page in a real browser, fed by a real server; and who may open it."""
+"""The page in a real browser with a real server, and its access control."""
 
 import signal
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 ROBOTS = 10
 LEAST_AREA_PX = 20
 LOOKS_AT = "window.__viserMutable.cameraControl.getTarget().toArray()"
-"""In the browser's axes: -y, z, -x of the world."""
+"""In browser axes: -y, z, -x of the world."""
 NODES = "Object.keys(window.__viserSceneTree.getState())"
 BATCHES = """
 Object.entries(window.__viserSceneTree.getState())
@@ -41,12 +41,12 @@ PLACE = """
   return [box.left + (seen.x + 1) / 2 * box.width, box.top + (1 - seen.y) / 2 * box.height];
 })()
 """
-"""Where the robot of this number is on the screen."""
+"""Screen position of the robot with this number."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A page in a browser, and the server that it shows."""
+    """A page in a browser, and its server."""
 
     server: Server
     url: str
@@ -77,7 +77,7 @@ def shown(server: Server) -> Iterator[Shown]:
 
 
 def blue_robots(picture: np.ndarray) -> int:
-    """Count connected areas of blue; a sliver seen past a wheel is none."""
+    """Count connected blue areas; ignores slivers behind wheels."""
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     rest = set(map(tuple, np.argwhere((blue > red + 45) & (blue > green + 25)).tolist()))
     sizes = []
