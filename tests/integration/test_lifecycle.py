@@ -145,7 +145,7 @@ def test_up_restarts_an_agent_that_died() -> None:
 
         assert up.stderr is not None
         said = eventually(up.stderr.readline, 10.0, "a note")
-        while "starting it again" not in said:
+        while "-9" not in said:
             said = up.stderr.readline()
         eventually(lambda: len(psutil.Process(up.pid).children()) == 2, 10.0, "coming back")
 

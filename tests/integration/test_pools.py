@@ -218,7 +218,7 @@ def test_up_pooled_starts_all_robots_and_restarts_a_dead_pool() -> None:
 
         assert up.stderr is not None
         said = eventually(up.stderr.readline, 10.0, "a note")
-        while "starting it again" not in said:
+        while "-9" not in said:
             said = up.stderr.readline()
         with joined(str(ready["endpoint"])) as bus:
             odom = bus.subscribe("*/odom", 1000)
