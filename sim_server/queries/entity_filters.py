@@ -11,7 +11,7 @@ from zensim.proto.messages.standard_messages import NANOSECONDS
 from zensim.sim_server.errors import SimError
 from zensim.sim_server.parser_process.asset_store import AssetStore
 from zensim.sim_server.queries.bounds_queries import parse_bounds
-from zensim.sim_server.scene.scene import Region, Scene
+from zensim.sim_server.scene.scene import CollisionScene, Region
 from zensim.sim_server.service_parts import DeferredResponse, Pacing
 from zensim.sim_server.world.entity import Entity
 from zensim.sim_server.world.simulated_world import World
@@ -136,7 +136,7 @@ class _EntitySearch:
 
     def __init__(
         self,
-        scene: Scene,
+        scene: CollisionScene,
         rows: Mapping[str, int],
         entities: Sequence[Entity],
         now_ns: Callable[[], int],

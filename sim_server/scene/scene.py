@@ -184,7 +184,7 @@ class SceneLayout:
         return poses
 
 
-class Scene:
+class CollisionScene:
     """All collision shapes at one step."""
 
     def __init__(

@@ -14,7 +14,7 @@ from zensim.proto.messages.telemetry_messages import Snapshot
 from zensim.sim_server.physics.actuation import make_stop_targets
 from zensim.sim_server.physics.engine import BodyStates, Engine, FloatArray
 from zensim.sim_server.scene.convex_shapes import MeshVertices
-from zensim.sim_server.scene.scene import Scene, SceneLayout
+from zensim.sim_server.scene.scene import CollisionScene, SceneLayout
 from zensim.sim_server.world.applied_forces import AppliedForces
 from zensim.sim_server.world.claim_registry import ClaimedEntities, ClaimRegistry
 from zensim.sim_server.world.divergence_guard import (
@@ -322,13 +322,13 @@ class World:
             self._states_step = self.clock.steps
         return self._states
 
-    def scene(self, vertices: MeshVertices) -> Scene:
+    def scene(self, vertices: MeshVertices) -> CollisionScene:
         """Make the scene of this step; meshes have these vertices."""
         index, states = self.entities.index, self.states()
         if self._scene_layout is None or self._scene_layout[0] is not index:
             models = [entity.model for entity in self.entities]
             self._scene_layout = index, SceneLayout(models, vertices)
-        return Scene(self._scene_layout[1], states.base, states.joint_positions)
+        return CollisionScene(self._scene_layout[1], states.base, states.joint_positions)
 
     @property
     def _is_read(self) -> bool:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from zensim.proto.messages.model_messages import Link, Model, Shape
 from zensim.proto.se3 import FloatArray, from_rpy
 from zensim.sim_server.scene.ray_casting import GROUND, NO_ENTITY, RayHits
-from zensim.sim_server.scene.scene import Scene, SceneLayout
+from zensim.sim_server.scene.scene import CollisionScene, SceneLayout
 
 HERE = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]])
 NONE = np.zeros(0)
@@ -31,13 +31,17 @@ def a_model(*shapes: Shape) -> Model:
     return Model("m", (Link("base", collisions=shapes),), is_static=True)
 
 
-def a_scene(*models: Model, base: FloatArray | None = None, has_ground: bool = False) -> Scene:
+def a_scene(
+    *models: Model, base: FloatArray | None = None, has_ground: bool = False
+) -> CollisionScene:
     layout = SceneLayout(models, lambda _: TRIANGLES, has_ground=has_ground)
-    return Scene(layout, np.repeat(HERE, len(models), axis=0) if base is None else base, NONE)
+    return CollisionScene(
+        layout, np.repeat(HERE, len(models), axis=0) if base is None else base, NONE
+    )
 
 
 def cast_one(
-    scene: Scene, origin: object, direction: object, max_range_m: float = 100.0
+    scene: CollisionScene, origin: object, direction: object, max_range_m: float = 100.0
 ) -> RayHits:
     towards = np.array([direction], dtype=float)
     towards /= np.linalg.norm(towards)

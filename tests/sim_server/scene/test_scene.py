@@ -15,7 +15,7 @@ from zensim.sim_server.scene.convex_shapes import ConvexShape, find_distance
 from zensim.sim_server.scene.ray_casting import NO_ENTITY
 from zensim.sim_server.scene.scene import (
     ENTITIES_PER_TURN,
-    Scene,
+    CollisionScene,
     SceneLayout,
     make_region,
 )
@@ -42,9 +42,9 @@ def at(*position: float) -> FloatArray:
 
 def a_scene(
     *placed: tuple[Model, FloatArray], joints: FloatArray = NONE, ground: bool = False
-) -> Scene:
+) -> CollisionScene:
     layout = SceneLayout([model for model, _ in placed], NO_MESHES, has_ground=ground)
-    return Scene(layout, np.array([base for _, base in placed]).reshape(-1, 13), joints)
+    return CollisionScene(layout, np.array([base for _, base in placed]).reshape(-1, 13), joints)
 
 
 def a_ball(*centre: float, radius: float = 0.1) -> ConvexShape:
@@ -102,7 +102,7 @@ def test_prismatic_joint_moves_what_a_ray_hits() -> None:
     layout = SceneLayout([model], NO_MESHES)
     down = np.array([[0.0, 0.0, -1.0]])
     ranges = [
-        Scene(layout, at(0.0, 0.0, 0.0)[None], np.array([position]))
+        CollisionScene(layout, at(0.0, 0.0, 0.0)[None], np.array([position]))
         .cast_rays(np.array([[0.0, 0.0, 9.0]]), down, 20.0)
         .ranges[0]
         for position in (0.0, 0.25)
@@ -140,7 +140,7 @@ def test_fixed_entities_are_posed_again_only_when_they_are_moved() -> None:
     moved = base + np.array([[0.0], [1.0]])
     both = np.array([at(1.0, 0.0, 0.0), at(3.0, 0.0, 0.0)])
 
-    poses = [Scene(layout, states, NONE).shapes.poses for states in (base, moved, both)]
+    poses = [CollisionScene(layout, states, NONE).shapes.poses for states in (base, moved, both)]
 
     assert [one[:, 0].tolist() for one in poses] == [[0.0, 3.0], [0.0, 4.0], [1.0, 3.0]]
 
