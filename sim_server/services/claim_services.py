@@ -38,7 +38,7 @@ def find_robots_to_move(
     Args:
         pool: One of `limits`.
         limits: Most robots of each pool, in the order of their first request.
-        claims_of: Robots of each pool, in the order of claiming; a pool without robots may be missing.
+        claims_of: Robots of each pool, oldest claims first; a pool without robots may be missing.
         free: Robots without a claim.
     """
     total = len(free) + sum(len(claims_of.get(one, ())) for one in limits)
