@@ -11,9 +11,9 @@ from packaging.requirements import Requirement
 from tests.contract.repository import PACKAGES, ROOT, files, shown, text_of
 
 EXTRA_OF = {
-    "sim_server/physics/mujoco_engine.py": {"", "server", "mujoco"},
+    "sim_server/physics/mujoco/": {"", "server", "mujoco"},
     "sim_server/": {"", "server"},
-    "spawner/viewer/": {"", "viewer"},
+    "spawner/page/": {"", "viewer"},
 }
 
 
@@ -25,7 +25,14 @@ def outside_imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names.add(node.module)
     # mypy knows typing_extensions; it is imported for type checking only.
-    ours = {*PACKAGES, "tests", "typing_extensions", *sys.stdlib_module_names}
+    ours = {
+        *PACKAGES,
+        "benchmarks",
+        "tests",
+        "typing_extensions",
+        "zensim",
+        *sys.stdlib_module_names,
+    }
     return {name.split(".")[0] for name in names} - ours
 
 
